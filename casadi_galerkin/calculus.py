@@ -1,4 +1,4 @@
-"""The discrete calculus: time scale T, embedding emb_m, derivative Δ_m and anti-derivative ∫ Δ_w (paper, sections 2 and 3).
+"""The discrete calculus: time scale T, embedding emb_m, derivative Δ_m, anti-derivative ∫ Δ_w (paper, sections 2, 3).
 
 Values X̄ at all nodes, joints and control points, stand for the continuous piecewise polynomial
 x̄ = emb_m(X̄) of degree m.  Everything here is linear in X̄, and so is one sparse matrix and one vector:
@@ -162,7 +162,7 @@ class PiecewisePolynomial:
         flat = times.ravel()
         slack = 1e-12 * (self.mesh[-1] - self.mesh[0])
         if np.any(~((flat >= self.mesh[0] - slack) & (flat <= self.mesh[-1] + slack))):
-            raise ValueError(f"times must lie within [{self.mesh[0]}, {self.mesh[-1]}], got {t}")
+            raise ValueError(f"times must lie within [{self.mesh[0]}, {self.mesh[-1]}], got {t!r}")
         m = len(self.nodes) - 1
         steps = np.diff(self.mesh)
         i = np.clip(np.searchsorted(self.mesh, flat, side="right") - 1, 0, len(steps) - 1)

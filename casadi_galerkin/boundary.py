@@ -1,0 +1,318 @@
+"""All intervals at once: the transcription of a boundary problem into one graph, solved as often as wanted."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial, time_scale
+from casadi_galerkin.engines import (
+    SINGULAR,
+    Data,
+    Solution,
+    SolveFailure,
+    System,
+    negative_eigenvalues,
+    rootfinder,
+    second_variation,
+)
+from casadi_galerkin.functional import Functional, Layout
+from casadi_galerkin.problems import BoundaryProblem, components, numbers
+from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
+
+Engine = Callable[[System, np.ndarray, Data, int], Solution]
+Guess = Callable[[float], ArrayLike] | ArrayLike | Trajectory | PiecewisePolynomial
+
+
+def mesh_of(t_span: tuple[float, float], intervals: int | None, mesh: ArrayLike | None) -> np.ndarray:
+    """Joints from a number of equal intervals, or from the joints themselves; exactly one must be given."""
+    if (intervals is None) == (mesh is None):
+        raise ValueError(f"give either intervals or mesh, got intervals={intervals!r} and mesh={mesh!r}")
+    if mesh is None:
+        if isinstance(intervals, bool) or not isinstance(intervals, (int, np.integer)):
+            raise TypeError(f"intervals must be a whole number, got {intervals!r}")
+        if intervals < 1:
+            raise ValueError(f"intervals must be at least 1, got {intervals}")
+        return time_scale(np.linspace(*t_span, int(intervals) + 1))
+    joints = time_scale(mesh)
+    if (joints[0], joints[-1]) != t_span:
+        raise ValueError(f"the mesh must run from {t_span[0]} to {t_span[1]}, got {joints[0]} to {joints[-1]}")
+    return joints
+
+
+class Transcription:
+    """A boundary problem on N intervals as one CasADi graph, built once and solved often.
+
+    Ends, parameters and joints are inputs of the graph: nothing is rebuilt when they change.
+
+    Parameters
+    ----------
+    problem : BoundaryProblem
+    method : Galerkin
+    mesh : (N + 1,), the joints used unless others are given to `solve`
+
+    Attributes
+    ----------
+    action, gradient, hessian : Functions of (unknowns, start, end, mesh[, parameters])
+        S, ∇S and the sparse ∇²S by the unknowns; `start` and `end` hold the fixed components only
+    build_seconds : float
+    """
+
+    def __init__(self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray) -> None:
+        began = time.perf_counter()
+        self.problem, self.method, self.mesh = problem, method, mesh
+        fixed_start, fixed_end = (
+            tuple(i for i, value in enumerate(end) if value is not None) for end in (problem.start, problem.end)
+        )
+        self.layout = Layout(method, len(mesh) - 1, problem.dimension, fixed_start, fixed_end, problem.periodic)
+        self._functional = Functional(problem.lagrangian, self.layout)
+        sizes = {"unknowns": self.layout.free, "start": len(fixed_start), "end": len(fixed_end), "mesh": len(mesh)}
+        if problem.parameters is not None:
+            sizes["parameters"] = len(problem.parameters)
+        self._symbols = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
+        self._u = ca.vertcat(*(self._symbols[name] for name in ("unknowns", "start", "end")))
+        self._at = (self._u, self._symbols["mesh"], self._symbols.get("parameters"))
+        local, total = self._functional.gradient(*self._at)
+        self.gradient = self._function("gradient", total[: self.layout.free])
+        self.hessian = self._function("hessian", self._functional.hessian(*self._at))
+        self._momenta = self._function("momenta", ca.horzcat(-local[: problem.dimension, 0], self._ends(local)))
+        self.build_seconds = time.perf_counter() - began
+
+    def _ends(self, local: ca.MX) -> ca.MX:
+        """Derivative of each interval's action by its last node, (d, N)."""
+        return ca.reshape(local[:, -1], self.problem.dimension, self.layout.intervals)
+
+    def _function(self, name: str, *outputs: ca.MX, extra: tuple[ca.MX, ...] = ()) -> ca.Function:
+        names = list(self._symbols) + [f"extra{i}" for i in range(len(extra))]
+        results = [name] if len(outputs) == 1 else [f"{name}{i}" for i in range(len(outputs))]
+        return ca.Function(name, [*self._symbols.values(), *extra], list(outputs), names, results)
+
+    @cached_property
+    def action(self) -> ca.Function:
+        """S of (unknowns, start, end, mesh[, parameters])."""
+        return self._function("action", self._functional.action(*self._at))
+
+    @cached_property
+    def system(self) -> System:
+        """The stationarity conditions as the engines take them."""
+        direction = ca.MX.sym("direction", self.layout.free)
+        given = ca.MX.zeros(self.layout.size - self.layout.free, 1)
+        curvature = self._functional.curvature(*self._at, ca.vertcat(direction, given))
+        component = np.zeros(self.layout.size, dtype=np.int64)
+        component[self.layout.numbering] = np.arange(self.problem.dimension)
+        return System(
+            self.action,
+            self.gradient,
+            self.hessian,
+            self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free]),
+            self._function("curvature", *curvature, extra=(direction,)),
+            component[: self.layout.free],
+            lambda unknowns, data: np.max(np.abs(self._values(unknowns, data)), axis=0),
+        )
+
+    def _values(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
+        """Node values (N m + 1, d) in the order of time."""
+        return np.asarray(np.concatenate((unknowns, *data[:2]))[self.layout.numbering])
+
+    def solve(
+        self,
+        start: Sequence[float | None] | None = None,
+        end: Sequence[float | None] | None = None,
+        parameters: Sequence[float] | None = None,
+        guess: Guess | None = None,
+        mesh: ArrayLike | None = None,
+        solver: Engine = rootfinder,
+        verbose: int = 0,
+    ) -> Trajectory:
+        """Solve for the path; whatever is left out is taken from the problem.
+
+        Parameters
+        ----------
+        start, end : d numbers, with None exactly where the problem has None
+        parameters : as many numbers as the problem has
+        guess : nothing (the straight line between the ends), a callable t -> (d,), an array (d, N + 1) of values at
+            the joints or (d, N m + 1) at all nodes, or an earlier Trajectory
+        mesh : (N + 1,) joints
+        solver : rootfinder, ipopt or minimizer
+        verbose : 1 prints a summary, 2 also a line an iteration
+
+        Raises
+        ------
+        ConjugatePointError
+            if the Hessian is singular at the path found
+        ConvergenceError
+            if no path was found that can be verified
+        ValueError, TypeError
+            for input that does not fit
+        """
+        began = time.perf_counter()
+        if not callable(solver):
+            raise TypeError(f"solver must be rootfinder, ipopt or minimizer, got {solver!r}")
+        joints = self.mesh if mesh is None else time_scale(mesh)
+        if len(joints) != len(self.mesh):
+            raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {len(joints) - 1}")
+        data = self._data(start, end, parameters, joints)
+        calculus = DiscreteCalculus(self.method, joints)
+        first = self._unknowns(self._guess(guess, calculus, data))
+        try:
+            solution = solver(self.system, first, data, verbose)
+        except SolveFailure as failure:
+            raise self._error(failure, calculus, data) from None
+        path = self._trajectory(solution, calculus, data, began)
+        if verbose:
+            print(path)
+        return path
+
+    def _data(
+        self,
+        start: Sequence[float | None] | None,
+        end: Sequence[float | None] | None,
+        parameters: Sequence[float] | None,
+        joints: np.ndarray,
+    ) -> Data:
+        data = []
+        for name, given in (("start", start), ("end", end)):
+            of_problem = getattr(self.problem, name)
+            values = of_problem if given is None else components(name, given, self.problem.dimension)
+            if [value is None for value in values] != [value is None for value in of_problem]:
+                raise ValueError(f"{name} must have None where the problem has it, {of_problem}, got {values}")
+            data.append(np.array([value for value in values if value is not None]))
+        data.append(joints)
+        if self.problem.parameters is not None:
+            values = self.problem.parameters if parameters is None else parameters
+            data.append(np.array(numbers("parameters", values, len(self.problem.parameters))))
+        elif parameters is not None:
+            raise ValueError(f"the problem has no parameters, got parameters={parameters!r}")
+        return tuple(data)
+
+    def _unknowns(self, values: np.ndarray) -> np.ndarray:
+        """Free values out of node values (N m + 1, d)."""
+        u = np.zeros(self.layout.size)
+        u[self.layout.numbering[::-1]] = values[::-1]  # the first joint of a periodic path is written last
+        return u[: self.layout.free]
+
+    def _guess(self, guess: Guess | None, calculus: DiscreteCalculus, data: Data) -> np.ndarray:
+        """Node values (N m + 1, d) of a guess, bent to meet the fixed ends by adding a straight line."""
+        times, d = calculus.node_times, self.problem.dimension
+        values = np.zeros((len(times), d)) if guess is None else self._given(guess, calculus).T
+        numbering, fixed = self.layout.numbering, np.concatenate((np.zeros(self.layout.free), *data[:2]))
+        miss = np.where(numbering[[0, -1]] >= self.layout.free, fixed[numbering[[0, -1]]] - values[[0, -1]], np.nan)
+        miss = np.where(np.isnan(miss), miss[::-1], miss)  # a free end takes over what the other one is moved by
+        part = ((times - times[0]) / (times[-1] - times[0]))[:, None]
+        bent = values + (1 - part) * np.nan_to_num(miss[0]) + part * np.nan_to_num(miss[1])
+        if not np.all(np.isfinite(bent)):
+            i = int(np.argmax(~np.isfinite(bent).all(axis=1)))
+            raise ValueError(f"the guess must be finite, got {bent[i]} at t = {times[i]}")
+        return np.asarray(bent)
+
+    def _given(self, guess: Guess, calculus: DiscreteCalculus) -> np.ndarray:
+        """Values (d, N m + 1) of a guess as it was given."""
+        times, d = calculus.node_times, self.problem.dimension
+        if isinstance(guess, (Trajectory, PiecewisePolynomial)):
+            path = guess.path if isinstance(guess, Trajectory) else guess
+            old = path.mesh
+            if len(path.values) != d:
+                raise ValueError(f"the guess must be a path of {d} component(s), got {len(path.values)}")
+            same = old[0] == times[0] and old[-1] == times[-1]
+            part = (times - times[0]) / (times[-1] - times[0])
+            return path(times if same else np.clip(old[0] + part * (old[-1] - old[0]), old[0], old[-1]))
+        if callable(guess):
+            columns = [np.asarray(guess(float(t)), dtype=float) for t in times]
+            shapes = {column.shape for column in columns}
+            if shapes != {(d,)}:
+                raise ValueError(f"the guess must return an array of shape ({d},), got {shapes.pop()}")
+            return np.stack(columns, axis=1)
+        array = np.asarray(guess, dtype=float)
+        if array.shape == (d, len(times)):
+            return array
+        if array.shape == (d, len(calculus.mesh)):
+            return np.stack([np.interp(times, calculus.mesh, row) for row in array])
+        raise ValueError(
+            f"the guess must have the shape ({d}, {len(calculus.mesh)}) for values at the joints or "
+            f"({d}, {len(times)}) at all nodes, got {array.shape}"
+        )
+
+    def _trajectory(self, solution: Solution, calculus: DiscreteCalculus, data: Data, began: float) -> Trajectory:
+        system, unknowns = self.system, solution.unknowns
+        values = self._values(unknowns, data).T
+        (matrix,) = system.evaluate("hessian", unknowns, *data)
+        quotient = second_variation(system, matrix, unknowns, data)
+        if quotient < SINGULAR:
+            raise ConjugatePointError(
+                f"the second variation of the action vanishes (relative size {quotient:.0e}): the ends are conjugate "
+                "points, or a family of paths joins them. Move an end, change the time span, or fix a component "
+                "that a symmetry leaves free",
+                calculus.emb(values),
+                solution.residual,
+                solution.iterations,
+            )
+        (momenta,) = self._evaluate_momenta(unknowns, data)
+        return Trajectory(
+            t=calculus.mesh,
+            x=values[:, :: self.method.degree].copy(),
+            momentum=momenta.reshape(self.problem.dimension, -1, order="F"),
+            path=calculus.emb(values),
+            action=float(system.evaluate("action", unknowns, *data)[0][0]),
+            morse_index=negative_eigenvalues(system, unknowns, data),
+            iterations=solution.iterations,
+            residual=solution.residual,
+            solver=solution.report,
+            build_seconds=self.build_seconds,
+            solve_seconds=time.perf_counter() - began,
+            method=self.method,
+            lagrangian=self.problem.lagrangian,
+            parameters=tuple(data[3].tolist()) if len(data) > 3 else None,
+        )
+
+    def _evaluate_momenta(self, unknowns: np.ndarray, data: Data) -> list[np.ndarray]:
+        return [np.array(self._momenta(unknowns, *data)).ravel(order="F")]
+
+    def _error(self, failure: SolveFailure, calculus: DiscreteCalculus, data: Data) -> ConvergenceError:
+        """Say what happened, where in time, how far it got, and what to try."""
+        unknowns, system = failure.unknowns, self.system
+        path = calculus.emb(self._values(unknowns, data).T)
+        (g,) = system.evaluate("gradient", unknowns, *data)
+        (matrix,) = system.evaluate("hessian", unknowns, *data)
+        residual = system.residual(g, matrix, unknowns, data)
+        worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
+        when = calculus.node_times[np.argmax((self.layout.numbering == worst).any(axis=1))]
+        where = f"after {failure.iterations} iterations; the largest residual is at t = {when:.6g}"
+        if failure.singular:
+            return ConjugatePointError(
+                f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free: "
+                "move an end, change the time span, or fix that component",
+                path,
+                float(residual[worst]),
+                failure.iterations,
+            )
+        return ConvergenceError(
+            f"no path was found: {failure} ({where}). Try a guess nearer to the path, more intervals, "
+            "or a shorter time span; there may be no path between these ends",
+            path,
+            float(residual[worst]),
+            failure.iterations,
+        )
+
+
+def transcribe(
+    problem: BoundaryProblem, method: Galerkin, intervals: int | None = None, *, mesh: ArrayLike | None = None
+) -> Transcription:
+    """Build the graph of a boundary problem once, to solve it often.
+
+    Parameters
+    ----------
+    problem : BoundaryProblem
+    method : Galerkin
+    intervals : number of equal intervals; or
+    mesh : (N + 1,) joints from t_span[0] to t_span[1]
+    """
+    if not isinstance(problem, BoundaryProblem):
+        raise TypeError(f"problem must be a BoundaryProblem, got {type(problem).__name__}")
+    if not isinstance(method, Galerkin):
+        raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
+    return Transcription(problem, method, mesh_of(problem.t_span, intervals, mesh))

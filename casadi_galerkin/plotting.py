@@ -1,0 +1,49 @@
+"""Draws arrays with Matplotlib, which is imported only when a plot is asked for; knows nothing of solves."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# M. Okabe and K. Ito's palette, told apart by colour-blind readers
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+
+
+def axes_or_new(axes: Axes | None) -> Axes:
+    """Return the axes given, or those of a new figure."""
+    if axes is not None:
+        return axes
+    import matplotlib.pyplot as plt
+
+    return plt.subplots(figsize=(7.0, 4.0), layout="constrained")[1]
+
+
+def plot_path(
+    times: np.ndarray, values: np.ndarray, joints: np.ndarray, joint_values: np.ndarray, axes: Axes | None = None
+) -> Axes:
+    """Draw the components of a path over time, joints as dots.
+
+    Parameters
+    ----------
+    times, values : (K,) and (d, K), the path drawn as a line
+    joints, joint_values : (N + 1,) and (d, N + 1)
+    axes : Matplotlib axes to draw into; default a new figure
+
+    Returns
+    -------
+    the Matplotlib axes
+    """
+    axes = axes_or_new(axes)
+    for i, (line, dots) in enumerate(zip(values, joint_values, strict=True)):
+        color = COLORS[i % len(COLORS)]
+        axes.plot(times, line, color=color, label=f"x[{i}]")
+        axes.plot(joints, dots, ".", color=color)
+    axes.set_xlabel("t")
+    axes.set_ylabel("x")
+    if 1 < len(values) <= len(COLORS):
+        axes.legend()
+    return axes

@@ -1,0 +1,143 @@
+"""The answer: a path that can be evaluated everywhere, with its momenta, energy and the report of the solve."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus import Galerkin, PiecewisePolynomial
+from casadi_galerkin.plotting import plot_path
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class ConvergenceError(RuntimeError):
+    """A solve that did not end in a verified answer.
+
+    Attributes
+    ----------
+    path : PiecewisePolynomial, the best iterate, not a solution; None if there is none
+    residual : float, its largest residual over that residual's roundoff floor
+    iterations : int
+    """
+
+    def __init__(
+        self, message: str, path: PiecewisePolynomial | None = None, residual: float = np.nan, iterations: int = 0
+    ) -> None:
+        super().__init__(message)
+        self.path, self.residual, self.iterations = path, residual, iterations
+
+
+class ConjugatePointError(ConvergenceError):
+    """The Hessian of the action is singular: the ends are conjugate, or a family of paths joins them."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A critical point of the discrete action.
+
+    Attributes
+    ----------
+    t : (N + 1,), joints
+    x : (d, N + 1), positions at the joints
+    momentum : (d, N + 1), by the discrete Legendre transform p_0 = -∂S/∂x_0, ..., p_N = ∂S/∂x_N; order 2m
+    path : callable, ``path(t)`` -> (d,) + t.shape, ``path(t, 1)`` its derivative
+    action : value of the discrete action
+    morse_index : number of negative eigenvalues of its Hessian, 0 for a local minimum; None where there is no Hessian
+    iterations : of the solver
+    residual : largest residual over its own roundoff floor
+    solver : what found it
+    build_seconds, solve_seconds : spent on building the graph and on the solve
+    method : Galerkin
+    lagrangian, parameters : as in the problem
+    error_estimate : estimated relative error of the path between the joints; only with a tolerance
+    """
+
+    t: np.ndarray
+    x: np.ndarray
+    momentum: np.ndarray
+    path: PiecewisePolynomial
+    action: float
+    morse_index: int | None
+    iterations: int
+    residual: float
+    solver: str
+    build_seconds: float
+    solve_seconds: float
+    method: Galerkin
+    lagrangian: ca.Function
+    parameters: tuple[float, ...] | None
+    error_estimate: float | None = None
+
+    @cached_property
+    def velocity(self) -> np.ndarray:
+        """Velocities at the joints that belong to the momenta, p = ∂L/∂v; (d, N + 1), of order 2m.
+
+        The derivative of the polynomial itself, ``path(t, 1)``, is of order m only.
+        """
+        return invert_legendre(self.lagrangian, self.t, self.x, self.momentum, self.path(self.t, 1), self.parameters)
+
+    @cached_property
+    def energy(self) -> np.ndarray:
+        """Energy p·v - L at the joints, from positions and momenta; (N + 1,)."""
+        joints = range(len(self.t))
+        given = [] if self.parameters is None else [ca.DM(self.parameters)]
+        mapped = self.lagrangian.map(len(joints))
+        repeated = [ca.repmat(values, 1, len(joints)) for values in given]
+        lagrangian = np.array(mapped(self.t[None, :], self.x, self.velocity, *repeated)).ravel()
+        return np.asarray(np.sum(self.momentum * self.velocity, axis=0) - lagrangian)
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the components over time, joints as dots; returns the Matplotlib axes."""
+        per_interval = max(2, 200 // (len(self.t) - 1))
+        parts = np.linspace(0, 1, per_interval, endpoint=False)
+        times = np.append((self.t[:-1, None] + np.diff(self.t)[:, None] * parts).ravel(), self.t[-1])
+        return plot_path(times, self.path(times), self.t, self.x, axes)
+
+    def __str__(self) -> str:
+        """Summarise path and solve in a few lines."""
+        size, energy = len(self.x), self.energy
+        kind = "a local minimum" if self.morse_index == 0 else f"a saddle of Morse index {self.morse_index}"
+        return "\n".join(
+            [
+                f"Trajectory of {size} component{'s' if size > 1 else ''} on [{self.t[0]:g}, {self.t[-1]:g}], "
+                f"{len(self.t) - 1} intervals",
+                f"  method      {self.method}",
+                f"  action      {self.action:.15g}, {kind}",
+                f"  energy      {energy[0]:.12g} at the start, varies by {np.ptp(energy):.1e}",
+                f"  solver      {self.solver}, {self.iterations} iterations, residual {self.residual:.1g} of its "
+                "roundoff floor",
+                f"  seconds     {self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve",
+            ]
+        )
+
+
+def invert_legendre(
+    lagrangian: ca.Function,
+    t: np.ndarray,
+    x: np.ndarray,
+    momentum: np.ndarray,
+    guess: np.ndarray,
+    parameters: tuple[float, ...] | None,
+) -> np.ndarray:
+    """Velocities v with ∂L/∂v(t, x, v) = p, by Newton's method from a guess; all arrays (d, K), t (K,)."""
+    d, count = x.shape
+    symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d)]
+    symbols += [] if parameters is None else [ca.SX.sym("p", len(parameters))]
+    mass, slope = ca.hessian(lagrangian(*symbols), symbols[2])
+    derivatives = ca.Function("legendre", symbols, [ca.densify(slope), ca.densify(ca.vec(mass))]).map(count)
+    given = [] if parameters is None else [np.tile(np.array(parameters)[:, None], (1, count))]
+    v = guess.copy()
+    for _ in range(20):
+        current, masses = (np.array(a) for a in derivatives(t[None, :], x, v, *given))
+        inverse = np.linalg.pinv(masses.T.reshape(count, d, d), rcond=1e-14, hermitian=True)
+        step = np.einsum("kij,jk->ik", inverse, momentum - current)
+        v = v + step
+        if np.all(np.abs(step) <= 1e-15 * np.max(np.abs(v), axis=1, keepdims=True)):
+            break
+    return v
