@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -47,8 +48,8 @@ class Evaluator:
 
     def __init__(self, function: ca.Function) -> None:
         self._function = function  # the buffer does not keep it alive
-        self._inputs = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
-        self._outputs = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
+        self._inputs: list[Any] = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
+        self._outputs: list[Any] = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
         self._buffer, self._run = function.buffer()
         for i, array in enumerate(self._inputs):
             self._buffer.set_arg(i, memoryview(array))
@@ -155,7 +156,7 @@ class System:
         (terms,) = self.evaluate("terms", unknowns, *data)
         (spread,) = self.evaluate("spread", matrix, self.scale(unknowns, data)[self.component])
         floor = EPS * (terms + spread)
-        return np.abs(gradient) / np.where(floor > 0, floor, np.finfo(float).tiny)
+        return np.asarray(np.abs(gradient) / np.where(floor > 0, floor, np.finfo(float).tiny))
 
 
 def rootfinder(system: System, guess: np.ndarray, data: Data, verbose: int = 0) -> Solution:

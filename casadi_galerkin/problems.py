@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 
-Traceable = Callable[..., Any] | ca.Function
+Traceable: TypeAlias = Callable[..., Any]  # a casadi Function is one
 
 
 def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int) -> ca.Function:

@@ -11,12 +11,13 @@ that sum to 1 (paper, section 3.2).  Two differences from the text, both stated 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial import legendre
+from numpy.typing import ArrayLike
 
 SUM_TOLERANCE = 1e-12  # weights come from tables with about 13 digits, or from arithmetic to 1e-15
 EXACTNESS_TOLERANCE = 1e-13  # on Legendre polynomials, which are bounded by 1 on [0, 1]
@@ -40,7 +41,7 @@ class Quadrature:
     points: tuple[float, ...]
     weights: tuple[float, ...]
 
-    def __init__(self, points: Sequence[float], weights: Sequence[float]) -> None:
+    def __init__(self, points: ArrayLike, weights: ArrayLike) -> None:
         q, w = np.asarray(points, dtype=float), np.asarray(weights, dtype=float)
         if q.ndim != 1 or q.shape != w.shape or q.size == 0:
             raise ValueError(f"points and weights must be two equally long sequences, got {q.shape} and {w.shape}")
