@@ -143,13 +143,11 @@ class System:
             step, defect = self.evaluate("qr", matrix, gradient)
         return step
 
-    def relative(self, step: np.ndarray, unknowns: np.ndarray, data: Data) -> float:
-        """Largest step of a component over the size of that component along the path."""
-        scale = self.scale(unknowns, data)
-        change = np.zeros(len(scale))
-        np.maximum.at(change, self.component, np.abs(step))
-        size = np.maximum(scale, change)
-        return float(np.max(change / np.where(size > 0, size, 1.0), initial=0.0))
+    def size(self, step: np.ndarray, unknowns: np.ndarray, data: Data) -> np.ndarray:
+        """Size of each component along the path, or of its step where that is larger; what lengths are relative to."""
+        largest = self.scale(unknowns, data)
+        np.maximum.at(largest, self.component, np.abs(step))
+        return np.asarray(np.where(largest > 0, largest, 1.0)[self.component])
 
     def residual(self, gradient: np.ndarray, matrix: np.ndarray, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Residuals over their own roundoff floors."""
@@ -207,12 +205,13 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
         step = system.direction(matrix, g)
         if not np.all(np.isfinite(step)):
             raise SolveFailure("the Hessian of the action is singular", x, iteration, bool(np.all(np.isfinite(matrix))))
-        norm = system.relative(step, x, data)
+        size = system.size(step, x, data)
+        norm = _norm(step, size)
         if norm < NEAR and np.max(system.residual(g, matrix, x, data), initial=0.0) <= ROUNDOFF:
             return _polished(system, x, g, matrix, data, iteration)
         if before is not None:
-            damping = min(1.0, _predicted(before, step, x, system, data, damping))
-        x, g, simplified, damping = _line_search(system, x, step, norm, matrix, data, damping, iteration)
+            damping = min(1.0, damping * _predicted(*before, step, size))
+        x, g, simplified, damping = _line_search(system, x, step, size, matrix, data, damping, iteration)
         before = (step, simplified) if simplified is not None else None
         if verbose > 1:
             print(f"  {iteration:4d}   step {norm:9.2e}   damping {damping:7.1e}")
@@ -221,26 +220,28 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
     raise SolveFailure(f"no convergence in {limit} iterations, last relative step {norm:.1e}", x, limit)
 
 
-def _predicted(
-    before: tuple[np.ndarray, np.ndarray], step: np.ndarray, x: np.ndarray, system: System, data: Data, damping: float
-) -> float:
-    """Damping expected to pass, from how far the last simplified step missed this one (Deuflhard, eq. 3.47)."""
-    last, simplified = before
-    miss = system.relative(simplified - step, x, data) * system.relative(step, x, data)
-    return damping * system.relative(last, x, data) * system.relative(simplified, x, data) / max(miss, 1e-300)
+def _norm(step: np.ndarray, size: np.ndarray) -> float:
+    return float(np.max(np.abs(step) / size, initial=0.0))
+
+
+def _predicted(last: np.ndarray, simplified: np.ndarray, step: np.ndarray, size: np.ndarray) -> float:
+    """Factor on the damping, from how far the last simplified step missed this one (Deuflhard, eq. 3.47)."""
+    miss = _norm(simplified - step, size) * _norm(step, size)
+    return _norm(last, size) * _norm(simplified, size) / max(miss, 1e-300)
 
 
 def _line_search(
     system: System,
     x: np.ndarray,
     step: np.ndarray,
-    norm: float,
+    size: np.ndarray,
     matrix: np.ndarray,
     data: Data,
     damping: float,
     iteration: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, float]:
     """Shorten the step until the next one, with the same matrix, is shorter: new x, gradient, that step, damping."""
+    norm = _norm(step, size)
     while damping >= SMALLEST_DAMPING:
         trial = x + damping * step
         (g,) = system.evaluate("gradient", trial, *data)
@@ -250,10 +251,9 @@ def _line_search(
         if norm * damping < LOCAL and damping == 1.0:
             return trial, g, None, damping
         simplified = system.direction(matrix, g)
-        shrunk = system.relative(simplified, x, data)
-        if shrunk <= (1 - damping / 4) * norm:
+        if _norm(simplified, size) <= (1 - damping / 4) * norm:
             return trial, g, simplified, damping
-        bend = system.relative(simplified - (1 - damping) * step, x, data)
+        bend = _norm(simplified - (1 - damping) * step, size)
         damping = min(damping / 2, norm * damping**2 / (2 * max(bend, 1e-300)))
     raise SolveFailure("the line search found no step that leads on", x, iteration)
 
