@@ -12,10 +12,12 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from casadi_galerkin.calculus import PiecewisePolynomial
+from casadi_galerkin.nodes import lagrange_values
 
 FINEST = 32.0  # an interval is split into at most this many at once
 COARSEST = 4.0  # and at most this many are merged
 NEIGHBOURS = 8.0  # largest ratio of densities of neighbouring intervals of a new mesh
+GROWTH = 1.25  # least factor by which the number of intervals grows, if it does
 TARGET = 0.3  # a new mesh aims at this part of the tolerance
 
 
@@ -49,7 +51,15 @@ def truncation(path: PiecewisePolynomial) -> np.ndarray:
     return np.asarray(np.max(last * rate, axis=0))
 
 
-def equidistributed(mesh: np.ndarray, error: np.ndarray, order: int, tol: float, fewest: int = 4) -> np.ndarray:
+def interval_maxima(path: PiecewisePolynomial) -> np.ndarray:
+    """Largest size of every component on every interval, (d, N), sampled between the nodes as well."""
+    m = len(path.nodes) - 1
+    index = m * np.arange(len(path.mesh) - 1)[:, None] + np.arange(m + 1)
+    samples = lagrange_values(path.nodes, np.linspace(0, 1, 4 * m + 1))
+    return np.asarray(np.max(np.abs(path.values[:, index] @ samples.T), axis=2))
+
+
+def equidistributed(mesh: np.ndarray, error: np.ndarray, order: int, tol: float, finest: float = FINEST) -> np.ndarray:
     """Joints of a new mesh on which every interval's error should be a fraction of the tolerance.
 
     Parameters
@@ -58,16 +68,21 @@ def equidistributed(mesh: np.ndarray, error: np.ndarray, order: int, tol: float,
     error : (N,), errors of the present intervals, which fall with the step to the power `order`
     order : int
     tol : tolerance
-    fewest : int, least number of intervals
+    finest : largest number of intervals that one is split into
+
+    Returns
+    -------
+    (N' + 1,) joints with the same ends; N' = N where N intervals suffice, so that no graph need be built anew
     """
-    wanted = np.clip((error / (TARGET * tol)) ** (1.0 / order), 1 / COARSEST, FINEST)
+    wanted = np.clip((error / (TARGET * tol)) ** (1.0 / order), 1 / COARSEST, finest)
     density = wanted / np.diff(mesh)
     for i in range(1, len(density)):
         density[i] = max(density[i], density[i - 1] / NEIGHBOURS)
     for i in range(len(density) - 2, -1, -1):
         density[i] = max(density[i], density[i + 1] / NEIGHBOURS)
     cumulated = np.concatenate(([0.0], np.cumsum(density * np.diff(mesh))))
-    count = max(fewest, int(np.ceil(cumulated[-1])))
+    count = int(np.ceil(cumulated[-1]))
+    count = len(mesh) - 1 if count < len(mesh) else max(count, int(np.ceil(GROWTH * (len(mesh) - 1))))
     joints = np.interp(np.linspace(0.0, cumulated[-1], count + 1), cumulated, mesh)
     joints[0], joints[-1] = mesh[0], mesh[-1]
     return np.asarray(joints)

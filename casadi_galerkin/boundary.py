@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -43,6 +44,15 @@ def mesh_of(t_span: tuple[float, float], intervals: int | None, mesh: ArrayLike 
     if (joints[0], joints[-1]) != t_span:
         raise ValueError(f"the mesh must run from {t_span[0]} to {t_span[1]}, got {joints[0]} to {joints[-1]}")
     return joints
+
+
+@dataclass(frozen=True)
+class CriticalPoint:
+    """What an engine found: its solution, the data it was found for, and the path it stands for."""
+
+    solution: Solution
+    data: Data
+    path: PiecewisePolynomial
 
 
 class Transcription:
@@ -151,6 +161,23 @@ class Transcription:
             for input that does not fit
         """
         began = time.perf_counter()
+        point = self.critical_point(start, end, parameters, guess, mesh, solver, verbose)
+        path = self.trajectory(point, time.perf_counter() - began)
+        if verbose:
+            print(path)
+        return path
+
+    def critical_point(
+        self,
+        start: Sequence[float | None] | None = None,
+        end: Sequence[float | None] | None = None,
+        parameters: Sequence[float] | None = None,
+        guess: Guess | None = None,
+        mesh: ArrayLike | None = None,
+        solver: Engine = rootfinder,
+        verbose: int = 0,
+    ) -> CriticalPoint:
+        """Find the node values of the path without what `trajectory` adds; arguments and errors as for `solve`."""
         if not callable(solver):
             raise TypeError(f"solver must be rootfinder, ipopt or minimizer, got {solver!r}")
         joints = self.mesh if mesh is None else time_scale(mesh)
@@ -163,10 +190,20 @@ class Transcription:
             solution = solver(self.system, first, data, verbose)
         except SolveFailure as failure:
             raise self._error(failure, calculus, data) from None
-        path = self._trajectory(solution, calculus, data, began)
-        if verbose:
-            print(path)
-        return path
+        return CriticalPoint(solution, data, calculus.emb(self._values(solution.unknowns, data).T))
+
+    def correction(self, path: PiecewisePolynomial, parameters: Sequence[float] | None = None) -> PiecewisePolynomial:
+        """Newton step from a path on the same mesh, of any degree up to this one's: zero if it is critical here too.
+
+        With a higher degree than the path's it estimates the path's error, in the joints as well as between them.
+        """
+        data = self._data(None, None, parameters, path.mesh)
+        calculus = DiscreteCalculus(self.method, path.mesh)
+        unknowns = self._unknowns(path(calculus.node_times).T)
+        (gradient,) = self.system.evaluate("gradient", unknowns, *data)
+        (matrix,) = self.system.evaluate("hessian", unknowns, *data)
+        step = np.concatenate((self.system.direction(matrix, gradient), np.zeros(self.layout.size - self.layout.free)))
+        return calculus.emb(step[self.layout.numbering].T)
 
     def _data(
         self,
@@ -237,9 +274,9 @@ class Transcription:
             f"({d}, {len(times)}) at all nodes, got {array.shape}"
         )
 
-    def _trajectory(self, solution: Solution, calculus: DiscreteCalculus, data: Data, began: float) -> Trajectory:
-        system, unknowns = self.system, solution.unknowns
-        values = self._values(unknowns, data).T
+    def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
+        """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
+        system, unknowns, data = self.system, point.solution.unknowns, point.data
         (matrix,) = system.evaluate("hessian", unknowns, *data)
         quotient = second_variation(system, matrix, unknowns, data)
         if quotient < SINGULAR:
@@ -247,23 +284,23 @@ class Transcription:
                 f"the second variation of the action vanishes (relative size {quotient:.0e}): the ends are conjugate "
                 "points, or a family of paths joins them. Move an end, change the time span, or fix a component "
                 "that a symmetry leaves free",
-                calculus.emb(values),
-                solution.residual,
-                solution.iterations,
+                point.path,
+                point.solution.residual,
+                point.solution.iterations,
             )
         (momenta,) = self._evaluate_momenta(unknowns, data)
         return Trajectory(
-            t=calculus.mesh,
-            x=values[:, :: self.method.degree].copy(),
+            t=point.path.mesh,
+            x=point.path.values[:, :: self.method.degree].copy(),
             momentum=momenta.reshape(self.problem.dimension, -1, order="F"),
-            path=calculus.emb(values),
+            path=point.path,
             action=float(system.evaluate("action", unknowns, *data)[0][0]),
             morse_index=negative_eigenvalues(system, unknowns, data),
-            iterations=solution.iterations,
-            residual=solution.residual,
-            solver=solution.report,
+            iterations=point.solution.iterations,
+            residual=point.solution.residual,
+            solver=point.solution.report,
             build_seconds=self.build_seconds,
-            solve_seconds=time.perf_counter() - began,
+            solve_seconds=solve_seconds,
             method=self.method,
             lagrangian=self.problem.lagrangian,
             parameters=tuple(data[3].tolist()) if len(data) > 3 else None,
