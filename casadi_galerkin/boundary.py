@@ -123,6 +123,7 @@ class Transcription:
             self._function("curvature", *curvature, extra=(direction,)),
             component[: self.layout.free],
             lambda unknowns, data: np.max(np.abs(self._values(unknowns, data)), axis=0),
+            self._functional.pointwise.kinetic,
         )
 
     def _values(self, unknowns: np.ndarray, data: Data) -> np.ndarray:

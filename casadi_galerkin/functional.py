@@ -189,7 +189,7 @@ def assembly(
     stacked = ca.horzcat(*(ca.reshape(values, len(row) * n, -1) for values in inputs))
     entries = ca.vec(_times(stacked, products))  # node pair slowest, then interval, then entry of the pattern
     position, target = _hessian_entries(layout, np.array(colind), np.array(row))
-    matrix = 0
+    matrix = ca.MX(layout.free, layout.free)
     for chosen, targets in _contributions(target):
         columns, rows = np.divmod(targets, layout.free)
         starts = np.searchsorted(columns, np.arange(layout.free + 1))
@@ -229,6 +229,7 @@ class Pointwise:
     curvature : with z = (y, y') as a further input, zᵀ∇²L̂ z and |z|ᵀ|∇²L̂||z|
     pattern : Sparsity (d, d), symmetric, that holds every second-derivative block
     blocks : which of (0, 0), (0, 1), (1, 0), (1, 1) are not structurally zero; 0 stands for x and 1 for x'
+    kinetic : whether no ∂²L̂/∂x'_i² is structurally zero
     """
 
     value: ca.Function
@@ -237,6 +238,7 @@ class Pointwise:
     curvature: ca.Function
     pattern: ca.Sparsity
     blocks: tuple[tuple[int, int], ...]
+    kinetic: bool
 
 
 def pointwise(integrand: ca.Function) -> Pointwise:
@@ -265,6 +267,7 @@ def pointwise(integrand: ca.Function) -> Pointwise:
         ),
         pattern,
         blocks,
+        all(cells[1, 1].sparsity().has_nz(i, i) for i in range(d)),
     )
 
 
