@@ -302,6 +302,7 @@ def _nlpsol(system: System, minimize: bool, verbose: int) -> ca.Function:
     options = {
         "hess_lag": ca.Function("hess_lag", [x, p, factor, multipliers], [upper]),
         "print_time": False,
+        "show_eval_warnings": False,  # a trial point outside the domain is IPOPT's business, it steps back
         "ipopt": {"print_level": 5 if verbose > 1 else 0, "sb": "yes", "tol": 1e-10, "max_iter": 500},
     }
     if minimize:
