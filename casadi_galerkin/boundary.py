@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial, time_scale
 from casadi_galerkin.engines import (
     SINGULAR,
+    Algebra,
     Data,
     Solution,
     SolveFailure,
@@ -22,7 +23,7 @@ from casadi_galerkin.engines import (
     rootfinder,
     second_variation,
 )
-from casadi_galerkin.functional import Functional, Layout
+from casadi_galerkin.functional import LAYOUTS_KEPT, Functional, Layout, assembly
 from casadi_galerkin.problems import BoundaryProblem, components, numbers
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
@@ -53,6 +54,24 @@ class CriticalPoint:
     solution: Solution
     data: Data
     path: PiecewisePolynomial
+
+
+@lru_cache(LAYOUTS_KEPT)
+def algebra(
+    layout: Layout, colind: tuple[int, ...], row: tuple[int, ...], blocks: tuple[tuple[int, int], ...]
+) -> Algebra:
+    """Newton's method for all Lagrangians whose Hessian has this sparsity; arguments as for `assembly`."""
+    d, numbering = layout.dimension, layout.numbering
+    component = np.zeros(layout.size, dtype=np.int64)
+    component[numbering] = np.arange(d)
+    by_component = numbering[: layout.size // d].T
+    sizes = {"unknowns": layout.free, "start": len(layout.fixed_start), "end": len(layout.fixed_end)}
+    ends = [ca.MX.sym(name, size) for name, size in sizes.items()]
+    values = ca.MX.sym("values", by_component.shape[1])
+    peak = ca.Function("peak", [values], [ca.norm_inf(values)]).map(d)
+    paths = ca.reshape(ca.vertcat(*ends).get_nz(False, by_component.ravel().tolist()), -1, d)
+    scale = ca.Function("scale", ends, [peak(paths).T], list(sizes), ["scale"])
+    return Algebra(assembly(layout, colind, row, blocks).sparsity_out(0), component[: layout.free], scale)
 
 
 class Transcription:
@@ -113,16 +132,15 @@ class Transcription:
         direction = ca.MX.sym("direction", self.layout.free)
         given = ca.MX.zeros(self.layout.size - self.layout.free, 1)
         curvature = self._functional.curvature(*self._at, ca.vertcat(direction, given))
-        component = np.zeros(self.layout.size, dtype=np.int64)
-        component[self.layout.numbering] = np.arange(self.problem.dimension)
+        at = list(self._symbols.values())
         return System(
             self.action,
             self.gradient,
             self.hessian,
+            self._function("derivatives", *self.hessian.call(at), *self.gradient.call(at)),
             self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free]),
             self._function("curvature", *curvature, extra=(direction,)),
-            component[: self.layout.free],
-            lambda unknowns, data: np.max(np.abs(self._values(unknowns, data)), axis=0),
+            algebra(*self._functional.assembly_key),
             self._functional.pointwise.kinetic,
         )
 
@@ -203,7 +221,8 @@ class Transcription:
         unknowns = self._unknowns(path(calculus.node_times).T)
         (gradient,) = self.system.evaluate("gradient", unknowns, *data)
         (matrix,) = self.system.evaluate("hessian", unknowns, *data)
-        step = np.concatenate((self.system.direction(matrix, gradient), np.zeros(self.layout.size - self.layout.free)))
+        step = self.system.solved("direction", matrix, gradient)[0]
+        step = np.concatenate((step, np.zeros(self.layout.size - self.layout.free)))
         return calculus.emb(step[self.layout.numbering].T)
 
     def _data(
@@ -278,8 +297,7 @@ class Transcription:
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
         system, unknowns, data = self.system, point.solution.unknowns, point.data
-        (matrix,) = system.evaluate("hessian", unknowns, *data)
-        quotient = second_variation(system, matrix, unknowns, data)
+        quotient = second_variation(system, unknowns, data)
         if quotient < SINGULAR:
             raise ConjugatePointError(
                 f"the second variation of the action vanishes (relative size {quotient:.0e}): the ends are conjugate "
@@ -316,7 +334,8 @@ class Transcription:
         path = calculus.emb(self._values(unknowns, data).T)
         (g,) = system.evaluate("gradient", unknowns, *data)
         (matrix,) = system.evaluate("hessian", unknowns, *data)
-        residual = system.residual(g, matrix, unknowns, data)
+        (terms,) = system.evaluate("terms", unknowns, *data)
+        (residual,) = system.evaluate("ratios", matrix, g, terms, unknowns, *data[:2])
         worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
         when = calculus.node_times[np.argmax((self.layout.numbering == worst).any(axis=1))]
         where = f"after {failure.iterations} iterations; the largest residual is at t = {when:.6g}"

@@ -18,7 +18,7 @@ the terms it sums and of what the rounding of the unknowns themselves does to it
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -84,84 +84,149 @@ class Solution:
     report: str
 
 
+class Algebra:
+    """Newton's method between two evaluations: what depends on the Hessian's sparsity and the scale, but not on L.
+
+    The steps of an iteration are bundled into few Functions, since a call from Python costs about as much as
+    evaluating a small problem.  Those that solve with ∇²S are built for a linear solver, "ldl" or "qr"; their first
+    output is the solution, the last two are the size of the right-hand side and the excess of the defect.
+
+    Parameters
+    ----------
+    sparsity : of ∇²S
+    component : int array, the component of the path that each unknown is a value of
+    scale : (ξ, start, end) -> largest size of each component along the path
+    """
+
+    def __init__(self, sparsity: ca.Sparsity, component: np.ndarray, scale: ca.Function) -> None:
+        self.component, self.scale = component, scale
+        self._ends = [ca.MX.sym(scale.name_in(i), scale.size1_in(i)) for i in range(3)]
+        self._matrix, self._damping = ca.MX.sym("matrix", sparsity), ca.MX.sym("damping")
+        self._vectors = [ca.MX.sym(f"vector{i}", sparsity.size1()) for i in range(4)]
+        self._functions: dict[tuple[str, ...], ca.Function] = {}
+
+    def function(self, name: str, *solver: str) -> ca.Function:
+        """Return the Function of that name, built when it is first asked for."""
+        key = (name, *solver)
+        if key not in self._functions:
+            inputs, outputs = getattr(self, name)(*solver)
+            self._functions[key] = ca.Function(name, inputs, outputs)
+        return self._functions[key]
+
+    @cached_property
+    def factors(self) -> ca.Linsol:
+        """LDLᵀ without pivoting, its symbolic part done once.  Measured 4 times faster than QR."""
+        return ca.Linsol("ldl", "ldl", self._matrix.sparsity())
+
+    def _solve(self, solver: str, rhs: ca.MX) -> list[ca.MX]:
+        """Solution of ∇²S y = -rhs, size of rhs, excess of the defect; a sum of sizes does not lose a NaN."""
+        matrix = self._matrix
+        y = -(self.factors.solve(matrix, rhs) if solver == "ldl" else ca.solve(matrix, rhs, solver))
+        total = ca.norm_1(rhs)
+        return [y, total, ca.norm_1(ca.mac(matrix, y, rhs)) - LOCAL * total]
+
+    def _expand(self, values: ca.MX) -> ca.MX:
+        """One value a component -> one an unknown."""
+        return ca.vec(values.get_nz(False, self.component.tolist()))
+
+    def direction(self, solver: str) -> tuple[list[ca.MX], list[ca.MX]]:
+        """(matrix, g) -> step -∇²S⁻¹ g."""
+        return [self._matrix, self._vectors[0]], self._solve(solver, self._vectors[0])
+
+    def descent(self, solver: str) -> tuple[list[ca.MX], list[ca.MX]]:
+        """(matrix, g, ξ, start, end) -> Newton step, the sizes that it is measured by, its norm."""
+        step, total, excess = self._solve(solver, self._vectors[0])
+        change = self.scale(step, *(ca.MX.zeros(a.shape) for a in self._ends[1:]))
+        largest = ca.fmax(self.scale(*self._ends), change)
+        sizes = self._expand(largest + (largest == 0))
+        inputs = [self._matrix, self._vectors[0], *self._ends]
+        return inputs, [step, sizes, ca.norm_inf(step / sizes), total, excess]
+
+    def trial(self, solver: str) -> tuple[list[ca.MX], list[ca.MX]]:
+        """(matrix, g, step, sizes, damping) -> next step with the same matrix, norms of it and of the path's bend."""
+        g, step, sizes, _ = self._vectors
+        y, total, excess = self._solve(solver, g)
+        norms = [ca.norm_inf(y / sizes), ca.norm_inf((y - (1 - self._damping) * step) / sizes)]
+        return [self._matrix, g, step, sizes, self._damping], [y, *norms, total, excess]
+
+    def variation(self, solver: str) -> tuple[list[ca.MX], list[ca.MX]]:
+        """(matrix, ξ, start, end) -> direction after three inverse iterations."""
+        scale, excess = self.scale(*self._ends), 0
+        y = np.cos(1.0 + np.arange(len(self.component))) * self._expand(scale + (scale == 0))
+        for _ in range(3):
+            y, total, defect = self._solve(solver, y)
+            y, excess = y / ca.norm_inf(y), ca.fmax(excess, defect) + 0 * defect  # the last term keeps a NaN
+        return [self._matrix, *self._ends], [y, total, excess]
+
+    def forecast(self) -> tuple[list[ca.MX], list[ca.MX]]:
+        """(last step, the one simplified after it, step, sizes) -> factor on the damping (Deuflhard, eq. 3.47)."""
+        last, simplified, step, sizes = self._vectors
+        norms = [ca.norm_inf(y / sizes) for y in (last, simplified, simplified - step, step)]
+        return self._vectors, [norms[0] * norms[1] / ca.fmax(norms[2] * norms[3], 1e-300)]
+
+    def ratios(self) -> tuple[list[ca.MX], list[ca.MX]]:
+        """(matrix, g, terms, ξ, start, end) -> residuals over their own roundoff floors."""
+        g, terms, *_ = self._vectors
+        spread = ca.mtimes(ca.fabs(self._matrix), self._expand(self.scale(*self._ends)))
+        floor = ca.fmax(EPS * (terms + spread), float(np.finfo(float).tiny))
+        return [self._matrix, g, terms, *self._ends], [ca.fabs(g) / floor]
+
+
 @dataclass(frozen=True)
 class System:
-    """Stationarity conditions of a discrete action as CasADi Functions of (ξ, *data).
+    """Stationarity conditions of a discrete action as CasADi Functions of (ξ, *data), data being (start, end, ...).
 
     Attributes
     ----------
     action : -> S
     gradient : -> ∇S by ξ
     hessian : -> ∇²S by ξ, sparse and symmetric
+    derivatives : -> both
     terms : -> sizes of the terms that `gradient` sums
     curvature : with a direction y as last input -> yᵀ∇²S y, and the same with every term positive
-    component : int array, the component of the path that each unknown is a value of
-    scale : (ξ, data) -> largest size of each component along the path
+    algebra : Algebra
     pivots : whether LDLᵀ without pivoting can work: False where ∂²L/∂v_i² is structurally zero for some i
     """
 
     action: ca.Function
     gradient: ca.Function
     hessian: ca.Function
+    derivatives: ca.Function
     terms: ca.Function
     curvature: ca.Function
-    component: np.ndarray
-    scale: Callable[[np.ndarray, Data], np.ndarray]
+    algebra: Algebra
     pivots: bool = True
-    _evaluators: dict[str, Evaluator] = field(default_factory=dict, repr=False, compare=False)
+    _evaluators: dict[tuple[str, ...], Evaluator] = field(default_factory=dict, repr=False, compare=False)
 
     def evaluate(self, name: str, *arguments: np.ndarray) -> list[np.ndarray]:
         """Evaluate one of the Functions by name on NumPy arrays."""
-        if name not in self._evaluators:
-            self._evaluators[name] = Evaluator(getattr(self, name))
-        return self._evaluators[name](*arguments)
+        evaluator = self._evaluators.get((name,))
+        if evaluator is None:
+            own = getattr(self, name, None)
+            evaluator = self._evaluators[(name,)] = Evaluator(own or self.algebra.function(name))
+        return evaluator(*arguments)
 
-    def _linear(self, solver: str) -> ca.Function:
-        matrix = ca.MX.sym("matrix", self.hessian.sparsity_out(0))
-        rhs = ca.MX.sym("rhs", matrix.shape[0])
-        step = -ca.solve(matrix, rhs, solver)
-        return ca.Function(solver, [matrix, rhs], [step, ca.norm_inf(ca.mtimes(matrix, step) + rhs)])
+    def solved(self, name: str, *arguments: np.ndarray) -> list[np.ndarray]:
+        """Evaluate one of the Functions that solve with ∇²S: by LDLᵀ, then by QR where that fails.
 
-    @cached_property
-    def ldl(self) -> ca.Function:
-        """Solve by LDLᵀ without pivoting: (matrix, g) -> step, defect.  Measured 4 times faster than `qr`."""
-        return self._linear("ldl")
+        The first output is not finite where the Hessian is singular to the last digit.
+        """
+        for solver in ("ldl", "qr") if self.pivots else ("qr",):
+            evaluator = self._evaluators.get((name, solver))
+            if evaluator is None:
+                evaluator = self._evaluators[(name, solver)] = Evaluator(self.algebra.function(name, solver))
+            results = evaluator(*arguments)
+            if results[-1][0] <= 0 or not math.isfinite(results[-2][0]):
+                return results
+        if not np.any(results[0]):  # CasADi's QR answers a rank-deficient system with zeros
+            results[0][:] = np.nan
+        return results
 
-    @cached_property
-    def qr(self) -> ca.Function:
-        """The same by QR, for the matrices that LDLᵀ fails on."""
-        return self._linear("qr")
-
-    @cached_property
-    def spread(self) -> ca.Function:
-        """(matrix, sizes) -> |matrix| sizes."""
-        matrix = ca.MX.sym("matrix", self.hessian.sparsity_out(0))
-        sizes = ca.MX.sym("sizes", matrix.shape[0])
-        return ca.Function("spread", [matrix, sizes], [ca.mtimes(ca.fabs(matrix), sizes)])
-
-    def direction(self, matrix: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-        """Newton step -∇²S⁻¹ ∇S; not finite where the Hessian is singular to the last digit."""
-        largest = np.max(np.abs(gradient), initial=0.0)
-        if self.pivots:
-            step, defect = self.evaluate("ldl", matrix, gradient)
-        if not self.pivots or not np.all(np.isfinite(step)) or defect[0] > LOCAL * largest:
-            (step, _) = self.evaluate("qr", matrix, gradient)
-        if largest > 0 and not np.any(step):  # CasADi's QR answers a rank-deficient system with zeros
-            return np.full_like(step, np.nan)
-        return step
-
-    def sizes(self, step: np.ndarray, unknowns: np.ndarray, data: Data) -> np.ndarray:
-        """What a change of each unknown is measured by: the largest size or `step` of its component."""
-        scale = self.scale(unknowns, data)
-        np.maximum.at(scale, self.component, np.abs(step))
-        return np.asarray(np.where(scale > 0, scale, 1.0)[self.component])
-
-    def residual(self, gradient: np.ndarray, matrix: np.ndarray, unknowns: np.ndarray, data: Data) -> np.ndarray:
-        """Residuals over their own roundoff floors."""
+    def residual(self, matrix: np.ndarray, gradient: np.ndarray, unknowns: np.ndarray, data: Data) -> float:
+        """Largest residual over its own roundoff floor."""
         (terms,) = self.evaluate("terms", unknowns, *data)
-        (spread,) = self.evaluate("spread", matrix, self.scale(unknowns, data)[self.component])
-        floor = EPS * (terms + spread)
-        return np.asarray(np.abs(gradient) / np.where(floor > 0, floor, np.finfo(float).tiny))
+        (ratios,) = self.evaluate("ratios", matrix, gradient, terms, unknowns, *data[:2])
+        return float(ratios.max(initial=0.0))
 
 
 def rootfinder(system: System, guess: np.ndarray, data: Data, verbose: int = 0) -> Solution:
@@ -207,38 +272,23 @@ def minimizer(system: System, guess: np.ndarray, data: Data, verbose: int = 0) -
 def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limit: int = 200) -> Solution:
     """Newton's method with natural monotonicity line search; arguments as `rootfinder`, at most `limit` iterations."""
     x, damping, before = guess, 1.0, None
-    (g,) = system.evaluate("gradient", x, *data)
-    if not np.all(np.isfinite(g)):
-        raise SolveFailure("the gradient of the action is not finite at the guess", x, 0)
     for iteration in range(1, limit + 1):
-        (matrix,) = system.evaluate("hessian", x, *data)
-        step = system.direction(matrix, g)
-        if not np.all(np.isfinite(step)):
-            raise SolveFailure("the Hessian of the action is singular", x, iteration, bool(np.all(np.isfinite(matrix))))
-        sizes = system.sizes(step, x, data)
-        norm = _norm(step, sizes)
+        matrix, g = system.evaluate("derivatives", x, *data)
+        step, sizes, (norm,), (total,), _ = system.solved("descent", matrix, g, x, *data[:2])
+        if iteration == 1 and not math.isfinite(total):
+            raise SolveFailure("the gradient of the action is not finite at the guess", x, 0)
+        if not np.isfinite(step).all():
+            raise SolveFailure("the Hessian of the action is singular", x, iteration, bool(np.isfinite(matrix).all()))
         if before is not None:
-            damping = min(1.0, _predicted(before, step, sizes, damping))
-        x, g, simplified, damping = _line_search(system, x, step, sizes, matrix, data, damping, iteration)
+            damping = min(1.0, damping * float(system.evaluate("forecast", *before, step, sizes)[0][0]))
+        x, g, simplified, damping = _line_search(system, x, step, sizes, norm, matrix, data, damping, iteration)
         before = (step, simplified) if simplified is not None else None
         if verbose > 1:
             print(f"  {iteration:4d}   step {norm:9.2e}   damping {damping:7.1e}")
         # Only after the step: at 1e5 intervals the residual is at roundoff while the path is still off by 1e-9.
-        if norm < NEAR and np.max(system.residual(g, matrix, x, data), initial=0.0) <= ROUNDOFF:
-            return _polished(system, x, g, matrix, data, iteration)
+        if norm < NEAR and (residual := system.residual(matrix, g, x, data)) <= ROUNDOFF:
+            return _polished(system, x, g, residual, matrix, data, iteration)
     raise SolveFailure(f"no convergence in {limit} iterations, last relative step {norm:.1e}", x, limit)
-
-
-def _norm(step: np.ndarray, sizes: np.ndarray) -> float:
-    """Largest change relative to the sizes; one iteration measures all its steps by the same sizes."""
-    return float(np.max(np.abs(step) / sizes, initial=0.0))
-
-
-def _predicted(before: tuple[np.ndarray, np.ndarray], step: np.ndarray, sizes: np.ndarray, damping: float) -> float:
-    """Damping expected to pass, from how far the last simplified step missed this one (Deuflhard, eq. 3.47)."""
-    last, simplified = before
-    miss = _norm(simplified - step, sizes) * _norm(step, sizes)
-    return damping * _norm(last, sizes) * _norm(simplified, sizes) / max(miss, 1e-300)
 
 
 def _line_search(
@@ -246,39 +296,44 @@ def _line_search(
     x: np.ndarray,
     step: np.ndarray,
     sizes: np.ndarray,
+    norm: float,
     matrix: np.ndarray,
     data: Data,
     damping: float,
     iteration: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, float]:
     """Shorten the step until the next one, with the same matrix, is shorter: new x, gradient, that step, damping."""
-    norm = _norm(step, sizes)
     while damping >= SMALLEST_DAMPING:
         trial = x + damping * step
         (g,) = system.evaluate("gradient", trial, *data)
-        if not np.all(np.isfinite(g)):
+        if not np.isfinite(g).all():
             damping /= 2
             continue
-        if norm * damping < LOCAL and damping == 1.0:
+        if damping == 1.0 and norm < LOCAL:
             return trial, g, None, damping
-        simplified = system.direction(matrix, g)
-        if _norm(simplified, sizes) <= (1 - damping / 4) * norm:
+        given = (matrix, g, step, sizes, np.array([damping]))
+        simplified, (shrunk,), (bend,), _, _ = system.solved("trial", *given)
+        if shrunk <= (1 - damping / 4) * norm and np.isfinite(simplified).all():
             return trial, g, simplified, damping
-        bend = _norm(simplified - (1 - damping) * step, sizes)
         damping = min(damping / 2, norm * damping**2 / (2 * max(bend, 1e-300)))
-    if second_variation(system, matrix, x, data) < SINGULAR:
+    if second_variation(system, x, data) < SINGULAR:
         raise SolveFailure("the Hessian of the action is singular", x, iteration, singular=True)
     raise SolveFailure("the line search found no step that leads on", x, iteration)
 
 
 def _polished(
-    system: System, x: np.ndarray, g: np.ndarray, matrix: np.ndarray, data: Data, iterations: int
+    system: System,
+    x: np.ndarray,
+    g: np.ndarray,
+    residual: float,
+    matrix: np.ndarray,
+    data: Data,
+    iterations: int,
 ) -> Solution:
     """Take one more step with the last matrix if it does not hurt, and report."""
-    residual = float(np.max(system.residual(g, matrix, x, data), initial=0.0))
-    trial = x + system.direction(matrix, g)
+    trial = x + system.solved("direction", matrix, g)[0]
     (g,) = system.evaluate("gradient", trial, *data)
-    after = float(np.max(system.residual(g, matrix, trial, data), initial=0.0))
+    after = system.residual(matrix, g, trial, data)
     if after <= residual:
         x, residual = trial, after
     return Solution(x, iterations, residual, "Newton")
@@ -329,7 +384,7 @@ def _nlpsol(system: System, minimize: bool, verbose: int, limit: int) -> ca.Func
     return ca.nlpsol("stationary", "ipopt", {"x": x, "p": p, "f": 0, "g": gradient}, options)
 
 
-def second_variation(system: System, matrix: np.ndarray, unknowns: np.ndarray, data: Data) -> float:
+def second_variation(system: System, unknowns: np.ndarray, data: Data) -> float:
     """Smallest second variation relative to the sizes of its terms; 0 at a conjugate point.
 
     Three inverse iterations find the direction y, the pointwise sums give its quotient
@@ -337,16 +392,11 @@ def second_variation(system: System, matrix: np.ndarray, unknowns: np.ndarray, d
     """
     if len(unknowns) == 0:
         return np.inf  # nothing can vary
-    scale = system.scale(unknowns, data)
-    y = np.cos(1.0 + np.arange(len(unknowns))) * np.where(scale > 0, scale, 1.0)[system.component]
-    for _ in range(3):
-        y = system.direction(matrix, y)
-        largest = np.max(np.abs(y), initial=0.0)
-        if not np.isfinite(largest) or largest == 0:
-            return 0.0
-        y = y / largest
+    (matrix,) = system.evaluate("hessian", unknowns, *data)
+    y = system.solved("variation", matrix, unknowns, *data[:2])[0]
     signed, positive = system.evaluate("curvature", unknowns, *data, y)
-    return float(abs(signed[0]) / positive[0])
+    quotient = float(abs(signed[0]) / positive[0])
+    return quotient if math.isfinite(quotient) else 0.0
 
 
 def negative_eigenvalues(system: System, unknowns: np.ndarray, data: Data) -> int | None:
@@ -359,8 +409,6 @@ def negative_eigenvalues(system: System, unknowns: np.ndarray, data: Data) -> in
         return None
     if len(unknowns) == 0:
         return 0
-    matrix = system.hessian(unknowns, *data)
-    solver = ca.Linsol("inertia", "ldl", matrix.sparsity())
-    solver.sfact(matrix)
-    solver.nfact(matrix)
-    return int(solver.neig(matrix))
+    (matrix,) = system.hessian.call([unknowns, *data])
+    system.algebra.factors.nfact(matrix)
+    return int(system.algebra.factors.neig(matrix))

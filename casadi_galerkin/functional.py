@@ -282,6 +282,8 @@ class Functional:
 
     def __init__(self, integrand: ca.Function, layout: Layout) -> None:
         self.pointwise, self.layout = pointwise(integrand), layout
+        pattern = self.pointwise.pattern
+        self.assembly_key = (layout, tuple(pattern.colind()), tuple(pattern.row()), self.pointwise.blocks)
 
     def _map(self, f: ca.Function, at: list[ca.MX], parameters: ca.MX | None, *extra: ca.MX) -> list[ca.MX]:
         """Evaluate a pointwise Function at all quadrature points; outputs (n, N r)."""
@@ -310,9 +312,7 @@ class Functional:
     def hessian(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> ca.MX:
         """∇²S with respect to the free values ξ: sparse, symmetric, both halves stored."""
         at = embedding(self.layout).call([u, mesh])
-        pattern = self.pointwise.pattern
-        assemble = assembly(self.layout, tuple(pattern.colind()), tuple(pattern.row()), self.pointwise.blocks)
-        return assemble(*self._map(self.pointwise.hessian, at, parameters))
+        return assembly(*self.assembly_key)(*self._map(self.pointwise.hessian, at, parameters))
 
     def curvature(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None, direction: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Second variation yᵀ∇²S y along y = `direction`, and the same with every term taken positive."""
