@@ -16,6 +16,7 @@ from casadi_galerkin.engines import (
     SINGULAR,
     Algebra,
     Data,
+    Evaluator,
     Solution,
     SolveFailure,
     System,
@@ -106,15 +107,10 @@ class Transcription:
         self._symbols = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
         self._u = ca.vertcat(*(self._symbols[name] for name in ("unknowns", "start", "end")))
         self._at = (self._u, self._symbols["mesh"], self._symbols.get("parameters"))
-        local, total = self._functional.gradient(*self._at)
+        _, total = self._functional.gradient(*self._at)
         self.gradient = self._function("gradient", total[: self.layout.free])
         self.hessian = self._function("hessian", self._functional.hessian(*self._at))
-        self._momenta = self._function("momenta", ca.horzcat(-local[: problem.dimension, 0], self._ends(local)))
         self.build_seconds = time.perf_counter() - began
-
-    def _ends(self, local: ca.MX) -> ca.MX:
-        """Derivative of each interval's action by its last node, (d, N)."""
-        return ca.reshape(local[:, -1], self.problem.dimension, self.layout.intervals)
 
     def _function(self, name: str, *outputs: ca.MX, extra: tuple[ca.MX, ...] = ()) -> ca.Function:
         names = list(self._symbols) + [f"extra{i}" for i in range(len(extra))]
@@ -125,6 +121,18 @@ class Transcription:
     def action(self) -> ca.Function:
         """S of (unknowns, start, end, mesh[, parameters])."""
         return self._function("action", self._functional.action(*self._at))
+
+    @cached_property
+    def _calculus(self) -> DiscreteCalculus:
+        return DiscreteCalculus(self.method, self.mesh)
+
+    @cached_property
+    def _summary(self) -> Evaluator:
+        """(unknowns, *data) -> S, and momenta at all joints: the first -∂S/∂x_0, then ∂S_k/∂x_{k+1} of interval k."""
+        local, _ = self._functional.gradient(*self._at)
+        d = self.problem.dimension
+        momenta = ca.horzcat(-local[:d, 0], ca.reshape(local[:, -1], d, self.layout.intervals))
+        return Evaluator(self._function("summary", self._functional.action(*self._at), momenta))
 
     @cached_property
     def system(self) -> System:
@@ -199,11 +207,11 @@ class Transcription:
         """Find the node values of the path without what `trajectory` adds; arguments and errors as for `solve`."""
         if not callable(solver):
             raise TypeError(f"solver must be rootfinder, ipopt or minimizer, got {solver!r}")
-        joints = self.mesh if mesh is None else time_scale(mesh)
+        calculus = self._calculus if mesh is None else DiscreteCalculus(self.method, mesh)
+        joints = calculus.mesh
         if len(joints) != len(self.mesh):
             raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {len(joints) - 1}")
         data = self._data(start, end, parameters, joints)
-        calculus = DiscreteCalculus(self.method, joints)
         first = self._unknowns(self._guess(guess, calculus, data))
         try:
             solution = solver(self.system, first, data, verbose)
@@ -261,7 +269,8 @@ class Transcription:
         miss = np.where(numbering[[0, -1]] >= self.layout.free, fixed[numbering[[0, -1]]] - values[[0, -1]], np.nan)
         miss = np.where(np.isnan(miss), miss[::-1], miss)  # a free end takes over what the other one is moved by
         part = ((times - times[0]) / (times[-1] - times[0]))[:, None]
-        bent = values + (1 - part) * np.nan_to_num(miss[0]) + part * np.nan_to_num(miss[1])
+        miss = np.where(np.isnan(miss), 0.0, miss)
+        bent = values + (1 - part) * miss[0] + part * miss[1]
         if not np.all(np.isfinite(bent)):
             i = int(np.argmax(~np.isfinite(bent).all(axis=1)))
             raise ValueError(f"the guess must be finite, got {bent[i]} at t = {times[i]}")
@@ -307,13 +316,13 @@ class Transcription:
                 point.solution.residual,
                 point.solution.iterations,
             )
-        (momenta,) = self._evaluate_momenta(unknowns, data)
+        action, momenta = self._summary(unknowns, *data)
         return Trajectory(
             t=point.path.mesh,
             x=point.path.values[:, :: self.method.degree].copy(),
             momentum=momenta.reshape(self.problem.dimension, -1, order="F"),
             path=point.path,
-            action=float(system.evaluate("action", unknowns, *data)[0][0]),
+            action=float(action[0]),
             morse_index=negative_eigenvalues(system, unknowns, data),
             iterations=point.solution.iterations,
             residual=point.solution.residual,
@@ -324,9 +333,6 @@ class Transcription:
             lagrangian=self.problem.lagrangian,
             parameters=tuple(data[3].tolist()) if len(data) > 3 else None,
         )
-
-    def _evaluate_momenta(self, unknowns: np.ndarray, data: Data) -> list[np.ndarray]:
-        return [np.array(self._momenta(unknowns, *data)).ravel(order="F")]
 
     def _error(self, failure: SolveFailure, calculus: DiscreteCalculus, data: Data) -> ConvergenceError:
         """Say what happened, where in time, how far it got, and what to try."""
