@@ -107,9 +107,9 @@ class Transcription:
         self._symbols = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
         self._u = ca.vertcat(*(self._symbols[name] for name in ("unknowns", "start", "end")))
         self._at = (self._u, self._symbols["mesh"], self._symbols.get("parameters"))
-        _, total = self._functional.gradient(*self._at)
-        self.gradient = self._function("gradient", total[: self.layout.free])
-        self.hessian = self._function("hessian", self._functional.hessian(*self._at))
+        self._local, total = self._functional.gradient(*self._at)
+        self._derivatives = self._functional.hessian(*self._at), total[: self.layout.free]
+        self.hessian, self.gradient = map(self._function, ("hessian", "gradient"), self._derivatives)
         self.build_seconds = time.perf_counter() - began
 
     def _function(self, name: str, *outputs: ca.MX, extra: tuple[ca.MX, ...] = ()) -> ca.Function:
@@ -120,7 +120,11 @@ class Transcription:
     @cached_property
     def action(self) -> ca.Function:
         """S of (unknowns, start, end, mesh[, parameters])."""
-        return self._function("action", self._functional.action(*self._at))
+        return self._function("action", self._action)
+
+    @cached_property
+    def _action(self) -> ca.MX:
+        return self._functional.action(*self._at)
 
     @cached_property
     def _calculus(self) -> DiscreteCalculus:
@@ -129,10 +133,9 @@ class Transcription:
     @cached_property
     def _summary(self) -> Evaluator:
         """(unknowns, *data) -> S, and momenta at all joints: the first -∂S/∂x_0, then ∂S_k/∂x_{k+1} of interval k."""
-        local, _ = self._functional.gradient(*self._at)
-        d = self.problem.dimension
+        d, local = self.problem.dimension, self._local
         momenta = ca.horzcat(-local[:d, 0], ca.reshape(local[:, -1], d, self.layout.intervals))
-        return Evaluator(self._function("summary", self._functional.action(*self._at), momenta))
+        return Evaluator(self._function("summary", self._action, momenta))
 
     @cached_property
     def system(self) -> System:
@@ -140,12 +143,11 @@ class Transcription:
         direction = ca.MX.sym("direction", self.layout.free)
         given = ca.MX.zeros(self.layout.size - self.layout.free, 1)
         curvature = self._functional.curvature(*self._at, ca.vertcat(direction, given))
-        at = list(self._symbols.values())
         return System(
             self.action,
             self.gradient,
             self.hessian,
-            self._function("derivatives", *self.hessian.call(at), *self.gradient.call(at)),
+            self._function("derivatives", *self._derivatives),
             self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free]),
             self._function("curvature", *curvature, extra=(direction,)),
             algebra(*self._functional.assembly_key),

@@ -257,14 +257,13 @@ def pointwise(integrand: ca.Function) -> Pointwise:
         pattern = pattern + cell.sparsity() + cell.sparsity().T
     columns = [ca.vertcat(*ca.project(cells[key], pattern).nonzeros()) for key in blocks]
     size = ca.fabs(z)
-    inputs, options = [t, h, x, slope, *parameters], {"cse": True}
+    inputs = [t, h, x, slope, *parameters]
     return Pointwise(
-        ca.Function("value", inputs, [value], options),
-        ca.Function("gradient", inputs, [ca.densify(gradient[part[0]]), ca.densify(gradient[part[1]])], options),
-        ca.Function("hessian", inputs, columns, options),
-        ca.Function(
-            "curvature", [*inputs, z], [ca.bilin(hessian, z, z), ca.bilin(ca.fabs(hessian), size, size)], options
-        ),
+        ca.Function("value", inputs, [value]),
+        ca.Function("gradient", inputs, [ca.densify(gradient[part[0]]), ca.densify(gradient[part[1]])]),
+        # common subexpressions cost more to find than they save, but for the Hessian: a tenth of its instructions
+        ca.Function("hessian", inputs, columns, {"cse": True}),
+        ca.Function("curvature", [*inputs, z], [ca.bilin(hessian, z, z), ca.bilin(ca.fabs(hessian), size, size)]),
         pattern,
         blocks,
         all(cells[1, 1].sparsity().has_nz(i, i) for i in range(d)),
