@@ -112,9 +112,11 @@ class Transcription:
         self.hessian, self.gradient = map(self._function, ("hessian", "gradient"), self._derivatives)
         self.build_seconds = time.perf_counter() - began
 
-    def _function(self, name: str, *outputs: ca.MX, extra: tuple[ca.MX, ...] = ()) -> ca.Function:
+    def _function(
+        self, name: str, *outputs: ca.MX, extra: tuple[ca.MX, ...] = (), results: Sequence[str] | None = None
+    ) -> ca.Function:
         names = list(self._symbols) + [f"extra{i}" for i in range(len(extra))]
-        results = [name] if len(outputs) == 1 else [f"{name}{i}" for i in range(len(outputs))]
+        results = results or ([name] if len(outputs) == 1 else [f"{name}{i}" for i in range(len(outputs))])
         return ca.Function(name, [*self._symbols.values(), *extra], list(outputs), names, results)
 
     @cached_property
@@ -147,7 +149,7 @@ class Transcription:
             self.action,
             self.gradient,
             self.hessian,
-            self._function("derivatives", *self._derivatives),
+            self._function("derivatives", *self._derivatives, results=["matrix", "gradient"]),
             self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free]),
             self._function("curvature", *curvature, extra=(direction,)),
             algebra(*self._functional.assembly_key),
@@ -215,10 +217,11 @@ class Transcription:
             raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {len(joints) - 1}")
         data = self._data(start, end, parameters, joints)
         first = self._unknowns(self._guess(guess, calculus, data))
-        try:
-            solution = solver(self.system, first, data, verbose)
-        except SolveFailure as failure:
-            raise self._error(failure, calculus, data) from None
+        with self.system.algebra.lock:
+            try:
+                solution = solver(self.system, first, data, verbose)
+            except SolveFailure as failure:
+                raise self._error(failure, calculus, data) from None
         return CriticalPoint(solution, data, calculus.emb(self._values(solution.unknowns, data).T))
 
     def correction(self, path: PiecewisePolynomial, parameters: Sequence[float] | None = None) -> PiecewisePolynomial:
@@ -229,9 +232,9 @@ class Transcription:
         data = self._data(None, None, parameters, path.mesh)
         calculus = DiscreteCalculus(self.method, path.mesh)
         unknowns = self._unknowns(path(calculus.node_times).T)
-        (gradient,) = self.system.evaluate("gradient", unknowns, *data)
-        (matrix,) = self.system.evaluate("hessian", unknowns, *data)
-        step = self.system.solved("direction", matrix, gradient)[0]
+        with self.system.algebra.lock:
+            (gradient,) = self.system.evaluate("derivatives", unknowns, *data)
+            step = self.system.solved("direction", gradient)[0]
         step = np.concatenate((step, np.zeros(self.layout.size - self.layout.free)))
         return calculus.emb(step[self.layout.numbering].T)
 
@@ -308,7 +311,9 @@ class Transcription:
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
         system, unknowns, data = self.system, point.solution.unknowns, point.data
-        quotient = second_variation(system, unknowns, data)
+        with system.algebra.lock:
+            quotient = second_variation(system, unknowns, data)
+            index = negative_eigenvalues(system, unknowns, data)
         if quotient < SINGULAR:
             raise ConjugatePointError(
                 f"the second variation of the action vanishes (relative size {quotient:.0e}): the ends are conjugate "
@@ -325,7 +330,7 @@ class Transcription:
             momentum=momenta.reshape(self.problem.dimension, -1, order="F"),
             path=point.path,
             action=float(action[0]),
-            morse_index=negative_eigenvalues(system, unknowns, data),
+            morse_index=index,
             iterations=point.solution.iterations,
             residual=point.solution.residual,
             solver=point.solution.report,
@@ -340,10 +345,8 @@ class Transcription:
         """Say what happened, where in time, how far it got, and what to try."""
         unknowns, system = failure.unknowns, self.system
         path = calculus.emb(self._values(unknowns, data).T)
-        (g,) = system.evaluate("gradient", unknowns, *data)
-        (matrix,) = system.evaluate("hessian", unknowns, *data)
-        (terms,) = system.evaluate("terms", unknowns, *data)
-        (residual,) = system.evaluate("ratios", matrix, g, terms, unknowns, *data[:2])
+        (g,) = system.evaluate("derivatives", unknowns, *data)
+        residual = system.ratios(g, unknowns, data)
         worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
         when = calculus.node_times[np.argmax((self.layout.numbering == worst).any(axis=1))]
         where = f"after {failure.iterations} iterations; the largest residual is at t = {when:.6g}"

@@ -19,6 +19,7 @@ the terms it sums and of what the rounding of the unknowns themselves does to it
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -46,17 +47,23 @@ class SolveFailure(Exception):
 
 
 class Evaluator:
-    """Calls a Function on NumPy arrays without conversion: nonzeros in, nonzeros out."""
+    """Calls a Function on NumPy arrays without conversion: nonzeros in, nonzeros out.
 
-    def __init__(self, function: ca.Function) -> None:
+    An input or output named "matrix" is bound to the array `matrix`, and neither passed nor returned: at degree 30
+    copying the Hessian would take longer than all else that is done in Python.
+    """
+
+    def __init__(self, function: ca.Function, matrix: np.ndarray | None = None) -> None:
         self._function = function  # the buffer does not keep it alive
-        self._inputs: list[Any] = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
-        self._outputs: list[Any] = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
         self._buffer, self._run = function.buffer()
-        for i, array in enumerate(self._inputs):
-            self._buffer.set_arg(i, memoryview(array))
-        for i, array in enumerate(self._outputs):
-            self._buffer.set_res(i, memoryview(array))
+        shared: Any = np.zeros(0) if matrix is None else matrix
+        inputs: dict[str, Any] = {function.name_in(i): np.zeros(function.nnz_in(i)) for i in range(function.n_in())}
+        outputs: dict[str, Any] = {function.name_out(i): np.zeros(function.nnz_out(i)) for i in range(function.n_out())}
+        for arrays, bind in ((inputs, self._buffer.set_arg), (outputs, self._buffer.set_res)):
+            for i, (name, array) in enumerate(arrays.items()):
+                bind(i, memoryview(shared if name == "matrix" else array))
+        self._inputs = [array for name, array in inputs.items() if name != "matrix"]
+        self._outputs = [array for name, array in outputs.items() if name != "matrix"]
 
     def __call__(self, *arguments: np.ndarray) -> list[np.ndarray]:
         """Evaluate; the returned arrays are copies."""
@@ -87,9 +94,11 @@ class Solution:
 class Algebra:
     """Newton's method between two evaluations: what depends on the Hessian's sparsity and the scale, but not on L.
 
-    The steps of an iteration are bundled into few Functions, since a call from Python costs about as much as
-    evaluating a small problem.  Those that solve with ∇²S are built for a linear solver, "ldl" or "qr"; their first
-    output is the solution, the last two are the size of the right-hand side and the excess of the defect.
+    It is kept for all Lagrangians of a layout, with the Hessian in `matrix` as `System.derivatives` left it there, so
+    whoever works with it holds `lock`.  The steps of an iteration are bundled into few Functions, since a call from
+    Python costs about as much as evaluating a small problem.  Those that solve with ∇²S are built for a linear
+    solver, "ldl" or "qr"; their first output is the solution, the last two are the size of the right-hand side and
+    the excess of the defect.
 
     Parameters
     ----------
@@ -103,15 +112,18 @@ class Algebra:
         self._ends = [ca.MX.sym(scale.name_in(i), scale.size1_in(i)) for i in range(3)]
         self._matrix, self._damping = ca.MX.sym("matrix", sparsity), ca.MX.sym("damping")
         self._vectors = [ca.MX.sym(f"vector{i}", sparsity.size1()) for i in range(4)]
-        self._functions: dict[tuple[str, ...], ca.Function] = {}
+        self.matrix, self.lock = np.zeros(sparsity.nnz()), threading.Lock()
+        self._evaluators: dict[tuple[str, str | None], Evaluator] = {}
 
-    def function(self, name: str, *solver: str) -> ca.Function:
-        """Return the Function of that name, built when it is first asked for."""
-        key = (name, *solver)
-        if key not in self._functions:
-            inputs, outputs = getattr(self, name)(*solver)
-            self._functions[key] = ca.Function(name, inputs, outputs)
-        return self._functions[key]
+    def evaluate(self, name: str, solver: str | None, *arguments: np.ndarray) -> list[np.ndarray]:
+        """Evaluate the Function of that name, built when it is first asked for."""
+        evaluator = self._evaluators.get((name, solver))
+        if evaluator is None:
+            inputs, outputs = getattr(self, name)(*([solver] if solver else []))
+            names = ["matrix" if symbol is self._matrix else f"input{i}" for i, symbol in enumerate(inputs)]
+            function = ca.Function(name, inputs, outputs, names, [f"output{i}" for i in range(len(outputs))])
+            evaluator = self._evaluators[name, solver] = Evaluator(function, self.matrix)
+        return evaluator(*arguments)
 
     @cached_property
     def factors(self) -> ca.Linsol:
@@ -130,11 +142,11 @@ class Algebra:
         return ca.vec(values.get_nz(False, self.component.tolist()))
 
     def direction(self, solver: str) -> tuple[list[ca.MX], list[ca.MX]]:
-        """(matrix, g) -> step -∇²S⁻¹ g."""
+        """(∇²S, g) -> step -∇²S⁻¹ g."""
         return [self._matrix, self._vectors[0]], self._solve(solver, self._vectors[0])
 
     def descent(self, solver: str) -> tuple[list[ca.MX], list[ca.MX]]:
-        """(matrix, g, ξ, start, end) -> Newton step, the sizes that it is measured by, its norm."""
+        """(∇²S, g, ξ, start, end) -> Newton step, the sizes that it is measured by, its norm."""
         step, total, excess = self._solve(solver, self._vectors[0])
         change = self.scale(step, *(ca.MX.zeros(a.shape) for a in self._ends[1:]))
         largest = ca.fmax(self.scale(*self._ends), change)
@@ -143,14 +155,14 @@ class Algebra:
         return inputs, [step, sizes, ca.norm_inf(step / sizes), total, excess]
 
     def trial(self, solver: str) -> tuple[list[ca.MX], list[ca.MX]]:
-        """(matrix, g, step, sizes, damping) -> next step with the same matrix, norms of it and of the path's bend."""
+        """(∇²S, g, step, sizes, damping) -> next step with the same matrix, norms of it and of the path's bend."""
         g, step, sizes, _ = self._vectors
         y, total, excess = self._solve(solver, g)
         norms = [ca.norm_inf(y / sizes), ca.norm_inf((y - (1 - self._damping) * step) / sizes)]
         return [self._matrix, g, step, sizes, self._damping], [y, *norms, total, excess]
 
     def variation(self, solver: str) -> tuple[list[ca.MX], list[ca.MX]]:
-        """(matrix, ξ, start, end) -> direction after three inverse iterations."""
+        """(∇²S, ξ, start, end) -> direction after three inverse iterations."""
         scale, excess = self.scale(*self._ends), 0
         y = np.cos(1.0 + np.arange(len(self.component))) * self._expand(scale + (scale == 0))
         for _ in range(3):
@@ -165,7 +177,7 @@ class Algebra:
         return self._vectors, [norms[0] * norms[1] / ca.fmax(norms[2] * norms[3], 1e-300)]
 
     def ratios(self) -> tuple[list[ca.MX], list[ca.MX]]:
-        """(matrix, g, terms, ξ, start, end) -> residuals over their own roundoff floors."""
+        """(∇²S, g, terms, ξ, start, end) -> residuals over their own roundoff floors."""
         g, terms, *_ = self._vectors
         spread = ca.mtimes(ca.fabs(self._matrix), self._expand(self.scale(*self._ends)))
         floor = ca.fmax(EPS * (terms + spread), float(np.finfo(float).tiny))
@@ -181,7 +193,7 @@ class System:
     action : -> S
     gradient : -> ∇S by ξ
     hessian : -> ∇²S by ξ, sparse and symmetric
-    derivatives : -> both
+    derivatives : -> both; by `evaluate`, only ∇S is returned and ∇²S is left in `algebra.matrix`
     terms : -> sizes of the terms that `gradient` sums
     curvature : with a direction y as last input -> yᵀ∇²S y, and the same with every term positive
     algebra : Algebra
@@ -196,15 +208,13 @@ class System:
     curvature: ca.Function
     algebra: Algebra
     pivots: bool = True
-    _evaluators: dict[tuple[str, ...], Evaluator] = field(default_factory=dict, repr=False, compare=False)
+    _evaluators: dict[str, Evaluator] = field(default_factory=dict, repr=False, compare=False)
 
     def evaluate(self, name: str, *arguments: np.ndarray) -> list[np.ndarray]:
         """Evaluate one of the Functions by name on NumPy arrays."""
-        evaluator = self._evaluators.get((name,))
-        if evaluator is None:
-            own = getattr(self, name, None)
-            evaluator = self._evaluators[(name,)] = Evaluator(own or self.algebra.function(name))
-        return evaluator(*arguments)
+        if name not in self._evaluators:
+            self._evaluators[name] = Evaluator(getattr(self, name), self.algebra.matrix)
+        return self._evaluators[name](*arguments)
 
     def solved(self, name: str, *arguments: np.ndarray) -> list[np.ndarray]:
         """Evaluate one of the Functions that solve with ∇²S: by LDLᵀ, then by QR where that fails.
@@ -212,21 +222,17 @@ class System:
         The first output is not finite where the Hessian is singular to the last digit.
         """
         for solver in ("ldl", "qr") if self.pivots else ("qr",):
-            evaluator = self._evaluators.get((name, solver))
-            if evaluator is None:
-                evaluator = self._evaluators[(name, solver)] = Evaluator(self.algebra.function(name, solver))
-            results = evaluator(*arguments)
+            results = self.algebra.evaluate(name, solver, *arguments)
             if results[-1][0] <= 0 or not math.isfinite(results[-2][0]):
                 return results
         if not np.any(results[0]):  # CasADi's QR answers a rank-deficient system with zeros
             results[0][:] = np.nan
         return results
 
-    def residual(self, matrix: np.ndarray, gradient: np.ndarray, unknowns: np.ndarray, data: Data) -> float:
-        """Largest residual over its own roundoff floor."""
+    def ratios(self, gradient: np.ndarray, unknowns: np.ndarray, data: Data) -> np.ndarray:
+        """Residuals over their own roundoff floors."""
         (terms,) = self.evaluate("terms", unknowns, *data)
-        (ratios,) = self.evaluate("ratios", matrix, gradient, terms, unknowns, *data[:2])
-        return float(ratios.max(initial=0.0))
+        return self.algebra.evaluate("ratios", None, gradient, terms, unknowns, *data[:2])[0]
 
 
 def rootfinder(system: System, guess: np.ndarray, data: Data, verbose: int = 0) -> Solution:
@@ -273,21 +279,22 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
     """Newton's method with natural monotonicity line search; arguments as `rootfinder`, at most `limit` iterations."""
     x, damping, before = guess, 1.0, None
     for iteration in range(1, limit + 1):
-        matrix, g = system.evaluate("derivatives", x, *data)
-        step, sizes, (norm,), (total,), _ = system.solved("descent", matrix, g, x, *data[:2])
+        (g,) = system.evaluate("derivatives", x, *data)
+        step, sizes, (norm,), (total,), _ = system.solved("descent", g, x, *data[:2])
         if iteration == 1 and not math.isfinite(total):
             raise SolveFailure("the gradient of the action is not finite at the guess", x, 0)
         if not np.isfinite(step).all():
-            raise SolveFailure("the Hessian of the action is singular", x, iteration, bool(np.isfinite(matrix).all()))
+            finite = bool(np.isfinite(system.algebra.matrix).all())
+            raise SolveFailure("the Hessian of the action is singular", x, iteration, singular=finite)
         if before is not None:
-            damping = min(1.0, damping * float(system.evaluate("forecast", *before, step, sizes)[0][0]))
-        x, g, simplified, damping = _line_search(system, x, step, sizes, norm, matrix, data, damping, iteration)
+            damping = min(1.0, damping * float(system.algebra.evaluate("forecast", None, *before, step, sizes)[0][0]))
+        x, g, simplified, damping = _line_search(system, x, step, sizes, norm, data, damping, iteration)
         before = (step, simplified) if simplified is not None else None
         if verbose > 1:
             print(f"  {iteration:4d}   step {norm:9.2e}   damping {damping:7.1e}")
         # Only after the step: at 1e5 intervals the residual is at roundoff while the path is still off by 1e-9.
-        if norm < NEAR and (residual := system.residual(matrix, g, x, data)) <= ROUNDOFF:
-            return _polished(system, x, g, residual, matrix, data, iteration)
+        if norm < NEAR and (residual := system.ratios(g, x, data).max(initial=0.0)) <= ROUNDOFF:
+            return _polished(system, x, g, float(residual), data, iteration)
     raise SolveFailure(f"no convergence in {limit} iterations, last relative step {norm:.1e}", x, limit)
 
 
@@ -297,7 +304,6 @@ def _line_search(
     step: np.ndarray,
     sizes: np.ndarray,
     norm: float,
-    matrix: np.ndarray,
     data: Data,
     damping: float,
     iteration: int,
@@ -311,8 +317,7 @@ def _line_search(
             continue
         if damping == 1.0 and norm < LOCAL:
             return trial, g, None, damping
-        given = (matrix, g, step, sizes, np.array([damping]))
-        simplified, (shrunk,), (bend,), _, _ = system.solved("trial", *given)
+        simplified, (shrunk,), (bend,), _, _ = system.solved("trial", g, step, sizes, np.array([damping]))
         if shrunk <= (1 - damping / 4) * norm and np.isfinite(simplified).all():
             return trial, g, simplified, damping
         damping = min(damping / 2, norm * damping**2 / (2 * max(bend, 1e-300)))
@@ -326,14 +331,13 @@ def _polished(
     x: np.ndarray,
     g: np.ndarray,
     residual: float,
-    matrix: np.ndarray,
     data: Data,
     iterations: int,
 ) -> Solution:
     """Take one more step with the last matrix if it does not hurt, and report."""
-    trial = x + system.solved("direction", matrix, g)[0]
+    trial = x + system.solved("direction", g)[0]
     (g,) = system.evaluate("gradient", trial, *data)
-    after = system.residual(matrix, g, trial, data)
+    after = float(system.ratios(g, trial, data).max(initial=0.0))
     if after <= residual:
         x, residual = trial, after
     return Solution(x, iterations, residual, "Newton")
@@ -392,8 +396,8 @@ def second_variation(system: System, unknowns: np.ndarray, data: Data) -> float:
     """
     if len(unknowns) == 0:
         return np.inf  # nothing can vary
-    (matrix,) = system.evaluate("hessian", unknowns, *data)
-    y = system.solved("variation", matrix, unknowns, *data[:2])[0]
+    system.evaluate("derivatives", unknowns, *data)
+    y = system.solved("variation", unknowns, *data[:2])[0]
     signed, positive = system.evaluate("curvature", unknowns, *data, y)
     quotient = float(abs(signed[0]) / positive[0])
     return quotient if math.isfinite(quotient) else 0.0
