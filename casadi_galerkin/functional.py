@@ -111,7 +111,7 @@ def _contributions(target: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]
     ordered = target[order]
     group = np.flatnonzero(np.append(True, ordered[1:] != ordered[:-1]))
     rank = np.arange(len(target)) - np.repeat(group, np.diff(np.append(group, len(target))))
-    for turn in range(int(rank.max(initial=-1)) + 1):
+    for turn in range(int(rank.max(initial=0)) + 1):
         yield order[rank == turn], ordered[rank == turn]
 
 
@@ -189,12 +189,15 @@ def assembly(
     stacked = ca.horzcat(*(ca.reshape(values, len(row) * n, -1) for values in inputs))
     entries = ca.vec(_times(stacked, products))  # node pair slowest, then interval, then entry of the pattern
     position, target = _hessian_entries(layout, np.array(colind), np.array(row))
-    matrix = ca.MX(layout.free, layout.free)
-    for chosen, targets in _contributions(target):
-        columns, rows = np.divmod(targets, layout.free)
-        starts = np.searchsorted(columns, np.arange(layout.free + 1))
-        sparsity = ca.Sparsity(layout.free, layout.free, starts.tolist(), rows.tolist())
-        matrix = matrix + ca.MX(sparsity, entries.get_nz(False, position[chosen].tolist()))
+    (first, targets), *others = _contributions(target)
+    columns, rows = np.divmod(targets, layout.free)
+    starts = np.searchsorted(columns, np.arange(layout.free + 1))
+    sparsity = ca.Sparsity(layout.free, layout.free, starts.tolist(), rows.tolist())
+    values = entries.get_nz(False, position[first].tolist())
+    for chosen, repeated in others:  # in the joints; added in place, where sums of matrices would copy all of them
+        places = np.searchsorted(targets, repeated).tolist()
+        values.nz[places] = values.nz[places] + entries.nz[position[chosen].tolist()]
+    matrix = ca.MX(sparsity, values)
     return ca.Function("assembly", inputs, [matrix], [f"block{i}{j}" for i, j in blocks], ["hessian"])
 
 

@@ -29,3 +29,10 @@ def test_transcriptions_of_one_layout_can_be_solved_in_turn():
         np.testing.assert_array_equal(after.x, before.x)
         assert (after.action, after.morse_index) == (before.action, before.morse_index)
     assert expected[0].action != expected[1].action
+
+
+def test_a_path_without_unknowns_is_the_straight_line():
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0.0, 2.0), [0.0], [1.0])
+    path = cg.solve(problem, cg.Galerkin(1), 1)
+    assert path.action == 0.25
+    np.testing.assert_array_equal(path.momentum, [[0.5, 0.5]])
