@@ -19,6 +19,7 @@ from casadi_galerkin.engines import (
     SolveFailure,
     System,
     negative_eigenvalues,
+    relax,
     rootfinder,
     second_variation,
 )
@@ -112,6 +113,7 @@ class Transcription:
         """The stationarity conditions as the engines take them."""
         direction = ca.MX.sym("direction", self.layout.free)
         given = ca.MX.zeros(self.layout.size - self.layout.free, 1)
+        inertia = ca.MX.sym("inertia")
         curvature = self._functional.curvature(*self._at, ca.vertcat(direction, given))
         component = np.zeros(self.layout.size, dtype=np.int64)
         component[self.layout.numbering] = np.arange(self.problem.dimension)
@@ -121,6 +123,7 @@ class Transcription:
             self.hessian,
             self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free]),
             self._function("curvature", *curvature, extra=(direction,)),
+            self._function("inertial", self._functional.hessian(*self._at, inertia), extra=(inertia,)),
             component[: self.layout.free],
             lambda unknowns, data: np.max(np.abs(self._values(unknowns, data)), axis=0),
             self._functional.pointwise.kinetic,
@@ -192,6 +195,19 @@ class Transcription:
         except SolveFailure as failure:
             raise self._error(failure, calculus, data) from None
         return CriticalPoint(solution, data, calculus.emb(self._values(solution.unknowns, data).T))
+
+    def relax(
+        self, path: Guess | None, mesh: np.ndarray, inertia: float, steps: int
+    ) -> tuple[PiecewisePolynomial, float, float]:
+        """Take a few damped steps that lower the action: the new path, the next inertia, the last relative step."""
+        data = self._data(None, None, None, mesh)
+        calculus = DiscreteCalculus(self.method, mesh)
+        unknowns = self._unknowns(self._guess(path, calculus, data))
+        try:
+            unknowns, inertia, norm = relax(self.system, unknowns, data, inertia, steps)
+        except SolveFailure as failure:
+            raise self._error(failure, calculus, data) from None
+        return calculus.emb(self._values(unknowns, data).T), inertia, norm
 
     def correction(self, path: PiecewisePolynomial, parameters: Sequence[float] | None = None) -> PiecewisePolynomial:
         """Newton step from a path on the same mesh, of any degree up to this one's: zero if it is critical here too.

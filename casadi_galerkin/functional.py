@@ -307,12 +307,21 @@ class Functional:
         sizes = [ca.fabs(values) for values in self._map(self.pointwise.gradient, at, parameters)]
         return integration(self.layout, absolute=True).call(sizes)[1]
 
-    def hessian(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> ca.MX:
-        """∇²S with respect to the free values ξ: sparse, symmetric, both halves stored."""
+    def hessian(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None, inertia: ca.MX | None = None) -> ca.MX:
+        """∇²S with respect to the free values ξ: sparse, symmetric, both halves stored.
+
+        With `inertia`, the block ∂²L/∂v² is multiplied by it: large values make the matrix positive definite where
+        the kinetic energy is.
+        """
         at = embedding(self.layout).call([u, mesh])
-        pattern = self.pointwise.pattern
-        assemble = assembly(self.layout, tuple(pattern.colind()), tuple(pattern.row()), self.pointwise.blocks)
-        return assemble(*self._map(self.pointwise.hessian, at, parameters))
+        pattern, blocks = self.pointwise.pattern, self.pointwise.blocks
+        assemble = assembly(self.layout, tuple(pattern.colind()), tuple(pattern.row()), blocks)
+        values = self._map(self.pointwise.hessian, at, parameters)
+        if inertia is not None:
+            values = [
+                inertia * value if block == (1, 1) else value for block, value in zip(blocks, values, strict=True)
+            ]
+        return assemble(*values)
 
     def curvature(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None, direction: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Second variation yᵀ∇²S y along y = `direction`, and the same with every term taken positive."""
