@@ -17,6 +17,8 @@ from casadi_galerkin.nodes import lagrange_values
 FINEST = 32.0  # an interval is split into at most this many at once
 COARSEST = 4.0  # and at most this many are merged
 NEIGHBOURS = 8.0  # largest ratio of densities of neighbouring intervals of a new mesh
+FEWEST = 4  # intervals of a new mesh
+FEWER = 3.0  # factor of too many intervals from which the number of intervals is lowered
 GROWTH = 1.25  # least factor by which the number of intervals grows, if it does
 TARGET = 0.3  # a new mesh aims at this part of the tolerance
 
@@ -59,7 +61,9 @@ def interval_maxima(path: PiecewisePolynomial) -> np.ndarray:
     return np.asarray(np.max(np.abs(path.values[:, index] @ samples.T), axis=2))
 
 
-def equidistributed(mesh: np.ndarray, error: np.ndarray, order: int, tol: float, finest: float = FINEST) -> np.ndarray:
+def equidistributed(
+    mesh: np.ndarray, error: np.ndarray, order: int, tol: float, finest: float = FINEST, fewest: int = FEWEST
+) -> np.ndarray:
     """Joints of a new mesh on which every interval's error should be a fraction of the tolerance.
 
     Parameters
@@ -69,10 +73,11 @@ def equidistributed(mesh: np.ndarray, error: np.ndarray, order: int, tol: float,
     order : int
     tol : tolerance
     finest : largest number of intervals that one is split into
+    fewest : least number of intervals of the new mesh
 
     Returns
     -------
-    (N' + 1,) joints with the same ends; N' = N where N intervals suffice, so that no graph need be built anew
+    (N' + 1,) joints with the same ends; N' = N where that is about enough, so that no graph need be built anew
     """
     wanted = np.clip((error / (TARGET * tol)) ** (1.0 / order), 1 / COARSEST, finest)
     density = wanted / np.diff(mesh)
@@ -81,8 +86,12 @@ def equidistributed(mesh: np.ndarray, error: np.ndarray, order: int, tol: float,
     for i in range(len(density) - 2, -1, -1):
         density[i] = max(density[i], density[i + 1] / NEIGHBOURS)
     cumulated = np.concatenate(([0.0], np.cumsum(density * np.diff(mesh))))
-    count = int(np.ceil(cumulated[-1]))
-    count = len(mesh) - 1 if count < len(mesh) else max(count, int(np.ceil(GROWTH * (len(mesh) - 1))))
+    count = max(fewest, int(np.ceil(cumulated[-1])))
+    before = len(mesh) - 1
+    if before / FEWER < count <= before:
+        count = before
+    elif count > before:
+        count = max(count, int(np.ceil(GROWTH * before)))
     joints = np.interp(np.linspace(0.0, cumulated[-1], count + 1), cumulated, mesh)
     joints[0], joints[-1] = mesh[0], mesh[-1]
     return np.asarray(joints)

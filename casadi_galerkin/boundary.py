@@ -21,6 +21,7 @@ from casadi_galerkin.engines import (
     SolveFailure,
     System,
     negative_eigenvalues,
+    relax,
     rootfinder,
     second_variation,
 )
@@ -152,9 +153,15 @@ class Transcription:
             self._function("derivatives", *self._derivatives, results=["matrix", "gradient"]),
             self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free]),
             self._function("curvature", *curvature, extra=(direction,)),
+            self._inertial,
             algebra(*self._functional.assembly_key),
             self._functional.pointwise.kinetic,
         )
+
+    def _inertial(self) -> ca.Function:
+        inertia = ca.MX.sym("inertia")
+        matrix = self._functional.hessian(*self._at, inertia)
+        return self._function("inertial", matrix, extra=(inertia,), results=["matrix"])
 
     def _values(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) in the order of time."""
@@ -223,6 +230,20 @@ class Transcription:
             except SolveFailure as failure:
                 raise self._error(failure, calculus, data) from None
         return CriticalPoint(solution, data, calculus.emb(self._values(solution.unknowns, data).T))
+
+    def relax(
+        self, path: Guess | None, mesh: np.ndarray, inertia: float, steps: int
+    ) -> tuple[PiecewisePolynomial, float, float]:
+        """Take a few damped steps that lower the action: the new path, the next inertia, the last relative step."""
+        data = self._data(None, None, None, mesh)
+        calculus = DiscreteCalculus(self.method, mesh)
+        unknowns = self._unknowns(self._guess(path, calculus, data))
+        with self.system.algebra.lock:
+            try:
+                unknowns, inertia, norm = relax(self.system, unknowns, data, inertia, steps)
+            except SolveFailure as failure:
+                raise self._error(failure, calculus, data) from None
+        return calculus.emb(self._values(unknowns, data).T), inertia, norm
 
     def correction(self, path: PiecewisePolynomial, parameters: Sequence[float] | None = None) -> PiecewisePolynomial:
         """Newton step from a path on the same mesh, of any degree up to this one's: zero if it is critical here too.

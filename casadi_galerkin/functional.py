@@ -311,10 +311,20 @@ class Functional:
         sizes = [ca.fabs(values) for values in self._map(self.pointwise.gradient, at, parameters)]
         return integration(self.layout, absolute=True).call(sizes)[1]
 
-    def hessian(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> ca.MX:
-        """∇²S with respect to the free values ξ: sparse, symmetric, both halves stored."""
+    def hessian(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None, inertia: ca.MX | None = None) -> ca.MX:
+        """∇²S with respect to the free values ξ: sparse, symmetric, both halves stored.
+
+        With `inertia`, the block ∂²L/∂v² is multiplied by it: large values make the matrix positive definite where
+        the kinetic energy is.
+        """
         at = embedding(self.layout).call([u, mesh])
-        return assembly(*self.assembly_key)(*self._map(self.pointwise.hessian, at, parameters))
+        values = self._map(self.pointwise.hessian, at, parameters)
+        if inertia is not None:
+            blocks = self.pointwise.blocks
+            values = [
+                inertia * value if block == (1, 1) else value for block, value in zip(blocks, values, strict=True)
+            ]
+        return assembly(*self.assembly_key)(*values)
 
     def curvature(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None, direction: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Second variation yᵀ∇²S y along y = `direction`, and the same with every term taken positive."""

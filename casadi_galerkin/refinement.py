@@ -13,6 +13,7 @@ Euler-Lagrange residual needs the norm of an inverse to become an error.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,11 +22,13 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.adaptivity import FINEST, equidistributed, interval_maxima, sizes, truncation
 from casadi_galerkin.boundary import CriticalPoint, Engine, Guess, Transcription, mesh_of
 from casadi_galerkin.calculus import Galerkin, PiecewisePolynomial
-from casadi_galerkin.engines import newton
+from casadi_galerkin.engines import newton, rootfinder
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.trajectory import ConvergenceError, Trajectory
 
 FIRST_INTERVALS = 8
+RELAXATION_DEGREE, RELAXATION_INTERVALS, RELAXATION_STEPS, RELAXATION_TOLERANCE = 6, 40, 3, 1e-4
+RISE = 3
 HIGHER = 2  # degrees added for the error estimate; two, because one adds nothing to a path of the other parity
 ROUNDOFF_LEVEL = 1e-9  # an error that refinement no longer lowers is called the roundoff floor below this
 
@@ -49,6 +52,10 @@ class Limits:
 def degree_for(tol: float) -> int:
     """Degree for a tolerance: the one that was cheapest over the reference problems."""
     return int(np.clip(np.ceil(2 - np.log10(tol)), 4, 14))
+
+
+class LimitReached(ConvergenceError):
+    """A refinement that follows a path and was stopped before its tolerance; another start would not help."""
 
 
 class Refinement:
@@ -77,42 +84,51 @@ class Refinement:
         self.iterations += point.solution.iterations
         return point
 
-    def pilot(self, mesh: np.ndarray, guess: Guess | None, solver: Engine) -> CriticalPoint:
-        """First level: the coarse mesh, or where that finds no path, finer ones of lower degree."""
-        try:
-            return self.solve(self.method, mesh, guess, solver)
-        except ConvergenceError:
-            for degree, parts in ((4, 8), (2, 32)):
-                finer = np.interp(np.arange(parts * (len(mesh) - 1) + 1) / parts, np.arange(len(mesh)), mesh)
-                try:
-                    return self.solve(Galerkin(degree), finer, guess, solver)
-                except ConvergenceError:
-                    continue
-            raise
+    def relaxed(self, mesh: np.ndarray, guess: Guess | None) -> CriticalPoint:
+        """Lower the action a few steps at a time, with a new mesh after each few, then solve by Newton's method.
+
+        The mesh has to follow the path as it is drawn towards a singularity: on a fixed one it slips through.
+        """
+        method, path, inertia = Galerkin(RELAXATION_DEGREE), guess, 1.0
+        mesh = np.interp(np.linspace(0, 1, max(RELAXATION_INTERVALS, len(mesh))), np.linspace(0, 1, len(mesh)), mesh)
+        for _ in range(self.limits.levels):
+            path, inertia, step = self.transcription(method, mesh).relax(path, mesh, inertia, RELAXATION_STEPS)
+            error = truncation(path)
+            if step < RELAXATION_TOLERANCE and inertia == 0 and np.max(error) < 3 * RELAXATION_TOLERANCE:
+                break
+            mesh = equidistributed(mesh, error, method.degree + 1, RELAXATION_TOLERANCE, 2.0, len(mesh) - 1)
+        path, _, _ = self.transcription(method, mesh).relax(path, mesh, inertia, 10 * RELAXATION_STEPS)
+        return self.solve(method, mesh, path, rootfinder)
 
     def next(self, point: CriticalPoint, error: np.ndarray) -> CriticalPoint:
-        """Solve on the equidistributed mesh; where Newton's method does not follow, on one changed less."""
-        finest = FINEST
+        """Solve on the equidistributed mesh; where Newton's method does not follow, on one changed less.
+
+        From a relaxed path the degree rises by at most `RISE`; an analytic path's error then falls to the power
+        of the ratio of the orders.
+        """
+        finest, degree = FINEST, len(point.path.nodes) - 1
+        method = self.method if degree + RISE >= self.method.degree else Galerkin(degree + RISE)
+        order = method.degree + 1
+        expected = error ** (order / (degree + 1))
         while True:
-            order = len(point.path.nodes)
-            mesh = equidistributed(point.path.mesh, error, order, self.tol, finest)
+            mesh = equidistributed(point.path.mesh, expected, order, self.tol, finest)
             if len(mesh) - 1 > self.limits.intervals:
                 raise self.stopped(f"the mesh would need {len(mesh) - 1} intervals", point, np.max(error))
             try:
-                return self.solve(self.method, mesh, point.path, newton)
+                return self.solve(method, mesh, point.path, newton)
             except ConvergenceError as failure:
                 finest = np.sqrt(finest)
                 if finest < 1.2:
-                    raise self.stopped(str(failure), point, np.max(error)) from None
+                    raise failure
 
     def error(self, path: PiecewisePolynomial) -> np.ndarray:
         """Estimated error of a path on each interval, relative to the size of its components; (N,)."""
         correction = self.transcription(self.higher, path.mesh).correction(path)
         return np.asarray(np.max(interval_maxima(correction) / sizes(path)[:, None], axis=0))
 
-    def stopped(self, reason: str, point: CriticalPoint, reached: float) -> ConvergenceError:
+    def stopped(self, reason: str, point: CriticalPoint, reached: float) -> LimitReached:
         """Say how far it got; the best path is attached."""
-        return ConvergenceError(
+        return LimitReached(
             f"tolerance {self.tol:g} was not reached: {reason}. The best path has {len(point.path.mesh) - 1} intervals "
             f"and an estimated error of {reached:.1e}; it is attached to this error as `path`. "
             "Try a looser tolerance, a guess nearer to the path, or higher limits",
@@ -122,8 +138,26 @@ class Refinement:
         )
 
     def run(self, mesh: np.ndarray, guess: Guess | None, solver: Engine) -> Trajectory:
-        """Refine until the estimated error is below the tolerance."""
-        point, before = self.pilot(mesh, guess, solver), np.inf
+        """Refine from a first path: Newton's on the coarse mesh; or a relaxed one; or whatever `solver` finds."""
+        starts: list[Callable[[], CriticalPoint]] = [lambda: self.solve(self.method, mesh, guess, solver)]
+        if solver is rootfinder:
+            starts[:0] = [
+                lambda: self.solve(self.method, mesh, guess, newton),
+                lambda: self.relaxed(mesh, guess),
+            ]
+        failures = []
+        for start in starts:
+            try:
+                return self.refine(start())
+            except LimitReached:
+                raise
+            except ConvergenceError as failure:
+                failures.append(failure)
+        raise failures[-1]
+
+    def refine(self, point: CriticalPoint) -> Trajectory:
+        """Solve on better and better meshes until the estimated error is below the tolerance."""
+        before = np.inf
         for level in range(self.limits.levels):
             error = truncation(point.path)
             verified = bool(np.max(error) <= self.tol) and len(point.path.nodes) == self.method.degree + 1
@@ -133,7 +167,7 @@ class Refinement:
             self.report(level, point, reached, verified)
             if verified and reached <= self.tol:
                 return self.finish(point, reached)
-            if verified and reached > before / 2 and reached < ROUNDOFF_LEVEL:
+            if verified and before / 2 < reached < ROUNDOFF_LEVEL:
                 floor = min(reached, before)
                 raise self.stopped(f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here", point, floor)
             if time.perf_counter() - self.began > self.limits.seconds:
