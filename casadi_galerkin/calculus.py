@@ -158,7 +158,9 @@ class PiecewisePolynomial:
 
         At a joint the derivative is the right one, at the last joint the left one.
         """
-        times = np.asarray(t, dtype=float)
+        if isinstance(nu, bool) or not isinstance(nu, (int, np.integer)) or nu < 0:
+            raise ValueError(f"nu must be a whole number from 0 on, got {nu!r}")
+        times = real_array("times", t)
         flat = times.ravel()
         slack = 1e-12 * (self.mesh[-1] - self.mesh[0])
         if np.any(~((flat >= self.mesh[0] - slack) & (flat <= self.mesh[-1] + slack))):
