@@ -21,7 +21,7 @@ from casadi_galerkin.engines import (
     rootfinder,
     second_variation,
 )
-from casadi_galerkin.functional import Functional, Layout
+from casadi_galerkin.functional import Functional, Layout, embedding
 from casadi_galerkin.problems import BoundaryProblem, components, numbers
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
@@ -241,6 +241,15 @@ class Transcription:
     def _trajectory(self, solution: Solution, calculus: DiscreteCalculus, data: Data, began: float) -> Trajectory:
         system, unknowns = self.system, solution.unknowns
         values = self._values(unknowns, data).T
+        action = float(system.evaluate("action", unknowns, *data)[0][0])
+        if not np.isfinite(action):
+            raise ConvergenceError(
+                f"no path was found: the equations have a solution, but on it {self._not_finite(unknowns, data)}. "
+                "Try a guess that stays where the Lagrangian is defined",
+                calculus.emb(values),
+                solution.residual,
+                solution.iterations,
+            )
         (matrix,) = system.evaluate("hessian", unknowns, *data)
         quotient = second_variation(system, matrix, unknowns, data)
         if quotient < SINGULAR:
@@ -258,7 +267,7 @@ class Transcription:
             x=values[:, :: self.method.degree].copy(),
             momentum=momenta.reshape(self.problem.dimension, -1, order="F"),
             path=calculus.emb(values),
-            action=float(system.evaluate("action", unknowns, *data)[0][0]),
+            action=action,
             morse_index=negative_eigenvalues(system, unknowns, data),
             iterations=solution.iterations,
             residual=solution.residual,
@@ -273,6 +282,19 @@ class Transcription:
     def _evaluate_momenta(self, unknowns: np.ndarray, data: Data) -> list[np.ndarray]:
         return [np.array(self._momenta(unknowns, *data)).ravel(order="F")]
 
+    def _not_finite(self, unknowns: np.ndarray, data: Data) -> str:
+        """Say at which time the Lagrangian or its derivatives first are not finite."""
+        pointwise, parameters = self._functional.pointwise, data[3:]
+        at = [np.array(a) for a in embedding(self.layout)(np.concatenate((unknowns, *data[:2])), data[2])]
+        times, steps, x, slope = at
+        for k in np.argsort(times[0], kind="stable"):
+            point = (*(a[:, k] for a in at), *parameters)
+            results = [pointwise.value(*point), *pointwise.gradient(*point)]
+            if not all(np.all(np.isfinite(np.array(result))) for result in results):
+                v = slope[:, k] / steps[0, k]
+                return f"the Lagrangian is not finite at t = {times[0, k]:.6g}, where x = {x[:, k]} and v = {v}"
+        return "the Lagrangian overflows"
+
     def _error(self, failure: SolveFailure, calculus: DiscreteCalculus, data: Data) -> ConvergenceError:
         """Say what happened, where in time, how far it got, and what to try."""
         unknowns, system = failure.unknowns, self.system
@@ -282,7 +304,10 @@ class Transcription:
         residual = system.residual(g, matrix, unknowns, data)
         worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
         when = calculus.node_times[np.argmax((self.layout.numbering == worst).any(axis=1))]
-        where = f"after {failure.iterations} iterations; the largest residual is at t = {when:.6g}"
+        place = f"the largest residual is at t = {when:.6g}"
+        if not np.all(np.isfinite(g)):
+            place = self._not_finite(unknowns, data)
+        where = f"after {failure.iterations} iterations; {place}"
         if failure.singular:
             return ConjugatePointError(
                 f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free: "

@@ -200,8 +200,13 @@ def ipopt(system: System, guess: np.ndarray, data: Data, verbose: int = 0) -> So
 
 
 def minimizer(system: System, guess: np.ndarray, data: Data, verbose: int = 0) -> Solution:
-    """IPOPT on the action itself: finds a minimum, or diverges where there is none; arguments as `rootfinder`."""
-    return _interior_point(system, guess, data, verbose, minimize=True)
+    """IPOPT on the action itself: finds a minimum, or fails where there is none; arguments as `rootfinder`."""
+    solution = _interior_point(system, guess, data, verbose, minimize=True)
+    index = negative_eigenvalues(system, solution.unknowns, data)
+    if index != 0:
+        reason = f"IPOPT on the action ended at a path that is no minimum (Morse index {index})"
+        raise SolveFailure(reason, solution.unknowns, solution.iterations)
+    return solution
 
 
 def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limit: int = 200) -> Solution:
@@ -318,6 +323,7 @@ def _nlpsol(system: System, minimize: bool, verbose: int, limit: int) -> ca.Func
     options = {
         "hess_lag": ca.Function("hess_lag", [x, p, factor, multipliers], [upper]),
         "print_time": False,
+        "calc_lam_p": False,
         "show_eval_warnings": verbose > 1,  # IPOPT shortens a step that leaves the Lagrangian's domain
         "ipopt": {"print_level": 5 if verbose > 1 else 0, "sb": "yes", "tol": 1e-10, "max_iter": limit},
     }
