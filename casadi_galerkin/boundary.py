@@ -231,6 +231,11 @@ class Transcription:
                 raise self._error(failure, calculus, data) from None
         return CriticalPoint(solution, data, calculus.emb(self._values(solution.unknowns, data).T))
 
+    def drawn(self, guess: Guess, mesh: np.ndarray) -> PiecewisePolynomial:
+        """Put a guess on a mesh, bent to meet the ends."""
+        calculus = DiscreteCalculus(self.method, mesh)
+        return calculus.emb(self._guess(guess, calculus, self._data(None, None, None, mesh)).T)
+
     def relax(
         self, path: Guess | None, mesh: np.ndarray, inertia: float, steps: int
     ) -> tuple[PiecewisePolynomial, float, float]:

@@ -28,6 +28,7 @@ from casadi_galerkin.trajectory import ConvergenceError, Trajectory
 
 FIRST_INTERVALS = 8
 RELAXATION_DEGREE, RELAXATION_INTERVALS, RELAXATION_STEPS, RELAXATION_TOLERANCE = 6, 40, 3, 1e-4
+GUESS_LEVELS, GUESS_INTERVALS, GUESS_TOLERANCE = 10, 200, 1e-4
 RISE = 3
 HIGHER = 2  # degrees added for the error estimate; two, because one adds nothing to a path of the other parity
 ROUNDOFF_LEVEL = 1e-9  # an error that refinement no longer lowers is called the roundoff floor below this
@@ -83,6 +84,16 @@ class Refinement:
         point = self.transcription(method, mesh).critical_point(guess=guess, mesh=mesh, solver=solver)
         self.iterations += point.solution.iterations
         return point
+
+    def mesh_for(self, guess: Guess, mesh: np.ndarray) -> np.ndarray:
+        """Joints on which the guess itself is resolved: where it turns sharply, so may the path."""
+        for _ in range(GUESS_LEVELS):
+            drawn = self.transcription(self.method, mesh).drawn(guess, mesh)
+            error = truncation(drawn)
+            if np.max(error) <= GUESS_TOLERANCE or len(mesh) > GUESS_INTERVALS:
+                break
+            mesh = equidistributed(mesh, error, self.method.degree + 1, GUESS_TOLERANCE)
+        return mesh
 
     def relaxed(self, mesh: np.ndarray, guess: Guess | None) -> CriticalPoint:
         """Lower the action a few steps at a time, with a new mesh after each few, then solve by Newton's method.
@@ -145,6 +156,8 @@ class Refinement:
                 lambda: self.solve(self.method, mesh, guess, newton),
                 lambda: self.relaxed(mesh, guess),
             ]
+        if guess is not None:
+            mesh = self.mesh_for(guess, mesh)
         failures = []
         for start in starts:
             try:
