@@ -98,7 +98,12 @@ class Trajectory:
         per_interval = max(2, 200 // (len(self.t) - 1))
         parts = np.linspace(0, 1, per_interval, endpoint=False)
         times = np.append((self.t[:-1, None] + np.diff(self.t)[:, None] * parts).ravel(), self.t[-1])
-        return plot_path(times, self.path(times), self.t, self.x, axes)
+        drawn = plot_path(times, self.path(times), self.t, self.x, axes)
+        if axes is None:
+            index = "" if self.morse_index is None else f", Morse index {self.morse_index}"
+            intervals = len(self.t) - 1
+            drawn.set_title(f"Degree {self.method.degree} on {intervals} intervals: action {self.action:.6g}{index}")
+        return drawn
 
     def __str__(self) -> str:
         """Summarise path and solve in a few lines."""
