@@ -453,10 +453,8 @@ def second_variation(system: System, unknowns: np.ndarray, data: Data) -> float:
         return np.inf  # nothing can vary
     system.evaluate("derivatives", unknowns, *data)
     y = system.solved("variation", unknowns, *data[:2])[0]
-    if not (np.isfinite(y).all() and np.any(y)):  # QR answers a rank-deficient system with zeros
-        return 0.0
-    signed, positive = system.evaluate("curvature", unknowns, *data, y)
-    return float(abs(signed[0]) / positive[0])
+    signed, positive = (float(value[0]) for value in system.evaluate("curvature", unknowns, *data, y))
+    return abs(signed) / positive if math.isfinite(signed) and 0 < positive < math.inf else 0.0
 
 
 def negative_eigenvalues(system: System, unknowns: np.ndarray, data: Data) -> int | None:

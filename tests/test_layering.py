@@ -14,6 +14,7 @@ RANKS = {
     "nodes": 1,  # Lobatto control points are the points of a Lobatto rule
     "calculus": 2,
     "functional": 3,
+    "adaptivity": 3,
     "plotting": 3,
     "engines": 3,
     "problems": 4,
