@@ -20,7 +20,6 @@ RANKS = {
     "problems": 4,
     "trajectory": 4,
     "boundary": 5,
-    "adaptivity": 5,
     "stepping": 5,
     "control": 5,
     "refinement": 6,
