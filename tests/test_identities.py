@@ -196,9 +196,7 @@ def test_time_reversal_is_exact_for_symmetric_rules():
 
 def test_momentum_map_of_a_rotation_is_conserved_at_the_joints():
     """Angular momentum, at whatever accuracy: the discrete action is invariant under rotations."""
-    problem = cg.BoundaryProblem(
-        lambda t, x, v: ca.dot(v, v) / 2 + 1 / ca.norm_2(x), (0, 2), [1.0, 0.0], [-0.5, 0.9]
-    )
+    problem = cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2 + 1 / ca.norm_2(x), (0, 2), [1.0, 0.0], [-0.5, 0.9])
     path = cg.solve(problem, cg.Galerkin(2), intervals=4)
     angular = path.x[0] * path.momentum[1] - path.x[1] * path.momentum[0]
     np.testing.assert_allclose(angular, angular[0], rtol=IDENTITY)
