@@ -27,6 +27,7 @@ from casadi_galerkin.engines import (
 )
 from casadi_galerkin.functional import LAYOUTS_KEPT, Functional, Layout, assembly, embedding
 from casadi_galerkin.problems import BoundaryProblem, components, numbers
+from casadi_galerkin.quadrature import real_array
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
 Engine = Callable[[System, np.ndarray, Data, int], Solution]
@@ -319,12 +320,12 @@ class Transcription:
             part = (times - times[0]) / (times[-1] - times[0])
             return path(times if same else np.clip(old[0] + part * (old[-1] - old[0]), old[0], old[-1]))
         if callable(guess):
-            columns = [np.asarray(guess(float(t)), dtype=float) for t in times]
+            columns = [real_array("values of the guess", guess(float(t))) for t in times]
             shapes = {column.shape for column in columns}
             if shapes != {(d,)}:
                 raise ValueError(f"the guess must return an array of shape ({d},), got {shapes.pop()}")
             return np.stack(columns, axis=1)
-        array = np.asarray(guess, dtype=float)
+        array = real_array("the guess", guess)
         if array.shape == (d, len(times)):
             return array
         if array.shape == (d, len(calculus.mesh)):

@@ -53,10 +53,18 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int) -
     if not isinstance(value, (ca.SX, ca.DM, int, float)) or isinstance(value, bool):
         raise TypeError(f"{name} must return a CasADi expression, got {type(value).__name__}: {value!r}")
     value = ca.SX(value)
+    if "nan" in str(value):  # what float() makes of a CasADi symbol, and so what math.cos(x) does, without an error
+        raise TypeError(
+            f"{name} holds a constant that is not a number, as math.cos(x) gives for a CasADi symbol x. "
+            "Write it with CasADi's functions, such as casadi.cos, not with math or NumPy ones"
+        )
     if value.shape != (rows, 1):
         expected = "a scalar" if rows == 1 else f"a vector of length {rows}"
         raise ValueError(f"{name} must return {expected}, got shape {value.shape}")
-    return ca.Function(name, symbols, [ca.densify(value)], list(sizes), ["value"])
+    traced = ca.Function(name, symbols, [ca.densify(value)], list(sizes), ["value"], {"allow_free": True})
+    if traced.has_free():
+        raise ValueError(f"{name} depends on {', '.join(traced.get_free())} besides its arguments {shapes}")
+    return traced
 
 
 def trace_lagrangian(lagrangian: Traceable, dimension: int, parameters: tuple[float, ...] | None) -> ca.Function:
@@ -81,6 +89,8 @@ def numbers(name: str, values: Sequence[float], length: int | None = None) -> tu
 
 def components(name: str, values: Sequence[float | None], length: int | None = None) -> tuple[float | None, ...]:
     """Check a sequence of finite numbers in which None stands for a free component."""
+    if isinstance(values, ca.DM) and values.is_vector():
+        values = values.full().ravel()
     if isinstance(values, (str, bytes)) or not hasattr(values, "__len__") or not hasattr(values, "__getitem__"):
         raise TypeError(f"{name} must be a sequence of numbers, one for each component, got {values!r}")
     if isinstance(values, np.ndarray) and values.ndim != 1:
@@ -90,10 +100,9 @@ def components(name: str, values: Sequence[float | None], length: int | None = N
     checked = []
     for i in range(len(values)):
         value = values[i]
-        try:
-            number = None if value is None else float(value)
-        except (TypeError, ValueError, RuntimeError) as error:
-            raise TypeError(f"{name}[{i}] must be a number or None, got {value!r}") from error
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating, type(None))):
+            raise TypeError(f"{name}[{i}] must be a number or None, got {value!r}")
+        number = None if value is None else float(value)
         if number is not None and not np.isfinite(number):
             raise ValueError(f"{name}[{i}] must be finite, got {number}")
         checked.append(number)
@@ -149,6 +158,8 @@ class BoundaryProblem:
         parameters: Sequence[float] | None = None,
         periodic: bool = False,
     ) -> None:
+        if not isinstance(periodic, (bool, np.bool_)):
+            raise TypeError(f"periodic must be True or False, got {periodic!r}")
         checked_start = components("start", start)
         dimension = len(checked_start)
         if periodic and end is not None and any(value is not None for value in end):
