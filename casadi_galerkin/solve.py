@@ -58,5 +58,5 @@ def solve(
     if limits is not None:
         raise ValueError("limits stop a refinement: give tol with them")
     if method is None:
-        raise ValueError("give a method and intervals, or tol, got neither")
+        raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
     return transcribe(problem, method, intervals, mesh=mesh).solve(guess=guess, solver=solver, verbose=verbose)
