@@ -47,3 +47,36 @@ def plot_path(
     if 1 < len(values) <= len(COLORS):
         axes.legend()
     return axes
+
+
+def panels(count: int) -> list[Axes]:
+    """Axes of a new figure, one above the other over the same time."""
+    import matplotlib.pyplot as plt
+
+    return list(plt.subplots(count, sharex=True, figsize=(7.0, 2.6 * count), layout="constrained")[1])
+
+
+def plot_controls(
+    times: np.ndarray, values: np.ndarray, points: np.ndarray, point_values: np.ndarray, bounds: np.ndarray, axes: Axes
+) -> Axes:
+    """Draw controls over time, quadrature points as dots, finite bounds as dashed lines.
+
+    Parameters
+    ----------
+    times, values : (K,) and (n, K), lines; NaN breaks them where the controls may jump
+    points, point_values : (M,) and (n, M)
+    bounds : (2, n), lower and upper
+    axes : Matplotlib axes to draw into
+    """
+    for i, (line, dots) in enumerate(zip(values, point_values, strict=True)):
+        color = COLORS[i % len(COLORS)]
+        axes.plot(times, line, color=color, label=f"u[{i}]")
+        axes.plot(points, dots, ".", markersize=3, color=color)
+        for bound in bounds[:, i]:
+            if np.isfinite(bound):
+                axes.axhline(bound, color=color, linestyle="--", linewidth=0.8)
+    axes.set_xlabel("t")
+    axes.set_ylabel("u")
+    if 1 < len(values) <= len(COLORS):
+        axes.legend()
+    return axes

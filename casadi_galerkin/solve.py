@@ -6,13 +6,15 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary import Engine, Guess, transcribe
 from casadi_galerkin.calculus import Galerkin
-from casadi_galerkin.engines import rootfinder
+from casadi_galerkin.control import transcribe_control
+from casadi_galerkin.control_problem import ControlProblem
+from casadi_galerkin.engines import ipopt, rootfinder
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.trajectory import Trajectory
 
 
 def solve(
-    problem: BoundaryProblem,
+    problem: BoundaryProblem | ControlProblem,
     method: Galerkin,
     intervals: int | None = None,
     *,
@@ -25,7 +27,7 @@ def solve(
 
     Parameters
     ----------
-    problem : BoundaryProblem
+    problem : BoundaryProblem, or ControlProblem, which IPOPT solves and whose answer is a ControlTrajectory
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
@@ -39,4 +41,8 @@ def solve(
     >>> float(path.path(0.5)[0].round(6))
     0.569747
     """
+    if isinstance(problem, ControlProblem):
+        if solver not in (rootfinder, ipopt):
+            raise ValueError(f"a ControlProblem is solved by ipopt, got solver={solver!r}")
+        return transcribe_control(problem, method, intervals, mesh=mesh).solve(guess=guess, verbose=verbose)
     return transcribe(problem, method, intervals, mesh=mesh).solve(guess=guess, solver=solver, verbose=verbose)
