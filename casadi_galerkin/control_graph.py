@@ -210,7 +210,7 @@ class ControlGraph:
         blocks = self._blocks([place.hessian_pattern for place in self.places], entries)
         right = ca.mtimes(blocks, ca.MX(self.layout.derivative))
         left = ca.MX(self.layout.derivative.T)
-        upper = ca.triu(ca.mtimes(left.sparsity(), right.sparsity()) + ca.Sparsity.diag(left.size1()))
+        upper = ca.triu(ca.mtimes(left.sparsity(), right.sparsity()))
         return self._name("hessian", [ca.mac(left, right, ca.MX.zeros(upper))], factor, multipliers)
 
     @cached_property

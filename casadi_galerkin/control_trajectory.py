@@ -177,8 +177,7 @@ class ControlTrajectory(Trajectory):
         lines[:, np.isfinite(broken)] = self.control(times.ravel())
         limits = np.array(self.problem.control_bounds)
         plot_controls(broken, lines, self.control.times, self.control.values, limits, middle)
-        plot_path(times.ravel(), self.costate(times.ravel()), self.t, self.costate(self.t), bottom)
-        bottom.set_ylabel("costate")
+        plot_path(times.ravel(), self.costate(times.ravel()), self.t, self.costate(self.t), bottom, "λ")
         return top
 
     def __str__(self) -> str:

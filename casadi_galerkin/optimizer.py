@@ -12,8 +12,9 @@ import casadi as ca
 import numpy as np
 
 ITERATION_LIMIT = 500  # the scenes take 5 to 100; a problem without a bound from below walks on for ever
-TOLERANCE = 1e-10  # of IPOPT's scaled optimality error
-ACCEPTABLE = 1e-8  # good enough where roundoff keeps IPOPT from TOLERANCE
+TOLERANCE = 1e-12  # of IPOPT's scaled optimality error; at 1e-10 costs were seen to be wrong by 3e-9
+ACCEPTABLE = 1e-9  # good enough where roundoff keeps IPOPT from TOLERANCE for ACCEPTABLE_ITERATIONS
+ACCEPTABLE_ITERATIONS = 4
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ def interior_point(program: Program, verbose: int = 0) -> ca.Function:
             "sb": "yes",
             "tol": TOLERANCE,
             "acceptable_tol": ACCEPTABLE,
+            "acceptable_iter": ACCEPTABLE_ITERATIONS,
             "bound_relax_factor": 0.0,
             "max_iter": ITERATION_LIMIT,
         },

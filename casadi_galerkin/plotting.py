@@ -23,7 +23,12 @@ def axes_or_new(axes: Axes | None) -> Axes:
 
 
 def plot_path(
-    times: np.ndarray, values: np.ndarray, joints: np.ndarray, joint_values: np.ndarray, axes: Axes | None = None
+    times: np.ndarray,
+    values: np.ndarray,
+    joints: np.ndarray,
+    joint_values: np.ndarray,
+    axes: Axes | None = None,
+    name: str = "x",
 ) -> Axes:
     """Draw the components of a path over time, joints as dots.
 
@@ -32,6 +37,7 @@ def plot_path(
     times, values : (K,) and (d, K), the path drawn as a line
     joints, joint_values : (N + 1,) and (d, N + 1)
     axes : Matplotlib axes to draw into; default a new figure
+    name : of the path
 
     Returns
     -------
@@ -40,10 +46,10 @@ def plot_path(
     axes = axes_or_new(axes)
     for i, (line, dots) in enumerate(zip(values, joint_values, strict=True)):
         color = COLORS[i % len(COLORS)]
-        axes.plot(times, line, color=color, label=f"x[{i}]")
+        axes.plot(times, line, color=color, label=f"{name}[{i}]")
         axes.plot(joints, dots, ".", color=color)
     axes.set_xlabel("t")
-    axes.set_ylabel("x")
+    axes.set_ylabel(name)
     if 1 < len(values) <= len(COLORS):
         axes.legend()
     return axes
