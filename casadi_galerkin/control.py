@@ -11,7 +11,6 @@ from __future__ import annotations
 import time
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -28,6 +27,13 @@ from casadi_galerkin.optimizer import Optimum, Program, interior_point, optimize
 from casadi_galerkin.trajectory import ConvergenceError
 
 FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
+HINTS = {
+    "Diverging Iterates": "The cost may have no lower bound: bound the controls, the positions or the duration",
+    "Infeasible Problem Detected": "There may be no path within these ends and bounds; else try a guess nearer to it",
+    "Invalid Number Detected": "A callable or one of its derivatives is not finite there",
+    "Restoration Failed": "There may be no path within these ends and bounds; else try a guess nearer to it",
+}
+OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"
 ENDS = ("start", "end", "start_velocity", "end_velocity")
 
 
@@ -67,8 +73,20 @@ class ControlTranscription:
         functions = (graph.gradient, graph.jacobian, graph.hessian)
         self.program = Program(graph.unknowns, graph.data, graph.cost, graph.equations, *functions)
         self.limits = limits_of(problem, self.layout)
+        self._check_count()
         self._solver = interior_point(self.program)
         self.build_seconds = time.perf_counter() - began
+
+    def _check_count(self) -> None:
+        """Refuse more equations than unknowns, as a very coarse mesh has."""
+        limits = self.limits
+        equations = np.count_nonzero(limits.equations_lower == limits.equations_upper)
+        unknowns = np.count_nonzero(limits.lower < limits.upper)
+        if equations > unknowns:
+            raise ValueError(
+                f"{equations} equations for {unknowns} unknowns on {len(self.mesh) - 1} interval(s) of degree "
+                f"{self.method.degree}: take more intervals, a higher degree or more controls, or free a component"
+            )
 
     @cached_property
     def _report(self) -> Evaluator:
@@ -94,7 +112,7 @@ class ControlTranscription:
         unknowns, data = self._start(guess)
         solver = interior_point(self.program, verbose) if verbose > 1 else self._solver
         optimum = optimize(solver, unknowns, data, self.limits)
-        report = self._report(optimum.unknowns, data)
+        report = self._report(optimum.unknowns, data, optimum.multipliers)
         relative = violations(self.layout, self.limits, optimum.unknowns, *report[1:3])
         if not (optimum.success and np.isfinite(report[0][0]) and np.max(relative) <= FEASIBLE):
             raise self._error(optimum, float(report[0][0]), relative, data)
@@ -107,9 +125,10 @@ class ControlTranscription:
         """Unknowns and data at the guess; refuses one at which anything that is needed is not finite."""
         values = first_values(self.problem, self.layout, self.mesh, guess)
         unknowns, data = self.layout.pack(values)
-        cost, equations, _, z, _ = self._report(unknowns, data)
-        if not (np.all(np.isfinite(cost)) and np.all(np.isfinite(equations))):
-            check_finite(self.problem, self.layout, values, z.reshape(self.layout.point_rows, -1, order="F"))
+        cost, equations, _, z, *_ = self._report(unknowns, data, np.zeros(len(self.limits.equations_lower)))
+        z = z.reshape(self.layout.point_rows, -1, order="F")
+        if not all(np.all(np.isfinite(a)) for a in (cost, equations, self._action(z, values))):
+            check_finite(self.problem, self.layout, values, z)
         gradient = np.array(self.graph.gradient(unknowns, data)[1]).ravel()
         matrix = self.graph.jacobian(unknowns, data)[1]
         entries = np.isfinite(np.array(matrix.nonzeros()))
@@ -138,16 +157,13 @@ class ControlTranscription:
         rows = len(self.limits.equations_lower)
         name, place = name_equation(self.layout, worst) if worst < rows else name_unknown(self.layout, worst - rows)
         when = np.interp(place, np.arange(len(joints)), joints)
+        what = name if worst < rows else f"the bound of {name}"
         if relative[worst] <= FEASIBLE:
-            state = f"all constraints hold, with a cost of {cost:.6g}: the cost may have no lower bound"
+            state = f"all constraints hold, with a cost of {cost:.6g}"
         else:
-            what = name if worst < rows else f"the bound of {name}"
-            state = (
-                f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of the size of "
-                "its terms. There may be no path within these ends and bounds; else try a guess nearer to it or "
-                "more intervals"
-            )
-        message = f"IPOPT stopped with '{optimum.status}' after {optimum.iterations} iterations; {state}"
+            state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
+        hint = HINTS.get(optimum.status, OTHER_HINT)
+        message = f"IPOPT stopped with '{optimum.status}' after {optimum.iterations} iterations; {state}. {hint}"
         path = DiscreteCalculus(self.method, joints).emb(values["path"].T)
         return ConvergenceError(message, path, float(relative[worst] / EPS), optimum.iterations)
 
@@ -157,16 +173,15 @@ class ControlTranscription:
         values, layout = self.layout.unpack(optimum.unknowns, data), self.layout
         d, points = layout.dimension, layout.points
         calculus = DiscreteCalculus(self.method, self._joints(values))
-        z, rows = (array.reshape(-1, points, order="F") for array in report[3:])
+        z, rows = (array.reshape(-1, points, order="F") for array in report[3:5])
         costate, path_multipliers = np.split(optimum.multipliers, [layout.nodes * d])
-        slopes = np.array(self.graph.hamiltonian(optimum.unknowns, data, optimum.multipliers)).ravel()
         parameters = None if self.problem.parameters is None else tuple(values["parameters"].tolist())
         return ControlTrajectory(
             t=calculus.mesh,
             x=values["path"][:: self.method.degree].T.copy(),
             momentum=self._momenta(rows[:d], rows[d : 2 * d]),
             path=calculus.emb(values["path"].T),
-            action=self._action(calculus, z, values),
+            action=self._action(z, values),
             morse_index=None,
             iterations=optimum.iterations,
             residual=float(np.max(relative) / EPS),
@@ -180,7 +195,7 @@ class ControlTranscription:
             cost=float(report[0][0]),
             control=ControlPath(calculus.mesh, self.method.element.points, values["controls"].T),
             costate=calculus.emb(costate.reshape(-1, d).T),
-            hamiltonian=slopes.reshape(layout.intervals, -1).sum(axis=1) / values["duration"],
+            hamiltonian=report[5].reshape(layout.intervals, -1).sum(axis=1) / values["duration"],
             path_multipliers=path_multipliers.reshape(points, -1).T,
             violation=float(np.max(relative)),
             start_velocity=values["start_velocity"],
@@ -195,13 +210,14 @@ class ControlTranscription:
         last = position[:, -1] @ element.values[:, -1] + slope[:, -1] @ element.slopes[:, -1]
         return np.column_stack((first, last))
 
-    def _action(self, calculus: DiscreteCalculus, z: np.ndarray, values: dict[str, np.ndarray]) -> float:
+    def _action(self, z: np.ndarray, values: dict[str, np.ndarray]) -> float:
+        """Discrete action of the Lagrangian alone, from what is known at the points (rows, N r)."""
         d, count = self.layout.dimension, self.layout.points
-        velocities = z[d : 2 * d] / (values["duration"] * z[-1])
-        given = [] if self.problem.parameters is None else [ca.repmat(ca.DM(values["parameters"]), 1, count)]
-        mapped = self.problem.lagrangian.map(count)
-        lagrangian = np.array(mapped(calculus.quadrature_times[None, :], z[:d], velocities, *given)).ravel()
-        return float(calculus.weights @ lagrangian)
+        times, steps = values["begin"] + values["duration"] * z[-2], values["duration"] * z[-1]
+        given = [] if self.problem.parameters is None else [np.tile(values["parameters"][:, None], (1, count))]
+        lagrangian = self.problem.lagrangian.map(count)(times[None, :], z[:d], z[d : 2 * d] / steps, *given)
+        weights = np.tile(self.method.element.weights, self.layout.intervals)
+        return float(weights * steps @ np.array(lagrangian).ravel())
 
 
 def transcribe_control(

@@ -4,7 +4,7 @@ With A, Ê and Θ of the `ControlLayout`, and at every quadrature point z_k the 
 
     c_k = w_k h ℓ(t, x, v, u),      e_k = [ ∂L̂/∂x + h F,  ∂L̂/∂x',  g ],      L̂ = h L(t, x, x'/h),
 
-(at the start e = p_0 = ∂L/∂v(t_0, x_0, v_0); at the end e = p_N, and c = τ the terminal cost)
+(at the ends c = τ, the terminal cost, and e = [p_0, p_N] with p = ∂L/∂v(t, x, v))
 
     cost        f  = Σ c_k                        ∇f = Êᵀ [∇c_k]
     equations   G  = Θ [e_k]                      ∇G = Θ blockdiag(∇e_k) Ê
@@ -35,7 +35,7 @@ class Place:
     count : number of places
     z : SX, what is known at the place
     active : rows of z that are differentiated by
-    cost, rows : SX expressions in z; a cost of None costs nothing
+    cost, rows : SX expressions in z
     """
 
     name: str
@@ -50,24 +50,25 @@ class Place:
         return self.z[self.active.tolist()]
 
     def _function(self, inputs: list[ca.SX], output: ca.SX) -> ca.Function:
-        return ca.Function(self.name, inputs, [output], {"cse": True}).map(self.count)
+        function = ca.Function(self.name, inputs, [ca.densify(output)])
+        return function.map(self.count) if self.count > 1 else function
 
     @cached_property
     def value(self) -> ca.Function:
         """(z, weight) -> weighted cost, one a place."""
         weight = ca.SX.sym("weight")
-        return self._function([self.z, weight], ca.densify(weight * self.cost))
+        return self._function([self.z, weight], weight * self.cost)
 
     @cached_property
     def gradient(self) -> ca.Function:
         """(z, weight) -> weighted gradient of the cost."""
         weight = ca.SX.sym("weight")
-        return self._function([self.z, weight], ca.densify(weight * ca.gradient(self.cost, self._by)))
+        return self._function([self.z, weight], weight * ca.gradient(self.cost, self._by))
 
     @cached_property
     def equations(self) -> ca.Function:
         """Rows of (z)."""
-        return self._function([self.z], ca.densify(self.rows))
+        return self._function([self.z], self.rows)
 
     @cached_property
     def _jacobian(self) -> ca.SX:
@@ -106,11 +107,11 @@ class Place:
     def derivative(self, row: int) -> ca.Function:
         """(z, weight, multipliers) -> derivative of the Lagrangian by one row of z."""
         inputs, value = self._lagrangian
-        return self._function(inputs, ca.densify(ca.jacobian(value, self.z[row])))
+        return self._function(inputs, ca.jacobian(value, self.z[row]))
 
 
-def places(problem: ControlProblem, layout: ControlLayout) -> tuple[Place, Place, Place]:
-    """Quadrature points, start and end of a problem."""
+def places(problem: ControlProblem, layout: ControlLayout) -> tuple[Place, Place]:
+    """Quadrature points and ends of a problem."""
     d, n = layout.dimension, layout.parameters
     sizes = [d, d, layout.controls, 1, n, 1, 1, 1]
     z = ca.SX.sym("z", layout.point_rows)
@@ -122,15 +123,21 @@ def places(problem: ControlProblem, layout: ControlLayout) -> tuple[Place, Place
     if problem.path_constraint is not None:
         rows.append(problem.path_constraint[0](*at))
     point = Place(
-        "point", layout.points, z, layout.active(layout.controls), h * problem.running_cost(*at), ca.vertcat(*rows)
+        "point",
+        layout.points,
+        z,
+        layout.active(2 * d + layout.controls),
+        h * problem.running_cost(*at),
+        ca.vertcat(*rows),
     )
     z = ca.SX.sym("z", layout.end_rows)
-    x, v, duration, p, begin, share = ca.vertsplit(z, np.cumsum([0, d, d, 1, n, 1, 1]).tolist())
-    at = (begin + duration * share, x, v, *([p] if n else []))
-    momentum = ca.gradient(problem.lagrangian(*at), v)
-    terminal = ca.SX(1, 1) if problem.terminal_cost is None else problem.terminal_cost(*at)
-    active = layout.active(0)
-    return point, Place("start", 1, z, active, ca.SX(1, 1), momentum), Place("end", 1, z, active, terminal, momentum)
+    sizes = [d, d, d, d, 1, n, 1, 1, 1]
+    *states, duration, p, begin, first, last = ca.vertsplit(z, np.cumsum([0, *sizes]).tolist())
+    given = [p] if n else []
+    start, end = ((begin + duration * s, *states[2 * k : 2 * k + 2]) for k, s in ((0, first), (1, last)))
+    momenta = [ca.gradient(problem.lagrangian(*at, *given), at[2]) for at in (start, end)]
+    terminal = ca.SX(1, 1) if problem.terminal_cost is None else problem.terminal_cost(*end, *given)
+    return point, Place("ends", 1, z, layout.active(4 * d), terminal, ca.vertcat(*momenta))
 
 
 class ControlGraph:
@@ -145,7 +152,7 @@ class ControlGraph:
     ----------
     unknowns, data : MX symbols
     cost, equations : MX expressions f and G
-    places : quadrature points, start and end
+    places : quadrature points, and the ends
     """
 
     def __init__(self, problem: ControlProblem, layout: ControlLayout) -> None:
@@ -155,7 +162,7 @@ class ControlGraph:
         everything = ca.mtimes(ca.MX(layout.matrix), ca.vertcat(self.unknowns, self.data))
         self.at = self._split(everything, [place.z.numel() for place in self.places])
         weights = ca.repmat(ca.DM(layout.method.element.weights).T, 1, layout.intervals)
-        self.weights = [ca.MX(weights), ca.MX(1), ca.MX(1)]
+        self.weights = [ca.MX(weights), ca.MX(1)]
         self.rows = self._evaluate("equations")
         self.cost = sum(ca.sum2(value) for value in self._evaluate("value", self.weights))
         self.equations = ca.mtimes(ca.MX(layout.test.T), self._stack(self.rows))
@@ -215,15 +222,14 @@ class ControlGraph:
 
     @cached_property
     def report(self) -> ca.Function:
-        """f, G, sizes of the terms of G, and z and the rows at the quadrature points, of (unknowns, data)."""
-        sizes = ca.mtimes(ca.MX(ca.fabs(self.layout.test.T)), ca.fabs(self._stack(self.rows)))
-        outputs = [self.cost, self.equations, sizes, self.at[0], self.rows[0]]
-        return self._name("report", [ca.densify(output) for output in outputs])
+        """What is told of a point, of (unknowns, data, λ).
 
-    @cached_property
-    def hamiltonian(self) -> ca.Function:
-        """(unknowns, data, λ) -> derivative of every point's Lagrangian by its share of the duration."""
+        f, G, sizes of the terms of G, z and the rows at the quadrature points, and the derivative of every point's
+        Lagrangian by its share of the duration.
+        """
         multipliers = ca.MX.sym("multipliers", self.equations.numel())
         weights, rows = self._multiplied(ca.MX(1), multipliers)
-        slope = self.places[0].derivative(self.layout.point_rows - 1)
-        return self._name("hamiltonian", [ca.densify(slope(self.at[0], weights[0], rows[0]))], multipliers)
+        slope = self.places[0].derivative(self.layout.point_rows - 1)(self.at[0], weights[0], rows[0])
+        sizes = ca.mtimes(ca.MX(ca.fabs(self.layout.test.T)), ca.fabs(self._stack(self.rows)))
+        outputs = [self.cost, self.equations, sizes, self.at[0], self.rows[0], slope]
+        return self._name("report", [ca.densify(output) for output in outputs], multipliers)

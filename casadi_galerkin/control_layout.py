@@ -4,7 +4,7 @@ All that an optimiser chooses and all that it is given are one vector ξ = (unkn
 path, controls at the quadrature points, velocities at the two ends, duration and parameters, the time scale.  What
 the pointwise functions see is linear in it,
 
-    (x, x', u, T, p, t_0, s, σ) at all quadrature points,  (x, v, T, p, t_0, s) at the two ends  =  A ξ,
+    (x, x', u, T, p, t_0, s, σ) at all quadrature points,  (x_0, v_0, x_N, v_N, T, p, t_0, s_0, s_N)  =  A ξ,
 
 with reference slopes x' = h v, and times t = t_0 + T s, steps h = T σ from the fractions s of the duration T.  A holds
 small constants of the reference element only, and every derivative is a product with its columns:
@@ -130,12 +130,11 @@ class ControlLayout:
 
     @property
     def end_rows(self) -> int:
-        """Rows of A at an end: x, v, T, p, t_0, s."""
-        return 2 * self.dimension + self.parameters + 3
+        """Rows of A for the ends: x_0, v_0, x_N, v_N, T, p, t_0, s_0, s_N."""
+        return 4 * self.dimension + self.parameters + 4
 
-    def active(self, controls: int) -> np.ndarray:
-        """Rows of one point that are differentiated by: x, x', u, and T and p if they are free."""
-        local = 2 * self.dimension + controls
+    def active(self, local: int) -> np.ndarray:
+        """Rows of one place that are differentiated by: the `local` first ones, and T and p if they are free."""
         duration = [local] if self.free_duration else []
         parameters = local + 1 + np.arange(self.parameters if self.free_parameters else 0)
         return np.concatenate((np.arange(local), duration, parameters)).astype(np.int64)
@@ -150,15 +149,15 @@ class ControlLayout:
 
     @cached_property
     def matrix(self) -> ca.DM:
-        """A: (N r points, then start, then end) x ξ."""
-        triplets = [*self._point_triplets(), *self._end_triplets()]
-        rows, columns, entries = (
-            np.concatenate(
-                [np.broadcast_to(t[k], np.broadcast_shapes(*(np.shape(a) for a in t))).ravel() for t in triplets]
-            )
-            for k in range(3)
-        )
-        return sparse(rows, columns, entries, (self.points * self.point_rows + 2 * self.end_rows, self.size))
+        """A: (N r points, then the ends) x ξ."""
+        f = self.fields
+        ends = [f["path"][0], f["start_velocity"], f["path"][-1], f["end_velocity"]]
+        ends += [f["duration"], f["parameters"], f["begin"], f["fractions"][[0, -1]]]
+        first = self.points * self.point_rows
+        triplets = [*self._point_triplets(), (first + np.arange(self.end_rows), np.concatenate(ends), np.ones(1))]
+        flat = [[a.ravel() for a in np.broadcast_arrays(*triplet)] for triplet in triplets]
+        rows, columns, entries = (np.concatenate(parts) for parts in zip(*flat, strict=True))
+        return sparse(rows, columns, entries, (first + self.end_rows, self.size))
 
     def _point_triplets(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         d, fields, one = self.dimension, self.fields, np.ones(1)
@@ -181,22 +180,12 @@ class ControlLayout:
             (share + 1, f[left + 1], one),
         ]
 
-    def _end_triplets(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        fields, triplets = self.fields, []
-        for k, name in ((0, "start_velocity"), (-1, "end_velocity")):
-            columns = (fields["path"][k], fields[name], *(fields[s] for s in ("duration", "parameters", "begin")))
-            together = np.concatenate((*columns, fields["fractions"][[k]]))
-            first = self.points * self.point_rows + (0 if k == 0 else self.end_rows)
-            triplets.append((first + np.arange(len(together)), together, np.ones(1)))
-        return triplets
-
     @cached_property
     def derivative(self) -> ca.DM:
-        """Ê: differentiated rows of all points and ends x unknowns."""
-        inner, end = self.active(self.controls), self.active(0)
+        """Ê: differentiated rows of all points and of the ends x unknowns."""
+        inner, ends = self.active(2 * self.dimension + self.controls), self.active(4 * self.dimension)
         starts = self.point_rows * np.arange(self.points)[:, None]
-        ends = self.points * self.point_rows + self.end_rows * np.arange(2)[:, None]
-        rows = np.concatenate(((starts + inner).ravel(), (ends + end).ravel()))
+        rows = np.append((starts + inner).ravel(), self.points * self.point_rows + ends)
         return self.matrix[rows.tolist(), : self.unknowns]
 
     @cached_property

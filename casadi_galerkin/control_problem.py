@@ -167,6 +167,25 @@ class ControlProblem:
                 if value is not None and not low[i] <= value <= high[i]:
                     raise ValueError(f"{name}[{i}] = {value} lies outside its position_bounds [{low[i]}, {high[i]}]")
 
+        if self.duration_bounds is None and self.parameter_bounds is None:
+            self._check_constraint("start", self.t_span[0])
+            self._check_constraint("end", self.t_span[1])
+
+    def _check_constraint(self, name: str, t: float) -> None:
+        """Refuse a fully given state at an end that violates a path constraint on which controls have no say."""
+        x, v = getattr(self, name), getattr(self, f"{name}_velocity")
+        if self.path_constraint is None or None in (*x, *v):
+            return
+        g, low, high = self.path_constraint
+        given = [] if self.parameters is None else [self.parameters]
+        values = np.array(g(t, x, v, np.zeros(self.controls), *given)).ravel()
+        for i in set(range(len(low))) - set(g.sparsity_jac(3, 0).row()):
+            if not low[i] <= values[i] <= high[i]:
+                raise ValueError(
+                    f"path constraint {i} is {values[i]} at the {name} whatever the controls, outside its bounds "
+                    f"[{low[i]}, {high[i]}]"
+                )
+
     def _check_guesses(self) -> None:
         if self.duration_bounds is not None:
             (low, high), duration = self.duration_bounds, self.t_span[1] - self.t_span[0]

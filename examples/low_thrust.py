@@ -1,8 +1,7 @@
 """A spacecraft spirals from a circular orbit to one of twice the radius with the least ∫|u|²/2 dt.
 
 Polar coordinates x = (r, θ), unit gravitational parameter; u holds radial and tangential thrust acceleration, the
-latter with lever arm r.  The angle of arrival is free: its costate is then zero at the end, and everywhere, because
-nothing depends on θ.
+latter with lever arm r.  The angle of arrival is free.
 """
 
 import numpy as np
