@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 import casadi_galerkin as cg
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-FIELDS = "lagrangian t_span start start_velocity end_velocity force running_cost controls".split()
+FIELDS = ("lagrangian", "t_span", "start", "start_velocity", "end_velocity", "force", "running_cost", "controls")
 SCENES = ("cart_pole", "minimum_time", "two_link_arm", "low_thrust", "obstacle")
 
 
@@ -51,8 +51,9 @@ def flown(rates, path, start):
     """First-order equations under the controls found, by an integrator that knows nothing of the discretisation."""
     state = np.array(start, dtype=float)
     for begin, end in pairwise(path.t):  # the controls may jump at joints
+        before = np.nextafter(end, begin)
 
-        def slope(t, y, before=np.nextafter(end, begin)):
+        def slope(t, y, before=before):
             return rates(y, path.control(min(t, before)))
 
         state = solve_ivp(slope, (begin, end), state, rtol=1e-10, atol=1e-12).y[:, -1]
