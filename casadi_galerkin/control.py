@@ -69,7 +69,8 @@ class ControlTranscription:
             problem.duration_bounds is not None,
             problem.parameter_bounds is not None,
         )
-        graph = self.graph = ControlGraph(problem, self.layout)
+        first = self.layout.pack(first_values(problem, self.layout, mesh, None))
+        graph = self.graph = ControlGraph(problem, self.layout, np.concatenate(first))
         functions = (graph.gradient, graph.jacobian, graph.hessian)
         self.program = Program(graph.unknowns, graph.data, graph.cost, graph.equations, *functions)
         self.limits = limits_of(problem, self.layout)
@@ -194,7 +195,7 @@ class ControlTranscription:
             problem=self.problem,
             cost=float(report[0][0]),
             control=ControlPath(calculus.mesh, self.method.element.points, values["controls"].T),
-            costate=calculus.emb(costate.reshape(-1, d).T),
+            costate=calculus.emb((costate.reshape(-1, d) / self.graph.sizes).T),
             hamiltonian=report[5].reshape(layout.intervals, -1).sum(axis=1) / values["duration"],
             path_multipliers=path_multipliers.reshape(points, -1).T,
             violation=float(np.max(relative)),

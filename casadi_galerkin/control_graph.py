@@ -147,16 +147,23 @@ class ControlGraph:
     ----------
     problem : ControlProblem
     layout : ControlLayout
+    first : (unknowns and data,) a guess, to measure the equations of motion by
 
     Attributes
     ----------
     unknowns, data : MX symbols
     cost, equations : MX expressions f and G
     places : quadrature points, and the ends
+    sizes : (d,), what the equations of motion of each component are divided by, so that the solver's tolerance, which
+        is absolute, does not depend on units
+    test : Θᵀ so divided
     """
 
-    def __init__(self, problem: ControlProblem, layout: ControlLayout) -> None:
+    def __init__(self, problem: ControlProblem, layout: ControlLayout, first: np.ndarray) -> None:
         self.layout, self.places = layout, places(problem, layout)
+        self.sizes = self._sizes(first)
+        divisors = np.append(np.tile(self.sizes, layout.nodes), np.ones(layout.constraints * layout.points))
+        self.test = ca.mtimes(layout.test, ca.diag(1 / divisors))
         self.unknowns = ca.MX.sym("unknowns", layout.unknowns)
         self.data = ca.MX.sym("data", layout.size - layout.unknowns)
         everything = ca.mtimes(ca.MX(layout.matrix), ca.vertcat(self.unknowns, self.data))
@@ -165,7 +172,22 @@ class ControlGraph:
         self.weights = [ca.MX(weights), ca.MX(1)]
         self.rows = self._evaluate("equations")
         self.cost = sum(ca.sum2(value) for value in self._evaluate("value", self.weights))
-        self.equations = ca.mtimes(ca.MX(layout.test.T), self._stack(self.rows))
+        self.equations = ca.mtimes(ca.MX(self.test.T), self._stack(self.rows))
+
+    def _sizes(self, first: np.ndarray) -> np.ndarray:
+        """Largest sum of terms of an equation of motion at a guess, one a component; 1 where that says nothing."""
+        at = np.split(
+            np.array(ca.mtimes(self.layout.matrix, first)).ravel(), [self.layout.points * self.layout.point_rows]
+        )
+        rows = [
+            np.array(place.equations(z.reshape(place.count, -1).T)).ravel(order="F")
+            for place, z in zip(self.places, at, strict=True)
+        ]
+        terms = ca.mtimes(ca.fabs(self.layout.test.T), np.abs(np.concatenate(rows)))
+        sizes = np.max(
+            np.array(terms)[: self.layout.nodes * self.layout.dimension].reshape(-1, self.layout.dimension), axis=0
+        )
+        return np.asarray(np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0))
 
     def _split(self, stacked: ca.MX, rows: list[int]) -> list[ca.MX]:
         """Cut a long vector into one matrix (rows, count) a kind of place."""
@@ -201,12 +223,12 @@ class ControlGraph:
     def jacobian(self) -> ca.Function:
         """(unknowns, data) -> G, ∇G."""
         blocks = self._blocks([place.jacobian_pattern for place in self.places], self._evaluate("jacobian"))
-        matrix = ca.mtimes(ca.MX(self.layout.test.T), ca.mtimes(blocks, ca.MX(self.layout.derivative)))
+        matrix = ca.mtimes(ca.MX(self.test.T), ca.mtimes(blocks, ca.MX(self.layout.derivative)))
         return self._name("jacobian", [self.equations, matrix])
 
     def _multiplied(self, factor: ca.MX, multipliers: ca.MX) -> tuple[list[ca.MX], list[ca.MX]]:
         """Weights φ w_k, and multipliers (Θᵀλ)_k of the rows, at all kinds of places."""
-        everywhere = ca.mtimes(ca.MX(self.layout.test), multipliers)
+        everywhere = ca.mtimes(ca.MX(self.test), multipliers)
         return [factor * w for w in self.weights], self._split(everywhere, [p.rows.numel() for p in self.places])
 
     @cached_property
@@ -230,6 +252,6 @@ class ControlGraph:
         multipliers = ca.MX.sym("multipliers", self.equations.numel())
         weights, rows = self._multiplied(ca.MX(1), multipliers)
         slope = self.places[0].derivative(self.layout.point_rows - 1)(self.at[0], weights[0], rows[0])
-        sizes = ca.mtimes(ca.MX(ca.fabs(self.layout.test.T)), ca.fabs(self._stack(self.rows)))
+        sizes = ca.mtimes(ca.MX(ca.fabs(self.test.T)), ca.fabs(self._stack(self.rows)))
         outputs = [self.cost, self.equations, sizes, self.at[0], self.rows[0], slope]
         return self._name("report", [ca.densify(output) for output in outputs], multipliers)

@@ -16,8 +16,8 @@ TOLERANCE = 1e-12  # of IPOPT's scaled optimality error; at 1e-10 costs were see
 ACCEPTABLE = 1e-9  # good enough where roundoff keeps IPOPT from TOLERANCE for ACCEPTABLE_ITERATIONS
 ACCEPTABLE_ITERATIONS = 4
 # IPOPT's barrier counts bounds, not time.  With its default of 0.1 a fine mesh, which has many bounds, leaves the guess
-# far behind: the cart-pole of degree 8 on 60 intervals took 207 iterations and ended in another minimum; 18 with this.
-FIRST_BARRIER = 1e-4
+# far behind: the cart-pole of degree 8 on 60 intervals took 207 iterations and ended in another minimum; 19 with this.
+FIRST_BARRIER = 1e-2
 
 
 @dataclass(frozen=True)
