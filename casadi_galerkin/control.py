@@ -9,28 +9,28 @@ nodes; those of the first and the last hold the momenta there, p = ∂L/∂v(t, 
 from __future__ import annotations
 
 import time
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary import Guess, mesh_of
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin
-from casadi_galerkin.control_graph import ControlGraph
+from casadi_galerkin.control_graph import ControlGraph, Report
 from casadi_galerkin.control_guess import check_finite, first_values
 from casadi_galerkin.control_layout import ControlLayout
 from casadi_galerkin.control_problem import ControlProblem
 from casadi_galerkin.control_report import limits_of, name_equation, name_unknown, violations
 from casadi_galerkin.control_trajectory import ControlPath, ControlTrajectory
-from casadi_galerkin.engines import EPS, Evaluator
+from casadi_galerkin.engines import EPS
 from casadi_galerkin.optimizer import Optimum, Program, interior_point, optimize
 from casadi_galerkin.trajectory import ConvergenceError
 
 FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
+INVALID = "Invalid Number Detected"
 HINTS = {
     "Diverging Iterates": "The cost may have no lower bound: bound the controls, the positions or the duration",
     "Infeasible Problem Detected": "There may be no path within these ends and bounds; else try a guess nearer to it",
-    "Invalid Number Detected": "A callable or one of its derivatives is not finite there",
+    INVALID: "A callable or one of its derivatives is not finite there",
     "Restoration Failed": "There may be no path within these ends and bounds; else try a guess nearer to it",
 }
 OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"
@@ -89,10 +89,6 @@ class ControlTranscription:
                 f"{self.method.degree}: take more intervals, a higher degree or more controls, or free a component"
             )
 
-    @cached_property
-    def _report(self) -> Evaluator:
-        return Evaluator(self.graph.report)
-
     def solve(self, guess: Guess | None = None, verbose: int = 0) -> ControlTrajectory:
         """Solve for the optimal path.
 
@@ -113,10 +109,12 @@ class ControlTranscription:
         unknowns, data = self._start(guess)
         solver = interior_point(self.program, verbose) if verbose > 1 else self._solver
         optimum = optimize(solver, unknowns, data, self.limits)
-        report = self._report(optimum.unknowns, data, optimum.multipliers)
-        relative = violations(self.layout, self.limits, optimum.unknowns, *report[1:3])
-        if not (optimum.success and np.isfinite(report[0][0]) and np.max(relative) <= FEASIBLE):
-            raise self._error(optimum, float(report[0][0]), relative, data)
+        if optimum.status == INVALID:
+            self._check_derivatives(unknowns, data)
+        report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
+        relative = violations(self.layout, self.limits, optimum.unknowns, report.equations, report.terms)
+        if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
+            raise self._error(optimum, report.cost, relative, data)
         path = self._trajectory(optimum, report, relative, data, began)
         if verbose:
             print(path)
@@ -126,10 +124,13 @@ class ControlTranscription:
         """Unknowns and data at the guess; refuses one at which anything that is needed is not finite."""
         values = first_values(self.problem, self.layout, self.mesh, guess)
         unknowns, data = self.layout.pack(values)
-        cost, equations, _, z, *_ = self._report(unknowns, data, np.zeros(len(self.limits.equations_lower)))
-        z = z.reshape(self.layout.point_rows, -1, order="F")
-        if not all(np.all(np.isfinite(a)) for a in (cost, equations, self._action(z, values))):
-            check_finite(self.problem, self.layout, values, z)
+        report = self.graph.report(unknowns, data)
+        if not all(np.all(np.isfinite(a)) for a in (report.cost, report.equations, self._action(report.z, values))):
+            check_finite(self.problem, self.layout, values, report.z)
+        return unknowns, data
+
+    def _check_derivatives(self, unknowns: np.ndarray, data: np.ndarray) -> None:
+        """Name a first derivative that is not finite at the guess."""
         gradient = np.array(self.graph.gradient(unknowns, data)[1]).ravel()
         matrix = self.graph.jacobian(unknowns, data)[1]
         entries = np.isfinite(np.array(matrix.nonzeros()))
@@ -139,7 +140,6 @@ class ControlTranscription:
         if not np.all(entries):
             what, place = name_equation(self.layout, matrix.sparsity().row()[int(np.argmax(~entries))])
             raise self._not_finite(f"a derivative of {what}", place)
-        return unknowns, data
 
     def _not_finite(self, what: str, place: float) -> ValueError:
         when = np.interp(place, np.arange(len(self.mesh)), self.mesh)
@@ -169,20 +169,19 @@ class ControlTranscription:
         return ConvergenceError(message, path, float(relative[worst] / EPS), optimum.iterations)
 
     def _trajectory(
-        self, optimum: Optimum, report: list[np.ndarray], relative: np.ndarray, data: np.ndarray, began: float
+        self, optimum: Optimum, report: Report, relative: np.ndarray, data: np.ndarray, began: float
     ) -> ControlTrajectory:
         values, layout = self.layout.unpack(optimum.unknowns, data), self.layout
         d, points = layout.dimension, layout.points
         calculus = DiscreteCalculus(self.method, self._joints(values))
-        z, rows = (array.reshape(-1, points, order="F") for array in report[3:5])
         costate, path_multipliers = np.split(optimum.multipliers, [layout.nodes * d])
         parameters = None if self.problem.parameters is None else tuple(values["parameters"].tolist())
         return ControlTrajectory(
             t=calculus.mesh,
             x=values["path"][:: self.method.degree].T.copy(),
-            momentum=self._momenta(rows[:d], rows[d : 2 * d]),
+            momentum=self._momenta(report.rows[:d], report.rows[d : 2 * d]),
             path=calculus.emb(values["path"].T),
-            action=self._action(z, values),
+            action=self._action(report.z, values),
             morse_index=None,
             iterations=optimum.iterations,
             residual=float(np.max(relative) / EPS),
@@ -193,10 +192,10 @@ class ControlTranscription:
             lagrangian=self.problem.lagrangian,
             parameters=parameters,
             problem=self.problem,
-            cost=float(report[0][0]),
+            cost=report.cost,
             control=ControlPath(calculus.mesh, self.method.element.points, values["controls"].T),
             costate=calculus.emb((costate.reshape(-1, d) / self.graph.sizes).T),
-            hamiltonian=report[5].reshape(layout.intervals, -1).sum(axis=1) / values["duration"],
+            hamiltonian=report.slopes.reshape(layout.intervals, -1).sum(axis=1) / values["duration"],
             path_multipliers=path_multipliers.reshape(points, -1).T,
             violation=float(np.max(relative)),
             start_velocity=values["start_velocity"],

@@ -11,7 +11,7 @@ from show import picture, save_figure
 import casadi_galerkin as cg
 
 GRAVITY, DURATION = 9.81, 1.5
-SHOULDER, ELBOW = 18.0, 6.0  # N m; held out straight, the arm weighs on the shoulder with 19.6 N m
+SHOULDER, ELBOW = 18.0, 8.0  # N m; held out straight, the arm weighs on the shoulder with 19.6 N m
 
 
 def lagrangian(t, x, v):
