@@ -113,31 +113,24 @@ class ControlProblem:
         parameters: Sequence[float] | None = None,
         parameter_bounds: tuple[Limit, Limit] | None = None,
     ) -> None:
-        checked_start = components("start", start)
-        d, count = len(checked_start), _control_count(controls)
-        checked_parameters = None if parameters is None else numbers("parameters", parameters)
-        given = {} if checked_parameters is None else {"p": len(checked_parameters)}
-        state = {"t": 1, "x": d, "v": d}
-        sizes = state | {"u": count} | given
+        d, count = len(components("start", start)), _control_count(controls)
+        given = None if parameters is None else numbers("parameters", parameters)
+        ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
+        sizes = {"t": 1, "x": d, "v": d, "u": count} | ({} if given is None else {"p": len(given)})
         values: dict[str, Any] = {
-            "lagrangian": trace_lagrangian(lagrangian, d, checked_parameters),
+            "lagrangian": trace_lagrangian(lagrangian, d, given),
             "t_span": time_span(t_span),
-            "start": checked_start,
-            "end": components("end", end, d),
-            "start_velocity": components("start_velocity", start_velocity, d),
-            "end_velocity": components("end_velocity", end_velocity, d),
+            **{name: components(name, end, d) for name, end in ends.items()},
             "force": _force(force, sizes, d),
             "running_cost": trace("running_cost", running_cost, sizes, 1),
             "controls": count,
-            "terminal_cost": None if terminal_cost is None else trace("terminal_cost", terminal_cost, state | given, 1),
+            "terminal_cost": _terminal_cost(terminal_cost, sizes),
             "control_bounds": bounds("control_bounds", control_bounds, count),
             "position_bounds": bounds("position_bounds", position_bounds, d),
             "path_constraint": _path_constraint(path_constraint, sizes),
             "duration_bounds": _duration_bounds(duration_bounds),
-            "parameters": checked_parameters,
-            "parameter_bounds": None
-            if parameter_bounds is None
-            else bounds("parameter_bounds", parameter_bounds, len(checked_parameters or ())),
+            "parameters": given,
+            "parameter_bounds": _parameter_bounds(parameter_bounds, given),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -153,12 +146,10 @@ class ControlProblem:
     def _check_controls(self) -> None:
         """Refuse a control that nothing depends on: its value would be arbitrary."""
         users = [self.force, self.running_cost, *(self.path_constraint or ())[:1]]
-        used = [
-            any(f.sparsity_jac(3, 0).T.has_nz(i, j) for f in users for j in range(f.numel_out(0)))
-            for i in range(self.controls)
-        ]
-        if not all(used):
-            raise ValueError(f"the control u[{used.index(False)}] occurs in no force, cost or constraint")
+        used = {i for function in users for i in function.sparsity_jac(3, 0).T.row()}
+        unused = set(range(self.controls)) - used
+        if unused:
+            raise ValueError(f"the control u[{min(unused)}] occurs in no force, cost or constraint")
 
     def _check_ends(self) -> None:
         low, high = self.position_bounds
@@ -191,9 +182,7 @@ class ControlProblem:
             (low, high), duration = self.duration_bounds, self.t_span[1] - self.t_span[0]
             if not low <= duration <= high:
                 raise ValueError(f"duration_bounds ({low}, {high}) must hold the guess, t_span lasts {duration}")
-        if self.parameter_bounds is not None:
-            if self.parameters is None:
-                raise ValueError("parameter_bounds need parameters, which are the guess")
+        if self.parameter_bounds is not None and self.parameters is not None:
             for i, (low, value, high) in enumerate(
                 zip(self.parameter_bounds[0], self.parameters, self.parameter_bounds[1], strict=True)
             ):
@@ -216,6 +205,20 @@ def _duration_bounds(given: tuple[float, float] | None) -> tuple[float, float] |
     if low <= 0:
         raise ValueError(f"duration_bounds must be positive, got ({low}, {high})")
     return low, high
+
+
+def _parameter_bounds(given: tuple[Limit, Limit] | None, parameters: tuple[float, ...] | None) -> Bounds | None:
+    if given is None:
+        return None
+    if parameters is None:
+        raise ValueError("parameter_bounds need parameters, which are the guess")
+    return bounds("parameter_bounds", given, len(parameters))
+
+
+def _terminal_cost(terminal_cost: Traceable | None, sizes: dict[str, int]) -> ca.Function | None:
+    if terminal_cost is None:
+        return None
+    return trace("terminal_cost", terminal_cost, {name: size for name, size in sizes.items() if name != "u"}, 1)
 
 
 def _force(force: Traceable, sizes: dict[str, int], dimension: int) -> ca.Function:

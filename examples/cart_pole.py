@@ -5,7 +5,7 @@ x[0] is the cart's position, x[1] the pole's angle from below; the force acts on
 
 import casadi as ca
 import numpy as np
-from show import picture, save_figure
+from show import picture, save
 
 import casadi_galerkin as cg
 
@@ -43,7 +43,9 @@ def main(plot=None):
     """Solve from a straight line."""
     path = cg.solve(problem(), cg.Galerkin(degree=4), intervals=20)
     if plot:
-        save_figure(path.plot(), "Cart-pole swing-up", plot)
+        axes = path.plot()
+        axes.set_title("Cart-pole swing-up")
+        save(axes, plot)
     return path
 
 

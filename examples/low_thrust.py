@@ -8,6 +8,7 @@ import numpy as np
 from show import canvas, picture, save
 
 import casadi_galerkin as cg
+from casadi_galerkin.plotting import COLORS
 
 RADIUS, DURATION = 2.0, 20.0
 
@@ -58,7 +59,7 @@ def draw(path, name):
     (radius, angle), (radial, tangential) = path.path(times), path.control(times)
     across = radial * np.cos(angle) - tangential * np.sin(angle)
     up = radial * np.sin(angle) + tangential * np.cos(angle)
-    axes.quiver(radius * np.cos(angle), radius * np.sin(angle), across, up, color="C1", width=0.004)
+    axes.quiver(radius * np.cos(angle), radius * np.sin(angle), across, up, color=COLORS[1], width=0.004)
     save(axes, name)
 
 

@@ -4,7 +4,7 @@ The duration is free and the control jumps.  With an even number of equal interv
 the answer is exact.
 """
 
-from show import picture, save_figure
+from show import picture, save
 
 import casadi_galerkin as cg
 
@@ -32,7 +32,9 @@ def main(plot=None):
     """Solve on ten intervals."""
     path = cg.solve(problem(), cg.Galerkin(degree=2), intervals=10)
     if plot:
-        save_figure(path.plot(), "Minimum time", plot)
+        axes = path.plot()
+        axes.set_title("Minimum time")
+        save(axes, plot)
     return path
 
 

@@ -27,9 +27,3 @@ def save(axes, name):
     axes.figure.savefig(name, dpi=100)
     plt.close(axes.figure)
     print(f"picture written to {name}")
-
-
-def save_figure(axes, title, name):
-    """Write a figure of several panels to a file; `axes` are its topmost ones."""
-    axes.set_title(title)
-    save(axes, name)

@@ -6,7 +6,7 @@ and turns the upper arm back, so the generalised forces are (u_0 - u_1, u_1).
 
 import casadi as ca
 import numpy as np
-from show import picture, save_figure
+from show import picture, save
 
 import casadi_galerkin as cg
 
@@ -40,7 +40,9 @@ def main(plot=None):
     """Solve from a straight line."""
     path = cg.solve(problem(), cg.Galerkin(degree=4), intervals=20)
     if plot:
-        save_figure(path.plot(), "Two-link arm", plot)
+        axes = path.plot()
+        axes.set_title("Two-link arm")
+        save(axes, plot)
     return path
 
 

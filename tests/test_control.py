@@ -383,9 +383,13 @@ def test_transcription_is_built_once_and_solved_often():
     assert second.build_seconds == first.build_seconds
 
 
-def test_problem_survives_pickling():
-    problem = pickle.loads(pickle.dumps(cart_pole()))
-    assert cg.solve(problem, cg.Galerkin(4), intervals=20).cost == pytest.approx(58.80767, abs=1e-3)
+def test_problem_and_answer_survive_pickling():
+    problem = pickle.loads(pickle.dumps(everything()))
+    path = cg.solve(problem, cg.Galerkin(3), intervals=4)
+    again = pickle.loads(pickle.dumps(path))
+    assert again.cost == path.cost
+    np.testing.assert_array_equal(again.control(0.7), path.control(0.7))
+    np.testing.assert_array_equal(again.dynamics_defect, path.dynamics_defect)
 
 
 def test_summary_and_plot(capsys):

@@ -89,13 +89,7 @@ def by_hand(scene, intervals):
     nodes = np.append(0.0, points)
     slope, last = differentiation_matrix(nodes)[1:].T, lagrange_values(nodes, np.array([1.0]))[0]
     guessed = states_guess(problem, guess)
-    duration = problem.t_span[1] - problem.t_span[0]
-    if problem.duration_bounds:
-        span = opti.variable()
-        opti.subject_to(opti.bounded(problem.duration_bounds[0], span, problem.duration_bounds[1]))
-        opti.set_initial(span, duration)
-    else:
-        span = duration
+    span = free_duration(opti, problem)
     h, cost, now = span / intervals, 0, opti.variable(2 * d)
     opti.set_initial(now, guessed(0.0))
     fix(opti, now, problem.start, problem.start_velocity)
@@ -118,6 +112,17 @@ def by_hand(scene, intervals):
     opti.minimize(cost)
     opti.solver("ipopt", {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}})
     return float(opti.solve().value(cost)), opti.nx
+
+
+def free_duration(opti, problem):
+    """Duration, a variable if it is free."""
+    duration = problem.t_span[1] - problem.t_span[0]
+    if problem.duration_bounds is None:
+        return duration
+    span = opti.variable()
+    opti.subject_to(opti.bounded(problem.duration_bounds[0], span, problem.duration_bounds[1]))
+    opti.set_initial(span, duration)
+    return span
 
 
 def states_guess(problem, guess):
