@@ -178,6 +178,9 @@ class ControlTrajectory(Trajectory):
         limits = np.array(self.problem.control_bounds)
         plot_controls(broken, lines, self.control.times, self.control.values, limits, middle)
         plot_path(times.ravel(), self.costate(times.ravel()), self.t, self.costate(self.t), bottom, "λ")
+        for axes in (top, middle):
+            axes.set_xlabel("")
+        top.set_title(f"Degree {self.method.degree} on {len(self.t) - 1} intervals: cost {self.cost:.6g}")
         return top
 
     def __str__(self) -> str:

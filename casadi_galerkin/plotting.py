@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 # M. Okabe and K. Ito's palette, told apart by colour-blind readers
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+DOTS = 200  # joints beyond which their dots would hide the line
 
 
 def axes_or_new(axes: Axes | None) -> Axes:
@@ -30,7 +31,7 @@ def plot_path(
     axes: Axes | None = None,
     name: str = "x",
 ) -> Axes:
-    """Draw the components of a path over time, joints as dots.
+    """Draw the components of a path over time, joints as dots where there are at most `DOTS`.
 
     Parameters
     ----------
@@ -47,7 +48,8 @@ def plot_path(
     for i, (line, dots) in enumerate(zip(values, joint_values, strict=True)):
         color = COLORS[i % len(COLORS)]
         axes.plot(times, line, color=color, label=f"{name}[{i}]")
-        axes.plot(joints, dots, ".", color=color)
+        if len(joints) <= DOTS:
+            axes.plot(joints, dots, ".", color=color)
     axes.set_xlabel("t")
     axes.set_ylabel(name)
     if 1 < len(values) <= len(COLORS):
@@ -65,7 +67,7 @@ def panels(count: int) -> list[Axes]:
 def plot_controls(
     times: np.ndarray, values: np.ndarray, points: np.ndarray, point_values: np.ndarray, bounds: np.ndarray, axes: Axes
 ) -> Axes:
-    """Draw controls over time, quadrature points as dots, finite bounds as dashed lines.
+    """Draw controls over time, quadrature points as dots where there are at most `DOTS`, finite bounds as dashed lines.
 
     Parameters
     ----------
@@ -77,7 +79,8 @@ def plot_controls(
     for i, (line, dots) in enumerate(zip(values, point_values, strict=True)):
         color = COLORS[i % len(COLORS)]
         axes.plot(times, line, color=color, label=f"u[{i}]")
-        axes.plot(points, dots, ".", markersize=3, color=color)
+        if len(points) <= DOTS:
+            axes.plot(points, dots, ".", markersize=3, color=color)
         for bound in bounds[:, i]:
             if np.isfinite(bound):
                 axes.axhline(bound, color=color, linestyle="--", linewidth=0.8)

@@ -10,20 +10,28 @@ from casadi_galerkin.control import transcribe_control
 from casadi_galerkin.control_problem import ControlProblem
 from casadi_galerkin.engines import ipopt, rootfinder
 from casadi_galerkin.problems import BoundaryProblem
+from casadi_galerkin.refinement import Limits, solve_to_tolerance
 from casadi_galerkin.trajectory import Trajectory
 
 
 def solve(
     problem: BoundaryProblem | ControlProblem,
-    method: Galerkin,
+    method: Galerkin | None = None,
     intervals: int | None = None,
     *,
+    tol: float | None = None,
     mesh: ArrayLike | None = None,
     guess: Guess | None = None,
     solver: Engine = rootfinder,
+    limits: Limits | None = None,
     verbose: int = 0,
 ) -> Trajectory:
-    """Solve a problem with a fixed discretisation: `transcribe`, then `Transcription.solve`.
+    """Solve a problem: with a fixed discretisation, or to a tolerance.
+
+    With `method` and `intervals` or `mesh`, this is `transcribe` followed by `Transcription.solve`.  With `tol`, the
+    degree and the mesh are chosen so that the estimated error of x, at the joints and between them and relative to
+    the largest value of each component, is at most `tol`; `method` then fixes the degree, and `intervals` or `mesh`
+    are where refinement begins.
 
     Parameters
     ----------
@@ -31,7 +39,10 @@ def solve(
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
-    guess, solver, verbose : as for `Transcription.solve`
+    tol : relative tolerance between 0 and 1
+    guess, solver : as for `Transcription.solve`
+    limits : Limits that stop a refinement; only with `tol`
+    verbose : 1 prints a summary and, with `tol`, a line a level; 2 also the solver's lines
 
     Examples
     --------
@@ -42,7 +53,16 @@ def solve(
     0.569747
     """
     if isinstance(problem, ControlProblem):
-        if solver not in (rootfinder, ipopt):
-            raise ValueError(f"a ControlProblem is solved by ipopt, got solver={solver!r}")
+        if solver not in (rootfinder, ipopt) or tol is not None or method is None:
+            raise ValueError("a ControlProblem is solved by ipopt, with a method and intervals, not to a tolerance")
         return transcribe_control(problem, method, intervals, mesh=mesh).solve(guess=guess, verbose=verbose)
+    if tol is not None:
+        path = solve_to_tolerance(problem, tol, method, intervals, mesh, guess, solver, limits or Limits(), verbose)
+        if verbose:
+            print(path)
+        return path
+    if limits is not None:
+        raise ValueError("limits stop a refinement: give tol with them")
+    if method is None:
+        raise ValueError("give a method and intervals, or tol, got neither")
     return transcribe(problem, method, intervals, mesh=mesh).solve(guess=guess, solver=solver, verbose=verbose)
