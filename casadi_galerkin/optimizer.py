@@ -1,7 +1,8 @@
 """Constrained optimisation with IPOPT, all derivatives supplied: minimise f(ξ) within bounds on ξ and G(ξ).
 
-`engines` solves ∇S = 0 to roundoff; this is its counterpart for costs and constraints.  What it returns is the solver's last point with
-the solver's own words; whether that point is an answer is judged by the caller, who knows what the rows of G mean.
+`engines` solves ∇S = 0 to roundoff; this is its counterpart for costs and constraints.  What it returns is the
+solver's last point with the solver's own words; whether that point is an answer is judged by the caller, who knows
+what the rows of G mean.
 """
 
 from __future__ import annotations
