@@ -5,6 +5,11 @@ from casadi_galerkin.boundary import transcribe as transcribe
 from casadi_galerkin.calculus import DiscreteCalculus as DiscreteCalculus
 from casadi_galerkin.calculus import Galerkin as Galerkin
 from casadi_galerkin.calculus import PiecewisePolynomial as PiecewisePolynomial
+from casadi_galerkin.control import ControlTranscription as ControlTranscription
+from casadi_galerkin.control import transcribe_control as transcribe_control
+from casadi_galerkin.control_problem import ControlProblem as ControlProblem
+from casadi_galerkin.control_trajectory import ControlPath as ControlPath
+from casadi_galerkin.control_trajectory import ControlTrajectory as ControlTrajectory
 from casadi_galerkin.engines import ipopt as ipopt
 from casadi_galerkin.engines import minimizer as minimizer
 from casadi_galerkin.engines import rootfinder as rootfinder

@@ -6,6 +6,7 @@ pickled, compared by what it computes, and never calls back into Python during a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -16,7 +17,7 @@ import numpy as np
 Traceable: TypeAlias = Callable[..., Any]  # a casadi Function is one
 
 
-def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int) -> ca.Function:
+def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | None) -> ca.Function:
     """Turn a callable of CasADi vectors into a Function with `rows` outputs.
 
     Parameters
@@ -24,7 +25,7 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int) -
     name : what the user calls it, for messages
     function : callable, or a Function that was traced before
     sizes : length of every argument, in order
-    rows : expected length of the result; 1 for a scalar
+    rows : expected length of the result; 1 for a scalar, None for a vector of any length
 
     Raises
     ------
@@ -33,7 +34,7 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int) -
     """
     if isinstance(function, ca.Function):
         got = [function.numel_in(i) for i in range(function.n_in())]
-        if got != list(sizes.values()) or function.numel_out(0) != rows:
+        if got != list(sizes.values()) or rows not in (None, function.numel_out(0)):
             raise ValueError(f"{name} is a Function of inputs of lengths {got}, expected {list(sizes.values())}")
         return function
     if not callable(function):
@@ -48,23 +49,28 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int) -
             f"{name} failed when called with CasADi symbols {shapes}: {error}. "
             "Write it with CasADi's functions, such as casadi.cos, not with math or NumPy ones"
         ) from error
-    if isinstance(value, (list, tuple)) and rows > 1:
+    if isinstance(value, (list, tuple)) and rows != 1:
         value = ca.vertcat(*value)
     if not isinstance(value, (ca.SX, ca.DM, int, float)) or isinstance(value, bool):
         raise TypeError(f"{name} must return a CasADi expression, got {type(value).__name__}: {value!r}")
     value = ca.SX(value)
-    if "nan" in str(value):  # what float() makes of a CasADi symbol, and so what math.cos(x) does, without an error
-        raise TypeError(
-            f"{name} holds a constant that is not a number, as math.cos(x) gives for a CasADi symbol x. "
-            "Write it with CasADi's functions, such as casadi.cos, not with math or NumPy ones"
-        )
-    if value.shape != (rows, 1):
-        expected = "a scalar" if rows == 1 else f"a vector of length {rows}"
+    if value.shape != (value.numel() if rows is None else rows, 1):
+        expected = "a scalar" if rows == 1 else "a column vector" if rows is None else f"a vector of length {rows}"
         raise ValueError(f"{name} must return {expected}, got shape {value.shape}")
     traced = ca.Function(name, symbols, [ca.densify(value)], list(sizes), ["value"], {"allow_free": True})
     if traced.has_free():
         raise ValueError(f"{name} depends on {', '.join(traced.get_free())} besides its arguments {shapes}")
+    constants = (traced.instruction_constant(k) for k in range(traced.n_instructions()) if _is_constant(traced, k))
+    if any(math.isnan(constant) for constant in constants):  # float() of a symbol, as in math.cos(x), is NaN
+        raise TypeError(
+            f"{name} holds a constant that is not a number, as math.cos(x) gives for a CasADi symbol x. "
+            "Write it with CasADi's functions, such as casadi.cos, not with math or NumPy ones"
+        )
     return traced
+
+
+def _is_constant(function: ca.Function, instruction: int) -> bool:
+    return bool(function.instruction_id(instruction) == ca.OP_CONST)
 
 
 def trace_lagrangian(lagrangian: Traceable, dimension: int, parameters: tuple[float, ...] | None) -> ca.Function:

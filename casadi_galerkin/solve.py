@@ -6,14 +6,16 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary import Engine, Guess, transcribe
 from casadi_galerkin.calculus import Galerkin
-from casadi_galerkin.engines import rootfinder
+from casadi_galerkin.control import transcribe_control
+from casadi_galerkin.control_problem import ControlProblem
+from casadi_galerkin.engines import ipopt, rootfinder
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.refinement import Limits, solve_to_tolerance
 from casadi_galerkin.trajectory import Trajectory
 
 
 def solve(
-    problem: BoundaryProblem,
+    problem: BoundaryProblem | ControlProblem,
     method: Galerkin | None = None,
     intervals: int | None = None,
     *,
@@ -33,7 +35,7 @@ def solve(
 
     Parameters
     ----------
-    problem : BoundaryProblem
+    problem : BoundaryProblem, or ControlProblem, which IPOPT solves and whose answer is a ControlTrajectory
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
@@ -50,6 +52,10 @@ def solve(
     >>> float(path.path(0.5)[0].round(6))
     0.569747
     """
+    if isinstance(problem, ControlProblem):
+        if solver not in (rootfinder, ipopt) or tol is not None or method is None:
+            raise ValueError("a ControlProblem is solved by ipopt, with a method and intervals, not to a tolerance")
+        return transcribe_control(problem, method, intervals, mesh=mesh).solve(guess=guess, verbose=verbose)
     if tol is not None:
         path = solve_to_tolerance(problem, tol, method, intervals, mesh, guess, solver, limits or Limits(), verbose)
         if verbose:
