@@ -1,0 +1,171 @@
+"""The discrete Euler-Lagrange equations of one interval, with given position and momentum at its start.
+
+Discrete Hamilton's principle on one interval, S'(δ) = p_1·δ(1) - p_0·δ(0) for every polynomial δ of degree m, is what
+the global equations (euler1), (euler2) of the paper say between one joint and the next.  Unknown are the slopes s_i of
+the path at the m Gauss points, because they are increments: roundoff is then that of x_1 - x_0.  With l_i the
+Lagrange polynomials of these points, ψ_i their integrals from 0, b_i = ψ_i(1), and (f, g)_k the weighted
+derivatives w_k ∂L̂/∂(x, x') of the pulled-back Lagrangian at the quadrature points q_k,
+
+    x̄(q) = x_0 + Σ ψ_i(q) s_i,     x̄'(q) = Σ l_i(q) s_i,     x_1 = x_0 + Σ b_i s_i
+    p_1 = p_0 + Σ f_k                                                       δ = 1
+    R_j = b_j p_1 - Σ ( ψ_j(q_k) f_k + l_j(q_k) g_k ) = 0                   δ = ψ_j.
+
+The same rounded ψ, l and b stand in the path and in the equations, so a symmetry of L conserves its momentum map
+up to the rounding of single operations, which drifts like a random walk.  A force adds its virtual work
+h w_k F_k·δ(q_k) (Lagrange-d'Alembert), that is, h w_k F_k to f_k.  The choice of control points does not enter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus import Galerkin
+from casadi_galerkin.engines import EPS
+from casadi_galerkin.functional import Pointwise, pointwise
+from casadi_galerkin.nodes import differentiation_matrix, lagrange_values
+from casadi_galerkin.quadrature import gauss
+
+ITERATIONS = 10  # Newton iterations of a step; 1 to 6 were measured, the most at the largest steps
+LAST_STEP = 1e-8  # relative Newton step after which the next, which is quadratically smaller, is below roundoff
+TAYLOR = 3  # terms of the velocity carried on as prediction; with more, large steps reached other solutions
+TINY = float(np.finfo(float).tiny)
+
+
+@dataclass(frozen=True)
+class SlopeBasis:
+    """Polynomials of degree m - 1 by their values at the m Gauss points, and their integrals from 0.
+
+    Attributes
+    ----------
+    points : (m,), Gauss points on [0, 1]
+    weights : (m,), b_i, the integrals over [0, 1]
+    """
+
+    points: np.ndarray
+    weights: np.ndarray
+
+    def slopes(self, c: np.ndarray) -> np.ndarray:
+        """l_i(c); (len(c), m)."""
+        return lagrange_values(self.points, c)
+
+    def values(self, c: np.ndarray) -> np.ndarray:
+        """ψ_i(c), the integral of l_i from 0 to c; (len(c), m)."""
+        m = len(self.points)
+        scaled = lagrange_values(self.points, np.outer(c, self.points).ravel()).reshape(len(c), m, m)
+        return np.asarray(c[:, None] * np.einsum("l,cli->ci", self.weights, scaled))
+
+
+    def taylor(self, terms: int) -> np.ndarray:
+        """Taylor coefficients at c = 1, as many as given but no more than m; (terms, m)."""
+        row, rows = self.slopes(np.ones(1)), []
+        for k in range(min(terms, len(self.points))):
+            rows.append(row)
+            row = row @ differentiation_matrix(self.points) / (k + 1)
+        return np.concatenate(rows)
+
+
+def slope_basis(degree: int) -> SlopeBasis:
+    """Slope basis of paths of degree m."""
+    rule = gauss(degree)
+    return SlopeBasis(np.array(rule.points), np.array(rule.weights))
+
+
+def _points(integrand: Pointwise, force: ca.Function | None, d: int) -> ca.Function:
+    """(t, h, x, x') -> derivatives of L̂ with h F added (2d,), their Jacobian, and the sizes that round them."""
+    t, h, x, slope = ca.SX.sym("t"), ca.SX.sym("h"), ca.SX.sym("x", d), ca.SX.sym("slope", d)
+    by_x, by_slope = integrand.gradient(t, h, x, slope)
+    if force is not None:
+        by_x = by_x + h * force(t, x, slope / h)
+    at, values = ca.vertcat(x, slope), ca.densify(ca.vertcat(by_x, by_slope))
+    jacobian = ca.jacobian(values, at)
+    sizes = ca.fabs(values) + ca.mtimes(ca.fabs(jacobian), ca.fabs(at))
+    return ca.Function("points", [t, h, x, slope], [values, jacobian, ca.densify(sizes)], {"cse": True})
+
+
+@dataclass(frozen=True)
+class Interval:
+    """The equations of one interval: Functions of (s, x, p, t, h), s of shape (d, m).
+
+    Attributes
+    ----------
+    system : -> R, ∂R/∂s
+    check : -> |R| over its roundoff floor, action of the interval
+    end : -> x_1, p_1, Taylor coefficients of the velocity at the end (d, terms)
+    """
+
+    system: ca.Function
+    check: ca.Function
+    end: ca.Function
+
+    def jacobian(self) -> ca.Function:
+        """∂(x_1, p_1)/∂(x_0, p_0) of the step, (2d, 2d), by the implicit function theorem on R = 0."""
+        inputs = [ca.SX.sym(name, *self.system.size_in(i)) for i, name in enumerate("sxpth")]
+        outputs = ca.vertcat(self.system(*inputs)[0], *self.end(*inputs)[:2])
+        derivatives = ca.jacobian(outputs, ca.veccat(*inputs[:3]))
+        n = inputs[0].numel()
+        all_derivatives = ca.Function("all_derivatives", inputs, [ca.densify(derivatives)], {"cse": True})
+        at = [ca.MX.sym(name, *self.system.size_in(i)) for i, name in enumerate("sxpth")]
+        matrix = all_derivatives(*at)
+        response = ca.solve(matrix[:n, :n], matrix[:n, n:], "qr")
+        return ca.Function("step_jacobian", at, [matrix[n:, n:] - matrix[n:, :n] @ response])
+
+
+def interval(lagrangian: ca.Function, force: ca.Function | None, method: Galerkin) -> Interval:
+    """Write the equations of one interval (see the module) as SX Functions."""
+    d, m, element, basis = lagrangian.size1_in(1), method.degree, method.element, slope_basis(method.degree)
+    q, w, b = element.points, element.weights[:, None], basis.weights
+    values, slopes = basis.values(q), basis.slopes(q)
+    s, x, p = ca.SX.sym("s", d, m), ca.SX.sym("x", d), ca.SX.sym("p", d)
+    t, h = ca.SX.sym("t"), ca.SX.sym("h")
+    integrand = pointwise(lagrangian)
+    at = [t + h * ca.DM(q).T, ca.repmat(h, 1, len(q)), x + s @ ca.DM(values).T, s @ ca.DM(slopes).T]
+    gradient, jacobian, sizes = _points(integrand, force, d).map(len(q)).call(at)
+    f, g = ca.vertsplit(gradient * ca.repmat(ca.DM(w).T, 2 * d, 1), d)
+    end = p + ca.sum2(f)
+    residual = ca.vec(end @ ca.DM(b).T - f @ ca.DM(values) - g @ ca.DM(slopes))
+    points = ca.diagcat(*ca.horzsplit(jacobian, 2 * d))
+    by_s = _spread(w * (b - values), -w * slopes, d).T @ points @ _spread(values, slopes, d)
+    f_size, g_size = ca.vertsplit(sizes * ca.repmat(ca.DM(w).T, 2 * d, 1), d)
+    terms = (ca.fabs(p) + ca.sum2(f_size)) @ ca.DM(b).T + f_size @ ca.DM(abs(values)) + g_size @ ca.DM(abs(slopes))
+    taylor = basis.taylor(TAYLOR)
+    velocity = (s @ ca.DM(taylor).T) / ca.repmat(h ** ca.DM(range(1, len(taylor) + 1)).T, d, 1)
+
+    def function(name: str, *outputs: ca.SX) -> ca.Function:
+        return ca.Function(name, [s, x, p, t, h], [ca.densify(output) for output in outputs])
+
+    action = integrand.value.map(len(q))(*at) @ ca.DM(w)
+    return Interval(
+        function("system", residual, by_s),
+        function("check", ca.fabs(residual) / (EPS * ca.vec(terms) + TINY), action),
+        function("end", x + s @ ca.DM(b), end, velocity),
+    )
+
+
+def _spread(by_x: np.ndarray, by_slope: np.ndarray, d: int) -> ca.DM:
+    """Coefficients of (x, x') at the quadrature points, alike for all components: (2 d r, d columns), sparse."""
+    pairs = np.stack((by_x, by_slope), axis=1).reshape(2 * len(by_x), -1)
+    return ca.sparsify(ca.DM(np.kron(pairs, np.eye(d))))
+
+
+def newton_iteration(system: ca.Function) -> ca.Function:
+    """(s, x, p, t, h) -> s where R = 0, iterations: nested conditionals, the innermost the last iteration."""
+    names = [system.name_in(i) for i in range(5)]
+    inputs = [ca.MX.sym(name, *system.size_in(i)) for i, name in enumerate(names)]
+    d, m = inputs[0].shape
+    s, ds, x = ca.SX.sym("s", d, m), ca.SX.sym("ds", d, m), ca.SX.sym("x", d)
+    size = [ca.fabs(x[i]) + ca.mmax(ca.fabs(s[i, :])) + TINY for i in range(d)]
+    relative = ca.mmax(ca.fabs(ds) / ca.repmat(ca.vertcat(*size), 1, m))
+    update = ca.Function("update", [s, ds, x], [s + ds, relative])
+    residual, by_s = system(*inputs)
+    step = ca.reshape(-ca.solve(by_s, residual, "qr"), d, m)
+    improved, relative = update(inputs[0], step, inputs[1])
+    newton = ca.Function("newton", inputs, [improved, 1])
+    done = ca.Function("done", inputs, [inputs[0], 0])
+    for _ in range(ITERATIONS - 1):
+        again = ca.Function.if_else("again", newton, done)
+        values, more = again(relative > LAST_STEP, improved, *inputs[1:])
+        newton = ca.Function("newton", inputs, [values, 1 + more])
+    return newton
