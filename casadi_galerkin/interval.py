@@ -29,7 +29,8 @@ from casadi_galerkin.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.quadrature import gauss
 
 ITERATIONS = 10  # Newton iterations of a step; 1 to 6 were measured, the most at the largest steps
-LAST_STEP = 1e-8  # relative Newton step after which the next, which is quadratically smaller, is below roundoff
+# a relative Newton step that is not worth taking; the estimate of the next one was measured up to 60 times too small
+SMALLEST_STEP = 0.01 * EPS
 TAYLOR = 3  # terms of the velocity carried on as prediction; with more, large steps reached other solutions
 TINY = float(np.finfo(float).tiny)
 
@@ -56,7 +57,6 @@ class SlopeBasis:
         m = len(self.points)
         scaled = lagrange_values(self.points, np.outer(c, self.points).ravel()).reshape(len(c), m, m)
         return np.asarray(c[:, None] * np.einsum("l,cli->ci", self.weights, scaled))
-
 
     def taylor(self, terms: int) -> np.ndarray:
         """Taylor coefficients at c = 1, as many as given but no more than m; (terms, m)."""
@@ -151,21 +151,27 @@ def _spread(by_x: np.ndarray, by_slope: np.ndarray, d: int) -> ca.DM:
 
 
 def newton_iteration(system: ca.Function) -> ca.Function:
-    """(s, x, p, t, h) -> s where R = 0, iterations: nested conditionals, the innermost the last iteration."""
+    """(s, x, p, t, h) -> s where R = 0, iterations: nested conditionals, the innermost the last iteration.
+
+    Steps that converge quadratically, |ds| = c |ds_before|², end when the next, |ds| (|ds| / |ds_before|)², would be
+    below roundoff; all relative to the size of the component.
+    """
     names = [system.name_in(i) for i in range(5)]
     inputs = [ca.MX.sym(name, *system.size_in(i)) for i, name in enumerate(names)]
     d, m = inputs[0].shape
     s, ds, x = ca.SX.sym("s", d, m), ca.SX.sym("ds", d, m), ca.SX.sym("x", d)
+    before, last = ca.SX.sym("before"), ca.MX.sym("last")
     size = [ca.fabs(x[i]) + ca.mmax(ca.fabs(s[i, :])) + TINY for i in range(d)]
     relative = ca.mmax(ca.fabs(ds) / ca.repmat(ca.vertcat(*size), 1, m))
-    update = ca.Function("update", [s, ds, x], [s + ds, relative])
+    following = relative * ca.fmin(1, relative / before) ** 2
+    update = ca.Function("update", [s, ds, x, before], [s + ds, relative, following > SMALLEST_STEP])
     residual, by_s = system(*inputs)
     step = ca.reshape(-ca.solve(by_s, residual, "qr"), d, m)
-    improved, relative = update(inputs[0], step, inputs[1])
-    newton = ca.Function("newton", inputs, [improved, 1])
-    done = ca.Function("done", inputs, [inputs[0], 0])
+    improved, size, unfinished = update(inputs[0], step, inputs[1], last)
+    newton = ca.Function("newton", [last, *inputs], [improved, 1])
+    done = ca.Function("done", [last, *inputs], [inputs[0], 0])
     for _ in range(ITERATIONS - 1):
         again = ca.Function.if_else("again", newton, done)
-        values, more = again(relative > LAST_STEP, improved, *inputs[1:])
-        newton = ca.Function("newton", inputs, [values, 1 + more])
-    return newton
+        values, more = again(unfinished, size, improved, *inputs[1:])
+        newton = ca.Function("newton", [last, *inputs], [values, 1 + more])
+    return ca.Function("newton", inputs, newton.call([ca.MX(TINY), *inputs]))

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary import Engine, Guess, transcribe
+from casadi_galerkin.boundary import Engine, Guess, mesh_of, transcribe
 from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.engines import rootfinder
-from casadi_galerkin.problems import BoundaryProblem
+from casadi_galerkin.initial import integrate
+from casadi_galerkin.problems import BoundaryProblem, InitialProblem
 from casadi_galerkin.trajectory import Trajectory
 
 
 def solve(
-    problem: BoundaryProblem,
+    problem: BoundaryProblem | InitialProblem,
     method: Galerkin,
     intervals: int | None = None,
     *,
@@ -21,15 +22,18 @@ def solve(
     solver: Engine = rootfinder,
     verbose: int = 0,
 ) -> Trajectory:
-    """Solve a problem with a fixed discretisation: `transcribe`, then `Transcription.solve`.
+    """Solve a problem with a fixed discretisation.
+
+    A `BoundaryProblem` is solved globally, by `transcribe` and `Transcription.solve`, an `InitialProblem` step by step.
 
     Parameters
     ----------
-    problem : BoundaryProblem
+    problem : BoundaryProblem or InitialProblem
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
-    guess, solver, verbose : as for `Transcription.solve`
+    guess, solver : as for `Transcription.solve`; an initial problem takes neither
+    verbose : as for `Transcription.solve`
 
     Examples
     --------
@@ -39,4 +43,10 @@ def solve(
     >>> float(path.path(0.5)[0].round(6))
     0.569747
     """
+    if isinstance(problem, InitialProblem):
+        if guess is not None or solver is not rootfinder:
+            raise ValueError(
+                "an initial problem takes no guess and no solver: its steps are solved one after the other"
+            )
+        return integrate(problem, method, mesh_of(problem.t_span, intervals, mesh), verbose)
     return transcribe(problem, method, intervals, mesh=mesh).solve(guess=guess, solver=solver, verbose=verbose)

@@ -28,8 +28,6 @@ def with_parameters(function: ca.Function, parameters: tuple[float, ...] | None)
     return ca.Function(function.name(), symbols, [function(*symbols, ca.DM(parameters))])
 
 
-
-
 @dataclass(frozen=True)
 class Roll:
     """Steps one after the other, each verified on its own.
@@ -140,7 +138,9 @@ class Stepper:
         size, t, h = _pieces(mesh)
         piece = self._piece("jacobian", size)
         pad = len(h) - n
-        columns = [np.pad(a, ((0, 0), (0, k * pad)), mode="edge") for a, k in ((slopes, m), (x[:, :n], 1), (p[:, :n], 1))]
+        columns = [
+            np.pad(a, ((0, 0), (0, k * pad)), mode="edge") for a, k in ((slopes, m), (x[:, :n], 1), (p[:, :n], 1))
+        ]
         parts = []
         for i in range(0, len(h), size):
             local = [a[:, k * i : k * (i + size)].ravel(order="F") for a, k in zip(columns, (m, 1, 1), strict=True)]

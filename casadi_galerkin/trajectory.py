@@ -103,6 +103,7 @@ class Trajectory:
         """Summarise path and solve in a few lines."""
         size, energy = len(self.x), self.energy
         kind = "a local minimum" if self.morse_index == 0 else f"a saddle of Morse index {self.morse_index}"
+        kind = "stationary" if self.morse_index is None else kind
         return "\n".join(
             [
                 f"Trajectory of {size} component{'s' if size > 1 else ''} on [{self.t[0]:g}, {self.t[-1]:g}], "
