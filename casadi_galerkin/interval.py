@@ -74,15 +74,19 @@ def slope_basis(degree: int) -> SlopeBasis:
 
 
 def _points(integrand: Pointwise, force: ca.Function | None, d: int) -> ca.Function:
-    """(t, h, x, x') -> derivatives of L̂ with h F added (2d,), their Jacobian, and the sizes that round them."""
+    """(t, h, x, x', sizes) -> derivatives of L̂ with h F added (2d,), their Jacobian, and the sizes that round them.
+
+    `sizes` (2d,) are those of the terms that were summed to (x, x'), which may cancel.
+    """
     t, h, x, slope = ca.SX.sym("t"), ca.SX.sym("h"), ca.SX.sym("x", d), ca.SX.sym("slope", d)
     by_x, by_slope = integrand.gradient(t, h, x, slope)
     if force is not None:
         by_x = by_x + h * force(t, x, slope / h)
     at, values = ca.vertcat(x, slope), ca.densify(ca.vertcat(by_x, by_slope))
     jacobian = ca.jacobian(values, at)
-    sizes = ca.fabs(values) + ca.mtimes(ca.fabs(jacobian), ca.fabs(at))
-    return ca.Function("points", [t, h, x, slope], [values, jacobian, ca.densify(sizes)], {"cse": True})
+    terms = ca.SX.sym("terms", 2 * d)
+    sizes = ca.densify(ca.fabs(values) + ca.mtimes(ca.fabs(jacobian), terms))
+    return ca.Function("points", [t, h, x, slope, terms], [values, jacobian, sizes], {"cse": True})
 
 
 @dataclass(frozen=True)
@@ -122,7 +126,9 @@ def interval(lagrangian: ca.Function, force: ca.Function | None, method: Galerki
     t, h = ca.SX.sym("t"), ca.SX.sym("h")
     integrand = pointwise(lagrangian)
     at = [t + h * ca.DM(q).T, ca.repmat(h, 1, len(q)), x + s @ ca.DM(values).T, s @ ca.DM(slopes).T]
-    gradient, jacobian, sizes = _points(integrand, force, d).map(len(q)).call(at)
+    size = ca.fabs(s)
+    summed = ca.vertcat(ca.repmat(ca.fabs(x), 1, len(q)) + size @ ca.DM(abs(values)).T, size @ ca.DM(abs(slopes)).T)
+    gradient, jacobian, sizes = _points(integrand, force, d).map(len(q)).call([*at, summed])
     f, g = ca.vertsplit(gradient * ca.repmat(ca.DM(w).T, 2 * d, 1), d)
     end = p + ca.sum2(f)
     residual = ca.vec(end @ ca.DM(b).T - f @ ca.DM(values) - g @ ca.DM(slopes))

@@ -206,12 +206,16 @@ def _direction(shot: Shot, miss: np.ndarray, iteration: int = 0) -> np.ndarray:
 
 
 def _met(shooting: Shooting, shot: Shot, iteration: int) -> Shot:
-    """Return the shot if it meets the end in half of the digits."""
+    """Return the shot, one that cannot be bettered, if it meets the end in half of the digits."""
     sizes = np.max(np.abs(np.concatenate((shot.roll.x, shot.roll.p))), axis=1)[shooting.wanted]
-    relative = float(np.max(np.abs(shot.miss) / np.where(sizes > 0, sizes, 1.0), initial=0.0))
-    if relative <= MISS:
+    sizes = np.where(sizes > 0, sizes, 1.0)
+    missed, moved = (float(np.max(np.abs(a) / sizes, initial=0.0)) for a in (shot.miss, shot.floor))
+    if missed <= MISS:
         return shot
-    raise _failure(f"no start leads nearer to the end, missed by {relative:.1e} of the path's size", shot, iteration)
+    reason = (
+        f"the end is missed by {missed:.1e} of the path's size, the rounding of the start alone moves it {moved:.1e}"
+    )
+    raise _failure(reason, shot, iteration)
 
 
 def _failure(reason: str, shot: Shot, iteration: int) -> ConvergenceError:
