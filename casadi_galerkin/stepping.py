@@ -38,7 +38,8 @@ class Roll:
     x, p : (d, N + 1), at the joints
     slopes : (d, N m), s of all intervals
     iterations : (N,), of Newton's method
-    residual : (N,), largest residual of each step over its roundoff floor; not finite where a step failed
+    residual : (N,), largest residual of each step over its roundoff floor; not finite where a step failed, or left the
+        domain of the Lagrangian
     action : (N,), of each interval
     """
 
@@ -128,7 +129,7 @@ class Stepper:
             np.column_stack((p, ps.reshape(-1, d).T[:, :n])),
             s.reshape(-1, d).T[:, : n * m],
             iterations[:n],
-            ratio.reshape(-1, m * d).max(axis=1)[:n],
+            np.where(np.isnan(action), np.nan, ratio.reshape(-1, m * d).max(axis=1))[:n],
             action[:n],
         )
 
