@@ -24,11 +24,10 @@ import numpy as np
 
 from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.engines import EPS
-from casadi_galerkin.functional import Pointwise, pointwise
 from casadi_galerkin.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.quadrature import gauss
 
-ITERATIONS = 10  # Newton iterations of a step; 1 to 6 were measured, the most at the largest steps
+DOUBLINGS = 4  # of Newton's iterations, to at most 16; 1 to 8 were measured, the most at the largest steps
 # a relative Newton step that is not worth taking; the estimate of the next one was measured up to 60 times too small
 SMALLEST_STEP = 0.01 * EPS
 TAYLOR = 3  # terms of the velocity carried on as prediction; with more, large steps reached other solutions
@@ -73,20 +72,22 @@ def slope_basis(degree: int) -> SlopeBasis:
     return SlopeBasis(np.array(rule.points), np.array(rule.weights))
 
 
-def _points(integrand: Pointwise, force: ca.Function | None, d: int) -> ca.Function:
-    """(t, h, x, x', sizes) -> derivatives of L̂ with h F added (2d,), their Jacobian, and the sizes that round them.
+def _points(lagrangian: ca.Function, force: ca.Function | None) -> ca.Function:
+    """(t, h, x, x', sizes) -> L̂, its derivatives with h F added (2d,), their Jacobian, and the sizes that round them.
 
-    `sizes` (2d,) are those of the terms that were summed to (x, x'), which may cancel.
+    L̂ = h L(t, x, x'/h) as in `functional`; `sizes` (2d,) are those of the terms that were summed to (x, x'), which
+    may cancel.
     """
+    d = lagrangian.size1_in(1)
     t, h, x, slope = ca.SX.sym("t"), ca.SX.sym("h"), ca.SX.sym("x", d), ca.SX.sym("slope", d)
-    by_x, by_slope = integrand.gradient(t, h, x, slope)
+    at, terms = ca.vertcat(x, slope), ca.SX.sym("terms", 2 * d)
+    action = h * lagrangian(t, x, slope / h)
+    values = ca.densify(ca.gradient(action, at))
     if force is not None:
-        by_x = by_x + h * force(t, x, slope / h)
-    at, values = ca.vertcat(x, slope), ca.densify(ca.vertcat(by_x, by_slope))
+        values[:d] += h * force(t, x, slope / h)
     jacobian = ca.jacobian(values, at)
-    terms = ca.SX.sym("terms", 2 * d)
     sizes = ca.densify(ca.fabs(values) + ca.mtimes(ca.fabs(jacobian), terms))
-    return ca.Function("points", [t, h, x, slope, terms], [values, jacobian, sizes], {"cse": True})
+    return ca.Function("points", [t, h, x, slope, terms], [action, values, jacobian, sizes], {"cse": True})
 
 
 @dataclass(frozen=True)
@@ -124,11 +125,10 @@ def interval(lagrangian: ca.Function, force: ca.Function | None, method: Galerki
     values, slopes = basis.values(q), basis.slopes(q)
     s, x, p = ca.SX.sym("s", d, m), ca.SX.sym("x", d), ca.SX.sym("p", d)
     t, h = ca.SX.sym("t"), ca.SX.sym("h")
-    integrand = pointwise(lagrangian)
     at = [t + h * ca.DM(q).T, ca.repmat(h, 1, len(q)), x + s @ ca.DM(values).T, s @ ca.DM(slopes).T]
     size = ca.fabs(s)
     summed = ca.vertcat(ca.repmat(ca.fabs(x), 1, len(q)) + size @ ca.DM(abs(values)).T, size @ ca.DM(abs(slopes)).T)
-    gradient, jacobian, sizes = _points(integrand, force, d).map(len(q)).call([*at, summed])
+    action, gradient, jacobian, sizes = _points(lagrangian, force).map(len(q)).call([*at, summed])
     f, g = ca.vertsplit(gradient * ca.repmat(ca.DM(w).T, 2 * d, 1), d)
     end = p + ca.sum2(f)
     residual = ca.vec(end @ ca.DM(b).T - f @ ca.DM(values) - g @ ca.DM(slopes))
@@ -142,10 +142,9 @@ def interval(lagrangian: ca.Function, force: ca.Function | None, method: Galerki
     def function(name: str, *outputs: ca.SX) -> ca.Function:
         return ca.Function(name, [s, x, p, t, h], [ca.densify(output) for output in outputs])
 
-    action = integrand.value.map(len(q))(*at) @ ca.DM(w)
     return Interval(
         function("system", residual, by_s),
-        function("check", ca.fabs(residual) / (EPS * ca.vec(terms) + TINY), action),
+        function("check", ca.fabs(residual) / (EPS * ca.vec(terms) + TINY), action @ ca.DM(w)),
         function("end", x + s @ ca.DM(b), end, velocity),
     )
 
@@ -157,27 +156,28 @@ def _spread(by_x: np.ndarray, by_slope: np.ndarray, d: int) -> ca.DM:
 
 
 def newton_iteration(system: ca.Function) -> ca.Function:
-    """(s, x, p, t, h) -> s where R = 0, iterations: nested conditionals, the innermost the last iteration.
+    """(s, x, p, t, h) -> s where R = 0, number of iterations: Newton's method, at most 2^`DOUBLINGS` iterations.
 
     Steps that converge quadratically, |ds| = c |ds_before|², end when the next, |ds| (|ds| / |ds_before|)², would be
-    below roundoff; all relative to the size of the component.
+    below roundoff; all relative to the size of the component.  Each doubling does the iterations of the one before, and
+    does them again if they did not end: of all conditionals only a few are evaluated.
     """
     names = [system.name_in(i) for i in range(5)]
     inputs = [ca.MX.sym(name, *system.size_in(i)) for i, name in enumerate(names)]
     d, m = inputs[0].shape
-    s, ds, x = ca.SX.sym("s", d, m), ca.SX.sym("ds", d, m), ca.SX.sym("x", d)
-    before, last = ca.SX.sym("before"), ca.MX.sym("last")
+    s, ds, x, before = ca.SX.sym("s", d, m), ca.SX.sym("ds", d, m), ca.SX.sym("x", d), ca.SX.sym("before")
     size = [ca.fabs(x[i]) + ca.mmax(ca.fabs(s[i, :])) + TINY for i in range(d)]
     relative = ca.mmax(ca.fabs(ds) / ca.repmat(ca.vertcat(*size), 1, m))
-    following = relative * ca.fmin(1, relative / before) ** 2
-    update = ca.Function("update", [s, ds, x, before], [s + ds, relative, following > SMALLEST_STEP])
+    unfinished = relative * ca.fmin(1, relative / before) ** 2 > SMALLEST_STEP
+    update = ca.Function("update", [s, ds, x, before], [s + ds, relative, unfinished, 1])
     residual, by_s = system(*inputs)
-    step = ca.reshape(-ca.solve(by_s, residual, "qr"), d, m)
-    improved, size, unfinished = update(inputs[0], step, inputs[1], last)
-    newton = ca.Function("newton", [last, *inputs], [improved, 1])
-    done = ca.Function("done", [last, *inputs], [inputs[0], 0])
-    for _ in range(ITERATIONS - 1):
-        again = ca.Function.if_else("again", newton, done)
-        values, more = again(unfinished, size, improved, *inputs[1:])
-        newton = ca.Function("newton", [last, *inputs], [values, 1 + more])
-    return ca.Function("newton", inputs, newton.call([ca.MX(TINY), *inputs]))
+    last, step = ca.MX.sym("last"), ca.reshape(-ca.solve(by_s, residual, "qr"), d, m)
+    state = [inputs[0], last, *inputs[1:]]
+    newton = ca.Function("newton", state, update.call([inputs[0], step, inputs[1], last]))
+    done = ca.Function("done", state, [*state[:2], 0, 0])
+    for _ in range(DOUBLINGS):
+        *values, more, count = newton.call(state)
+        *values, more, further = ca.Function.if_else("again", newton, done).call([more, *values, *inputs[1:]])
+        newton = ca.Function("newton", state, [*values, more, count + further])
+    values, _, _, count = newton.call([inputs[0], ca.MX(TINY), *inputs[1:]])
+    return ca.Function("newton", inputs, [values, count])
