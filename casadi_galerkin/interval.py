@@ -107,15 +107,20 @@ class Interval:
 
     def jacobian(self) -> ca.Function:
         """∂(x_1, p_1)/∂(x_0, p_0) of the step, (2d, 2d), by the implicit function theorem on R = 0."""
-        inputs = [ca.SX.sym(name, *self.system.size_in(i)) for i, name in enumerate("sxpth")]
-        outputs = ca.vertcat(self.system(*inputs)[0], *self.end(*inputs)[:2])
-        derivatives = ca.jacobian(outputs, ca.veccat(*inputs[:3]))
-        n = inputs[0].numel()
-        all_derivatives = ca.Function("all_derivatives", inputs, [ca.densify(derivatives)], {"cse": True})
+        d, m = self.system.size_in(0)
+        column, x, p, t, h = symbols = [
+            ca.SX.sym(name, size) for name, size in zip("sxpth", (d * m, d, d, 1, 1), strict=True)
+        ]
+        inputs, start = [ca.reshape(column, d, m), x, p, t, h], ca.vertcat(x, p)
+        (residual, by_s), ends = self.system(*inputs), ca.vertcat(*self.end(*inputs)[:2])
+        direction = ca.SX.sym("direction", d * m, 2 * d)
+        parts = [by_s, ca.jacobian(residual, start), ca.jacobian(ends, start)]
+        partial = ca.Function("partial", symbols, [ca.densify(part) for part in parts])
+        along = ca.Function("along", [*symbols, direction], [ca.jtimes(ends, column, direction)])
         at = [ca.MX.sym(name, *self.system.size_in(i)) for i, name in enumerate("sxpth")]
-        matrix = all_derivatives(*at)
-        response = ca.solve(matrix[:n, :n], matrix[:n, n:], "qr")
-        return ca.Function("step_jacobian", at, [matrix[n:, n:] - matrix[n:, :n] @ response])
+        by_s, by_start, direct = partial(ca.vec(at[0]), *at[1:])
+        response = -ca.solve(by_s, by_start, "qr")
+        return ca.Function("step_jacobian", at, [direct + along(ca.vec(at[0]), *at[1:], response)])
 
 
 def interval(lagrangian: ca.Function, force: ca.Function | None, method: Galerkin) -> Interval:
