@@ -70,7 +70,7 @@ class Stepper:
 
     def __init__(self, lagrangian: ca.Function, force: ca.Function | None, method: Galerkin) -> None:
         began = time.perf_counter()
-        self.lagrangian, self.method = lagrangian, method
+        self.method = method
         self.dimension, self.basis = lagrangian.size1_in(1), slope_basis(method.degree)
         self.interval = interval(lagrangian, force, method)
         self._step = self._predicted(newton_iteration(self.interval.system))
@@ -100,8 +100,10 @@ class Stepper:
 
     def _piece(self, name: str, count: int) -> Evaluator:
         if (name, count) not in self._pieces:
+            began = time.perf_counter()
             function = self._rolled(count) if name == "roll" else self.interval.jacobian().map(count)
             self._pieces[name, count] = Evaluator(function)
+            self.build_seconds += time.perf_counter() - began
         return self._pieces[name, count]
 
     def roll(self, x: np.ndarray, p: np.ndarray, velocity: np.ndarray, mesh: np.ndarray) -> Roll:
@@ -109,11 +111,9 @@ class Stepper:
 
         Nothing is raised: where a step fails, `Roll.residual` is large or not finite.
         """
-        began = time.perf_counter()
         d, m, n = self.dimension, self.method.degree, len(mesh) - 1
         size, t, h = _pieces(mesh)
         piece = self._piece("roll", size)
-        self.build_seconds += time.perf_counter() - began
         taylor = np.zeros(self._step.numel_in(2))
         taylor[:d] = velocity
         state, found = (x, p, taylor), []
