@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary import transcribe
 from casadi_galerkin.calculus import Galerkin
-from casadi_galerkin.engines import EPS
+from casadi_galerkin.engines import EPS, NO_CUTOFF
 from casadi_galerkin.geometry import jacobians
 from casadi_galerkin.plotting import plot_gaps
 from casadi_galerkin.problems import BoundaryProblem, InitialProblem
@@ -209,7 +209,7 @@ def _condition_global(problem: BoundaryProblem, path: Trajectory) -> float:
     inner = np.setdiff1d(np.arange(len(nodes)), given).tolist()
     response = np.zeros((len(nodes), len(given)))
     response[given] = np.eye(len(given))
-    response[inner] = -np.array(ca.solve(hessian[inner, inner], hessian[inner, given], "qr"))
+    response[inner] = -np.array(ca.solve(hessian[inner, inner], hessian[inner, given], "qr", NO_CUTOFF))
     sizes = _sizes(path.x)
     joints = np.abs(response[numbering[:: path.method.degree]])
     return float(np.max(joints @ sizes[np.array(given, dtype=int) % d] / sizes, initial=0.0))

@@ -30,6 +30,9 @@ ROUNDOFF = 50.0  # accepted residual over its roundoff floor; correct solutions 
 LOCAL = 1e-3  # below this relative step, Newton's method needs no line search
 NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
 SMALLEST_DAMPING = 1e-7
+NO_CUTOFF = {
+    "eps": 0.0
+}  # CasADi's QR calls matrices with pivots below an absolute 1e-12 singular, whatever their units
 SINGULAR = 1e-11  # second variation over the sum of its terms' sizes below which the Hessian is called singular
 
 Data = tuple[np.ndarray, ...]
@@ -57,10 +60,12 @@ class Evaluator:
             self._buffer.set_res(i, memoryview(array))
 
     def __call__(self, *arguments: np.ndarray) -> list[np.ndarray]:
-        """Evaluate; the returned arrays are copies."""
+        """Evaluate; the returned arrays are copies, and not numbers where CasADi reports a failure."""
         for target, argument in zip(self._inputs, arguments, strict=True):
             target[:] = argument
         self._run()
+        if self._buffer.ret():  # CasADi leaves the outputs as they were
+            return [np.full_like(array, np.nan) for array in self._outputs]
         return [array.copy() for array in self._outputs]
 
 
@@ -112,21 +117,21 @@ class System:
             self._evaluators[name] = Evaluator(getattr(self, name))
         return self._evaluators[name](*arguments)
 
-    def _linear(self, solver: str) -> ca.Function:
+    def _linear(self, solver: str, options: dict[str, float]) -> ca.Function:
         matrix = ca.MX.sym("matrix", self.hessian.sparsity_out(0))
         rhs = ca.MX.sym("rhs", matrix.shape[0])
-        step = -ca.solve(matrix, rhs, solver)
+        step = -ca.solve(matrix, rhs, solver, options)
         return ca.Function(solver, [matrix, rhs], [step, ca.norm_inf(ca.mtimes(matrix, step) + rhs)])
 
     @cached_property
     def ldl(self) -> ca.Function:
         """Solve by LDLᵀ without pivoting: (matrix, g) -> step, defect.  Measured 4 times faster than `qr`."""
-        return self._linear("ldl")
+        return self._linear("ldl", {})
 
     @cached_property
     def qr(self) -> ca.Function:
         """The same by QR, for the matrices that LDLᵀ fails on."""
-        return self._linear("qr")
+        return self._linear("qr", NO_CUTOFF)
 
     @cached_property
     def spread(self) -> ca.Function:

@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus import Galerkin
-from casadi_galerkin.engines import EPS
+from casadi_galerkin.engines import EPS, NO_CUTOFF
 from casadi_galerkin.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.quadrature import gauss
 
@@ -119,7 +119,7 @@ class Interval:
         along = ca.Function("along", [*symbols, direction], [ca.jtimes(ends, column, direction)])
         at = [ca.MX.sym(name, *self.system.size_in(i)) for i, name in enumerate("sxpth")]
         by_s, by_start, direct = partial(ca.vec(at[0]), *at[1:])
-        response = -ca.solve(by_s, by_start, "qr")
+        response = -ca.solve(by_s, by_start, "qr", NO_CUTOFF)
         return ca.Function("step_jacobian", at, [direct + along(ca.vec(at[0]), *at[1:], response)])
 
 
@@ -176,7 +176,7 @@ def newton_iteration(system: ca.Function) -> ca.Function:
     unfinished = relative * ca.fmin(1, relative / before) ** 2 > SMALLEST_STEP
     update = ca.Function("update", [s, ds, x, before], [s + ds, relative, unfinished, 1])
     residual, by_s = system(*inputs)
-    last, step = ca.MX.sym("last"), ca.reshape(-ca.solve(by_s, residual, "qr"), d, m)
+    last, step = ca.MX.sym("last"), ca.reshape(-ca.solve(by_s, residual, "qr", NO_CUTOFF), d, m)
     state = [inputs[0], last, *inputs[1:]]
     newton = ca.Function("newton", state, update.call([inputs[0], step, inputs[1], last]))
     done = ca.Function("done", state, [*state[:2], 0, 0])
