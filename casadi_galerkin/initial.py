@@ -20,6 +20,9 @@ LEGENDRE_ITERATIONS = 100
 def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbose: int = 0) -> Trajectory:
     """Solve an initial problem step by step.
 
+    Where a path meets a singularity, a step of a certain length may still have a solution, beyond it: the discrete
+    equations do not see what lies between quadrature points.  The energy then jumps.
+
     Parameters
     ----------
     problem : InitialProblem

@@ -30,7 +30,8 @@ from casadi_galerkin.quadrature import gauss
 DOUBLINGS = 4  # of Newton's iterations, to at most 16; 1 to 8 were measured, the most at the largest steps
 # a relative Newton step that is not worth taking; the estimate of the next one was measured up to 60 times too small
 SMALLEST_STEP = 0.01 * EPS
-TAYLOR = 3  # terms of the velocity carried on as prediction; with more, large steps reached other solutions
+NEAR = 1e-8  # relative Newton step below which only rounding keeps the next one from being far smaller
+TAYLOR = 2  # terms of the velocity carried on as prediction; with 3 and more, large steps reached other solutions
 TINY = float(np.finfo(float).tiny)
 
 
@@ -164,8 +165,9 @@ def newton_iteration(system: ca.Function) -> ca.Function:
     """(s, x, p, t, h) -> s where R = 0, number of iterations: Newton's method, at most 2^`DOUBLINGS` iterations.
 
     Steps that converge quadratically, |ds| = c |ds_before|², end when the next, |ds| (|ds| / |ds_before|)², would be
-    below roundoff; all relative to the size of the component.  Each doubling does the iterations of the one before, and
-    does them again if they did not end: of all conditionals only a few are evaluated.
+    below roundoff, or when near it they no longer shrink; all relative to the size of the component.  Each doubling
+    does the iterations of the one before, and does them again if they did not end: of all conditionals only a few are
+    evaluated.
     """
     names = [system.name_in(i) for i in range(5)]
     inputs = [ca.MX.sym(name, *system.size_in(i)) for i, name in enumerate(names)]
@@ -173,7 +175,9 @@ def newton_iteration(system: ca.Function) -> ca.Function:
     s, ds, x, before = ca.SX.sym("s", d, m), ca.SX.sym("ds", d, m), ca.SX.sym("x", d), ca.SX.sym("before")
     size = [ca.fabs(x[i]) + ca.mmax(ca.fabs(s[i, :])) + TINY for i in range(d)]
     relative = ca.mmax(ca.fabs(ds) / ca.repmat(ca.vertcat(*size), 1, m))
-    unfinished = relative * ca.fmin(1, relative / before) ** 2 > SMALLEST_STEP
+    large = relative * ca.fmin(1, relative / before) ** 2 > SMALLEST_STEP  # false if it is not a number
+    stalled = ca.logic_and(ca.logic_and(before > 0, before <= NEAR), relative > before / 2)
+    unfinished = ca.logic_and(large, ca.logic_not(stalled))
     update = ca.Function("update", [s, ds, x, before], [s + ds, relative, unfinished, 1])
     residual, by_s = system(*inputs)
     last, step = ca.MX.sym("last"), ca.reshape(-ca.solve(by_s, residual, "qr", NO_CUTOFF), d, m)
@@ -184,5 +188,5 @@ def newton_iteration(system: ca.Function) -> ca.Function:
         *values, more, count = newton.call(state)
         *values, more, further = ca.Function.if_else("again", newton, done).call([more, *values, *inputs[1:]])
         newton = ca.Function("newton", state, [*values, more, count + further])
-    values, _, _, count = newton.call([inputs[0], ca.MX(TINY), *inputs[1:]])
+    values, _, _, count = newton.call([inputs[0], ca.MX(0), *inputs[1:]])
     return ca.Function("newton", inputs, [values, count])
