@@ -30,9 +30,6 @@ ROUNDOFF = 50.0  # accepted residual over its roundoff floor; correct solutions 
 LOCAL = 1e-3  # below this relative step, Newton's method needs no line search
 NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
 SMALLEST_DAMPING = 1e-7
-NO_CUTOFF = {
-    "eps": 0.0
-}  # CasADi's QR calls matrices with pivots below an absolute 1e-12 singular, whatever their units
 SINGULAR = 1e-11  # second variation over the sum of its terms' sizes below which the Hessian is called singular
 
 Data = tuple[np.ndarray, ...]
@@ -117,21 +114,21 @@ class System:
             self._evaluators[name] = Evaluator(getattr(self, name))
         return self._evaluators[name](*arguments)
 
-    def _linear(self, solver: str, options: dict[str, float]) -> ca.Function:
+    def _linear(self, solver: str) -> ca.Function:
         matrix = ca.MX.sym("matrix", self.hessian.sparsity_out(0))
         rhs = ca.MX.sym("rhs", matrix.shape[0])
-        step = -ca.solve(matrix, rhs, solver, options)
+        step = -ca.solve(matrix, rhs, solver)
         return ca.Function(solver, [matrix, rhs], [step, ca.norm_inf(ca.mtimes(matrix, step) + rhs)])
 
     @cached_property
     def ldl(self) -> ca.Function:
         """Solve by LDLᵀ without pivoting: (matrix, g) -> step, defect.  Measured 4 times faster than `qr`."""
-        return self._linear("ldl", {})
+        return self._linear("ldl")
 
     @cached_property
     def qr(self) -> ca.Function:
         """The same by QR, for the matrices that LDLᵀ fails on."""
-        return self._linear("qr", NO_CUTOFF)
+        return self._linear("qr")
 
     @cached_property
     def spread(self) -> ca.Function:

@@ -3,7 +3,8 @@
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.engines import NO_CUTOFF, Evaluator
+from casadi_galerkin.engines import Evaluator
+from casadi_galerkin.interval import NO_CUTOFF
 
 
 def linear(options):
