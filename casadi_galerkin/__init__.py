@@ -24,6 +24,7 @@ from casadi_galerkin.quadrature import lobatto as lobatto
 from casadi_galerkin.quadrature import midpoint as midpoint
 from casadi_galerkin.quadrature import radau as radau
 from casadi_galerkin.quadrature import trapezoid as trapezoid
+from casadi_galerkin.refinement import Limits as Limits
 from casadi_galerkin.shooting import shoot as shoot
 from casadi_galerkin.solve import solve as solve
 from casadi_galerkin.trajectory import ConjugatePointError as ConjugatePointError

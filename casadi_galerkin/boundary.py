@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -13,15 +14,18 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial, time_scale
 from casadi_galerkin.engines import (
     SINGULAR,
+    Algebra,
     Data,
+    Evaluator,
     Solution,
     SolveFailure,
     System,
     negative_eigenvalues,
+    relax,
     rootfinder,
     second_variation,
 )
-from casadi_galerkin.functional import Functional, Layout
+from casadi_galerkin.functional import LAYOUTS_KEPT, Functional, Layout, assembly, embedding
 from casadi_galerkin.problems import BoundaryProblem, components, numbers
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
@@ -43,6 +47,33 @@ def mesh_of(t_span: tuple[float, float], intervals: int | None, mesh: ArrayLike 
     if (joints[0], joints[-1]) != t_span:
         raise ValueError(f"the mesh must run from {t_span[0]} to {t_span[1]}, got {joints[0]} to {joints[-1]}")
     return joints
+
+
+@dataclass(frozen=True)
+class CriticalPoint:
+    """What an engine found: its solution, the data it was found for, and the path it stands for."""
+
+    solution: Solution
+    data: Data
+    path: PiecewisePolynomial
+
+
+@lru_cache(LAYOUTS_KEPT)
+def algebra(
+    layout: Layout, colind: tuple[int, ...], row: tuple[int, ...], blocks: tuple[tuple[int, int], ...]
+) -> Algebra:
+    """Newton's method for all Lagrangians whose Hessian has this sparsity; arguments as for `assembly`."""
+    d, numbering = layout.dimension, layout.numbering
+    component = np.zeros(layout.size, dtype=np.int64)
+    component[numbering] = np.arange(d)
+    by_component = numbering[: layout.size // d].T
+    sizes = {"unknowns": layout.free, "start": len(layout.fixed_start), "end": len(layout.fixed_end)}
+    ends = [ca.MX.sym(name, size) for name, size in sizes.items()]
+    values = ca.MX.sym("values", by_component.shape[1])
+    peak = ca.Function("peak", [values], [ca.norm_inf(values)]).map(d)
+    paths = ca.reshape(ca.vertcat(*ends).get_nz(False, by_component.ravel().tolist()), -1, d)
+    scale = ca.Function("scale", ends, [peak(paths).T], list(sizes), ["scale"])
+    return Algebra(assembly(layout, colind, row, blocks).sparsity_out(0), component[: layout.free], scale)
 
 
 class Transcription:
@@ -77,25 +108,37 @@ class Transcription:
         self._symbols = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
         self._u = ca.vertcat(*(self._symbols[name] for name in ("unknowns", "start", "end")))
         self._at = (self._u, self._symbols["mesh"], self._symbols.get("parameters"))
-        local, total = self._functional.gradient(*self._at)
-        self.gradient = self._function("gradient", total[: self.layout.free])
-        self.hessian = self._function("hessian", self._functional.hessian(*self._at))
-        self._momenta = self._function("momenta", ca.horzcat(-local[: problem.dimension, 0], self._ends(local)))
+        self._local, total = self._functional.gradient(*self._at)
+        self._derivatives = self._functional.hessian(*self._at), total[: self.layout.free]
+        self.hessian, self.gradient = map(self._function, ("hessian", "gradient"), self._derivatives)
         self.build_seconds = time.perf_counter() - began
 
-    def _ends(self, local: ca.MX) -> ca.MX:
-        """Derivative of each interval's action by its last node, (d, N)."""
-        return ca.reshape(local[:, -1], self.problem.dimension, self.layout.intervals)
-
-    def _function(self, name: str, *outputs: ca.MX, extra: tuple[ca.MX, ...] = ()) -> ca.Function:
+    def _function(
+        self, name: str, *outputs: ca.MX, extra: tuple[ca.MX, ...] = (), results: Sequence[str] | None = None
+    ) -> ca.Function:
         names = list(self._symbols) + [f"extra{i}" for i in range(len(extra))]
-        results = [name] if len(outputs) == 1 else [f"{name}{i}" for i in range(len(outputs))]
+        results = results or ([name] if len(outputs) == 1 else [f"{name}{i}" for i in range(len(outputs))])
         return ca.Function(name, [*self._symbols.values(), *extra], list(outputs), names, results)
 
     @cached_property
     def action(self) -> ca.Function:
         """S of (unknowns, start, end, mesh[, parameters])."""
-        return self._function("action", self._functional.action(*self._at))
+        return self._function("action", self._action)
+
+    @cached_property
+    def _action(self) -> ca.MX:
+        return self._functional.action(*self._at)
+
+    @cached_property
+    def _calculus(self) -> DiscreteCalculus:
+        return DiscreteCalculus(self.method, self.mesh)
+
+    @cached_property
+    def _summary(self) -> Evaluator:
+        """(unknowns, *data) -> S, and momenta at all joints: the first -∂S/∂x_0, then ∂S_k/∂x_{k+1} of interval k."""
+        d, local = self.problem.dimension, self._local
+        momenta = ca.horzcat(-local[:d, 0], ca.reshape(local[:, -1], d, self.layout.intervals))
+        return Evaluator(self._function("summary", self._action, momenta))
 
     @cached_property
     def system(self) -> System:
@@ -103,17 +146,22 @@ class Transcription:
         direction = ca.MX.sym("direction", self.layout.free)
         given = ca.MX.zeros(self.layout.size - self.layout.free, 1)
         curvature = self._functional.curvature(*self._at, ca.vertcat(direction, given))
-        component = np.zeros(self.layout.size, dtype=np.int64)
-        component[self.layout.numbering] = np.arange(self.problem.dimension)
         return System(
             self.action,
             self.gradient,
             self.hessian,
+            self._function("derivatives", *self._derivatives, results=["matrix", "gradient"]),
             self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free]),
             self._function("curvature", *curvature, extra=(direction,)),
-            component[: self.layout.free],
-            lambda unknowns, data: np.max(np.abs(self._values(unknowns, data)), axis=0),
+            self._inertial,
+            algebra(*self._functional.assembly_key),
+            self._functional.pointwise.kinetic,
         )
+
+    def _inertial(self) -> ca.Function:
+        inertia = ca.MX.sym("inertia")
+        matrix = self._functional.hessian(*self._at, inertia)
+        return self._function("inertial", matrix, extra=(inertia,), results=["matrix"])
 
     def _values(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) in the order of time."""
@@ -151,22 +199,70 @@ class Transcription:
             for input that does not fit
         """
         began = time.perf_counter()
-        if not callable(solver):
-            raise TypeError(f"solver must be rootfinder, ipopt or minimizer, got {solver!r}")
-        joints = self.mesh if mesh is None else time_scale(mesh)
-        if len(joints) != len(self.mesh):
-            raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {len(joints) - 1}")
-        data = self._data(start, end, parameters, joints)
-        calculus = DiscreteCalculus(self.method, joints)
-        first = self._unknowns(self._guess(guess, calculus, data))
-        try:
-            solution = solver(self.system, first, data, verbose)
-        except SolveFailure as failure:
-            raise self._error(failure, calculus, data) from None
-        path = self._trajectory(solution, calculus, data, began)
+        point = self.critical_point(start, end, parameters, guess, mesh, solver, verbose)
+        path = self.trajectory(point, time.perf_counter() - began)
         if verbose:
             print(path)
         return path
+
+    def critical_point(
+        self,
+        start: Sequence[float | None] | None = None,
+        end: Sequence[float | None] | None = None,
+        parameters: Sequence[float] | None = None,
+        guess: Guess | None = None,
+        mesh: ArrayLike | None = None,
+        solver: Engine = rootfinder,
+        verbose: int = 0,
+    ) -> CriticalPoint:
+        """Find the node values of the path without what `trajectory` adds; arguments and errors as for `solve`."""
+        if not callable(solver):
+            raise TypeError(f"solver must be rootfinder, ipopt or minimizer, got {solver!r}")
+        calculus = self._calculus if mesh is None else DiscreteCalculus(self.method, mesh)
+        joints = calculus.mesh
+        if len(joints) != len(self.mesh):
+            raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {len(joints) - 1}")
+        data = self._data(start, end, parameters, joints)
+        first = self._unknowns(self._guess(guess, calculus, data))
+        with self.system.algebra.lock:
+            try:
+                solution = solver(self.system, first, data, verbose)
+            except SolveFailure as failure:
+                raise self._error(failure, calculus, data) from None
+        return CriticalPoint(solution, data, calculus.emb(self._values(solution.unknowns, data).T))
+
+    def drawn(self, guess: Guess, mesh: np.ndarray) -> PiecewisePolynomial:
+        """Put a guess on a mesh, bent to meet the ends."""
+        calculus = DiscreteCalculus(self.method, mesh)
+        return calculus.emb(self._guess(guess, calculus, self._data(None, None, None, mesh)).T)
+
+    def relax(
+        self, path: Guess | None, mesh: np.ndarray, inertia: float, steps: int
+    ) -> tuple[PiecewisePolynomial, float, float]:
+        """Take a few damped steps that lower the action: the new path, the next inertia, the last relative step."""
+        data = self._data(None, None, None, mesh)
+        calculus = DiscreteCalculus(self.method, mesh)
+        unknowns = self._unknowns(self._guess(path, calculus, data))
+        with self.system.algebra.lock:
+            try:
+                unknowns, inertia, norm = relax(self.system, unknowns, data, inertia, steps)
+            except SolveFailure as failure:
+                raise self._error(failure, calculus, data) from None
+        return calculus.emb(self._values(unknowns, data).T), inertia, norm
+
+    def correction(self, path: PiecewisePolynomial, parameters: Sequence[float] | None = None) -> PiecewisePolynomial:
+        """Newton step from a path on the same mesh, of any degree up to this one's: zero if it is critical here too.
+
+        With a higher degree than the path's it estimates the path's error, in the joints as well as between them.
+        """
+        data = self._data(None, None, parameters, path.mesh)
+        calculus = DiscreteCalculus(self.method, path.mesh)
+        unknowns = self._unknowns(path(calculus.node_times).T)
+        with self.system.algebra.lock:
+            (gradient,) = self.system.evaluate("derivatives", unknowns, *data)
+            step = self.system.solved("direction", gradient)[0]
+        step = np.concatenate((step, np.zeros(self.layout.size - self.layout.free)))
+        return calculus.emb(step[self.layout.numbering].T)
 
     def _data(
         self,
@@ -204,7 +300,8 @@ class Transcription:
         miss = np.where(numbering[[0, -1]] >= self.layout.free, fixed[numbering[[0, -1]]] - values[[0, -1]], np.nan)
         miss = np.where(np.isnan(miss), miss[::-1], miss)  # a free end takes over what the other one is moved by
         part = ((times - times[0]) / (times[-1] - times[0]))[:, None]
-        bent = values + (1 - part) * np.nan_to_num(miss[0]) + part * np.nan_to_num(miss[1])
+        miss = np.where(np.isnan(miss), 0.0, miss)
+        bent = values + (1 - part) * miss[0] + part * miss[1]
         if not np.all(np.isfinite(bent)):
             i = int(np.argmax(~np.isfinite(bent).all(axis=1)))
             raise ValueError(f"the guess must be finite, got {bent[i]} at t = {times[i]}")
@@ -237,51 +334,72 @@ class Transcription:
             f"({d}, {len(times)}) at all nodes, got {array.shape}"
         )
 
-    def _trajectory(self, solution: Solution, calculus: DiscreteCalculus, data: Data, began: float) -> Trajectory:
-        system, unknowns = self.system, solution.unknowns
-        values = self._values(unknowns, data).T
-        (matrix,) = system.evaluate("hessian", unknowns, *data)
-        quotient = second_variation(system, matrix, unknowns, data)
+    def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
+        """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
+        system, unknowns, data = self.system, point.solution.unknowns, point.data
+        action, momenta = self._summary(unknowns, *data)
+        if not np.isfinite(action[0]):
+            raise ConvergenceError(
+                f"no path was found: the equations have a solution, but on it {self._not_finite(unknowns, data)}. "
+                "Try a guess that stays where the Lagrangian is defined",
+                point.path,
+                point.solution.residual,
+                point.solution.iterations,
+            )
+        with system.algebra.lock:
+            quotient = second_variation(system, unknowns, data)
+            index = negative_eigenvalues(system, unknowns, data)
         if quotient < SINGULAR:
             raise ConjugatePointError(
                 f"the second variation of the action vanishes (relative size {quotient:.0e}): the ends are conjugate "
                 "points, or a family of paths joins them. Move an end, change the time span, or fix a component "
                 "that a symmetry leaves free",
-                calculus.emb(values),
-                solution.residual,
-                solution.iterations,
+                point.path,
+                point.solution.residual,
+                point.solution.iterations,
             )
-        (momenta,) = self._evaluate_momenta(unknowns, data)
         return Trajectory(
-            t=calculus.mesh,
-            x=values[:, :: self.method.degree].copy(),
+            t=point.path.mesh,
+            x=point.path.values[:, :: self.method.degree].copy(),
             momentum=momenta.reshape(self.problem.dimension, -1, order="F"),
-            path=calculus.emb(values),
-            action=float(system.evaluate("action", unknowns, *data)[0][0]),
-            morse_index=negative_eigenvalues(system, unknowns, data),
-            iterations=solution.iterations,
-            residual=solution.residual,
-            solver=solution.report,
+            path=point.path,
+            action=float(action[0]),
+            morse_index=index,
+            iterations=point.solution.iterations,
+            residual=point.solution.residual,
+            solver=point.solution.report,
             build_seconds=self.build_seconds,
-            solve_seconds=time.perf_counter() - began,
+            solve_seconds=solve_seconds,
             method=self.method,
             lagrangian=self.problem.lagrangian,
             parameters=tuple(data[3].tolist()) if len(data) > 3 else None,
         )
 
-    def _evaluate_momenta(self, unknowns: np.ndarray, data: Data) -> list[np.ndarray]:
-        return [np.array(self._momenta(unknowns, *data)).ravel(order="F")]
+    def _not_finite(self, unknowns: np.ndarray, data: Data) -> str:
+        """Say at which time the Lagrangian or its derivatives first are not finite."""
+        pointwise, parameters = self._functional.pointwise, data[3:]
+        at = [np.array(a) for a in embedding(self.layout)(np.concatenate((unknowns, *data[:2])), data[2])]
+        times, steps, x, slope = at
+        for k in np.argsort(times[0], kind="stable"):
+            point = (*(a[:, k] for a in at), *parameters)
+            results = [pointwise.value(*point), *pointwise.gradient(*point)]
+            if not all(np.all(np.isfinite(np.array(result))) for result in results):
+                v = slope[:, k] / steps[0, k]
+                return f"the Lagrangian is not finite at t = {times[0, k]:.6g}, where x = {x[:, k]} and v = {v}"
+        return "the Lagrangian overflows"
 
     def _error(self, failure: SolveFailure, calculus: DiscreteCalculus, data: Data) -> ConvergenceError:
         """Say what happened, where in time, how far it got, and what to try."""
         unknowns, system = failure.unknowns, self.system
         path = calculus.emb(self._values(unknowns, data).T)
-        (g,) = system.evaluate("gradient", unknowns, *data)
-        (matrix,) = system.evaluate("hessian", unknowns, *data)
-        residual = system.residual(g, matrix, unknowns, data)
+        (g,) = system.evaluate("derivatives", unknowns, *data)
+        residual = system.ratios(g, unknowns, data)
         worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
         when = calculus.node_times[np.argmax((self.layout.numbering == worst).any(axis=1))]
-        where = f"after {failure.iterations} iterations; the largest residual is at t = {when:.6g}"
+        place = f"the largest residual is at t = {when:.6g}"
+        if not np.all(np.isfinite(g)):
+            place = self._not_finite(unknowns, data)
+        where = f"after {failure.iterations} iterations; {place}"
         if failure.singular:
             return ConjugatePointError(
                 f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free: "

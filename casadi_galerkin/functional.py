@@ -111,7 +111,7 @@ def _contributions(target: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]
     ordered = target[order]
     group = np.flatnonzero(np.append(True, ordered[1:] != ordered[:-1]))
     rank = np.arange(len(target)) - np.repeat(group, np.diff(np.append(group, len(target))))
-    for turn in range(int(rank.max(initial=-1)) + 1):
+    for turn in range(int(rank.max(initial=0)) + 1):
         yield order[rank == turn], ordered[rank == turn]
 
 
@@ -189,12 +189,15 @@ def assembly(
     stacked = ca.horzcat(*(ca.reshape(values, len(row) * n, -1) for values in inputs))
     entries = ca.vec(_times(stacked, products))  # node pair slowest, then interval, then entry of the pattern
     position, target = _hessian_entries(layout, np.array(colind), np.array(row))
-    matrix = 0
-    for chosen, targets in _contributions(target):
-        columns, rows = np.divmod(targets, layout.free)
-        starts = np.searchsorted(columns, np.arange(layout.free + 1))
-        sparsity = ca.Sparsity(layout.free, layout.free, starts.tolist(), rows.tolist())
-        matrix = matrix + ca.MX(sparsity, entries.get_nz(False, position[chosen].tolist()))
+    (first, targets), *others = _contributions(target)
+    columns, rows = np.divmod(targets, layout.free)
+    starts = np.searchsorted(columns, np.arange(layout.free + 1))
+    sparsity = ca.Sparsity(layout.free, layout.free, starts.tolist(), rows.tolist())
+    values = entries.get_nz(False, position[first].tolist())
+    for chosen, repeated in others:  # in the joints; added in place, where sums of matrices would copy all of them
+        places = np.searchsorted(targets, repeated).tolist()
+        values.nz[places] = values.nz[places] + entries.nz[position[chosen].tolist()]
+    matrix = ca.MX(sparsity, values)
     return ca.Function("assembly", inputs, [matrix], [f"block{i}{j}" for i, j in blocks], ["hessian"])
 
 
@@ -229,6 +232,7 @@ class Pointwise:
     curvature : with z = (y, y') as a further input, zᵀ∇²L̂ z and |z|ᵀ|∇²L̂||z|
     pattern : Sparsity (d, d), symmetric, that holds every second-derivative block
     blocks : which of (0, 0), (0, 1), (1, 0), (1, 1) are not structurally zero; 0 stands for x and 1 for x'
+    kinetic : whether no ∂²L̂/∂x'_i² is structurally zero
     """
 
     value: ca.Function
@@ -237,6 +241,7 @@ class Pointwise:
     curvature: ca.Function
     pattern: ca.Sparsity
     blocks: tuple[tuple[int, int], ...]
+    kinetic: bool
 
 
 def pointwise(integrand: ca.Function) -> Pointwise:
@@ -255,16 +260,16 @@ def pointwise(integrand: ca.Function) -> Pointwise:
         pattern = pattern + cell.sparsity() + cell.sparsity().T
     columns = [ca.vertcat(*ca.project(cells[key], pattern).nonzeros()) for key in blocks]
     size = ca.fabs(z)
-    inputs, options = [t, h, x, slope, *parameters], {"cse": True}
+    inputs = [t, h, x, slope, *parameters]
     return Pointwise(
-        ca.Function("value", inputs, [value], options),
-        ca.Function("gradient", inputs, [ca.densify(gradient[part[0]]), ca.densify(gradient[part[1]])], options),
-        ca.Function("hessian", inputs, columns, options),
-        ca.Function(
-            "curvature", [*inputs, z], [ca.bilin(hessian, z, z), ca.bilin(ca.fabs(hessian), size, size)], options
-        ),
+        ca.Function("value", inputs, [value]),
+        ca.Function("gradient", inputs, [ca.densify(gradient[part[0]]), ca.densify(gradient[part[1]])]),
+        # common subexpressions cost more to find than they save, but for the Hessian: a tenth of its instructions
+        ca.Function("hessian", inputs, columns, {"cse": True}),
+        ca.Function("curvature", [*inputs, z], [ca.bilin(hessian, z, z), ca.bilin(ca.fabs(hessian), size, size)]),
         pattern,
         blocks,
+        all(cells[1, 1].sparsity().has_nz(i, i) for i in range(d)),
     )
 
 
@@ -279,6 +284,8 @@ class Functional:
 
     def __init__(self, integrand: ca.Function, layout: Layout) -> None:
         self.pointwise, self.layout = pointwise(integrand), layout
+        pattern = self.pointwise.pattern
+        self.assembly_key = (layout, tuple(pattern.colind()), tuple(pattern.row()), self.pointwise.blocks)
 
     def _map(self, f: ca.Function, at: list[ca.MX], parameters: ca.MX | None, *extra: ca.MX) -> list[ca.MX]:
         """Evaluate a pointwise Function at all quadrature points; outputs (n, N r)."""
@@ -304,12 +311,20 @@ class Functional:
         sizes = [ca.fabs(values) for values in self._map(self.pointwise.gradient, at, parameters)]
         return integration(self.layout, absolute=True).call(sizes)[1]
 
-    def hessian(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> ca.MX:
-        """∇²S with respect to the free values ξ: sparse, symmetric, both halves stored."""
+    def hessian(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None, inertia: ca.MX | None = None) -> ca.MX:
+        """∇²S with respect to the free values ξ: sparse, symmetric, both halves stored.
+
+        With `inertia`, the block ∂²L/∂v² is multiplied by it: large values make the matrix positive definite where
+        the kinetic energy is.
+        """
         at = embedding(self.layout).call([u, mesh])
-        pattern = self.pointwise.pattern
-        assemble = assembly(self.layout, tuple(pattern.colind()), tuple(pattern.row()), self.pointwise.blocks)
-        return assemble(*self._map(self.pointwise.hessian, at, parameters))
+        values = self._map(self.pointwise.hessian, at, parameters)
+        if inertia is not None:
+            blocks = self.pointwise.blocks
+            values = [
+                inertia * value if block == (1, 1) else value for block, value in zip(blocks, values, strict=True)
+            ]
+        return assembly(*self.assembly_key)(*values)
 
     def curvature(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None, direction: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Second variation yᵀ∇²S y along y = `direction`, and the same with every term taken positive."""

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 # M. Okabe and K. Ito's palette, told apart by colour-blind readers
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+DOTS = 200  # joints beyond which their dots would hide the line
 
 
 def axes_or_new(axes: Axes | None) -> Axes:
@@ -25,7 +26,7 @@ def axes_or_new(axes: Axes | None) -> Axes:
 def plot_path(
     times: np.ndarray, values: np.ndarray, joints: np.ndarray, joint_values: np.ndarray, axes: Axes | None = None
 ) -> Axes:
-    """Draw the components of a path over time, joints as dots.
+    """Draw the components of a path over time, joints as dots where there are at most `DOTS`.
 
     Parameters
     ----------
@@ -41,7 +42,8 @@ def plot_path(
     for i, (line, dots) in enumerate(zip(values, joint_values, strict=True)):
         color = COLORS[i % len(COLORS)]
         axes.plot(times, line, color=color, label=f"x[{i}]")
-        axes.plot(joints, dots, ".", color=color)
+        if len(joints) <= DOTS:
+            axes.plot(joints, dots, ".", color=color)
     axes.set_xlabel("t")
     axes.set_ylabel("x")
     if 1 < len(values) <= len(COLORS):

@@ -9,22 +9,30 @@ from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.engines import rootfinder
 from casadi_galerkin.initial import integrate
 from casadi_galerkin.problems import BoundaryProblem, InitialProblem
+from casadi_galerkin.refinement import Limits, solve_to_tolerance
 from casadi_galerkin.trajectory import Trajectory
 
 
 def solve(
     problem: BoundaryProblem | InitialProblem,
-    method: Galerkin,
+    method: Galerkin | None = None,
     intervals: int | None = None,
     *,
+    tol: float | None = None,
     mesh: ArrayLike | None = None,
     guess: Guess | None = None,
     solver: Engine = rootfinder,
+    limits: Limits | None = None,
     verbose: int = 0,
 ) -> Trajectory:
-    """Solve a problem with a fixed discretisation.
+    """Solve a problem: with a fixed discretisation, or to a tolerance.
 
-    A `BoundaryProblem` is solved globally, by `transcribe` and `Transcription.solve`, an `InitialProblem` step by step.
+    With `method` and `intervals` or `mesh`, this is `transcribe` followed by `Transcription.solve`.  With `tol`, the
+    degree and the mesh are chosen so that the estimated error of x, at the joints and between them and relative to
+    the largest value of each component, is at most `tol`; `method` then fixes the degree, and `intervals` or `mesh`
+    are where refinement begins.
+
+    An `InitialProblem` is solved step by step, with `method` and `intervals` or `mesh`.
 
     Parameters
     ----------
@@ -32,8 +40,10 @@ def solve(
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
-    guess, solver : as for `Transcription.solve`; an initial problem takes neither
-    verbose : as for `Transcription.solve`
+    tol : relative tolerance between 0 and 1; for boundary problems
+    guess, solver : as for `Transcription.solve`; for boundary problems
+    limits : Limits that stop a refinement; only with `tol`
+    verbose : 1 prints a summary and, with `tol`, a line a level; 2 also the solver's lines
 
     Examples
     --------
@@ -44,9 +54,18 @@ def solve(
     0.569747
     """
     if isinstance(problem, InitialProblem):
-        if guess is not None or solver is not rootfinder:
-            raise ValueError(
-                "an initial problem takes no guess and no solver: its steps are solved one after the other"
-            )
+        if guess is not None or tol is not None or limits is not None or solver is not rootfinder:
+            raise ValueError("an initial problem takes no tol, limits, guess or solver: it is solved step by step")
+        if method is None:
+            raise ValueError("give a method and intervals, got no method")
         return integrate(problem, method, mesh_of(problem.t_span, intervals, mesh), verbose)
+    if tol is not None:
+        path = solve_to_tolerance(problem, tol, method, intervals, mesh, guess, solver, limits or Limits(), verbose)
+        if verbose:
+            print(path)
+        return path
+    if limits is not None:
+        raise ValueError("limits stop a refinement: give tol with them")
+    if method is None:
+        raise ValueError("give a method and intervals, or tol, got neither")
     return transcribe(problem, method, intervals, mesh=mesh).solve(guess=guess, solver=solver, verbose=verbose)

@@ -330,6 +330,13 @@ def test_large_steps_of_a_chaotic_motion_are_solved():
         assert np.ptp(path.energy) < error
 
 
+def test_steps_far_too_large_fail_instead_of_ending_in_zeros():
+    # CasADi abandons an evaluation at a matrix that its QR calls singular, and leaves zeros behind
+    problem = cg.InitialProblem(double_pendulum, (0, 40), [2.0, 2.5], velocity=[0.0, 0.0])
+    with pytest.raises(cg.ConvergenceError, match=r"of 100, from t = .* was not solved"):
+        cg.solve(problem, cg.Galerkin(6), intervals=100)
+
+
 @pytest.mark.parametrize("scale", [1e-12, 1e12])
 def test_units_do_not_matter(scale):
     unit = cg.solve(cg.InitialProblem(kepler, (0, 3), [0.4, 0.0], velocity=[0.0, 2.0]), cg.Galerkin(5), 30)
@@ -356,8 +363,7 @@ def test_a_trajectory_of_steps_has_no_morse_index_and_says_what_it_is(capsys):
     path = cg.solve(start_of("pendulum", 5), cg.Galerkin(3), intervals=5, verbose=1)
     assert path.morse_index is None
     assert path.residual < 10
-    assert "stationary" in capsys.readouterr().out
-    assert "Morse index" not in str(path)
+    assert "no Morse index" in capsys.readouterr().out
 
 
 def test_a_collision_names_the_step_and_its_time_and_keeps_the_path_before_it():
@@ -426,12 +432,14 @@ def test_a_momentum_that_no_velocity_has_is_refused():
         cg.solve(problem, cg.Galerkin(3), intervals=5)
 
 
-def test_an_initial_problem_takes_no_guess_and_no_solver():
+def test_an_initial_problem_takes_a_method_and_no_guess_solver_or_tolerance():
     problem = start_of("pendulum", 5)
-    for option in ({"guess": lambda t: [0.0]}, {"solver": cg.ipopt}):
-        with pytest.raises(ValueError, match="takes no guess and no solver"):
+    for option in ({"guess": lambda t: [0.0]}, {"solver": cg.ipopt}, {"tol": 1e-6}):
+        with pytest.raises(ValueError, match="takes no tol, limits, guess or solver"):
             cg.solve(problem, cg.Galerkin(3), intervals=5, **option)
     with pytest.raises(TypeError, match="method must be a Galerkin"):
         cg.solve(problem, 3, intervals=5)
+    with pytest.raises(ValueError, match="got no method"):
+        cg.solve(problem, intervals=5)
     with pytest.raises(ValueError, match="give either intervals or mesh"):
         cg.solve(problem, cg.Galerkin(3))

@@ -1,0 +1,52 @@
+"""The curve of fastest descent between two points of a cycloid, both below the point of release.
+
+L = √((1 + v²)/(2x)) is time per horizontal length t, for unit gravity and depth x below the point where the bead was
+at rest.  There, at x = 0, L is singular; between two later points the problem is regular.  The cycloid
+t = θ - sin θ, x = 1 - cos θ is run through in the time θ.
+"""
+
+import casadi as ca
+import numpy as np
+from show import canvas, picture, save
+
+import casadi_galerkin as cg
+
+FIRST, LAST = 0.5, 2.5  # the cycloid's θ at the ends; the descent takes LAST - FIRST
+
+
+def lagrangian(t, x, v):
+    """Time per horizontal length at depth x[0] and slope v[0]."""
+    return ca.sqrt((1 + v[0] ** 2) / (2 * x[0]))
+
+
+def cycloid(angle):
+    """Horizontal position and depth."""
+    return np.array([angle - np.sin(angle), 1 - np.cos(angle)])
+
+
+def main(plot=None):
+    """Solve between two points of the cycloid."""
+    (begin, start), (finish, end) = cycloid(FIRST), cycloid(LAST)
+    problem = cg.BoundaryProblem(lagrangian, (begin, finish), [start], [end])
+    path = cg.solve(problem, cg.Galerkin(degree=12), mesh=begin + (finish - begin) * np.linspace(0, 1, 25) ** 2)
+    if plot:
+        draw(path, plot)
+    return path
+
+
+def draw(path, name):
+    """Draw depth downwards, on the whole cycloid."""
+    axes = canvas("The curve of fastest descent", "horizontal position", "depth", (6.0, 3.8), aspect="equal")
+    axes.plot(*cycloid(np.linspace(0, np.pi, 200)), color="0.8", label="cycloid")
+    times = np.linspace(path.t[0], path.t[-1], 300)
+    (line,) = axes.plot(times, path.path(times)[0], label=f"path found, takes {path.action:.6f}")
+    axes.plot(path.t, path.x[0], ".", color=line.get_color())
+    axes.invert_yaxis()
+    axes.legend()
+    save(axes, name)
+
+
+if __name__ == "__main__":
+    answer = main(picture("brachistochrone.png"))
+    print(answer)
+    print(f"  time        {answer.action:.15f}, exact {LAST - FIRST}")

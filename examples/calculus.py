@@ -1,0 +1,70 @@
+"""The paper by hand: embed, evaluate, integrate, in NumPy alone, beside what the package's graph computes.
+
+The functional of the pendulum, S = ∫ L(x̄, dx̄/dt) Δ_w t, and its gradient, the left-hand sides of the discrete
+Euler-Lagrange equations, follow from one sparse matrix E and one weight vector ω:
+
+    (x̄, dx̄/dt) = E X̄,      S = ω · L,      ∇S = Eᵀ (ω ∂L/∂x, ω ∂L/∂v).
+"""
+
+import casadi as ca
+import numpy as np
+from show import picture, save
+
+import casadi_galerkin as cg
+
+METHOD = cg.Galerkin(degree=3, quadrature=cg.lobatto(4))
+MESH = np.array([0.0, 0.2, 0.45, 0.75, 1.0])  # a time scale need not be uniform
+
+
+def by_hand(values):
+    """Discrete functional and its gradient by all node values X̄; returns (S, ∇S, number of quadrature points)."""
+    calculus = cg.DiscreteCalculus(METHOD, MESH)
+    entries, (rows, columns) = calculus.operator()
+    embed = np.zeros((2 * len(calculus.weights), len(values)))
+    np.add.at(embed, (rows, columns), entries)
+    x, v = np.split(embed @ values, 2)  # embed
+    integrand, by_x, by_v = v**2 / 2 + np.cos(x), -np.sin(x), v  # evaluate
+    action = calculus.integral(integrand)[-1]  # integrate
+    return action, embed.T @ np.concatenate((calculus.weights * by_x, calculus.weights * by_v))
+
+
+def main(plot=None):
+    """Compare at a path that is not a solution, and check that the solver's answer makes the gradient vanish."""
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0.0, 1.0), [0.0], [1.0])
+    graph = cg.transcribe(problem, METHOD, mesh=MESH)
+    nodes = cg.DiscreteCalculus(METHOD, MESH).node_times
+    trial = nodes + 0.3 * np.sin(np.pi * nodes)  # node values X̄ of some path between the ends
+    action, gradient = by_hand(trial)
+    given = (trial[1:-1], trial[:1], trial[-1:], MESH)
+    difference = gradient[1:-1] - np.array(graph.gradient(*given)).ravel()
+    path = graph.solve()
+    solved_action, solved_gradient = by_hand(path.path(nodes)[0])
+    if plot:
+        draw(nodes, trial, path, plot)
+    return {
+        "action": action,
+        "action of the graph": float(graph.action(*given)),
+        "largest difference of the gradients": np.max(np.abs(difference)),
+        "action at the solution": solved_action,
+        "action reported": path.action,
+        "largest gradient at the solution": np.max(np.abs(solved_gradient[1:-1])),
+        "momenta by hand": np.array([-solved_gradient[0], solved_gradient[-1]]),
+        "momenta reported": path.momentum[0, [0, -1]],
+    }
+
+
+def draw(nodes, trial, path, name):
+    """Draw the trial path and the solution with their nodes."""
+    axes = path.plot()
+    times = np.linspace(0, 1, 200)
+    embedded = cg.DiscreteCalculus(METHOD, MESH).emb(trial[None, :])
+    axes.plot(times, embedded(times)[0], color="0.6", label="trial path")
+    axes.plot(nodes, trial, ".", color="0.6")
+    axes.set_title("A trial path with its nodes, and the critical path")
+    axes.legend()
+    save(axes, name)
+
+
+if __name__ == "__main__":
+    for what, number in main(picture("calculus.png")).items():
+        print(f"{what:36} {number}")

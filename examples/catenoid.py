@@ -1,0 +1,53 @@
+"""A soap film between two rings of radius 1, near the distance at which it tears.
+
+Two catenoids x = c cosh(t/c) with c cosh(h/c) = 1 span the rings at t = -h and h; the wide one is stable, the narrow
+one is not.  At h = 0.66274 they become one, and beyond there is none.
+"""
+
+import casadi as ca
+import numpy as np
+from show import canvas, picture, save
+
+import casadi_galerkin as cg
+
+HALF_DISTANCE = 0.66  # in units of the rings' radius
+
+
+def lagrangian(t, x, v):
+    """Area per length and 2π of the surface of revolution with radius x."""
+    return x[0] * ca.sqrt(1 + v[0] ** 2)
+
+
+def sagging(depth):
+    """Guess: a parabola that leaves radius 1 - depth in the middle."""
+    return lambda t: [1 - depth * (1 - (t / HALF_DISTANCE) ** 2)]
+
+
+def main(plot=None):
+    """Solve from a wide and a narrow guess; returns the two films."""
+    problem = cg.BoundaryProblem(lagrangian, (-HALF_DISTANCE, HALF_DISTANCE), start=[1.0], end=[1.0])
+    film = cg.transcribe(problem, cg.Galerkin(degree=8), intervals=16)
+    films = [film.solve(guess=sagging(depth)) for depth in (0.3, 0.6)]
+    if plot:
+        draw(films, plot)
+    return films
+
+
+def draw(films, name):
+    """Draw both films, mirrored at the axis."""
+    axes = canvas("Two soap films between the same rings", "along the axis", "radius", (5.0, 4.6), aspect="equal")
+    times = np.linspace(-HALF_DISTANCE, HALF_DISTANCE, 200)
+    for film in films:
+        radius = film.path(times)[0]
+        label = f"area {2 * np.pi * film.action:.4f}\nMorse index {film.morse_index}"
+        (line,) = axes.plot(times, radius, label=label)
+        axes.plot(times, -radius, color=line.get_color())
+    for end in (-HALF_DISTANCE, HALF_DISTANCE):
+        axes.plot([end, end], [-1, 1], color="0.7", zorder=0)
+    axes.figure.legend(loc="outside right center")
+    save(axes, name)
+
+
+if __name__ == "__main__":
+    for answer in main(picture("catenoid.png")):
+        print(f"area {2 * np.pi * answer.action:.12f}, narrowest radius {answer.path(0.0)[0]:.12f}\n{answer}")

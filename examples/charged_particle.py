@@ -1,0 +1,52 @@
+"""A relativistic charged particle in a magnetic field: forces that depend on the velocity.
+
+L = -mc²√(1 - v²/c²) + q A·v with A = B(-y, x)/2.  The exact path is a circle, run through at the frequency
+qB/(γm); units with m = c = q = B = 1.  The guess is the straight line between the ends, as always.
+"""
+
+import casadi as ca
+import numpy as np
+from show import canvas, picture, save
+
+import casadi_galerkin as cg
+
+SPEED = 0.9  # in units of c
+GAMMA = 1 / np.sqrt(1 - SPEED**2)
+DURATION = 1.5 * np.pi * GAMMA  # three quarters of a turn
+
+
+def lagrangian(t, x, v):
+    """Relativistic kinetic part, and the vector potential of a uniform field."""
+    return -ca.sqrt(1 - ca.dot(v, v)) + (x[0] * v[1] - x[1] * v[0]) / 2
+
+
+def exact(t):
+    """Clockwise circle about the origin, radius γ v."""
+    return GAMMA * SPEED * np.array([np.cos(t / GAMMA), -np.sin(t / GAMMA)])
+
+
+def main(plot=None):
+    """Solve between two points of the circle."""
+    problem = cg.BoundaryProblem(lagrangian, (0.0, DURATION), exact(0.0), exact(DURATION))
+    path = cg.solve(problem, cg.Galerkin(degree=8), intervals=12)
+    if plot:
+        draw(path, plot)
+    return path
+
+
+def draw(path, name):
+    """Draw the path in its plane."""
+    axes = canvas(f"A charge at {SPEED:g} c in a magnetic field", "x", "y", (4.6, 4.5), aspect="equal")
+    (line,) = axes.plot(*path.path(np.linspace(0, DURATION, 300)))
+    axes.plot(*path.x, ".", color=line.get_color())
+    for place, text in ((path.x[:, 0], "start"), (path.x[:, -1], "end")):
+        axes.annotate(text, place, xytext=(-8, -8), textcoords="offset points", ha="right", va="top")
+    save(axes, name)
+
+
+if __name__ == "__main__":
+    answer = main(picture("charged_particle.png"))
+    times = np.linspace(0, DURATION, 1000)
+    print(answer)
+    print(f"  speed       {np.linalg.norm(answer.velocity[:, 0]):.15f} c at the start, exact {SPEED}")
+    print(f"  error       {np.max(np.abs(answer.path(times) - exact(times))):.1e} between the joints, largest")

@@ -1,0 +1,54 @@
+"""A pendulum between two angles in ten seconds: one problem, several stationary paths.
+
+All of them are critical points of the action.  Which one Newton's method finds depends on the guess; the Morse
+index, the number of directions in which the action decreases, tells them apart.
+"""
+
+import casadi as ca
+import numpy as np
+from show import canvas, picture, save
+
+import casadi_galerkin as cg
+
+DURATION, ANGLE = 10.0, 1.0
+
+
+def lagrangian(t, x, v):
+    """Kinetic minus potential energy for unit mass, length and gravity; x[0] is the angle from below."""
+    return v[0] ** 2 / 2 + ca.cos(x[0])
+
+
+def swinging(amplitude, periods):
+    """Guess: so many oscillations about the straight line."""
+    return lambda t: [ANGLE * t / DURATION + amplitude * np.sin(2 * np.pi * periods * t / DURATION)]
+
+
+# one half oscillation that goes nearly over the top, one whole one, and the straight line
+GUESSES = (swinging(3.0, 0.5), swinging(2.0, 1.0), None)
+
+
+def main(plot=None):
+    """Solve from three guesses, transcribing once; returns the paths by their Morse index."""
+    problem = cg.BoundaryProblem(lagrangian, (0.0, DURATION), start=[0.0], end=[ANGLE])
+    swing = cg.transcribe(problem, cg.Galerkin(degree=6), intervals=60)
+    found = [swing.solve(guess=guess) for guess in GUESSES]
+    paths = {path.morse_index: path for path in found}
+    if plot:
+        draw(paths, plot)
+    return paths
+
+
+def draw(paths, name):
+    """Draw all paths into one picture."""
+    axes = canvas("Stationary paths of a pendulum between the same ends", "t in s", "angle in rad", (7.0, 4.0))
+    times = np.linspace(0, DURATION, 600)
+    for index, path in sorted(paths.items()):
+        axes.plot(times, path.path(times)[0], label=f"Morse index {index}, action {path.action:.4f}")
+    axes.plot([0, DURATION], [0, ANGLE], "ko")
+    axes.legend()
+    save(axes, name)
+
+
+if __name__ == "__main__":
+    for index, path in sorted(main(picture("pendulum.png")).items()):
+        print(f"Morse index {index}: starts with velocity {path.velocity[0, 0]:.13f}\n{path}")

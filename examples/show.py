@@ -1,0 +1,29 @@
+"""Pictures of the scenes, with or without a screen."""
+
+import sys
+
+
+def picture(default):
+    """Name of the file to draw into: the first argument of the script, or `default`."""
+    return sys.argv[1] if len(sys.argv) > 1 else default
+
+
+def canvas(title, xlabel, ylabel, size=(6.0, 4.0), **settings):
+    """Labelled Matplotlib axes in the colours of the package."""
+    import matplotlib.pyplot as plt
+
+    from casadi_galerkin.plotting import COLORS
+
+    axes = plt.subplots(figsize=size, layout="constrained")[1]
+    axes.set_prop_cycle(color=COLORS)
+    axes.set(title=title, xlabel=xlabel, ylabel=ylabel, **settings)
+    return axes
+
+
+def save(axes, name):
+    """Write the figure of these axes to a file, which needs no screen, and say so."""
+    import matplotlib.pyplot as plt
+
+    axes.figure.savefig(name, dpi=100)
+    plt.close(axes.figure)
+    print(f"picture written to {name}")
