@@ -5,6 +5,8 @@ from casadi_galerkin.boundary import transcribe as transcribe
 from casadi_galerkin.calculus import DiscreteCalculus as DiscreteCalculus
 from casadi_galerkin.calculus import Galerkin as Galerkin
 from casadi_galerkin.calculus import PiecewisePolynomial as PiecewisePolynomial
+from casadi_galerkin.comparison import Comparison as Comparison
+from casadi_galerkin.comparison import compare as compare
 from casadi_galerkin.control import ControlTranscription as ControlTranscription
 from casadi_galerkin.control import transcribe_control as transcribe_control
 from casadi_galerkin.control_problem import ControlProblem as ControlProblem
@@ -13,10 +15,13 @@ from casadi_galerkin.control_trajectory import ControlTrajectory as ControlTraje
 from casadi_galerkin.engines import ipopt as ipopt
 from casadi_galerkin.engines import minimizer as minimizer
 from casadi_galerkin.engines import rootfinder as rootfinder
+from casadi_galerkin.geometry import Geometry as Geometry
+from casadi_galerkin.geometry import geometry as geometry
 from casadi_galerkin.nodes import chebyshev_points as chebyshev_points
 from casadi_galerkin.nodes import equispaced_points as equispaced_points
 from casadi_galerkin.nodes import lobatto_points as lobatto_points
 from casadi_galerkin.problems import BoundaryProblem as BoundaryProblem
+from casadi_galerkin.problems import InitialProblem as InitialProblem
 from casadi_galerkin.quadrature import Quadrature as Quadrature
 from casadi_galerkin.quadrature import gauss as gauss
 from casadi_galerkin.quadrature import left_rectangle as left_rectangle
@@ -25,6 +30,7 @@ from casadi_galerkin.quadrature import midpoint as midpoint
 from casadi_galerkin.quadrature import radau as radau
 from casadi_galerkin.quadrature import trapezoid as trapezoid
 from casadi_galerkin.refinement import Limits as Limits
+from casadi_galerkin.shooting import shoot as shoot
 from casadi_galerkin.solve import solve as solve
 from casadi_galerkin.trajectory import ConjugatePointError as ConjugatePointError
 from casadi_galerkin.trajectory import ConvergenceError as ConvergenceError

@@ -89,3 +89,27 @@ def plot_controls(
     if 1 < len(values) <= len(COLORS):
         axes.legend()
     return axes
+
+
+def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None = None) -> Axes:
+    """Draw how far paths are from a reference over time, on a logarithmic scale.
+
+    Parameters
+    ----------
+    times : (N + 1,)
+    gaps : (N + 1,) by name; values that are zero or not finite are left out
+    axes : Matplotlib axes to draw into; default a new figure
+
+    Returns
+    -------
+    the Matplotlib axes
+    """
+    axes = axes_or_new(axes)
+    for color, (name, gap) in zip(COLORS, gaps.items(), strict=False):
+        shown = np.isfinite(gap) & (gap > 0)
+        axes.plot(times[shown], gap[shown], ".-", color=color, label=name)
+    axes.set_yscale("log")
+    axes.set_xlabel("t")
+    axes.set_ylabel("relative gap to the global path")
+    axes.legend()
+    return axes

@@ -116,7 +116,7 @@ def test_indefinite_kinetic_energy_has_no_morse_index():
     path = cg.solve(problem, cg.Galerkin(8), intervals=4)
     np.testing.assert_allclose(path.x, np.outer([1, 2], np.sin(path.t) / np.sin(1)), rtol=0, atol=CLOSED_FORM)
     assert path.morse_index is None
-    assert "no minimum" in str(path)
+    assert "no Morse index" in str(path)
 
 
 # natural ends, periodic paths, parameters
