@@ -371,9 +371,17 @@ class Transcription:
             build_seconds=self.build_seconds,
             solve_seconds=solve_seconds,
             method=self.method,
-            lagrangian=self.problem.lagrangian,
-            parameters=tuple(data[3].tolist()) if len(data) > 3 else None,
+            problem=self._solved(data),
         )
+
+    def _solved(self, data: Data) -> BoundaryProblem:
+        """The problem with the ends, joints and parameters that were solved for."""
+        ends = []
+        for given, fixed in zip((self.problem.start, self.problem.end), data[:2], strict=True):
+            values = iter(fixed.tolist())
+            ends.append(tuple(None if value is None else next(values) for value in given))
+        parameters = tuple(data[3].tolist()) if len(data) > 3 else None
+        return self.problem.varied((float(data[2][0]), float(data[2][-1])), ends[0], ends[1], parameters)
 
     def _not_finite(self, unknowns: np.ndarray, data: Data) -> str:
         """Say at which time the Lagrangian or its derivatives first are not finite."""

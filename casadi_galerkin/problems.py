@@ -6,6 +6,7 @@ pickled, compared by what it computes, and never calls back into Python during a
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -172,3 +173,15 @@ class BoundaryProblem:
     def dimension(self) -> int:
         """Number d of coordinates."""
         return len(self.start)
+
+    def varied(
+        self,
+        t_span: tuple[float, float],
+        start: tuple[float | None, ...],
+        end: tuple[float | None, ...],
+        parameters: tuple[float, ...] | None,
+    ) -> BoundaryProblem:
+        """Copy with other values that were checked before; unlike ``dataclasses.replace`` it traces nothing."""
+        other = copy.copy(self)
+        other.__dict__.update(t_span=t_span, start=start, end=end, parameters=parameters)
+        return other

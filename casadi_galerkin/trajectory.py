@@ -11,6 +11,7 @@ import numpy as np
 
 from casadi_galerkin.calculus import Galerkin, PiecewisePolynomial
 from casadi_galerkin.plotting import plot_path
+from casadi_galerkin.problems import BoundaryProblem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,7 +56,7 @@ class Trajectory:
     solver : what found it
     build_seconds, solve_seconds : spent on building the graph and on the solve
     method : Galerkin
-    lagrangian, parameters : as in the problem
+    problem : what was solved, with the ends, parameters and times that it was solved for
     error_estimate : estimated relative error of the path between the joints; only with a tolerance
     """
 
@@ -71,9 +72,18 @@ class Trajectory:
     build_seconds: float
     solve_seconds: float
     method: Galerkin
-    lagrangian: ca.Function
-    parameters: tuple[float, ...] | None
+    problem: BoundaryProblem
     error_estimate: float | None = None
+
+    @property
+    def lagrangian(self) -> ca.Function:
+        """L(t, x, v[, p]) as a CasADi Function of one point."""
+        return self.problem.lagrangian
+
+    @property
+    def parameters(self) -> tuple[float, ...] | None:
+        """Values of the Lagrangian's parameters p."""
+        return self.problem.parameters
 
     @cached_property
     def velocity(self) -> np.ndarray:
