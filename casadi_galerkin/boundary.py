@@ -89,8 +89,8 @@ class Transcription:
 
     Attributes
     ----------
-    action, gradient, hessian : Functions of (unknowns, start, end, mesh[, parameters])
-        S, ∇S and the sparse ∇²S by the unknowns; `start` and `end` hold the fixed components only
+    action, gradient, hessian, summary : Functions of (unknowns, start, end, mesh[, parameters])
+        S, ∇S and the sparse ∇²S by the unknowns; S with the momenta; `start` and `end` hold the fixed components only
     build_seconds : float
     """
 
@@ -134,11 +134,15 @@ class Transcription:
         return DiscreteCalculus(self.method, self.mesh)
 
     @cached_property
-    def _summary(self) -> Evaluator:
-        """(unknowns, *data) -> S, and momenta at all joints: the first -∂S/∂x_0, then ∂S_k/∂x_{k+1} of interval k."""
+    def summary(self) -> ca.Function:
+        """S, and momenta (d, N + 1) at all joints: the first -∂S/∂x_0, then ∂S_k/∂x_{k+1} of interval k."""
         d, local = self.problem.dimension, self._local
         momenta = ca.horzcat(-local[:d, 0], ca.reshape(local[:, -1], d, self.layout.intervals))
-        return Evaluator(self._function("summary", self._action, momenta))
+        return self._function("summary", self._action, momenta, results=["action", "momentum"])
+
+    @cached_property
+    def _summary(self) -> Evaluator:
+        return Evaluator(self.summary)
 
     @cached_property
     def system(self) -> System:
