@@ -24,6 +24,8 @@ from casadi_galerkin.sensitivity import Sensitivity as Sensitivity
 from casadi_galerkin.sensitivity import sensitivity as sensitivity
 from casadi_galerkin.sensitivity import solution_function as solution_function
 from casadi_galerkin.solve import solve as solve
+from casadi_galerkin.sweep import Sweep as Sweep
+from casadi_galerkin.sweep import sweep as sweep
 from casadi_galerkin.trajectory import ConjugatePointError as ConjugatePointError
 from casadi_galerkin.trajectory import ConvergenceError as ConvergenceError
 from casadi_galerkin.trajectory import Trajectory as Trajectory

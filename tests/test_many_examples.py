@@ -43,3 +43,37 @@ def test_fit_leaves_residuals_of_the_size_of_the_noise(scene):
     _, _, angles, path = module.main()
     misfit = np.std(path.x[0] - angles) / module.NOISE
     assert 0.7 < misfit < 1.3  # 31 measurements: ± 13 %
+
+
+def test_porkchop_solves_every_transfer_and_finds_the_cheapest(scene, monkeypatch, tmp_path):
+    module, picture = scene("porkchop"), tmp_path / "porkchop.png"
+    assert len(module.variations()) >= 2500
+    monkeypatch.setattr(module, "LAUNCHES", module.LAUNCHES[::7])
+    monkeypatch.setattr(module, "FLIGHTS", module.FLIGHTS[::7])
+    transfers, cost = module.main(str(picture))
+    assert not transfers.failures
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    # Hohmann's half ellipse between the circles of the same axes; eccentricity moves it by a few tenths
+    inner, outer = module.INNER["axis"], module.OUTER["axis"]
+    radii = np.array([inner, outer])
+    changes = np.sqrt(module.MU * (2 / radii - 2 / (inner + outer))) - np.sqrt(module.MU / radii)
+    hohmann = module.KILOMETRES_A_SECOND * np.sum(np.abs(changes))
+    assert abs(np.min(cost) - hohmann) < 0.5
+    # Kepler's orbits: energy and angular momentum are the same at both ends
+    for path in transfers:
+        spin = path.x[0] * path.momentum[1] - path.x[1] * path.momentum[0]
+        np.testing.assert_allclose(spin, spin[0], rtol=1e-12)
+        np.testing.assert_allclose(path.energy, path.energy[0], rtol=1e-5)  # 12 intervals, some close to the Sun
+
+
+def test_planets_of_the_porkchop_move_by_keplers_laws(scene):
+    module = scene("porkchop")
+    for orbit in (module.INNER, module.OUTER):
+        period = orbit["axis"] ** 1.5
+        x, v = module.state(orbit, 0.3)
+        np.testing.assert_allclose(module.state(orbit, 0.3 + period)[0], x, rtol=0, atol=1e-13)
+        energy = v @ v / 2 - module.MU / np.linalg.norm(x)
+        assert energy == pytest.approx(-module.MU / (2 * orbit["axis"]), rel=1e-13, abs=0)
+        step = 1e-4  # a difference of second order: 1e-7 of the velocity
+        slope = (module.state(orbit, 0.3 + step)[0] - module.state(orbit, 0.3 - step)[0]) / (2 * step)
+        np.testing.assert_allclose(slope, v, rtol=0, atol=1e-6)
