@@ -221,6 +221,7 @@ class System:
     algebra: Algebra
     pivots: bool = True
     _evaluators: dict[str, Evaluator] = field(default_factory=dict, repr=False, compare=False)
+    _solvers: dict[tuple[bool, int, int], ca.Function] = field(default_factory=dict, repr=False, compare=False)
 
     def evaluate(self, name: str, *arguments: np.ndarray) -> list[np.ndarray]:
         """Evaluate one of the Functions by name on NumPy arrays."""
@@ -402,7 +403,10 @@ def _interior_point(
     system: System, guess: np.ndarray, data: Data, verbose: int, minimize: bool, limit: int = 500
 ) -> Solution:
     name = "IPOPT on the action" if minimize else "IPOPT"
-    solver = _nlpsol(system, minimize, verbose, limit)
+    key = (minimize, verbose, limit)
+    if key not in system._solvers:
+        system._solvers[key] = _nlpsol(system, *key)  # building takes longer than solving a small problem
+    solver = system._solvers[key]
     bounds = {} if minimize else {"lbg": 0.0, "ubg": 0.0}
     answer = solver(x0=guess, p=np.concatenate(data), **bounds)
     stats = solver.stats()
