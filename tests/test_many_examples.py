@@ -77,3 +77,44 @@ def test_planets_of_the_porkchop_move_by_keplers_laws(scene):
         step = 1e-4  # a difference of second order: 1e-7 of the velocity
         slope = (module.state(orbit, 0.3 + step)[0] - module.state(orbit, 0.3 - step)[0]) / (2 * step)
         np.testing.assert_allclose(slope, v, rtol=0, atol=1e-6)
+
+
+PUBLISHED = 1e-8  # the initial values of the figure eight were published with 8 decimals
+
+
+def test_figure_eight_has_the_published_place_and_speed_at_time_0(scene, tmp_path):
+    module, picture = scene("figure_eight"), tmp_path / "figure_eight.png"
+    path = module.main(str(picture))
+    x, v = module.bodies(path.x[:, 0]), module.bodies(path.velocity[:, 0])
+    first, third = np.array(module.POSITION_1), np.array(module.VELOCITY_3)
+    # these do not depend on how the orbit is turned, nor on the direction of time
+    assert np.linalg.norm(x[0]) == pytest.approx(np.linalg.norm(first), abs=PUBLISHED)
+    assert np.linalg.norm(v[2]) == pytest.approx(np.linalg.norm(third), abs=PUBLISHED)
+    assert abs(x[0] @ v[2]) == pytest.approx(abs(first @ third), abs=2 * PUBLISHED)
+    np.testing.assert_allclose(x[2], 0.0, atol=1e-12)
+    np.testing.assert_allclose(x[0], -x[1], atol=1e-12)
+    np.testing.assert_allclose(v[0], -v[2] / 2, atol=PUBLISHED)
+    np.testing.assert_allclose(v[1], -v[2] / 2, atol=PUBLISHED)
+    energy = 3 * third @ third / 4 - 2 / np.linalg.norm(first) - 1 / np.linalg.norm(2 * first)
+    np.testing.assert_allclose(path.energy, energy, rtol=0, atol=4 * PUBLISHED)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_figure_eight_closes_without_a_kink_and_without_angular_momentum(scene):
+    module = scene("figure_eight")
+    path = module.main()
+    # no data of the problem enter these but the path itself; they are good to the error of the discretisation
+    np.testing.assert_allclose(path.momentum[:, 0], path.momentum[:, -1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(module.angular_momentum(path), 0.0, atol=1e-12)
+    np.testing.assert_allclose(path.energy, path.energy[0], rtol=1e-12)
+    assert path.morse_index == 2
+
+
+def test_figure_eight_is_a_choreography(scene):
+    module = scene("figure_eight")
+    path = module.main()
+    times = np.linspace(0, module.PERIOD, 61)[:-1]
+    curves = module.bodies(path.path(times))
+    for follower, shift in ((1, 20), (2, 40)):
+        distances = [np.max(np.abs(np.roll(curves[k], -shift, axis=-1) - curves[0])) for k in (follower, 3 - follower)]
+        assert min(distances) < PUBLISHED
