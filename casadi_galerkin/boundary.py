@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -26,8 +27,12 @@ from casadi_galerkin.engines import (
     second_variation,
 )
 from casadi_galerkin.functional import LAYOUTS_KEPT, Functional, Layout, assembly, embedding
+from casadi_galerkin.plotting import plot_pattern
 from casadi_galerkin.problems import BoundaryProblem, components, numbers
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Engine = Callable[[System, np.ndarray, Data, int], Solution]
 Guess = Callable[[float], ArrayLike] | ArrayLike | Trajectory | PiecewisePolynomial
@@ -386,6 +391,11 @@ class Transcription:
             ends.append(tuple(None if value is None else next(values) for value in given))
         parameters = tuple(data[3].tolist()) if len(data) > 3 else None
         return self.problem.varied((float(data[2][0]), float(data[2][-1])), ends[0], ends[1], parameters)
+
+    def plot_hessian(self, axes: Axes | None = None) -> Axes:
+        """Draw the sparsity pattern of the Hessian, a chain of blocks; returns the Matplotlib axes."""
+        rows, columns = (np.array(index) for index in self.hessian.sparsity_out(0).get_triplet())
+        return plot_pattern(rows, columns, self.layout.free, axes)
 
     def _not_finite(self, unknowns: np.ndarray, data: Data) -> str:
         """Say at which time the Lagrangian or its derivatives first are not finite."""

@@ -118,3 +118,14 @@ def test_figure_eight_is_a_choreography(scene):
     for follower, shift in ((1, 20), (2, 40)):
         distances = [np.max(np.abs(np.roll(curves[k], -shift, axis=-1) - curves[0])) for k in (follower, 3 - follower)]
         assert min(distances) < PUBLISHED
+
+
+def test_double_pendulum_starts_at_rest_and_draws_still_and_moving_pictures(scene, tmp_path):
+    picture = tmp_path / "double_pendulum.png"
+    path = scene("double_pendulum").main(str(picture))
+    np.testing.assert_allclose(path.velocity[:, 0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(path.velocity[:, -1], [-1.7298716095965868, -2.9142006209385097], rtol=1e-12)
+    assert path.action == pytest.approx(11.748350447614505, rel=1e-13, abs=0)
+    assert path.morse_index == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert picture.with_suffix(".gif").read_bytes().startswith(b"GIF89a")
