@@ -39,7 +39,7 @@ def main(plot=None):
 
 
 def draw(swing, path, name):
-    """Phase portrait and pattern of the Hessian as one picture; four times slowed down as a GIF of the same name."""
+    """Phase portrait and pattern of the Hessian as one picture; half as fast as a GIF of the same name."""
     import matplotlib.pyplot as plt
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 4.4), layout="constrained")
@@ -51,7 +51,7 @@ def draw(swing, path, name):
     figure.savefig(name, dpi=100)
     figure, axes = plt.subplots(figsize=(4.0, 4.0), layout="constrained")
     axes.set(xlabel="x in m", ylabel="y in m")
-    path.animate(places, axes, seconds=4 * DURATION).save(name.with_suffix(".gif"), writer="pillow", dpi=60)
+    path.animate(places, axes, seconds=2 * DURATION).save(name.with_suffix(".gif"), writer="pillow", dpi=60)
     plt.close("all")
     print(f"pictures written to {name} and {name.with_suffix('.gif')}")
 
