@@ -30,8 +30,13 @@ from casadi_galerkin.quadrature import midpoint as midpoint
 from casadi_galerkin.quadrature import radau as radau
 from casadi_galerkin.quadrature import trapezoid as trapezoid
 from casadi_galerkin.refinement import Limits as Limits
+from casadi_galerkin.sensitivity import Sensitivity as Sensitivity
+from casadi_galerkin.sensitivity import sensitivity as sensitivity
+from casadi_galerkin.sensitivity import solution_function as solution_function
 from casadi_galerkin.shooting import shoot as shoot
 from casadi_galerkin.solve import solve as solve
+from casadi_galerkin.sweep import Sweep as Sweep
+from casadi_galerkin.sweep import sweep as sweep
 from casadi_galerkin.trajectory import ConjugatePointError as ConjugatePointError
 from casadi_galerkin.trajectory import ConvergenceError as ConvergenceError
 from casadi_galerkin.trajectory import Trajectory as Trajectory

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -26,9 +27,13 @@ from casadi_galerkin.engines import (
     second_variation,
 )
 from casadi_galerkin.functional import LAYOUTS_KEPT, Functional, Layout, assembly, embedding
+from casadi_galerkin.plotting import plot_pattern
 from casadi_galerkin.problems import BoundaryProblem, components, numbers
 from casadi_galerkin.quadrature import real_array
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Engine = Callable[[System, np.ndarray, Data, int], Solution]
 Guess = Callable[[float], ArrayLike] | ArrayLike | Trajectory | PiecewisePolynomial
@@ -118,8 +123,8 @@ class Transcription:
 
     Attributes
     ----------
-    action, gradient, hessian : Functions of (unknowns, start, end, mesh[, parameters])
-        S, ∇S and the sparse ∇²S by the unknowns; `start` and `end` hold the fixed components only
+    action, gradient, hessian, summary : Functions of (unknowns, start, end, mesh[, parameters])
+        S, ∇S and the sparse ∇²S by the unknowns; S with the momenta; `start` and `end` hold the fixed components only
     build_seconds : float
     """
 
@@ -163,11 +168,15 @@ class Transcription:
         return DiscreteCalculus(self.method, self.mesh)
 
     @cached_property
-    def _summary(self) -> Evaluator:
-        """(unknowns, *data) -> S, and momenta at all joints: the first -∂S/∂x_0, then ∂S_k/∂x_{k+1} of interval k."""
+    def summary(self) -> ca.Function:
+        """S, and momenta (d, N + 1) at all joints: the first -∂S/∂x_0, then ∂S_k/∂x_{k+1} of interval k."""
         d, local = self.problem.dimension, self._local
         momenta = ca.horzcat(-local[:d, 0], ca.reshape(local[:, -1], d, self.layout.intervals))
-        return Evaluator(self._function("summary", self._action, momenta))
+        return self._function("summary", self._action, momenta, results=["action", "momentum"])
+
+    @cached_property
+    def _summary(self) -> Evaluator:
+        return Evaluator(self.summary)
 
     @cached_property
     def system(self) -> System:
@@ -373,9 +382,22 @@ class Transcription:
             build_seconds=self.build_seconds,
             solve_seconds=solve_seconds,
             method=self.method,
-            lagrangian=self.problem.lagrangian,
-            parameters=tuple(data[3].tolist()) if len(data) > 3 else None,
+            problem=self._solved(data),
         )
+
+    def _solved(self, data: Data) -> BoundaryProblem:
+        """The problem with the ends, joints and parameters that were solved for."""
+        ends = []
+        for given, fixed in zip((self.problem.start, self.problem.end), data[:2], strict=True):
+            values = iter(fixed.tolist())
+            ends.append(tuple(None if value is None else next(values) for value in given))
+        parameters = tuple(data[3].tolist()) if len(data) > 3 else None
+        return self.problem.varied((float(data[2][0]), float(data[2][-1])), ends[0], ends[1], parameters)
+
+    def plot_hessian(self, axes: Axes | None = None) -> Axes:
+        """Draw the sparsity pattern of the Hessian, a chain of blocks; returns the Matplotlib axes."""
+        rows, columns = (np.array(index) for index in self.hessian.sparsity_out(0).get_triplet())
+        return plot_pattern(rows, columns, self.layout.free, axes)
 
     def _not_finite(self, unknowns: np.ndarray, data: Data) -> str:
         """Say at which time the Lagrangian or its derivatives first are not finite."""

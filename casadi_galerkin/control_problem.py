@@ -7,6 +7,7 @@ subject to  d/dt ∂L/∂v - ∂L/∂x = F(t, x, v, u),     lo <= g(t, x, v, u) 
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -142,6 +143,12 @@ class ControlProblem:
     def dimension(self) -> int:
         """Number d of coordinates."""
         return len(self.start)
+
+    def found(self, parameters: tuple[float, ...] | None) -> ControlProblem:
+        """Copy with the parameters that an optimisation found; traces and checks nothing anew."""
+        other = copy.copy(self)
+        other.__dict__["parameters"] = parameters
+        return other
 
     def _check_controls(self) -> None:
         """Refuse a control that nothing depends on: its value would be arbitrary."""

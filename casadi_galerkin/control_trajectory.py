@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -155,21 +156,23 @@ class ControlTrajectory(Trajectory):
         values = motion(times[None, :], self.path(times), self.path(times, 1), self.control(times))
         return np.array(values[0]), np.array(values[1])
 
-    def plot(self, axes: Axes | None = None) -> Axes:
+    def plot(self, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t") -> Axes:
         """Draw positions, controls with their bounds, and the costate, one above the other.
 
         Parameters
         ----------
         axes : Matplotlib axes for the positions; controls and costate are then left out
+        labels : d names of the positions with units
+        time : name of the time with its unit
 
         Returns
         -------
         the Matplotlib axes of the positions
         """
         if axes is not None:
-            return super().plot(axes)
+            return super().plot(axes, labels, time)
         top, middle, bottom = panels(3)
-        super().plot(top)
+        super().plot(top, labels, time)
         parts, steps = np.linspace(0.0, 1.0 - 1e-9, 40), np.diff(self.t)[:, None]
         times = self.t[:-1, None] + steps * parts
         broken = np.append(times, np.full_like(steps, np.nan), axis=1).ravel()
@@ -177,7 +180,7 @@ class ControlTrajectory(Trajectory):
         lines[:, np.isfinite(broken)] = self.control(times.ravel())
         limits = np.array(self.problem.control_bounds)
         plot_controls(broken, lines, self.control.times, self.control.values, limits, middle)
-        plot_path(times.ravel(), self.costate(times.ravel()), self.t, self.costate(self.t), bottom, "λ")
+        plot_path(times.ravel(), self.costate(times.ravel()), self.t, self.costate(self.t), bottom, time=time, name="λ")
         for axes in (top, middle):
             axes.set_xlabel("")
         top.set_title(f"Degree {self.method.degree} on {len(self.t) - 1} intervals: cost {self.cost:.6g}")

@@ -34,6 +34,7 @@ LOCAL = 1e-3  # below this relative step, Newton's method needs no line search
 NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
 SMALLEST_DAMPING = 1e-7
 RESCUE = 100  # iterations IPOPT gets after Newton's method; rescues were measured to take 4 to 40
+NEARLY = 1e-9  # residual over the sizes of its terms from which two Newton steps reach roundoff
 LEAP = 0.3  # longest step of a relaxation, relative to the size of the path
 RELAXED = 1e-13  # promised relative gain of the action below which a relaxation has ended
 SINGULAR = 1e-11  # second variation over the sum of its terms' sizes below which the Hessian is called singular
@@ -221,6 +222,7 @@ class System:
     algebra: Algebra
     pivots: bool = True
     _evaluators: dict[str, Evaluator] = field(default_factory=dict, repr=False, compare=False)
+    _solvers: dict[tuple[bool, int, int], ca.Function] = field(default_factory=dict, repr=False, compare=False)
 
     def evaluate(self, name: str, *arguments: np.ndarray) -> list[np.ndarray]:
         """Evaluate one of the Functions by name on NumPy arrays."""
@@ -402,7 +404,10 @@ def _interior_point(
     system: System, guess: np.ndarray, data: Data, verbose: int, minimize: bool, limit: int = 500
 ) -> Solution:
     name = "IPOPT on the action" if minimize else "IPOPT"
-    solver = _nlpsol(system, minimize, verbose, limit)
+    key = (minimize, verbose, limit)
+    if key not in system._solvers:
+        system._solvers[key] = _nlpsol(system, *key)  # building takes longer than solving a small problem
+    solver = system._solvers[key]
     bounds = {} if minimize else {"lbg": 0.0, "ubg": 0.0}
     answer = solver(x0=guess, p=np.concatenate(data), **bounds)
     stats = solver.stats()
@@ -471,3 +476,35 @@ def negative_eigenvalues(system: System, unknowns: np.ndarray, data: Data) -> in
     (matrix,) = system.hessian.call([unknowns, *data])
     system.algebra.factors.nfact(matrix)
     return int(system.algebra.factors.neig(matrix))
+
+
+def embeddable(system: System, weights: np.ndarray, limit: int = 50) -> ca.Function:
+    """Newton's method as a Function (guess, *data) -> ξ, differentiable by the implicit function theorem.
+
+    CasADi's ``newton`` first reduces the residual to `NEARLY` of the sizes of its terms, or stops at the limit; two
+    more steps from there, whatever the residual, take it to roundoff.  The answer is not verified: it may be NaN, or
+    no solution.  Neither is it an error, which would print all inputs and end a map over many at the first of them.
+
+    Parameters
+    ----------
+    system : System
+    weights : factor on every row of ∇S = 0, one over the sizes of the terms it sums
+    limit : most iterations
+    """
+    symbols, names = system.gradient.mx_in(), [system.gradient.name_in(i) for i in range(system.gradient.n_in())]
+    matrix, gradient = (output for output in system.derivatives.call(symbols))
+    rows = ca.DM(weights)
+    residual = ca.Function("residual", symbols, [rows * gradient], names, ["residual"])
+    scaled = [ca.mtimes(ca.diag(rows), matrix), rows * gradient]
+    jacobian = ca.Function("jacobian", symbols, scaled, names, ["matrix", "residual"])
+    options = {
+        "jacobian_function": jacobian,
+        "linear_solver": "qr",
+        "show_eval_warnings": False,
+        "error_on_fail": False,
+        "abstolStep": 0.0,  # it is absolute, whatever the unit of x
+    }
+    near = ca.rootfinder("near", "newton", residual, {**options, "abstol": NEARLY, "max_iter": limit})
+    last = ca.rootfinder("last", "newton", residual, {**options, "abstol": 0.0, "max_iter": 2})
+    root = last(near(*symbols), *symbols[1:])
+    return ca.Function("root", symbols, [root], ["guess", *names[1:]], ["unknowns"])

@@ -157,6 +157,5 @@ def trajectory(
         build_seconds=build_seconds,
         solve_seconds=solve_seconds,
         method=stepper.method,
-        lagrangian=problem.lagrangian,
-        parameters=problem.parameters,
+        problem=problem,
     )

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from matplotlib.animation import FuncAnimation
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
 # M. Okabe and K. Ito's palette, told apart by colour-blind readers
@@ -14,13 +17,16 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#00
 DOTS = 200  # joints beyond which their dots would hide the line
 
 
-def axes_or_new(axes: Axes | None) -> Axes:
-    """Return the axes given, or those of a new figure."""
+FRAMES_A_SECOND = 25
+
+
+def axes_or_new(axes: Axes | None, size: tuple[float, float] = (7.0, 4.0)) -> Axes:
+    """Return the axes given, or those of a new figure of that size in inches."""
     if axes is not None:
         return axes
     import matplotlib.pyplot as plt
 
-    return plt.subplots(figsize=(7.0, 4.0), layout="constrained")[1]
+    return plt.subplots(figsize=size, layout="constrained")[1]
 
 
 def plot_path(
@@ -29,6 +35,8 @@ def plot_path(
     joints: np.ndarray,
     joint_values: np.ndarray,
     axes: Axes | None = None,
+    labels: Sequence[str] | None = None,
+    time: str = "t",
     name: str = "x",
 ) -> Axes:
     """Draw the components of a path over time, joints as dots where there are at most `DOTS`.
@@ -38,20 +46,25 @@ def plot_path(
     times, values : (K,) and (d, K), the path drawn as a line
     joints, joint_values : (N + 1,) and (d, N + 1)
     axes : Matplotlib axes to draw into; default a new figure
-    name : of the path
+    labels : d names with units, such as "angle in rad"; default the name with an index
+    time : name of the time with its unit
+    name : of the path where it has no labels
 
     Returns
     -------
     the Matplotlib axes
     """
+    if labels is not None and (isinstance(labels, str) or len(labels) != len(values)):
+        raise ValueError(f"labels must be {len(values)} name(s), one a component, got {labels!r}")
     axes = axes_or_new(axes)
+    names = [f"{name}[{i}]" for i in range(len(values))] if labels is None else labels
     for i, (line, dots) in enumerate(zip(values, joint_values, strict=True)):
         color = COLORS[i % len(COLORS)]
-        axes.plot(times, line, color=color, label=f"{name}[{i}]")
+        axes.plot(times, line, color=color, label=names[i])
         if len(joints) <= DOTS:
             axes.plot(joints, dots, ".", color=color)
-    axes.set_xlabel("t")
-    axes.set_ylabel(name)
+    axes.set_xlabel(time)
+    axes.set_ylabel(names[0] if len(values) == 1 else name)
     if 1 < len(values) <= len(COLORS):
         axes.legend()
     return axes
@@ -113,3 +126,65 @@ def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None 
     axes.set_ylabel("relative gap to the global path")
     axes.legend()
     return axes
+
+
+def plot_phase(
+    x: np.ndarray,
+    p: np.ndarray,
+    joint_x: np.ndarray,
+    joint_p: np.ndarray,
+    labels: tuple[str, str],
+    axes: Axes | None = None,
+) -> Axes:
+    """Draw one component in phase space: a line through (x, p), all (K,), joints as dots, the first one larger."""
+    axes = axes_or_new(axes, (5.0, 4.0))
+    if not axes.lines:
+        axes.set_prop_cycle(color=COLORS)
+    (line,) = axes.plot(x, p)
+    axes.plot(joint_x, joint_p, ".", color=line.get_color())
+    axes.plot(joint_x[:1], joint_p[:1], "o", color=line.get_color())
+    axes.set(xlabel=labels[0], ylabel=labels[1])
+    return axes
+
+
+def plot_pattern(rows: np.ndarray, columns: np.ndarray, size: int, axes: Axes | None = None) -> Axes:
+    """Draw the nonzeros of a square matrix, row 0 on top."""
+    from matplotlib.ticker import MaxNLocator
+
+    axes = axes_or_new(axes, (4.6, 4.8))
+    axes.plot(columns, rows, "s", color=COLORS[0], markersize=max(0.4, 230 / size), markeredgewidth=0)
+    axes.set(xlim=(-0.5, size - 0.5), ylim=(size - 0.5, -0.5), aspect="equal", xlabel="unknown", ylabel="equation")
+    axes.set_title(f"{len(rows)} nonzeros, {100 * len(rows) / size**2:.3g} % of {size} × {size}", fontsize="medium")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(integer=True))
+    return axes
+
+
+def animate_linkage(times: np.ndarray, points: np.ndarray, interval: float, axes: Axes | None = None) -> FuncAnimation:
+    """Move a chain of bars through points (n, 2, K), one frame every `interval` seconds; the last point leaves a trail.
+
+    The axes are scaled to hold all of it; an animation runs only as long as a reference to it is kept.
+    """
+    from matplotlib.animation import FuncAnimation
+    from matplotlib.figure import Figure
+
+    axes = axes_or_new(axes, (5.0, 5.0))
+    low, high = points.min(axis=(0, 2)), points.max(axis=(0, 2))
+    middle, half = (low + high) / 2, 0.55 * max(np.max(high - low), np.finfo(float).tiny)
+    axes.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half], aspect="equal")
+    (trail,) = axes.plot([], [], color=COLORS[5])
+    (bars,) = axes.plot([], [], "o-", color=COLORS[0], linewidth=2)
+    clock = axes.set_title("", fontsize="medium")
+    digits = max(0, 2 - int(np.floor(np.log10(times[-1] - times[0]))))
+
+    def frame(k: int) -> tuple[Artist, ...]:
+        bars.set_data(points[:, 0, k], points[:, 1, k])
+        trail.set_data(points[-1, 0, : k + 1], points[-1, 1, : k + 1])
+        clock.set_text(f"t = {times[k]:.{digits}f}")
+        return bars, trail, clock
+
+    figure = axes.figure
+    assert isinstance(figure, Figure)
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # laid out once; anew for every frame it took 0.2 s each
+    return FuncAnimation(figure, frame, frames=len(times), interval=1000 * interval)

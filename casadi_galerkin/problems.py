@@ -6,15 +6,28 @@ pickled, compared by what it computes, and never calls back into Python during a
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
 
 Traceable: TypeAlias = Callable[..., Any]  # a casadi Function is one
+
+
+class Problem(Protocol):
+    """What an answer keeps of the problem that it solves."""
+
+    @property
+    def lagrangian(self) -> ca.Function:
+        """Function (t, x, v) or, with parameters, (t, x, v, p)."""
+
+    @property
+    def parameters(self) -> tuple[float, ...] | None:
+        """Values of p."""
 
 
 def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | None) -> ca.Function:
@@ -189,6 +202,18 @@ class BoundaryProblem:
     def dimension(self) -> int:
         """Number d of coordinates."""
         return len(self.start)
+
+    def varied(
+        self,
+        t_span: tuple[float, float],
+        start: tuple[float | None, ...],
+        end: tuple[float | None, ...],
+        parameters: tuple[float, ...] | None,
+    ) -> BoundaryProblem:
+        """Copy with other values that were checked before; unlike ``dataclasses.replace`` it traces nothing."""
+        other = copy.copy(self)
+        other.__dict__.update(t_span=t_span, start=start, end=end, parameters=parameters)
+        return other
 
 
 @dataclass(frozen=True)

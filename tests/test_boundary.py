@@ -183,6 +183,17 @@ def test_parameters_enter_and_change():
 # repeated solves, guesses, engines
 
 
+def test_a_path_knows_the_problem_it_solves():
+    problem = cg.BoundaryProblem(spring, (0, 1), [0.0], [None], parameters=[2.0, 0.0])
+    path = cg.transcribe(problem, cg.Galerkin(4), 3).solve([0.5], [None], [1.5, 0.1], mesh=[1.0, 1.2, 1.5, 2.0])
+    asked = (path.problem.t_span, path.problem.start, path.problem.end, path.problem.parameters)
+    assert asked == ((1.0, 2.0), (0.5,), (None,), (1.5, 0.1))
+    again = cg.solve(path.problem, cg.Galerkin(4), mesh=path.t)
+    np.testing.assert_array_equal(again.x, path.x)
+    assert path.lagrangian is problem.lagrangian
+    assert (problem.start, problem.parameters) == ((0.0,), (2.0, 0.0))
+
+
 def test_repeated_solves_equal_fresh_ones():
     tr = cg.transcribe(cg.BoundaryProblem(spring, (0, 1), [0.0], [1.0], [2.0, 0.0]), cg.Galerkin(5), 6)
     graded = np.linspace(0, 1, 7) ** 1.5

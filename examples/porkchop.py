@@ -1,0 +1,110 @@
+"""A porkchop plot: what every launch date and flight time between two planets costs; 2,500 Lambert transfers.
+
+Both planets move on ellipses in one plane.  One problem is built once; ends and time span are its variations.  They
+are solved one after the other, or by any executor of processes; on Dask's local cluster, with `distributed`
+installed, run ``python examples/porkchop.py porkchop.png dask``.
+"""
+
+import sys
+
+import casadi as ca
+import numpy as np
+from show import canvas, picture, save
+
+import casadi_galerkin as cg
+
+MU = 4 * np.pi**2  # au³/year², the Sun's gravitational parameter
+KILOMETRES_A_SECOND = 4.74047  # in one au/year
+INNER = {"axis": 1.0, "eccentricity": 0.017, "perihelion": 1.8, "anomaly": 0.0}  # like the Earth's orbit
+OUTER = {"axis": 1.524, "eccentricity": 0.093, "perihelion": 5.9, "anomaly": 1.2}  # like that of Mars
+LAUNCHES, FLIGHTS = np.linspace(1.2, 2.0, 50), np.linspace(0.4, 1.1, 50)  # years
+METHOD, INTERVALS = cg.Galerkin(degree=6), 12
+
+
+def lagrangian(t, x, v):
+    """Kinetic minus potential energy of a unit mass in the Sun's field, au²/year²."""
+    return ca.dot(v, v) / 2 + MU / ca.norm_2(x)
+
+
+def state(orbit, t):
+    """Position in au and velocity in au/year of a planet at time t, by Kepler's equation; (2,) each."""
+    a, e = orbit["axis"], orbit["eccentricity"]
+    rate = np.sqrt(MU / a**3)
+    mean = orbit["anomaly"] + rate * t
+    anomaly = mean
+    for _ in range(20):
+        anomaly -= (anomaly - e * np.sin(anomaly) - mean) / (1 - e * np.cos(anomaly))
+    c, s, b = np.cos(anomaly), np.sin(anomaly), np.sqrt(1 - e**2)
+    axes = np.array([[np.cos(orbit["perihelion"]), np.sin(orbit["perihelion"])]])
+    axes = np.concatenate((axes, [[-axes[0, 1], axes[0, 0]]]))
+    return a * np.array([c - e, b * s]) @ axes, a * rate / (1 - e * c) * np.array([-s, b * c]) @ axes
+
+
+def transfer(launch, flight):
+    """One variation: ends, times, and an arc round the Sun in the planets' direction as guess."""
+    start, end = state(INNER, launch)[0], state(OUTER, launch + flight)[0]
+    radii = np.linalg.norm([start, end], axis=1)
+    first, last = np.arctan2(start[1], start[0]), np.arctan2(end[1], end[0])
+    part = np.linspace(0, 1, INTERVALS + 1)
+    angle, radius = first + part * ((last - first) % (2 * np.pi)), radii[0] + part * (radii[1] - radii[0])
+    guess = radius * np.array([np.cos(angle), np.sin(angle)])
+    return {"start": start, "end": end, "t_span": (launch, launch + flight), "guess": guess}
+
+
+def variations():
+    """All transfers, launch date slowest."""
+    return [transfer(launch, flight) for launch in LAUNCHES for flight in FLIGHTS]
+
+
+def problem():
+    """The problem that all transfers are variations of."""
+    first = transfer(LAUNCHES[0], FLIGHTS[0])
+    return cg.BoundaryProblem(lagrangian, first["t_span"], first["start"], first["end"])
+
+
+def main(plot=None, executor=None):
+    """Solve all; returns the sweep and the cost in km/s, (launch dates, flight times)."""
+    transfers = cg.sweep(problem(), variations(), METHOD, INTERVALS, executor=executor)
+    velocity = transfers.momentum  # of a unit mass
+    leaving = np.stack([state(INNER, launch)[1] for launch in LAUNCHES for _ in FLIGHTS])
+    arriving = np.stack([state(OUTER, launch + flight)[1] for launch in LAUNCHES for flight in FLIGHTS])
+    changes = [velocity[:, :, 0] - leaving, velocity[:, :, -1] - arriving]
+    cost = KILOMETRES_A_SECOND * sum(np.linalg.norm(change, axis=1) for change in changes)
+    cost = cost.reshape(len(LAUNCHES), len(FLIGHTS))
+    if plot:
+        draw(cost, plot)
+    return transfers, cost
+
+
+def draw(cost, name):
+    """Draw lines of equal cost over launch date and flight time, and the cheapest transfer."""
+    axes = canvas("Porkchop plot of 2,500 transfers", "launch date in years", "flight time in years", (6.4, 4.6))
+    levels = np.floor(np.nanmin(cost)) + np.array([0, 1, 2, 3, 5, 7, 10, 14, 20, 30])
+    areas = axes.contourf(LAUNCHES, FLIGHTS, cost.T, levels, cmap="cividis", extend="max")
+    axes.figure.colorbar(areas, label="sum of both changes of velocity in km/s", ticks=levels)
+    i, j = np.unravel_index(np.nanargmin(cost), cost.shape)
+    axes.plot(LAUNCHES[i], FLIGHTS[j], "w*", markersize=12)
+    axes.annotate(
+        f"{cost[i, j]:.2f} km/s",
+        (LAUNCHES[i], FLIGHTS[j]),
+        xytext=(8, 6),
+        textcoords="offset points",
+        color="w",
+    )
+    save(axes, name)
+
+
+def on_dask(plot):
+    """The same on a local cluster of Dask: one thread a process."""
+    from dask.distributed import Client
+
+    with Client(n_workers=2, threads_per_worker=1, dashboard_address=None) as client:
+        return main(plot, client.get_executor())
+
+
+if __name__ == "__main__":
+    run = on_dask if sys.argv[2:] == ["dask"] else main
+    transfers, cost = run(picture("porkchop.png"))
+    print(transfers)
+    i, j = np.unravel_index(np.nanargmin(cost), cost.shape)
+    print(f"cheapest: {cost[i, j]:.3f} km/s, launch {LAUNCHES[i]:.3f}, flight {FLIGHTS[j]:.3f} years")

@@ -1,0 +1,154 @@
+"""Pictures show what they should, return Matplotlib's objects, need no screen, and refuse what does not fit."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import casadi_galerkin as cg
+from casadi_galerkin.plotting import COLORS
+
+
+@pytest.fixture(autouse=True)
+def _headless():
+    import matplotlib
+
+    matplotlib.use("Agg")
+    yield
+    import matplotlib.pyplot as plt
+
+    plt.close("all")
+
+
+def swing(parameters=None):
+    def lagrangian(t, x, v, p=(1.5,)):
+        return p[0] * v[0] ** 2 / 2 * (1 + x[0] ** 2) + ca.cos(x[0])
+
+    problem = cg.BoundaryProblem(lagrangian, (0.0, 2.0), [0.2], [1.0], parameters=parameters)
+    return cg.transcribe(problem, cg.Galerkin(4), 6)
+
+
+def planar():
+    problem = cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2 - x[1], (0.0, 1.0), [0.0, 0.0], [1.0, 0.5])
+    return cg.transcribe(problem, cg.Galerkin(3), 5)
+
+
+# the path over time
+
+
+def test_path_is_drawn_with_names_units_and_joints():
+    path = planar().solve()
+    axes = path.plot(labels=["width in m", "height in m"], time="t in s")
+    assert (axes.get_xlabel(), [text.get_text() for text in axes.get_legend().get_texts()]) == (
+        "t in s",
+        ["width in m", "height in m"],
+    )
+    lines = axes.get_lines()
+    for i in (0, 1):
+        np.testing.assert_array_equal(lines[2 * i].get_ydata(), path.path(lines[2 * i].get_xdata())[i])
+        np.testing.assert_array_equal(lines[2 * i + 1].get_xydata(), np.stack((path.t, path.x[i]), axis=1))
+        assert lines[2 * i].get_color() == lines[2 * i + 1].get_color() == COLORS[i]
+
+
+def test_one_component_names_its_axis():
+    assert swing().solve().plot(labels=["angle in rad"]).get_ylabel() == "angle in rad"
+    assert swing().solve().plot().get_ylabel() == "x[0]"
+
+
+@pytest.mark.parametrize("labels", [["one"], ["one", "two", "three"], "xy"])
+def test_labels_that_are_not_one_a_component_are_refused(labels):
+    with pytest.raises(ValueError, match=r"labels must be 2 name\(s\), one a component, got"):
+        planar().solve().plot(labels=labels)
+
+
+# phase space
+
+
+@pytest.mark.parametrize("parameters", [None, [1.5]])
+def test_phase_line_passes_the_joints_with_their_momenta(parameters):
+    path = swing(parameters).solve()
+    line, joints, start = path.plot_phase().get_lines()
+    np.testing.assert_array_equal(joints.get_xydata(), np.stack((path.x[0], path.momentum[0]), axis=1))
+    np.testing.assert_array_equal(start.get_xydata(), [[path.x[0, 0], path.momentum[0, 0]]])
+    x, p = line.get_xydata().T
+    energy = p**2 / (2 * 1.5 * (1 + x**2)) - np.cos(x)
+    # degree 4 on 6 intervals: the velocity of the polynomial is good to 1e-4 between the joints
+    np.testing.assert_allclose(energy, path.energy[0], rtol=0, atol=1e-3)
+
+
+def test_phase_portraits_of_several_paths_share_axes_in_different_colours():
+    path = planar().solve()
+    axes = path.plot_phase(0)
+    assert path.plot_phase(1, axes, ("height in m", "momentum in kg m/s")) is axes
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("height in m", "momentum in kg m/s")
+    assert [axes.get_lines()[i].get_color() for i in (0, 3)] == list(COLORS[:2])
+
+
+def test_colours_are_those_of_the_package_on_the_users_axes_too():
+    import matplotlib.pyplot as plt
+
+    axes = plt.subplots()[1]
+    assert planar().solve().plot_phase(0, axes).get_lines()[0].get_color() == COLORS[0]
+
+
+@pytest.mark.parametrize("component", [2, -1])
+def test_a_component_that_is_not_there_is_refused(component):
+    with pytest.raises(ValueError, match=f"component must be from 0 to 1, got {component}"):
+        planar().solve().plot_phase(component)
+
+
+# the matrix
+
+
+def test_pattern_shows_every_nonzero_of_the_hessian():
+    transcription = planar()
+    axes = transcription.plot_hessian()
+    size = transcription.layout.free
+    shown = np.zeros((size, size), dtype=bool)
+    columns, rows = axes.get_lines()[0].get_xydata().T.astype(int)
+    shown[rows, columns] = True
+    sparsity = transcription.hessian.sparsity_out(0)
+    np.testing.assert_array_equal(shown, np.array(ca.DM(sparsity, 1).full(), dtype=bool))
+    assert axes.get_ylim()[0] > axes.get_ylim()[1], "row 0 is on top"
+    assert f"{sparsity.nnz()} nonzeros" in axes.get_title()
+
+
+# mechanisms
+
+
+def rods(x):
+    """A fixed point, and one that slides."""
+    return np.stack((np.zeros_like(x), x))
+
+
+def test_animation_moves_the_mechanism_along_the_path(tmp_path):
+    from PIL import Image
+
+    path = planar().solve()
+    movie = path.animate(rods, seconds=0.4)
+    target = tmp_path / "movie.gif"
+    movie.save(target, writer="pillow", dpi=40)
+    with Image.open(target) as image:
+        assert image.n_frames == 10
+        assert image.info["duration"] == 40
+    bars = movie._fig.axes[0].get_lines()[1]  # as the last frame left them
+    np.testing.assert_allclose(bars.get_xydata(), [[0, 0], [1, 0.5]], atol=1e-14)
+    trail = movie._fig.axes[0].get_lines()[0].get_xydata()
+    np.testing.assert_array_equal(trail, path.path(np.linspace(0, 1, 10)).T)
+    assert movie._fig.axes[0].get_title() == "t = 1.00"
+
+
+def test_animation_takes_the_duration_of_the_path_and_the_axes_given(tmp_path):
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots()
+    axes.set_xlabel("x in m")
+    movie = planar().solve().animate(rods, axes)
+    movie.save(tmp_path / "movie.gif", writer="pillow", dpi=20)
+    assert movie._fig is figure
+    assert axes.get_xlabel() == "x in m"
+    assert len(axes.get_lines()[0].get_xdata()) == 25
+
+
+def test_points_of_another_shape_are_refused():
+    with pytest.raises(ValueError, match=r"points must return an array of shape \(n, 2, 25\), got \(2, 25\)"):
+        planar().solve().animate(lambda x: x)

@@ -1,0 +1,269 @@
+"""Many solves: the same answers in the same order whoever solves them, failures kept, bad input refused."""
+
+import operator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import casadi_galerkin as cg
+
+METHOD, INTERVALS = cg.Galerkin(degree=4), 6
+
+
+def bratu():
+    """Solvable for parameters below 3.51 only."""
+
+    def lagrangian(t, x, v, p):
+        return v[0] ** 2 / 2 - p[0] * ca.exp(x[0])
+
+    return cg.BoundaryProblem(lagrangian, (0.0, 1.0), [0.0], [0.0], parameters=[1.0])
+
+
+def arched(t):
+    """A guess that a process pool can pickle."""
+    return [16 * t * (1 - t)]
+
+
+RATES = [0.5, 4.0, 1.0, 3.0, 10.0, 2.0, 0.1]
+FAILING = [1, 4]
+VARIATIONS = [{"parameters": [rate]} for rate in RATES]
+
+
+@pytest.fixture(scope="module")
+def serial():
+    return cg.sweep(bratu(), VARIATIONS, METHOD, INTERVALS)
+
+
+@pytest.fixture(scope="module")
+def pool():
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as processes:
+        yield processes
+
+
+class Recorder(Executor):
+    """Runs what it is given later and backwards, and keeps it."""
+
+    def __init__(self):
+        self.given = []
+
+    def submit(self, fn, /, *args):
+        future = Future()
+        self.given.append((future, fn, args))
+        if len(self.given) == self.expected:
+            for future, fn, args in reversed(self.given):
+                future.set_result(fn(*args))
+        return self.given[-1][0]
+
+
+def identical(one, other):
+    """Two sweeps with bitwise the same answers and the same reasons."""
+    assert len(one) == len(other)
+    for a, b in zip(one, other, strict=True):
+        assert type(a) is type(b)
+        if isinstance(a, cg.Trajectory):
+            np.testing.assert_array_equal(a.path.values, b.path.values)
+            assert (a.action, a.problem.start, a.problem.parameters) == (
+                b.action,
+                b.problem.start,
+                b.problem.parameters,
+            )
+        else:
+            assert str(a) == str(b)
+
+
+def test_answers_are_those_of_single_solves_in_order(serial):
+    for rate, answer in zip(RATES, serial, strict=True):
+        problem = bratu().varied((0.0, 1.0), (0.0,), (0.0,), (rate,))
+        if rate > 3.51:
+            with pytest.raises(cg.ConvergenceError):
+                cg.solve(problem, METHOD, INTERVALS)
+            assert isinstance(answer, cg.ConvergenceError)
+        else:
+            assert answer.parameters == (rate,)
+            np.testing.assert_array_equal(answer.x, cg.solve(problem, METHOD, INTERVALS).x)
+
+
+def test_failures_are_kept_with_their_reason_and_best_iterate(serial):
+    assert list(serial.failures) == FAILING
+    for number, error in serial.failures.items():
+        assert error is serial[number]
+        assert "no path was found" in str(error)
+        assert error.path is not None
+        assert error.__traceback__ is None
+        assert error.__context__ is None
+
+
+def test_arrays_have_nan_where_there_is_no_answer(serial):
+    assert serial.x.shape == serial.momentum.shape == (len(RATES), 1, INTERVALS + 1)
+    assert serial.t.shape == (len(RATES), INTERVALS + 1)
+    for array in (serial.t, serial.x, serial.momentum, serial.action):
+        missing = np.isnan(array.reshape(len(RATES), -1))
+        assert np.flatnonzero(missing.all(axis=1)).tolist() == np.flatnonzero(missing.any(axis=1)).tolist() == FAILING
+    np.testing.assert_array_equal(serial.x[2], serial[2].x)
+    assert serial.action[2] == serial[2].action
+
+
+def test_summary_counts_and_gives_the_first_reason(serial):
+    assert str(serial).startswith(
+        "Sweep of 7 variations, 5 solved\n  variation 1 is the first without an answer: no path"
+    )
+    assert str(cg.sweep(bratu(), VARIATIONS[:1], METHOD, INTERVALS)) == "Sweep of 1 variations, 1 solved"
+
+
+def test_every_field_can_be_varied():
+    def lagrangian(t, x, v, p):
+        return v[0] ** 2 / 2 - p[0] * x[0]
+
+    problem = cg.BoundaryProblem(lagrangian, (0.0, 1.0), [0.0], [0.0], parameters=[0.0])
+    variation = {"start": [1.0], "end": [3.0], "parameters": [2.0], "t_span": (1.0, 3.0), "guess": np.zeros((1, 7))}
+    (path,) = cg.sweep(problem, [variation], METHOD, INTERVALS)
+    s = path.t - 1
+    np.testing.assert_allclose(path.x[0], 1 + 3 * s - s**2, rtol=1e-13)  # gravity 2, and 3 after two seconds
+    assert path.problem.t_span == (1.0, 3.0)
+
+
+def test_guess_of_a_variation_is_its_own():
+    low, high = cg.sweep(bratu(), [{}, {"guess": arched}], METHOD, INTERVALS)
+    assert (low.morse_index, high.morse_index) == (0, 1)
+
+
+def test_with_a_tolerance_every_path_has_its_own_mesh():
+    sweep = cg.sweep(bratu(), [{"parameters": [0.01]}, {"parameters": [3.5]}, {"parameters": [9.0]}], tol=1e-8)
+    assert sweep[0].error_estimate <= 1e-8
+    assert sweep[1].error_estimate <= 1e-8
+    assert list(sweep.failures) == [2]
+    np.testing.assert_allclose(sweep.action[:2], [sweep[0].action, sweep[1].action])
+    if len(sweep[0].t) != len(sweep[1].t):
+        with pytest.raises(ValueError, match="different meshes"):
+            operator.attrgetter("x")(sweep)
+
+
+def test_nothing_to_vary_is_an_empty_sweep():
+    assert len(cg.sweep(bratu(), [], METHOD, INTERVALS)) == 0
+
+
+def test_without_any_answer_there_are_no_arrays():
+    sweep = cg.sweep(bratu(), [{"parameters": [9.0]}], METHOD, INTERVALS)
+    with pytest.raises(ValueError, match="no variation has an answer"):
+        operator.attrgetter("action")(sweep)
+
+
+# executors
+
+
+def test_a_process_pool_gives_the_same_in_the_same_order(pool, serial):
+    identical(cg.sweep(bratu(), VARIATIONS, METHOD, INTERVALS, executor=pool), serial)
+
+
+def test_a_process_pool_takes_ends_spans_guesses_and_tolerances(pool):
+    variations = [
+        {"end": np.array([0.5]), "t_span": (0.0, 0.9), "guess": arched},
+        {"guess": np.full((1, INTERVALS + 1), 0.1)},
+        {"guess": cg.solve(bratu(), METHOD, INTERVALS)},
+    ]
+    here = cg.sweep(bratu(), variations, METHOD, INTERVALS)
+    identical(cg.sweep(bratu(), variations, METHOD, INTERVALS, executor=pool), here)
+    here = cg.sweep(bratu(), variations, tol=1e-6)
+    identical(cg.sweep(bratu(), variations, tol=1e-6, executor=pool), here)
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 65, 200, 3300])
+def test_chunks_hold_everything_once_whatever_their_order_of_arrival(count, monkeypatch):
+    from importlib import import_module
+
+    module = import_module("casadi_galerkin.sweep")
+    monkeypatch.setattr(module, "_answer", lambda solver, variation: variation["parameters"][0])
+    executor = Recorder()
+    size = min(50, -(-count // 64))
+    executor.expected = -(-count // size)
+    variations = [{"parameters": [float(i)]} for i in range(count)]
+    answers = cg.sweep(bratu(), variations, METHOD, INTERVALS, executor=executor)
+    assert list(answers) == list(range(count))
+    assert len(executor.given) == executor.expected
+    assert max(len(arguments[1]) for _, _, arguments in executor.given) <= 50
+
+
+def test_a_worker_builds_one_graph_for_all_its_chunks(monkeypatch):
+    from importlib import import_module
+
+    module = import_module("casadi_galerkin.sweep")
+    built, transcribe = [], module.transcribe
+    monkeypatch.setattr(module, "transcribe", lambda *given: built.append(1) or transcribe(*given))
+    module._unpickled.cache_clear()
+    executor = Recorder()
+    executor.expected = 5
+    cg.sweep(bratu(), VARIATIONS[:1] * 5, METHOD, INTERVALS, executor=executor)
+    assert len(built) == 2  # one here, to refuse bad input early, and one by the worker
+
+
+def test_dasks_local_cluster_gives_the_same(serial):
+    distributed = pytest.importorskip("distributed")
+    cluster = distributed.LocalCluster(
+        n_workers=2, threads_per_worker=2, processes=True, dashboard_address=None, silence_logs=50
+    )
+    with cluster, distributed.Client(cluster) as client:
+        identical(cg.sweep(bratu(), VARIATIONS, METHOD, INTERVALS, executor=client.get_executor()), serial)
+
+
+def test_threads_are_refused():
+    with ThreadPoolExecutor(2) as threads, pytest.raises(TypeError, match="processes, got a ThreadPoolExecutor"):
+        cg.sweep(bratu(), VARIATIONS, METHOD, INTERVALS, executor=threads)
+
+
+# what is refused, before anything is solved
+
+
+@pytest.mark.parametrize(
+    ("variation", "error", "message"),
+    [
+        (
+            {"ends": [1.0]},
+            ValueError,
+            "variation 1 has 'ends'; what can be varied is start, end, parameters, t_sp",
+        ),
+        ({"periodic": True}, ValueError, "variation 1 has 'periodic'"),
+        ({"end": [1.0, 2.0]}, ValueError, r"variation 1: end must have 1 component\(s\), got 2"),
+        ({"start": [None]}, ValueError, "variation 1: start must have None where the problem has it"),
+        ({"end": 1.0}, TypeError, "variation 1: end must be a sequence"),
+        ({"t_span": (1.0, 0.0)}, ValueError, "variation 1: t_span must increase"),
+        ({"parameters": [1.0, 2.0]}, ValueError, "variation 1: parameters must have 1"),
+    ],
+)
+def test_a_variation_that_does_not_fit_is_named_before_any_solve(variation, error, message, monkeypatch):
+    from importlib import import_module
+
+    module = import_module("casadi_galerkin.sweep")
+    monkeypatch.setattr(module, "transcribe", lambda *given: pytest.fail("built before the input was checked"))
+    with pytest.raises(error, match=message):
+        cg.sweep(bratu(), [{}, variation], METHOD, INTERVALS)
+
+
+def test_parameters_of_a_problem_without_any_are_refused():
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0.0, 1.0), [0.0], [1.0])
+    with pytest.raises(ValueError, match="variation 0: the problem has no parameters"):
+        cg.sweep(problem, [{"parameters": [1.0]}], METHOD, INTERVALS)
+
+
+def test_discretisation_is_asked_for():
+    with pytest.raises(ValueError, match="give a method and intervals, or tol"):
+        cg.sweep(bratu(), VARIATIONS, METHOD)
+
+
+def test_a_problem_is_asked_for():
+    with pytest.raises(TypeError, match="must be a BoundaryProblem, got str"):
+        cg.sweep("bratu", VARIATIONS, METHOD, INTERVALS)
+
+
+def test_a_bad_guess_is_kept_as_the_failure_of_its_variation():
+    sweep = cg.sweep(bratu(), [{"guess": [[np.nan] * (INTERVALS + 1)]}, {}], METHOD, INTERVALS)
+    assert isinstance(sweep[0], ValueError)
+    assert "the guess must be finite" in str(sweep[0])
+    assert isinstance(sweep[1], cg.Trajectory)
+
+
+def test_no_progress_bar_where_there_is_no_terminal(capfd):
+    cg.sweep(bratu(), VARIATIONS[:1], METHOD, INTERVALS)
+    assert capfd.readouterr() == ("", "")
