@@ -6,7 +6,6 @@ pickled, compared by what it computes, and never calls back into Python during a
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -211,8 +210,8 @@ class BoundaryProblem:
         parameters: tuple[float, ...] | None,
     ) -> BoundaryProblem:
         """Copy with other values that were checked before; unlike ``dataclasses.replace`` it traces nothing."""
-        other = copy.copy(self)
-        other.__dict__.update(t_span=t_span, start=start, end=end, parameters=parameters)
+        other = object.__new__(type(self))  # copy.copy takes 50 µs
+        other.__dict__.update(vars(self), t_span=t_span, start=start, end=end, parameters=parameters)
         return other
 
 

@@ -18,7 +18,7 @@ KILOMETRES_A_SECOND = 4.74047  # in one au/year
 INNER = {"axis": 1.0, "eccentricity": 0.017, "perihelion": 1.8, "anomaly": 0.0}  # like the Earth's orbit
 OUTER = {"axis": 1.524, "eccentricity": 0.093, "perihelion": 5.9, "anomaly": 1.2}  # like that of Mars
 LAUNCHES, FLIGHTS = np.linspace(1.2, 2.0, 50), np.linspace(0.4, 1.1, 50)  # years
-METHOD, INTERVALS = cg.Galerkin(degree=6), 12
+METHOD, INTERVALS = cg.Galerkin(degree=6), 10
 
 
 def lagrangian(t, x, v):
@@ -41,12 +41,18 @@ def state(orbit, t):
 
 
 def transfer(launch, flight):
-    """One variation: ends, times, and an arc round the Sun in the planets' direction as guess."""
+    """One variation: ends, times, and an arc round the Sun in the planets' direction as guess.
+
+    Half-way the arc is as far out as a circle on which that angle would take the time of the flight.
+    """
     start, end = state(INNER, launch)[0], state(OUTER, launch + flight)[0]
     radii = np.linalg.norm([start, end], axis=1)
-    first, last = np.arctan2(start[1], start[0]), np.arctan2(end[1], end[0])
+    first = np.arctan2(start[1], start[0])
+    swept = (np.arctan2(end[1], end[0]) - first) % (2 * np.pi)
+    middle = (MU * (flight / swept) ** 2) ** (1 / 3)
     part = np.linspace(0, 1, INTERVALS + 1)
-    angle, radius = first + part * ((last - first) % (2 * np.pi)), radii[0] + part * (radii[1] - radii[0])
+    radius = radii[0] + part * (radii[1] - radii[0]) + 4 * part * (1 - part) * (middle - np.mean(radii))
+    angle = first + part * swept
     guess = radius * np.array([np.cos(angle), np.sin(angle)])
     return {"start": start, "end": end, "t_span": (launch, launch + flight), "guess": guess}
 
