@@ -21,6 +21,9 @@ from casadi_galerkin.quadrature import radau as radau
 from casadi_galerkin.quadrature import trapezoid as trapezoid
 from casadi_galerkin.refinement import Limits as Limits
 from casadi_galerkin.solve import solve as solve
+from casadi_galerkin.trade import Row as Row
+from casadi_galerkin.trade import Trade as Trade
+from casadi_galerkin.trade import trade as trade
 from casadi_galerkin.trajectory import ConjugatePointError as ConjugatePointError
 from casadi_galerkin.trajectory import ConvergenceError as ConvergenceError
 from casadi_galerkin.trajectory import Trajectory as Trajectory

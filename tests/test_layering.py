@@ -25,7 +25,8 @@ RANKS = {
     "refinement": 6,
     "solve": 7,
     "comparison": 8,
-    "trade": 8,
+    "accuracy": 8,
+    "trade": 9,
     "sweep": 8,
 }
 PACKAGE = Path(casadi_galerkin.__file__).parent
