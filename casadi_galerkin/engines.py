@@ -36,7 +36,7 @@ SMALLEST_DAMPING = 1e-7
 RESCUE = 100  # iterations IPOPT gets after Newton's method; rescues were measured to take 4 to 40
 LEAP = 0.3  # longest step of a relaxation, relative to the size of the path
 RELAXED = 1e-13  # promised relative gain of the action below which a relaxation has ended
-SINGULAR = 1e-11  # second variation over the sum of its terms' sizes below which the Hessian is called singular
+SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
 
 Data = tuple[np.ndarray, ...]
 
