@@ -109,8 +109,8 @@ class Transcription:
         self._u = ca.vertcat(*(self._symbols[name] for name in ("unknowns", "start", "end")))
         self._at = (self._u, self._symbols["mesh"], self._symbols.get("parameters"))
         self._local, total = self._functional.gradient(*self._at)
-        self._derivatives = self._functional.hessian(*self._at), total[: self.layout.free]
-        self.hessian, self.gradient = map(self._function, ("hessian", "gradient"), self._derivatives)
+        self.hessian = self._function("hessian", self._functional.hessian(*self._at))
+        self.gradient = self._function("gradient", total[: self.layout.free])
         self.build_seconds = time.perf_counter() - began
 
     def _function(
@@ -150,7 +150,7 @@ class Transcription:
             self.action,
             self.gradient,
             self.hessian,
-            self._function("derivatives", *self._derivatives, results=["matrix", "gradient"]),
+            self._function("derivatives", *self._functional.derivatives(*self._at), results=["matrix", "gradient"]),
             self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free]),
             self._function("curvature", *curvature, extra=(direction,)),
             self._inertial,

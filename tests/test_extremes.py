@@ -66,7 +66,7 @@ def test_graph_of_a_ring_grows_linearly(few, many):
         stretch = x - ca.vertcat(x[1:], x[0])
         value = ca.sumsqr(v) / 2 - ca.sum1(stretch**2) / 2 - ca.sum1(stretch**4) / 4
         functions = pointwise(ca.Function("ring", [ca.SX.sym("t"), x, v], [value]))
-        return np.array([functions.pattern.nnz(), functions.hessian.n_instructions()])
+        return np.array([functions.pattern.nnz(), functions.derivatives.n_instructions()])
 
     ratio = size(many) / size(few)
     assert np.all(ratio < 1.05 * many / few)
