@@ -86,6 +86,7 @@ class Transcription:
     problem : BoundaryProblem
     method : Galerkin
     mesh : (N + 1,), the joints used unless others are given to `solve`
+    jit : whether gradient and Hessian are compiled in C
 
     Attributes
     ----------
@@ -94,14 +95,14 @@ class Transcription:
     build_seconds : float
     """
 
-    def __init__(self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray) -> None:
+    def __init__(self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, jit: bool = False) -> None:
         began = time.perf_counter()
         self.problem, self.method, self.mesh = problem, method, mesh
         fixed_start, fixed_end = (
             tuple(i for i, value in enumerate(end) if value is not None) for end in (problem.start, problem.end)
         )
         self.layout = Layout(method, len(mesh) - 1, problem.dimension, fixed_start, fixed_end, problem.periodic)
-        self._functional = Functional(problem.lagrangian, self.layout)
+        self._functional = Functional(problem.lagrangian, self.layout, jit)
         sizes = {"unknowns": self.layout.free, "start": len(fixed_start), "end": len(fixed_end), "mesh": len(mesh)}
         if problem.parameters is not None:
             sizes["parameters"] = len(problem.parameters)
@@ -418,7 +419,12 @@ class Transcription:
 
 
 def transcribe(
-    problem: BoundaryProblem, method: Galerkin, intervals: int | None = None, *, mesh: ArrayLike | None = None
+    problem: BoundaryProblem,
+    method: Galerkin,
+    intervals: int | None = None,
+    *,
+    mesh: ArrayLike | None = None,
+    jit: bool = False,
 ) -> Transcription:
     """Build the graph of a boundary problem once, to solve it often.
 
@@ -428,9 +434,10 @@ def transcribe(
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
+    jit : compile gradient and Hessian in C: 0.3 s each, then 2 to 6 times faster at the points; needs a C compiler
     """
     if not isinstance(problem, BoundaryProblem):
         raise TypeError(f"problem must be a BoundaryProblem, got {type(problem).__name__}")
     if not isinstance(method, Galerkin):
         raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
-    return Transcription(problem, method, mesh_of(problem.t_span, intervals, mesh))
+    return Transcription(problem, method, mesh_of(problem.t_span, intervals, mesh), jit)
