@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.adaptivity import sizes
 from casadi_galerkin.boundary import Guess
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin
-from casadi_galerkin.problems import BoundaryProblem
+from casadi_galerkin.control_problem import ControlProblem
+from casadi_galerkin.problems import BoundaryProblem, InitialProblem
 from casadi_galerkin.quadrature import gauss
 from casadi_galerkin.solve import solve
 from casadi_galerkin.trajectory import Trajectory
@@ -25,7 +26,7 @@ SAMPLES = 2000  # times at which errors are taken, and at least 4 on every inter
 FINER_DEGREE, LEAST_DEGREE = 4, 8  # degrees that a reference has more than the methods, and its least one
 FINER, ROUNDOFF, DOUBLINGS = 1e-2, 1e-14, 4  # part of the least error that a reference's own may be; its floor
 
-Problem: TypeAlias = BoundaryProblem  # and whatever else `solve` takes
+Problem: TypeAlias = BoundaryProblem | InitialProblem | ControlProblem
 Reference: TypeAlias = Trajectory | Callable[[float], ArrayLike]
 
 
@@ -47,9 +48,10 @@ class Yardstick:
         steps = np.diff(self._path.mesh)[:, None]
         times = (self._path.mesh[:-1, None] + steps * points).ravel()
         weights = (steps * np.array(gauss(LEAST_DEGREE).weights)).ravel()
-        values = self._terms(times)[0]
+        values, kinetic = self._terms(times)
         self.action = given.action if isinstance(given, Trajectory) else float(weights @ values)
         self.action_size = float(weights @ np.abs(values))
+        self.energy_size = float(np.max(np.abs(values) + np.abs(kinetic)))
         self.sizes = sizes(self._path)[:, None]
 
     def _sampled(self, times: np.ndarray) -> np.ndarray:
@@ -85,10 +87,9 @@ class Yardstick:
         joint_error = float(np.max(np.abs(path.x - self.at(joints)) / self.sizes))
         error = float(np.max(np.abs(path.path(times) - self.at(between)) / self.sizes))
         lagrangian, kinetic = self._terms(self._times(joints))
-        energy_error = np.max(np.abs(path.energy - (kinetic - lagrangian)))
-        energy_size = np.max(np.abs(lagrangian) + np.abs(kinetic))
+        energy_error = float(np.max(np.abs(path.energy - (kinetic - lagrangian))))
         action_error = abs(path.action - self.action) / self.action_size
-        return max(error, joint_error), joint_error, action_error, float(energy_error / energy_size)
+        return max(error, joint_error), joint_error, action_error, energy_error / self.energy_size
 
 
 def finer(problem: Problem, paths: Sequence[Trajectory], guess: Guess | None) -> tuple[Trajectory, float]:

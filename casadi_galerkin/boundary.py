@@ -27,6 +27,7 @@ from casadi_galerkin.engines import (
 )
 from casadi_galerkin.functional import LAYOUTS_KEPT, Functional, Layout, assembly, embedding
 from casadi_galerkin.problems import BoundaryProblem, components, numbers
+from casadi_galerkin.quadrature import real_array
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
 Engine = Callable[[System, np.ndarray, Data, int], Solution]
@@ -47,6 +48,34 @@ def mesh_of(t_span: tuple[float, float], intervals: int | None, mesh: ArrayLike 
     if (joints[0], joints[-1]) != t_span:
         raise ValueError(f"the mesh must run from {t_span[0]} to {t_span[1]}, got {joints[0]} to {joints[-1]}")
     return joints
+
+
+def given_values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:
+    """Values (d, N m + 1) of a guess as it was given."""
+    times, d = calculus.node_times, dimension
+    if isinstance(guess, (Trajectory, PiecewisePolynomial)):
+        path = guess.path if isinstance(guess, Trajectory) else guess
+        old = path.mesh
+        if len(path.values) != d:
+            raise ValueError(f"the guess must be a path of {d} component(s), got {len(path.values)}")
+        same = old[0] == times[0] and old[-1] == times[-1]
+        part = (times - times[0]) / (times[-1] - times[0])
+        return path(times if same else np.clip(old[0] + part * (old[-1] - old[0]), old[0], old[-1]))
+    if callable(guess):
+        columns = [real_array("values of the guess", guess(float(t))) for t in times]
+        shapes = {column.shape for column in columns}
+        if shapes != {(d,)}:
+            raise ValueError(f"the guess must return an array of shape ({d},), got {shapes.pop()}")
+        return np.stack(columns, axis=1)
+    array = real_array("the guess", guess)
+    if array.shape == (d, len(times)):
+        return array
+    if array.shape == (d, len(calculus.mesh)):
+        return np.stack([np.interp(times, calculus.mesh, row) for row in array])
+    raise ValueError(
+        f"the guess must have the shape ({d}, {len(calculus.mesh)}) for values at the joints or "
+        f"({d}, {len(times)}) at all nodes, got {array.shape}"
+    )
 
 
 @dataclass(frozen=True)
@@ -296,7 +325,7 @@ class Transcription:
     def _guess(self, guess: Guess | None, calculus: DiscreteCalculus, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) of a guess, bent to meet the fixed ends by adding a straight line."""
         times, d = calculus.node_times, self.problem.dimension
-        values = np.zeros((len(times), d)) if guess is None else self._given(guess, calculus).T
+        values = np.zeros((len(times), d)) if guess is None else given_values(guess, calculus, d).T
         numbering, fixed = self.layout.numbering, np.concatenate((np.zeros(self.layout.free), *data[:2]))
         miss = np.where(numbering[[0, -1]] >= self.layout.free, fixed[numbering[[0, -1]]] - values[[0, -1]], np.nan)
         miss = np.where(np.isnan(miss), miss[::-1], miss)  # a free end takes over what the other one is moved by
@@ -307,33 +336,6 @@ class Transcription:
             i = int(np.argmax(~np.isfinite(bent).all(axis=1)))
             raise ValueError(f"the guess must be finite, got {bent[i]} at t = {times[i]}")
         return np.asarray(bent)
-
-    def _given(self, guess: Guess, calculus: DiscreteCalculus) -> np.ndarray:
-        """Values (d, N m + 1) of a guess as it was given."""
-        times, d = calculus.node_times, self.problem.dimension
-        if isinstance(guess, (Trajectory, PiecewisePolynomial)):
-            path = guess.path if isinstance(guess, Trajectory) else guess
-            old = path.mesh
-            if len(path.values) != d:
-                raise ValueError(f"the guess must be a path of {d} component(s), got {len(path.values)}")
-            same = old[0] == times[0] and old[-1] == times[-1]
-            part = (times - times[0]) / (times[-1] - times[0])
-            return path(times if same else np.clip(old[0] + part * (old[-1] - old[0]), old[0], old[-1]))
-        if callable(guess):
-            columns = [np.asarray(guess(float(t)), dtype=float) for t in times]
-            shapes = {column.shape for column in columns}
-            if shapes != {(d,)}:
-                raise ValueError(f"the guess must return an array of shape ({d},), got {shapes.pop()}")
-            return np.stack(columns, axis=1)
-        array = np.asarray(guess, dtype=float)
-        if array.shape == (d, len(times)):
-            return array
-        if array.shape == (d, len(calculus.mesh)):
-            return np.stack([np.interp(times, calculus.mesh, row) for row in array])
-        raise ValueError(
-            f"the guess must have the shape ({d}, {len(calculus.mesh)}) for values at the joints or "
-            f"({d}, {len(times)}) at all nodes, got {array.shape}"
-        )
 
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""

@@ -73,6 +73,8 @@ class Evaluator:
         for target, argument in zip(self._inputs, arguments, strict=True):
             target[:] = argument
         self._run()
+        if self._buffer.ret():  # aborted, as CasADi's QR does on a small pivot: the arrays hold an earlier answer
+            return [np.full_like(array, np.nan) for array in self._outputs]
         return [array.copy() for array in self._outputs]
 
 
@@ -100,8 +102,8 @@ class Algebra:
     It is kept for all Lagrangians of a layout, with the Hessian in `matrix` as `System.derivatives` left it there, so
     whoever works with it holds `lock`.  The steps of an iteration are bundled into few Functions, since a call from
     Python costs about as much as evaluating a small problem.  Those that solve with ∇²S are built for a linear
-    solver, "ldl" or "qr"; their first output is the solution, the last two are the size of the right-hand side and
-    the excess of the defect.
+    solver, "ldl" or "qr"; their first output is the solution, the last one the excess of the defect over a small
+    part of the right-hand side.
 
     Parameters
     ----------
@@ -134,11 +136,10 @@ class Algebra:
         return ca.Linsol("ldl", "ldl", self._matrix.sparsity())
 
     def _solve(self, solver: str, rhs: ca.MX) -> list[ca.MX]:
-        """Solution of ∇²S y = -rhs, size of rhs, excess of the defect; a sum of sizes does not lose a NaN."""
+        """Solution of ∇²S y = -rhs, and the excess of its defect; a sum of sizes does not lose a NaN."""
         matrix = self._matrix
         y = -(self.factors.solve(matrix, rhs) if solver == "ldl" else ca.solve(matrix, rhs, solver))
-        total = ca.norm_1(rhs)
-        return [y, total, ca.norm_1(ca.mac(matrix, y, rhs)) - LOCAL * total]
+        return [y, ca.norm_1(ca.mac(matrix, y, rhs)) - LOCAL * ca.norm_1(rhs)]
 
     def _expand(self, values: ca.MX) -> ca.MX:
         """One value a component -> one an unknown."""
@@ -150,28 +151,28 @@ class Algebra:
 
     def descent(self, solver: str) -> tuple[list[ca.MX], list[ca.MX]]:
         """(∇²S, g, ξ, start, end) -> Newton step, the sizes that it is measured by, its norm."""
-        step, total, excess = self._solve(solver, self._vectors[0])
+        step, excess = self._solve(solver, self._vectors[0])
         change = self.scale(step, *(ca.MX.zeros(a.shape) for a in self._ends[1:]))
         largest = ca.fmax(self.scale(*self._ends), change)
         sizes = self._expand(largest + (largest == 0))
         inputs = [self._matrix, self._vectors[0], *self._ends]
-        return inputs, [step, sizes, ca.norm_inf(step / sizes), total, excess]
+        return inputs, [step, sizes, ca.norm_inf(step / sizes), excess]
 
     def trial(self, solver: str) -> tuple[list[ca.MX], list[ca.MX]]:
         """(∇²S, g, step, sizes, damping) -> next step with the same matrix, norms of it and of the path's bend."""
         g, step, sizes, _ = self._vectors
-        y, total, excess = self._solve(solver, g)
+        y, excess = self._solve(solver, g)
         norms = [ca.norm_inf(y / sizes), ca.norm_inf((y - (1 - self._damping) * step) / sizes)]
-        return [self._matrix, g, step, sizes, self._damping], [y, *norms, total, excess]
+        return [self._matrix, g, step, sizes, self._damping], [y, *norms, excess]
 
     def variation(self, solver: str) -> tuple[list[ca.MX], list[ca.MX]]:
         """(∇²S, ξ, start, end) -> direction after three inverse iterations."""
         scale, excess = self.scale(*self._ends), 0
         y = np.cos(1.0 + np.arange(len(self.component))) * self._expand(scale + (scale == 0))
         for _ in range(3):
-            y, total, defect = self._solve(solver, y)
+            y, defect = self._solve(solver, y)
             y, excess = y / ca.norm_inf(y), ca.fmax(excess, defect) + 0 * defect  # the last term keeps a NaN
-        return [self._matrix, *self._ends], [y, total, excess]
+        return [self._matrix, *self._ends], [y, excess]
 
     def forecast(self) -> tuple[list[ca.MX], list[ca.MX]]:
         """(last step, the one simplified after it, step, sizes) -> factor on the damping (Deuflhard, eq. 3.47)."""
@@ -235,7 +236,7 @@ class System:
         """
         for solver in ("ldl", "qr") if self.pivots else ("qr",):
             results = self.algebra.evaluate(name, solver, *arguments)
-            if results[-1][0] <= 0 or not math.isfinite(results[-2][0]):
+            if results[-1][0] <= 0:
                 return results
         if not np.any(results[0]):  # CasADi's QR answers a rank-deficient system with zeros
             results[0][:] = np.nan
@@ -297,8 +298,8 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
     x, damping, before = guess, 1.0, None
     for iteration in range(1, limit + 1):
         (g,) = system.evaluate("derivatives", x, *data)
-        step, sizes, (norm,), (total,), _ = system.solved("descent", g, x, *data[:2])
-        if iteration == 1 and not math.isfinite(total):
+        step, sizes, (norm,), _ = system.solved("descent", g, x, *data[:2])
+        if iteration == 1 and not np.isfinite(g).all():
             raise SolveFailure("the gradient of the action is not finite at the guess", x, 0)
         if not np.isfinite(step).all():
             finite = bool(np.isfinite(system.algebra.matrix).all())
@@ -371,7 +372,7 @@ def _line_search(
             continue
         if damping == 1.0 and norm < LOCAL:
             return trial, g, None, damping
-        simplified, (shrunk,), (bend,), _, _ = system.solved("trial", g, step, sizes, np.array([damping]))
+        simplified, (shrunk,), (bend,), _ = system.solved("trial", g, step, sizes, np.array([damping]))
         if shrunk <= (1 - damping / 4) * norm and np.isfinite(simplified).all():
             return trial, g, simplified, damping
         damping = min(damping / 2, norm * damping**2 / (2 * max(bend, 1e-300)))

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 # M. Okabe and K. Ito's palette, told apart by colour-blind readers
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+DOTS = 200  # joints beyond which their dots would hide the line
 
 
 def axes_or_new(axes: Axes | None) -> Axes:
@@ -24,15 +25,21 @@ def axes_or_new(axes: Axes | None) -> Axes:
 
 
 def plot_path(
-    times: np.ndarray, values: np.ndarray, joints: np.ndarray, joint_values: np.ndarray, axes: Axes | None = None
+    times: np.ndarray,
+    values: np.ndarray,
+    joints: np.ndarray,
+    joint_values: np.ndarray,
+    axes: Axes | None = None,
+    name: str = "x",
 ) -> Axes:
-    """Draw the components of a path over time, joints as dots.
+    """Draw the components of a path over time, joints as dots where there are at most `DOTS`.
 
     Parameters
     ----------
     times, values : (K,) and (d, K), the path drawn as a line
     joints, joint_values : (N + 1,) and (d, N + 1)
     axes : Matplotlib axes to draw into; default a new figure
+    name : of the path
 
     Returns
     -------
@@ -41,12 +48,71 @@ def plot_path(
     axes = axes_or_new(axes)
     for i, (line, dots) in enumerate(zip(values, joint_values, strict=True)):
         color = COLORS[i % len(COLORS)]
-        axes.plot(times, line, color=color, label=f"x[{i}]")
-        axes.plot(joints, dots, ".", color=color)
+        axes.plot(times, line, color=color, label=f"{name}[{i}]")
+        if len(joints) <= DOTS:
+            axes.plot(joints, dots, ".", color=color)
     axes.set_xlabel("t")
-    axes.set_ylabel("x")
+    axes.set_ylabel(name)
     if 1 < len(values) <= len(COLORS):
         axes.legend()
+    return axes
+
+
+def panels(count: int) -> list[Axes]:
+    """Axes of a new figure, one above the other over the same time."""
+    import matplotlib.pyplot as plt
+
+    return list(plt.subplots(count, sharex=True, figsize=(7.0, 2.6 * count), layout="constrained")[1])
+
+
+def plot_controls(
+    times: np.ndarray, values: np.ndarray, points: np.ndarray, point_values: np.ndarray, bounds: np.ndarray, axes: Axes
+) -> Axes:
+    """Draw controls over time, quadrature points as dots where there are at most `DOTS`, finite bounds as dashed lines.
+
+    Parameters
+    ----------
+    times, values : (K,) and (n, K), lines; NaN breaks them where the controls may jump
+    points, point_values : (M,) and (n, M)
+    bounds : (2, n), lower and upper
+    axes : Matplotlib axes to draw into
+    """
+    for i, (line, dots) in enumerate(zip(values, point_values, strict=True)):
+        color = COLORS[i % len(COLORS)]
+        axes.plot(times, line, color=color, label=f"u[{i}]")
+        if len(points) <= DOTS:
+            axes.plot(points, dots, ".", markersize=3, color=color)
+        for bound in bounds[:, i]:
+            if np.isfinite(bound):
+                axes.axhline(bound, color=color, linestyle="--", linewidth=0.8)
+    axes.set_xlabel("t")
+    axes.set_ylabel("u")
+    if 1 < len(values) <= len(COLORS):
+        axes.legend()
+    return axes
+
+
+def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None = None) -> Axes:
+    """Draw how far paths are from a reference over time, on a logarithmic scale.
+
+    Parameters
+    ----------
+    times : (N + 1,)
+    gaps : (N + 1,) by name; values that are zero or not finite are left out
+    axes : Matplotlib axes to draw into; default a new figure
+
+    Returns
+    -------
+    the Matplotlib axes
+    """
+    axes = axes_or_new(axes)
+    for color, (name, gap) in zip(COLORS, gaps.items(), strict=False):
+        shown = np.isfinite(gap) & (gap > 0)
+        axes.plot(times[shown], gap[shown], ".-", color=color, label=name)
+    axes.set_yscale("log")
+    axes.set_xlabel("t")
+    axes.set_ylabel("relative gap to the global path")
+    axes.legend()
     return axes
 
 

@@ -6,6 +6,7 @@ pickled, compared by what it computes, and never calls back into Python during a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -16,7 +17,7 @@ import numpy as np
 Traceable: TypeAlias = Callable[..., Any]  # a casadi Function is one
 
 
-def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int) -> ca.Function:
+def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | None) -> ca.Function:
     """Turn a callable of CasADi vectors into a Function with `rows` outputs.
 
     Parameters
@@ -24,7 +25,7 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int) -
     name : what the user calls it, for messages
     function : callable, or a Function that was traced before
     sizes : length of every argument, in order
-    rows : expected length of the result; 1 for a scalar
+    rows : expected length of the result; 1 for a scalar, None for a vector of any length
 
     Raises
     ------
@@ -33,7 +34,7 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int) -
     """
     if isinstance(function, ca.Function):
         got = [function.numel_in(i) for i in range(function.n_in())]
-        if got != list(sizes.values()) or function.numel_out(0) != rows:
+        if got != list(sizes.values()) or rows not in (None, function.numel_out(0)):
             raise ValueError(f"{name} is a Function of inputs of lengths {got}, expected {list(sizes.values())}")
         return function
     if not callable(function):
@@ -48,15 +49,28 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int) -
             f"{name} failed when called with CasADi symbols {shapes}: {error}. "
             "Write it with CasADi's functions, such as casadi.cos, not with math or NumPy ones"
         ) from error
-    if isinstance(value, (list, tuple)) and rows > 1:
+    if isinstance(value, (list, tuple)) and rows != 1:
         value = ca.vertcat(*value)
     if not isinstance(value, (ca.SX, ca.DM, int, float)) or isinstance(value, bool):
         raise TypeError(f"{name} must return a CasADi expression, got {type(value).__name__}: {value!r}")
     value = ca.SX(value)
-    if value.shape != (rows, 1):
-        expected = "a scalar" if rows == 1 else f"a vector of length {rows}"
+    if value.shape != (value.numel() if rows is None else rows, 1):
+        expected = "a scalar" if rows == 1 else "a column vector" if rows is None else f"a vector of length {rows}"
         raise ValueError(f"{name} must return {expected}, got shape {value.shape}")
-    return ca.Function(name, symbols, [ca.densify(value)], list(sizes), ["value"])
+    traced = ca.Function(name, symbols, [ca.densify(value)], list(sizes), ["value"], {"allow_free": True})
+    if traced.has_free():
+        raise ValueError(f"{name} depends on {', '.join(traced.get_free())} besides its arguments {shapes}")
+    constants = (traced.instruction_constant(k) for k in range(traced.n_instructions()) if _is_constant(traced, k))
+    if any(math.isnan(constant) for constant in constants):  # float() of a symbol, as in math.cos(x), is NaN
+        raise TypeError(
+            f"{name} holds a constant that is not a number, as math.cos(x) gives for a CasADi symbol x. "
+            "Write it with CasADi's functions, such as casadi.cos, not with math or NumPy ones"
+        )
+    return traced
+
+
+def _is_constant(function: ca.Function, instruction: int) -> bool:
+    return bool(function.instruction_id(instruction) == ca.OP_CONST)
 
 
 def trace_lagrangian(lagrangian: Traceable, dimension: int, parameters: tuple[float, ...] | None) -> ca.Function:
@@ -81,6 +95,8 @@ def numbers(name: str, values: Sequence[float], length: int | None = None) -> tu
 
 def components(name: str, values: Sequence[float | None], length: int | None = None) -> tuple[float | None, ...]:
     """Check a sequence of finite numbers in which None stands for a free component."""
+    if isinstance(values, ca.DM) and values.is_vector():
+        values = values.full().ravel()
     if isinstance(values, (str, bytes)) or not hasattr(values, "__len__") or not hasattr(values, "__getitem__"):
         raise TypeError(f"{name} must be a sequence of numbers, one for each component, got {values!r}")
     if isinstance(values, np.ndarray) and values.ndim != 1:
@@ -90,10 +106,9 @@ def components(name: str, values: Sequence[float | None], length: int | None = N
     checked = []
     for i in range(len(values)):
         value = values[i]
-        try:
-            number = None if value is None else float(value)
-        except (TypeError, ValueError, RuntimeError) as error:
-            raise TypeError(f"{name}[{i}] must be a number or None, got {value!r}") from error
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating, type(None))):
+            raise TypeError(f"{name}[{i}] must be a number or None, got {value!r}")
+        number = None if value is None else float(value)
         if number is not None and not np.isfinite(number):
             raise ValueError(f"{name}[{i}] must be finite, got {number}")
         checked.append(number)
@@ -149,6 +164,8 @@ class BoundaryProblem:
         parameters: Sequence[float] | None = None,
         periodic: bool = False,
     ) -> None:
+        if not isinstance(periodic, (bool, np.bool_)):
+            raise TypeError(f"periodic must be True or False, got {periodic!r}")
         checked_start = components("start", start)
         dimension = len(checked_start)
         if periodic and end is not None and any(value is not None for value in end):
@@ -172,3 +189,83 @@ class BoundaryProblem:
     def dimension(self) -> int:
         """Number d of coordinates."""
         return len(self.start)
+
+
+@dataclass(frozen=True)
+class InitialProblem:
+    """A path from a position and a momentum, or velocity, at the start.
+
+    Parameters
+    ----------
+    lagrangian : callable (t, x, v) or, with parameters, (t, x, v, p) -> scalar, as for `BoundaryProblem`
+    t_span : (t_0, t_N), in the unit of time of the Lagrangian
+    position : d numbers, x(t_0)
+    momentum : d numbers, p(t_0) = ∂L/∂v; or
+    velocity : d numbers, v(t_0)
+    parameters : numbers passed to the callables as p; default none
+    force : callable of the same arguments -> d generalised forces, that do the virtual work F·δx
+        (Lagrange-d'Alembert); default none
+
+    Raises
+    ------
+    TypeError, ValueError
+        naming what came and what was expected
+
+    Examples
+    --------
+    >>> InitialProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), [1.0], velocity=[0.0]).dimension
+    1
+    """
+
+    lagrangian: ca.Function
+    t_span: tuple[float, float]
+    position: tuple[float, ...]
+    momentum: tuple[float, ...] | None
+    velocity: tuple[float, ...] | None
+    parameters: tuple[float, ...] | None
+    force: ca.Function | None
+
+    def __init__(
+        self,
+        lagrangian: Traceable,
+        t_span: Sequence[float],
+        position: Sequence[float],
+        momentum: Sequence[float] | None = None,
+        velocity: Sequence[float] | None = None,
+        parameters: Sequence[float] | None = None,
+        force: Traceable | None = None,
+    ) -> None:
+        checked_position = numbers("position", position)
+        d = len(checked_position)
+        if (momentum is None) == (velocity is None):
+            raise ValueError(f"give either momentum or velocity, got momentum={momentum!r} and velocity={velocity!r}")
+        checked_parameters = None if parameters is None else numbers("parameters", parameters)
+        values = {
+            "lagrangian": trace_lagrangian(lagrangian, d, checked_parameters),
+            "t_span": time_span(t_span),
+            "position": checked_position,
+            "momentum": None if momentum is None else numbers("momentum", momentum, d),
+            "velocity": None if velocity is None else numbers("velocity", velocity, d),
+            "parameters": checked_parameters,
+            "force": None if force is None else _trace_force(force, d, checked_parameters),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def dimension(self) -> int:
+        """Number d of coordinates."""
+        return len(self.position)
+
+
+def _trace_force(force: Traceable, dimension: int, parameters: tuple[float, ...] | None) -> ca.Function:
+    """Trace F(t, x, v[, p]) -> (d,); with d = 1 a list of one force will do as well."""
+    sizes = {"t": 1, "x": dimension, "v": dimension} | ({} if parameters is None else {"p": len(parameters)})
+    if not callable(force) or isinstance(force, ca.Function):
+        return trace("force", force, sizes, dimension)
+
+    def column(*arguments: ca.SX) -> Any:
+        value = force(*arguments)
+        return ca.vertcat(*value) if isinstance(value, (list, tuple)) else value
+
+    return trace("force", column, sizes, dimension)

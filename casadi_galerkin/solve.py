@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary import Engine, Guess, transcribe
+from casadi_galerkin.boundary import Engine, Guess, mesh_of, transcribe
 from casadi_galerkin.calculus import Galerkin
-from casadi_galerkin.engines import rootfinder
-from casadi_galerkin.problems import BoundaryProblem
+from casadi_galerkin.control import transcribe_control
+from casadi_galerkin.control_problem import ControlProblem
+from casadi_galerkin.engines import ipopt, rootfinder
+from casadi_galerkin.initial import integrate
+from casadi_galerkin.problems import BoundaryProblem, InitialProblem
 from casadi_galerkin.refinement import Limits, solve_to_tolerance
 from casadi_galerkin.trajectory import Trajectory
 
 
 def solve(
-    problem: BoundaryProblem,
+    problem: BoundaryProblem | InitialProblem | ControlProblem,
     method: Galerkin | None = None,
     intervals: int | None = None,
     *,
@@ -31,14 +34,17 @@ def solve(
     the largest value of each component, is at most `tol`; `method` then fixes the degree, and `intervals` or `mesh`
     are where refinement begins.
 
+    An `InitialProblem` is solved step by step, with `method` and `intervals` or `mesh`; a `ControlProblem`, whose
+    answer is a ControlTrajectory, by IPOPT, with these and a `guess`.
+
     Parameters
     ----------
-    problem : BoundaryProblem
+    problem : BoundaryProblem, InitialProblem or ControlProblem
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
-    tol : relative tolerance between 0 and 1
-    guess, solver : as for `Transcription.solve`
+    tol : relative tolerance between 0 and 1; for boundary problems
+    guess, solver : as for `Transcription.solve`; for boundary problems
     limits : Limits that stop a refinement; only with `tol`
     verbose : 1 prints a summary and, with `tol`, a line a level; 2 also the solver's lines
 
@@ -50,6 +56,16 @@ def solve(
     >>> float(path.path(0.5)[0].round(6))
     0.569747
     """
+    if isinstance(problem, ControlProblem):
+        if solver not in (rootfinder, ipopt) or tol is not None or method is None:
+            raise ValueError("a ControlProblem is solved by ipopt, with a method and intervals, not to a tolerance")
+        return transcribe_control(problem, method, intervals, mesh=mesh).solve(guess=guess, verbose=verbose)
+    if isinstance(problem, InitialProblem):
+        if guess is not None or tol is not None or limits is not None or solver is not rootfinder:
+            raise ValueError("an initial problem takes no tol, limits, guess or solver: it is solved step by step")
+        if method is None:
+            raise ValueError("give a method and intervals, got no method")
+        return integrate(problem, method, mesh_of(problem.t_span, intervals, mesh), verbose)
     if tol is not None:
         path = solve_to_tolerance(problem, tol, method, intervals, mesh, guess, solver, limits or Limits(), verbose)
         if verbose:
@@ -58,5 +74,5 @@ def solve(
     if limits is not None:
         raise ValueError("limits stop a refinement: give tol with them")
     if method is None:
-        raise ValueError("give a method and intervals, or tol, got neither")
+        raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
     return transcribe(problem, method, intervals, mesh=mesh).solve(guess=guess, solver=solver, verbose=verbose)

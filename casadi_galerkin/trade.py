@@ -45,7 +45,7 @@ class Row:
     error : largest error of the path, at the joints and between them, relative to the size of each component
     joint_error : the same at the joints
     action_error : of the action, relative to ∫ |L| dt
-    energy_error : largest error of the energy at the joints, relative to its largest terms |p·v| + |L|
+    energy_error : largest error of the energy at the joints, relative to the largest of its terms |p·v| + |L|
     failure : why there is no answer; the numbers above are then NaN or 0.  None if there is one
     """
 
@@ -216,7 +216,7 @@ def trade(
 
     Parameters
     ----------
-    problem : BoundaryProblem, or whatever else `solve` takes
+    problem : BoundaryProblem, InitialProblem or ControlProblem
     methods : several Galerkin
     intervals : several numbers of equal intervals
     reference : a Trajectory or a callable t -> (d,) that errors are differences to; default a solve several digits

@@ -48,7 +48,7 @@ class Trajectory:
     momentum : (d, N + 1), by the discrete Legendre transform p_0 = -∂S/∂x_0, ..., p_N = ∂S/∂x_N; order 2m
     path : callable, ``path(t)`` -> (d,) + t.shape, ``path(t, 1)`` its derivative
     action : value of the discrete action
-    morse_index : number of negative eigenvalues of its Hessian, 0 for a local minimum; None where the
+    morse_index : number of negative eigenvalues of its Hessian, 0 for a local minimum; None for steps, and where the
         kinetic energy is indefinite by structure, so that there is no finite index
     iterations : of the solver
     residual : largest residual over its own roundoff floor
@@ -98,12 +98,17 @@ class Trajectory:
         per_interval = max(2, 200 // (len(self.t) - 1))
         parts = np.linspace(0, 1, per_interval, endpoint=False)
         times = np.append((self.t[:-1, None] + np.diff(self.t)[:, None] * parts).ravel(), self.t[-1])
-        return plot_path(times, self.path(times), self.t, self.x, axes)
+        drawn = plot_path(times, self.path(times), self.t, self.x, axes)
+        if axes is None:
+            index = "" if self.morse_index is None else f", Morse index {self.morse_index}"
+            intervals = len(self.t) - 1
+            drawn.set_title(f"Degree {self.method.degree} on {intervals} intervals: action {self.action:.6g}{index}")
+        return drawn
 
     def __str__(self) -> str:
         """Summarise path and solve in a few lines."""
         size, energy = len(self.x), self.energy
-        saddle = "no minimum" if self.morse_index is None else f"a saddle of Morse index {self.morse_index}"
+        saddle = "no Morse index" if self.morse_index is None else f"a saddle of Morse index {self.morse_index}"
         kind = "a local minimum" if self.morse_index == 0 else saddle
         return "\n".join(
             [

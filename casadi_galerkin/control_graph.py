@@ -1,0 +1,162 @@
+"""The optimisation's functions and exact derivatives, as CasADi graphs; nothing is differentiated through them.
+
+With A, Ê and Θ of the `ControlLayout`, and at every quadrature point z_k the cost and the rows
+
+    c_k = w_k h ℓ(t, x, v, u),      e_k = [ ∂L̂/∂x + h F,  ∂L̂/∂x',  g ],      L̂ = h L(t, x, x'/h),
+
+(at the ends c = τ, the terminal cost, and e = [p_0, p_N] with p = ∂L/∂v(t, x, v))
+
+    cost        f  = Σ c_k                        ∇f = Êᵀ [∇c_k]
+    equations   G  = Θ [e_k]                      ∇G = Θ blockdiag(∇e_k) Ê
+    Lagrangian  f̄  = φ f + λ·G                    ∇²f̄ = Êᵀ blockdiag(∇²[φ c_k + e_k·(Θᵀλ)_k]) Ê
+
+The multipliers λ are a discrete path: (Θᵀλ)_k = w_k (δx, δx') is its embedding at the point, weighted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.control_layout import ControlLayout
+from casadi_galerkin.control_place import places
+from casadi_galerkin.control_problem import ControlProblem
+
+Vector: TypeAlias = Any  # MX in the graph, DM where the same is evaluated in numbers
+
+
+@dataclass(frozen=True)
+class Report:
+    """What is told of a point.
+
+    Attributes
+    ----------
+    cost : f
+    equations, terms : G, and the sizes of the terms it sums
+    slopes : (N r,), derivative of every point's Lagrangian by its share of the duration
+    z, rows : (rows, N r), what is known at the quadrature points, and e there
+    """
+
+    cost: float
+    equations: np.ndarray
+    terms: np.ndarray
+    slopes: np.ndarray
+    z: np.ndarray
+    rows: np.ndarray
+
+
+class ControlGraph:
+    """The NLP of a control problem as Functions of (unknowns, data).
+
+    Parameters
+    ----------
+    problem : ControlProblem
+    layout : ControlLayout
+    first : (unknowns and data,) a guess, to measure the equations of motion by
+
+    Attributes
+    ----------
+    unknowns, data : MX symbols
+    cost, equations : MX expressions f and G
+    places : quadrature points, and the ends
+    sizes : (d,), what the equations of motion of each component are divided by, so that the solver's tolerance, which
+        is absolute, does not depend on units
+    test : Θᵀ so divided
+    """
+
+    def __init__(self, problem: ControlProblem, layout: ControlLayout, first: np.ndarray) -> None:
+        self.layout, self.places = layout, places(problem, layout)
+        weights = ca.repmat(ca.DM(layout.method.element.weights).T, 1, layout.intervals)
+        self.weights = [weights, ca.DM(1)]
+        self.sizes = self._sizes(first)
+        divisors = np.append(np.tile(self.sizes, layout.nodes), np.ones(layout.constraints * layout.points))
+        self.test = ca.mtimes(layout.test, ca.diag(1 / divisors))
+        self.unknowns = ca.MX.sym("unknowns", layout.unknowns)
+        self.data = ca.MX.sym("data", layout.size - layout.unknowns)
+        self.at = self._embedded(ca.vertcat(self.unknowns, self.data))
+        self.cost = self._cost(self.at)
+        self.equations = ca.mtimes(self.test.T, self._stack(self._evaluate("equations", self.at)))
+
+    def _sizes(self, first: np.ndarray) -> np.ndarray:
+        """Largest sum of terms of an equation of motion at a guess, one a component; 1 where that says nothing."""
+        rows = self._stack(self._evaluate("equations", self._embedded(ca.DM(first))))
+        terms = np.array(ca.mtimes(ca.fabs(self.layout.test.T), ca.fabs(rows)))
+        d = self.layout.dimension
+        sizes = np.max(terms[: self.layout.nodes * d].reshape(-1, d), axis=0)
+        return np.asarray(np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0))
+
+    def _embedded(self, everything: Vector) -> list[Vector]:
+        """What is known at all kinds of places, A ξ, as one matrix (rows, count) each."""
+        return self._split(ca.mtimes(self.layout.matrix, everything), [place.z.numel() for place in self.places])
+
+    def _cost(self, at: list[Vector]) -> Vector:
+        return sum(ca.sum2(value) for value in self._evaluate("value", at, self.weights))
+
+    def _split(self, stacked: Vector, rows: list[int]) -> list[Vector]:
+        """Cut a long vector into one matrix (rows, count) a kind of place."""
+        counts = [place.count for place in self.places]
+        offsets = np.cumsum([0, *(r * k for r, k in zip(rows, counts, strict=True))]).tolist()
+        parts = ca.vertsplit(stacked, offsets)
+        return [ca.reshape(part, r, k) for part, r, k in zip(parts, rows, counts, strict=True)]
+
+    @staticmethod
+    def _stack(parts: list[Vector]) -> Vector:
+        return ca.vertcat(*(ca.vec(part) for part in parts))
+
+    def _evaluate(self, name: str, *arguments: list[Vector]) -> list[Vector]:
+        """Evaluate one pointwise Function at all kinds of places."""
+        return [getattr(place, name)(*given) for place, *given in zip(self.places, *arguments, strict=True)]
+
+    def _blocks(self, patterns: list[ca.Sparsity], entries: list[ca.MX]) -> ca.MX:
+        """blockdiag(·) over all places, from the nonzeros of the blocks."""
+        blocks = [p for pattern, place in zip(patterns, self.places, strict=True) for p in [pattern] * place.count]
+        return ca.MX(ca.diagcat(*blocks), self._stack(entries))
+
+    def _name(self, name: str, outputs: list[ca.MX], *extra: ca.MX) -> ca.Function:
+        return ca.Function(name, [self.unknowns, self.data, *extra], outputs)
+
+    @cached_property
+    def gradient(self) -> ca.Function:
+        """(unknowns, data) -> f, ∇f."""
+        gradients = self._stack(self._evaluate("gradient", self.at, self.weights))
+        total = ca.mtimes(self.layout.derivative.T, gradients)
+        return self._name("gradient", [self.cost, ca.densify(total)])
+
+    @cached_property
+    def jacobian(self) -> ca.Function:
+        """(unknowns, data) -> G, ∇G."""
+        blocks = self._blocks([place.jacobian_pattern for place in self.places], self._evaluate("jacobian", self.at))
+        matrix = ca.mtimes(self.test.T, ca.mtimes(blocks, self.layout.derivative))
+        return self._name("jacobian", [self.equations, matrix])
+
+    def _multiplied(self, factor: Vector, multipliers: Vector) -> tuple[list[Vector], list[Vector]]:
+        """Weights φ w_k, and multipliers (Θᵀλ)_k of the rows, at all kinds of places."""
+        everywhere = ca.mtimes(self.test, multipliers)
+        return [factor * w for w in self.weights], self._split(everywhere, [p.rows.numel() for p in self.places])
+
+    @cached_property
+    def hessian(self) -> ca.Function:
+        """(unknowns, data, φ, λ) -> upper half of ∇²f̄."""
+        factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", self.equations.numel())
+        entries = self._evaluate("hessian", self.at, *self._multiplied(factor, multipliers))
+        blocks = self._blocks([place.hessian_pattern for place in self.places], entries)
+        right = ca.mtimes(blocks, self.layout.derivative)
+        left = ca.MX(self.layout.derivative.T)
+        upper = ca.triu(ca.mtimes(left.sparsity(), right.sparsity()))
+        return self._name("hessian", [ca.mac(left, right, ca.MX.zeros(upper))], factor, multipliers)
+
+    def report(self, unknowns: np.ndarray, data: np.ndarray, multipliers: np.ndarray | None = None) -> Report:
+        """Evaluate all that is told of a point, in numbers; without λ its `slopes` are those of the cost."""
+        at = self._embedded(ca.DM(np.concatenate((unknowns, data))))
+        rows = self._evaluate("equations", at)
+        given = np.zeros(self.equations.numel()) if multipliers is None else multipliers
+        weights, by_rows = self._multiplied(ca.DM(1), ca.DM(given))
+        slopes = self.places[0].derivative(self.layout.point_rows - 1)(at[0], weights[0], by_rows[0])
+        test, stacked = self.test.T, self._stack(rows)
+        equations, terms = ca.mtimes(test, stacked), ca.mtimes(ca.fabs(test), ca.fabs(stacked))
+        flat = [np.array(array).ravel() for array in (equations, terms, slopes)]
+        return Report(float(self._cost(at)), flat[0], flat[1], flat[2], np.array(at[0]), np.array(rows[0]))

@@ -1,0 +1,239 @@
+"""What a scene of trajectory optimisation states: a forced Lagrangian system, a cost, bounds; checked before any solve.
+
+minimise    ∫ ℓ(t, x, v, u) dt + τ(t_N, x_N, v_N)
+subject to  d/dt ∂L/∂v - ∂L/∂x = F(t, x, v, u),     lo <= g(t, x, v, u) <= hi,
+            ends, and bounds on x, u, the duration and the parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.problems import Traceable, components, numbers, time_span, trace, trace_lagrangian
+
+Limit: TypeAlias = float | Sequence[float]
+Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
+
+
+def bounds(name: str, value: tuple[Limit, Limit] | None, size: int) -> Bounds:
+    """Check a pair (lo, hi), each a scalar or `size` numbers; infinite where there is none."""
+    if value is None:
+        return (-np.inf,) * size, (np.inf,) * size
+    if isinstance(value, (str, bytes)) or not hasattr(value, "__len__") or len(value) != 2:
+        raise TypeError(f"{name} must be a pair (lo, hi), got {value!r}")
+    sides = []
+    for side, given in zip(("lo", "hi"), value, strict=True):
+        try:
+            array = np.asarray(given, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise TypeError(f"the {side} of {name} must be a number or {size} numbers, got {given!r}") from error
+        if array.shape not in ((), (size,)):
+            raise ValueError(f"the {side} of {name} must be a number or {size} numbers, got shape {array.shape}")
+        if np.any(np.isnan(array)):
+            raise ValueError(f"the {side} of {name} must not be NaN, got {given!r}")
+        sides.append(np.broadcast_to(array, (size,)))
+    low, high = sides
+    if np.any(low > high):
+        i = int(np.argmax(low > high))
+        raise ValueError(f"{name} contradict each other in component {i}: lo {low[i]} is above hi {high[i]}")
+    return tuple(low.tolist()), tuple(high.tolist())
+
+
+@dataclass(frozen=True)
+class ControlProblem:
+    """The cheapest path of a controlled Lagrangian system between two states.
+
+    Parameters
+    ----------
+    lagrangian : callable (t, x, v) -> scalar, as for `BoundaryProblem`
+    t_span : (t_0, t_N); with `duration_bounds` the guess of them
+    start, end : d positions each; None leaves the component free
+    start_velocity, end_velocity : d velocities each; None leaves the component free
+    force : callable (t, x, v, u) -> d generalised forces
+    running_cost : callable (t, x, v, u) -> scalar, integrated over time
+    controls : number of controls, the length of u
+    terminal_cost : callable (t, x, v) -> scalar, added for the end
+    control_bounds : (lo, hi), each a scalar or one number a control; held at the quadrature points
+    position_bounds : (lo, hi), each a scalar or one number a component; held at joints and control points
+    path_constraint : (g, lo, hi) with g(t, x, v, u) -> scalar or vector; held at the quadrature points
+    duration_bounds : (lo, hi) with 0 < lo; frees the final time
+    parameters : numbers passed as `p`, the last argument of every callable
+    parameter_bounds : (lo, hi); frees the parameters within them, `parameters` is then the guess
+
+    Raises
+    ------
+    TypeError, ValueError
+        naming what came and what was expected
+
+    Examples
+    --------
+    >>> ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0], [0.0], [0.0],
+    ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1).dimension
+    1
+    """
+
+    lagrangian: ca.Function
+    t_span: tuple[float, float]
+    start: tuple[float | None, ...]
+    end: tuple[float | None, ...]
+    start_velocity: tuple[float | None, ...]
+    end_velocity: tuple[float | None, ...]
+    force: ca.Function
+    running_cost: ca.Function
+    controls: int
+    terminal_cost: ca.Function | None
+    control_bounds: Bounds
+    position_bounds: Bounds
+    path_constraint: tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None
+    duration_bounds: tuple[float, float] | None
+    parameters: tuple[float, ...] | None
+    parameter_bounds: Bounds | None
+
+    def __init__(
+        self,
+        lagrangian: Traceable,
+        t_span: Sequence[float],
+        start: Sequence[float | None],
+        end: Sequence[float | None],
+        start_velocity: Sequence[float | None],
+        end_velocity: Sequence[float | None],
+        force: Traceable,
+        running_cost: Traceable,
+        controls: int,
+        terminal_cost: Traceable | None = None,
+        control_bounds: tuple[Limit, Limit] | None = None,
+        position_bounds: tuple[Limit, Limit] | None = None,
+        path_constraint: tuple[Traceable, Limit, Limit] | None = None,
+        duration_bounds: tuple[float, float] | None = None,
+        parameters: Sequence[float] | None = None,
+        parameter_bounds: tuple[Limit, Limit] | None = None,
+    ) -> None:
+        d, count = len(components("start", start)), _control_count(controls)
+        given = None if parameters is None else numbers("parameters", parameters)
+        ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
+        sizes = {"t": 1, "x": d, "v": d, "u": count} | ({} if given is None else {"p": len(given)})
+        values: dict[str, Any] = {
+            "lagrangian": trace_lagrangian(lagrangian, d, given),
+            "t_span": time_span(t_span),
+            **{name: components(name, end, d) for name, end in ends.items()},
+            "force": _force(force, sizes, d),
+            "running_cost": trace("running_cost", running_cost, sizes, 1),
+            "controls": count,
+            "terminal_cost": _terminal_cost(terminal_cost, sizes),
+            "control_bounds": bounds("control_bounds", control_bounds, count),
+            "position_bounds": bounds("position_bounds", position_bounds, d),
+            "path_constraint": _path_constraint(path_constraint, sizes),
+            "duration_bounds": _duration_bounds(duration_bounds),
+            "parameters": given,
+            "parameter_bounds": _parameter_bounds(parameter_bounds, given),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        self._check_controls()
+        self._check_ends()
+        self._check_guesses()
+
+    @property
+    def dimension(self) -> int:
+        """Number d of coordinates."""
+        return len(self.start)
+
+    def _check_controls(self) -> None:
+        """Refuse a control that nothing depends on: its value would be arbitrary."""
+        users = [self.force, self.running_cost, *(self.path_constraint or ())[:1]]
+        used = {i for function in users for i in function.sparsity_jac(3, 0).T.row()}
+        unused = set(range(self.controls)) - used
+        if unused:
+            raise ValueError(f"the control u[{min(unused)}] occurs in no force, cost or constraint")
+
+    def _check_ends(self) -> None:
+        low, high = self.position_bounds
+        for name in ("start", "end"):
+            for i, value in enumerate(getattr(self, name)):
+                if value is not None and not low[i] <= value <= high[i]:
+                    raise ValueError(f"{name}[{i}] = {value} lies outside its position_bounds [{low[i]}, {high[i]}]")
+
+        if self.duration_bounds is None and self.parameter_bounds is None:
+            self._check_constraint("start", self.t_span[0])
+            self._check_constraint("end", self.t_span[1])
+
+    def _check_constraint(self, name: str, t: float) -> None:
+        """Refuse a fully given state at an end that violates a path constraint on which controls have no say."""
+        x, v = getattr(self, name), getattr(self, f"{name}_velocity")
+        if self.path_constraint is None or None in (*x, *v):
+            return
+        g, low, high = self.path_constraint
+        given = [] if self.parameters is None else [self.parameters]
+        values = np.array(g(t, x, v, np.zeros(self.controls), *given)).ravel()
+        for i in set(range(len(low))) - set(g.sparsity_jac(3, 0).row()):
+            if not low[i] <= values[i] <= high[i]:
+                raise ValueError(
+                    f"path constraint {i} is {values[i]} at the {name} whatever the controls, outside its bounds "
+                    f"[{low[i]}, {high[i]}]"
+                )
+
+    def _check_guesses(self) -> None:
+        if self.duration_bounds is not None:
+            (low, high), duration = self.duration_bounds, self.t_span[1] - self.t_span[0]
+            if not low <= duration <= high:
+                raise ValueError(f"duration_bounds ({low}, {high}) must hold the guess, t_span lasts {duration}")
+        if self.parameter_bounds is not None and self.parameters is not None:
+            for i, (low, value, high) in enumerate(
+                zip(self.parameter_bounds[0], self.parameters, self.parameter_bounds[1], strict=True)
+            ):
+                if not low <= value <= high:
+                    raise ValueError(f"parameters[{i}] = {value} lies outside its bounds [{low}, {high}]")
+
+
+def _control_count(controls: int) -> int:
+    if isinstance(controls, bool) or not isinstance(controls, (int, np.integer)):
+        raise TypeError(f"controls must be the number of controls, got {controls!r}")
+    if controls < 1:
+        raise ValueError(f"a ControlProblem needs at least one control, got {controls}; without, see BoundaryProblem")
+    return int(controls)
+
+
+def _duration_bounds(given: tuple[float, float] | None) -> tuple[float, float] | None:
+    if given is None:
+        return None
+    (low,), (high,) = bounds("duration_bounds", given, 1)
+    if low <= 0:
+        raise ValueError(f"duration_bounds must be positive, got ({low}, {high})")
+    return low, high
+
+
+def _parameter_bounds(given: tuple[Limit, Limit] | None, parameters: tuple[float, ...] | None) -> Bounds | None:
+    if given is None:
+        return None
+    if parameters is None:
+        raise ValueError("parameter_bounds need parameters, which are the guess")
+    return bounds("parameter_bounds", given, len(parameters))
+
+
+def _terminal_cost(terminal_cost: Traceable | None, sizes: dict[str, int]) -> ca.Function | None:
+    if terminal_cost is None:
+        return None
+    return trace("terminal_cost", terminal_cost, {name: size for name, size in sizes.items() if name != "u"}, 1)
+
+
+def _force(force: Traceable, sizes: dict[str, int], dimension: int) -> ca.Function:
+    traced = trace("force", force, sizes, None)
+    if traced.numel_out(0) != dimension:
+        raise ValueError(f"force must return {dimension} component(s), one a coordinate, got {traced.numel_out(0)}")
+    return traced
+
+
+def _path_constraint(
+    given: tuple[Traceable, Limit, Limit] | None, sizes: dict[str, int]
+) -> tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None:
+    if given is None:
+        return None
+    if not isinstance(given, (tuple, list)) or len(given) != 3:
+        raise TypeError(f"path_constraint must be (g, lo, hi), got {given!r}")
+    traced = trace("path_constraint", given[0], sizes, None)
+    return (traced, *bounds("path_constraint", (given[1], given[2]), traced.numel_out(0)))

@@ -1,0 +1,92 @@
+"""Judges the point where the solver stopped: how far every constraint is violated, and what it is called."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from casadi_galerkin.control_layout import ControlLayout
+from casadi_galerkin.control_problem import ControlProblem
+from casadi_galerkin.optimizer import Limits
+
+
+def limits_of(problem: ControlProblem, layout: ControlLayout) -> Limits:
+    """Bounds of the unknowns and of the equations."""
+    sides = []
+    for k, infinite in ((0, -np.inf), (1, np.inf)):
+        values = {name: np.full(index.shape, infinite) for name, index in layout.fields.items()}
+        values["path"] = np.broadcast_to(problem.position_bounds[k], (layout.nodes, problem.dimension))
+        values["controls"] = np.broadcast_to(problem.control_bounds[k], (layout.points, problem.controls))
+        if problem.duration_bounds is not None:
+            values["duration"] = np.array([problem.duration_bounds[k]])
+        if problem.parameter_bounds is not None:
+            values["parameters"] = np.array(problem.parameter_bounds[k])
+        constraint = () if problem.path_constraint is None else problem.path_constraint[1 + k]
+        equations = np.append(np.zeros(layout.nodes * problem.dimension), np.tile(constraint, layout.points))
+        sides.append((layout.pack(values)[0], equations))
+    (lower, equations_lower), (upper, equations_upper) = sides
+    return Limits(lower, upper, equations_lower, equations_upper)
+
+
+def violations(
+    layout: ControlLayout, limits: Limits, unknowns: np.ndarray, equations: np.ndarray, terms: np.ndarray
+) -> np.ndarray:
+    """Violation of every equation, then of every unknown's bounds, relative to the sizes of what is compared.
+
+    The equations of motion of a component are measured by the largest sum of terms that one of them has along the path,
+    a path constraint by its largest value or finite bound, a bound by itself.
+    """
+    motion, d, c = layout.nodes * layout.dimension, layout.dimension, layout.constraints
+    sizes = [_or_one(np.max(terms[:motion].reshape(-1, d), axis=0))] * layout.nodes
+    if c:
+        sides = (limits.equations_lower, limits.equations_upper, equations)
+        finite = [np.abs(np.where(np.isfinite(side), side, 0.0))[motion:].reshape(-1, c).max(axis=0) for side in sides]
+        sizes += [_or_one(np.max(finite, axis=0))] * layout.points
+    excess = _excess(equations, limits.equations_lower, limits.equations_upper)
+    beyond = _excess(unknowns, limits.lower, limits.upper)
+    return np.concatenate((excess / np.concatenate(sizes), beyond / _or_one(np.abs(unknowns))))
+
+
+def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """By how much values leave their bounds; infinite where they are not numbers."""
+    excess = np.maximum(np.maximum(low - values, values - high), 0.0)
+    return np.asarray(np.where(np.isfinite(values), excess, np.inf))
+
+
+def _or_one(sizes: np.ndarray) -> np.ndarray:
+    return np.asarray(np.where(sizes > 0, sizes, 1.0))
+
+
+def name_equation(layout: ControlLayout, row: int) -> tuple[str, float]:
+    """What an equation is called, and at which fraction of the duration it stands."""
+    motion = layout.nodes * layout.dimension
+    if row < motion:
+        node, i = divmod(row, layout.dimension)
+        interval = min(node // layout.method.degree, layout.intervals - 1)
+        inner = layout.method.element.nodes[node - interval * layout.method.degree]
+        return f"the equation of motion of x[{i}]", float(interval + inner)
+    point, i = divmod(row - motion, layout.constraints)
+    return f"path constraint {i}", _at_point(layout, point)
+
+
+def name_unknown(layout: ControlLayout, index: int) -> tuple[str, float]:
+    """What an unknown is called, and where it stands, in intervals since the start."""
+    names = {"path": "x", "controls": "u", "duration": "the duration", "parameters": "p"}
+    for field, entries in layout.fields.items():
+        found = np.argwhere(entries == index)
+        if len(found) == 0:
+            continue
+        name = names.get(field, field)
+        label = name if field == "duration" else f"{name}[{found[0][-1]}]"
+        if field == "path":
+            node, degree = int(found[0][0]), layout.method.degree
+            interval = min(node // degree, layout.intervals - 1)
+            return label, float(interval + layout.method.element.nodes[node - interval * degree])
+        if field == "controls":
+            return label, _at_point(layout, int(found[0][0]))
+        return label, float(layout.intervals if field == "end_velocity" else 0)
+    raise IndexError(index)
+
+
+def _at_point(layout: ControlLayout, point: int) -> float:
+    interval, k = divmod(point, len(layout.method.quadrature))
+    return float(interval + layout.method.quadrature.points[k])

@@ -1,0 +1,199 @@
+"""The answer of a trajectory optimisation: the path with its controls, costate and Hamiltonian."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.calculus import PiecewisePolynomial
+from casadi_galerkin.control_problem import ControlProblem
+from casadi_galerkin.nodes import lagrange_values
+from casadi_galerkin.plotting import panels, plot_controls, plot_path
+from casadi_galerkin.quadrature import gauss
+from casadi_galerkin.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class ControlPath:
+    """Controls between their values at the quadrature points: degree r - 1 an interval, free to jump at joints.
+
+    Parameters
+    ----------
+    mesh : (N + 1,), the joints
+    points : (r,), quadrature points of the reference interval
+    values : (n, N r), controls at the quadrature points in the order of time
+    """
+
+    def __init__(self, mesh: np.ndarray, points: np.ndarray, values: np.ndarray) -> None:
+        self.mesh, self.points, self.values = mesh, points, values
+
+    def __call__(self, t: ArrayLike) -> np.ndarray:
+        """Controls at times t within the mesh; shape (n,) + t.shape.  At a joint those of the interval after it."""
+        times = np.asarray(t, dtype=float)
+        flat = times.ravel()
+        slack = 1e-12 * (self.mesh[-1] - self.mesh[0])
+        if np.any(~((flat >= self.mesh[0] - slack) & (flat <= self.mesh[-1] + slack))):
+            raise ValueError(f"times must lie within [{self.mesh[0]}, {self.mesh[-1]}], got {t!r}")
+        r, steps = len(self.points), np.diff(self.mesh)
+        i = np.clip(np.searchsorted(self.mesh, flat, side="right") - 1, 0, len(steps) - 1)
+        basis = lagrange_values(self.points, np.clip((flat - self.mesh[i]) / steps[i], 0.0, 1.0))
+        local = self.values[:, i[:, None] * r + np.arange(r)]
+        return np.asarray(np.einsum("nkj,kj->nk", local, basis).reshape((len(self.values), *times.shape)))
+
+    @property
+    def times(self) -> np.ndarray:
+        """The quadrature points in time, (N r,)."""
+        return np.asarray((self.mesh[:-1, None] + np.diff(self.mesh)[:, None] * self.points).ravel())
+
+    def expression(self, t: ca.SX) -> ca.SX:
+        """The same as a CasADi expression of a scalar t, (n,): Horner's scheme, coefficients switching at joints."""
+        r, inner = len(self.points), self.mesh[1:-1].tolist()
+        steps = np.diff(self.mesh)
+        monomials = np.linalg.inv(np.vander(2 * self.points - 1, r, increasing=True))
+        local = self.values.reshape(len(self.values), len(steps), r)
+        coefficients = np.einsum("cr,nir->cni", monomials, local)
+
+        def switched(values: np.ndarray) -> ca.SX:
+            return ca.pw_const(t, inner, values.tolist()) if inner else ca.SX(values[0])
+
+        s = 2 * (t - switched(self.mesh[:-1])) / switched(steps) - 1
+        total = [ca.SX(0) for _ in self.values]
+        for power in coefficients[::-1]:
+            total = [value * s + switched(row) for value, row in zip(total, power, strict=True)]
+        return ca.vertcat(*total)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControlTrajectory(Trajectory):
+    """An optimal path of a controlled system: a `Trajectory` with more to it.
+
+    Attributes
+    ----------
+    problem : ControlProblem
+    cost : value of the discrete cost
+    control : callable, ``control(t)`` -> (number of controls,) + t.shape
+    costate : callable, ``costate(t)`` -> (d,) + t.shape: the multipliers λ of the equations of motion as a path.
+        The cost of a small extra force δF(t) is ∫ λ·δF dt to first order
+    hamiltonian : (N,), mean of ℓ + λ·(∂L/∂x + F) + dλ/dt·∂L/∂v - v·∂(…)/∂v over each interval, of order 2m.
+        The same on all intervals where nothing depends on t; zero where the duration is free as well and there is no
+        terminal cost
+    path_multipliers : (number of path constraints, N r), at the quadrature points
+    violation : largest violation of an equation or bound, relative to the sizes of the terms it compares
+    start_velocity, end_velocity : (d,), the velocities imposed or found at the ends
+
+    `action` is that of the Lagrangian alone, `morse_index` is None, and `parameters` are the optimised ones.
+    """
+
+    problem: ControlProblem
+    cost: float
+    control: ControlPath
+    costate: PiecewisePolynomial
+    hamiltonian: np.ndarray
+    path_multipliers: np.ndarray
+    violation: float
+    start_velocity: np.ndarray
+    end_velocity: np.ndarray
+
+    def replay(self) -> ca.Function:
+        """The force (t, x, v[, p]) -> (d,) with the optimised controls put in, for an `InitialProblem`."""
+        d = len(self.x)
+        symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d)]
+        given = [] if self.parameters is None else [ca.SX.sym("p", len(self.parameters))]
+        force = self.problem.force(*symbols, self.control.expression(symbols[0]), *given)
+        names = ["t", "x", "v", "p"][: 3 + len(given)]
+        return ca.Function("force", [*symbols, *given], [ca.densify(force)], names, ["value"])
+
+    @cached_property
+    def dynamics_defect(self) -> np.ndarray:
+        """How far the equations of motion are missed between the points, one number an interval; (N,).
+
+        The largest |∂L/∂v(x̄, dx̄/dt) - p̂| at r + 2 Gauss points, over the largest momentum (or impulse) on the path,
+        with p̂ the joint's momentum plus the impulse ∫ (∂L/∂x + F) dt since then.  Of order m.
+        """
+        inner = gauss(len(self.method.quadrature) + 2)
+        s, steps = np.array(inner.points), np.diff(self.t)
+        times = (self.t[:-1, None] + steps[:, None] * s).ravel()
+        momentum, rate = self._motion(times)
+        # ∫_0^{s_j} of the polynomial through the Gauss points, exact by the same rule scaled to [0, s_j]
+        primitive = np.stack([a * (np.array(inner.weights) @ lagrange_values(s, a * s)) for a in s])
+        shape = (len(self.x), len(steps), len(s))
+        impulse = np.einsum("din,jn,i->dij", rate.reshape(shape), primitive, steps)
+        defect = np.abs(momentum.reshape(shape) - self.momentum[:, :-1, None] - impulse).max(axis=2)
+        size = np.abs(self.momentum).max(axis=1) + np.abs(impulse).max(axis=(1, 2))
+        return np.asarray((defect / np.where(size > 0, size, 1.0)[:, None]).max(axis=0))
+
+    @cached_property
+    def control_overshoot(self) -> np.ndarray:
+        """Largest excess of the controls over their bounds between the points, over the bounds' width; (N,).
+
+        It is large where a control jumps inside an interval (bang-bang) and asks for a joint at the jump.
+        """
+        low, high = (np.array(side)[:, None] for side in self.problem.control_bounds)
+        width = np.where(np.isfinite(high - low) & (high > low), high - low, 1.0)
+        inside = np.linspace(0.0, 1.0, 4 * len(self.method.quadrature) + 1)[:-1]
+        u = self.control((self.t[:-1, None] + np.diff(self.t)[:, None] * inside).ravel())
+        excess = np.maximum(np.maximum(low - u, u - high), 0.0) / width
+        return np.asarray(excess.max(axis=0).reshape(len(self.t) - 1, -1).max(axis=1))
+
+    def _motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """∂L/∂v and ∂L/∂x + F along the path, (d, K) each."""
+        problem = self.problem
+        d, n = problem.dimension, problem.controls
+        symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d)]
+        u, given = ca.SX.sym("u", n), [] if self.parameters is None else [ca.SX(ca.DM(self.parameters))]
+        lagrangian = problem.lagrangian(*symbols, *given)
+        rate = ca.gradient(lagrangian, symbols[1]) + problem.force(*symbols, u, *given)
+        outputs = [ca.densify(ca.gradient(lagrangian, symbols[2])), ca.densify(rate)]
+        motion = ca.Function("motion", [*symbols, u], outputs).map(len(times))
+        values = motion(times[None, :], self.path(times), self.path(times, 1), self.control(times))
+        return np.array(values[0]), np.array(values[1])
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw positions, controls with their bounds, and the costate, one above the other.
+
+        Parameters
+        ----------
+        axes : Matplotlib axes for the positions; controls and costate are then left out
+
+        Returns
+        -------
+        the Matplotlib axes of the positions
+        """
+        if axes is not None:
+            return super().plot(axes)
+        top, middle, bottom = panels(3)
+        super().plot(top)
+        parts, steps = np.linspace(0.0, 1.0 - 1e-9, 40), np.diff(self.t)[:, None]
+        times = self.t[:-1, None] + steps * parts
+        broken = np.append(times, np.full_like(steps, np.nan), axis=1).ravel()
+        lines = np.full((len(self.control.values), len(broken)), np.nan)
+        lines[:, np.isfinite(broken)] = self.control(times.ravel())
+        limits = np.array(self.problem.control_bounds)
+        plot_controls(broken, lines, self.control.times, self.control.values, limits, middle)
+        plot_path(times.ravel(), self.costate(times.ravel()), self.t, self.costate(self.t), bottom, "λ")
+        for axes in (top, middle):
+            axes.set_xlabel("")
+        top.set_title(f"Degree {self.method.degree} on {len(self.t) - 1} intervals: cost {self.cost:.6g}")
+        return top
+
+    def __str__(self) -> str:
+        """Summarise path and solve in a few lines."""
+        size, n = len(self.x), len(self.control.values)
+        return "\n".join(
+            [
+                f"ControlTrajectory of {size} component{'s' if size > 1 else ''} and {n} control{'s' if n > 1 else ''} "
+                f"on [{self.t[0]:g}, {self.t[-1]:g}], {len(self.t) - 1} intervals",
+                f"  method      {self.method}",
+                f"  cost        {self.cost:.12g}",
+                f"  Hamiltonian {self.hamiltonian[0]:.9g} at the start, varies by {np.ptp(self.hamiltonian):.1e}",
+                f"  solver      {self.solver}, {self.iterations} iterations, violation {self.violation:.1e}",
+                f"  seconds     {self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve",
+            ]
+        )

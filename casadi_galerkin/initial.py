@@ -1,0 +1,162 @@
+"""Initial problems: the start from position and momentum or velocity, and the path from the rolled steps."""
+
+from __future__ import annotations
+
+import time
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus import Galerkin, PiecewisePolynomial
+from casadi_galerkin.engines import EPS, ROUNDOFF
+from casadi_galerkin.problems import BoundaryProblem, InitialProblem
+from casadi_galerkin.stepping import Roll, Stepper, with_parameters
+from casadi_galerkin.trajectory import ConvergenceError, Trajectory
+
+DEGENERATE = 1e-13  # reciprocal condition of the scaled mass matrix below which no velocity belongs to a momentum
+LEGENDRE_ITERATIONS = 100
+
+
+def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbose: int = 0) -> Trajectory:
+    """Solve an initial problem step by step.
+
+    Where a path meets a singularity, a step of a certain length may still have a solution, beyond it: the discrete
+    equations do not see what lies between quadrature points.  The energy then jumps.
+
+    Parameters
+    ----------
+    problem : InitialProblem
+    method : Galerkin
+    mesh : (N + 1,) joints
+    verbose : 1 prints a summary
+
+    Raises
+    ------
+    ConvergenceError
+        naming the first step whose equations were not solved, and its time
+    ValueError
+        for a degenerate Lagrangian
+    """
+    if not isinstance(method, Galerkin):
+        raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
+    began = time.perf_counter()
+    p, v = start_state(problem)
+    force = None if problem.force is None else with_parameters(problem.force, problem.parameters)
+    stepper = Stepper(with_parameters(problem.lagrangian, problem.parameters), force, method)
+    roll = verified(stepper.roll(np.array(problem.position), p, v, mesh), stepper)
+    build = stepper.build_seconds
+    path = trajectory(
+        problem, stepper, roll, int(roll.iterations.sum()), "step by step", build, time.perf_counter() - began - build
+    )
+    if verbose:
+        print(path)
+    return path
+
+
+def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
+    """Momentum and velocity (d,) at the start, one from the other through p = ∂L/∂v."""
+    legendre = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
+    x, start = np.array(problem.position), problem.t_span[0]
+    if problem.velocity is not None:
+        v = np.array(problem.velocity)
+        p, mass = (np.array(a) for a in legendre(start, x, v))
+        refuse_degenerate(mass, x, v)
+        return p.ravel(), v
+    p = np.array(problem.momentum)
+    return p, _velocity(legendre, start, x, p)
+
+
+def legendre_transform(lagrangian: ca.Function) -> ca.Function:
+    """(t, x, v) -> p = ∂L/∂v (d,), mass matrix ∂²L/∂v² (d, d)."""
+    symbols = [ca.SX.sym(lagrangian.name_in(i), lagrangian.size1_in(i)) for i in range(3)]
+    mass, momentum = ca.hessian(lagrangian(*symbols), symbols[2])
+    return ca.Function("legendre", symbols, [ca.densify(momentum), ca.densify(mass)])
+
+
+def refuse_degenerate(mass: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
+    """Raise a ValueError if the mass matrix is singular, whatever the units of the components."""
+    where = f"at the start, x = {x}, v = {v}"
+    if not np.all(np.isfinite(mass)):
+        raise ValueError(f"the lagrangian must be finite with its derivatives {where}; its mass matrix is {mass}")
+    rows = np.sqrt(np.max(np.abs(mass), axis=1))
+    if np.all(rows > 0):
+        singular = np.linalg.svd(mass / rows[:, None] / rows, compute_uv=False)
+        if singular[-1] > DEGENERATE * singular[0]:
+            return
+    raise ValueError(
+        f"the lagrangian is degenerate: its mass matrix ∂²L/∂v² is singular {where}, so its momenta do not determine "
+        f"the velocities; got {mass.tolist()}"
+    )
+
+
+def _velocity(legendre: ca.Function, t: float, x: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Velocity of a momentum, by Newton's method from rest, each step halved until the next one is shorter."""
+    v = np.zeros(len(x))
+    for _ in range(LEGENDRE_ITERATIONS):
+        current, mass = (np.array(a) for a in legendre(t, x, v))
+        refuse_degenerate(mass, x, v)
+        step = np.linalg.solve(mass, p - current.ravel())
+        length, damping = np.max(np.abs(step)), 1.0
+        if length <= 4 * EPS * np.max(np.abs(v)):
+            return v
+        while damping > EPS:
+            miss = p - np.array(legendre(t, x, v + damping * step)[0]).ravel()
+            after = np.max(np.abs(np.linalg.solve(mass, miss)))
+            if after <= (1 - damping / 4) * length or length < 1e-12 * np.max(np.abs(v)):
+                break
+            damping /= 2
+        v = v + damping * step
+    raise ValueError(f"no velocity was found that has the momentum {p} at the start, x = {x}; give the velocity")
+
+
+def verified(roll: Roll, stepper: Stepper) -> Roll:
+    """Return the roll if all of its steps were solved to roundoff; else name the first that was not."""
+    good, n = roll.verified, len(roll.mesh) - 1
+    if good == n:
+        return roll
+    start, end = roll.mesh[good : good + 2]
+    raise ConvergenceError(
+        f"step {good + 1} of {n}, from t = {start:.6g} to {end:.6g}, was not solved: its residual is "
+        f"{roll.residual[good]:.1e} of its roundoff floor, {ROUNDOFF:g} is accepted. Take shorter steps there; "
+        "the path may run into a collision or another singularity",
+        path_of(roll, stepper, good) if good else None,
+        float(roll.residual[good]),
+        int(np.nansum(roll.iterations[: good + 1])),
+    )
+
+
+def path_of(roll: Roll, stepper: Stepper, count: int) -> PiecewisePolynomial:
+    """The path of the first intervals, as many as given."""
+    nodes, m, d = stepper.method.element.nodes, stepper.method.degree, stepper.dimension
+    slopes = roll.slopes[:, : count * m].reshape(d, count, m)
+    inner = roll.x[:, :count, None] + slopes @ stepper.basis.values(nodes[:-1]).T
+    values = np.column_stack((inner.reshape(d, -1), roll.x[:, count]))
+    return PiecewisePolynomial(roll.mesh[: count + 1], nodes, values)
+
+
+def trajectory(
+    problem: InitialProblem | BoundaryProblem,
+    stepper: Stepper,
+    roll: Roll,
+    iterations: int,
+    solver: str,
+    build_seconds: float,
+    solve_seconds: float,
+) -> Trajectory:
+    """Wrap verified steps as an answer; there is no Hessian of the whole action, so no Morse index."""
+    return Trajectory(
+        t=roll.mesh,
+        x=roll.x,
+        momentum=roll.p,
+        path=path_of(roll, stepper, len(roll.mesh) - 1),
+        action=float(roll.action.sum()),
+        morse_index=None,
+        iterations=iterations,
+        residual=float(roll.residual.max()),
+        solver=solver,
+        build_seconds=build_seconds,
+        solve_seconds=solve_seconds,
+        method=stepper.method,
+        lagrangian=problem.lagrangian,
+        parameters=problem.parameters,
+    )

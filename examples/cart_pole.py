@@ -1,0 +1,53 @@
+"""A cart swings its pole up in two seconds with the least effort ∫u² dt (M. Kelly, SIAM Review 59, 2017).
+
+x[0] is the cart's position, x[1] the pole's angle from below; the force acts on the cart only.
+"""
+
+import casadi as ca
+import numpy as np
+from show import picture, save
+
+import casadi_galerkin as cg
+
+CART, POLE, LENGTH, GRAVITY = 1.0, 0.3, 0.5, 9.81
+DURATION, DISTANCE = 2.0, 1.0
+FORCE, TRACK = 20.0, 2.0
+
+
+def lagrangian(t, x, v):
+    """Kinetic minus potential energy of cart and pole."""
+    kinetic = (
+        (CART + POLE) * v[0] ** 2 / 2 + POLE * LENGTH * v[0] * v[1] * ca.cos(x[1]) + POLE * (LENGTH * v[1]) ** 2 / 2
+    )
+    return kinetic + POLE * GRAVITY * LENGTH * ca.cos(x[1])
+
+
+def problem():
+    """Cart-pole from rest below to rest upright, a metre further on."""
+    return cg.ControlProblem(
+        lagrangian,
+        (0.0, DURATION),
+        start=[0.0, 0.0],
+        end=[DISTANCE, np.pi],
+        start_velocity=[0.0, 0.0],
+        end_velocity=[0.0, 0.0],
+        force=lambda t, x, v, u: [u[0], 0],
+        running_cost=lambda t, x, v, u: u[0] ** 2,
+        controls=1,
+        control_bounds=(-FORCE, FORCE),
+        position_bounds=([-TRACK, -np.inf], [TRACK, np.inf]),
+    )
+
+
+def main(plot=None):
+    """Solve from a straight line."""
+    path = cg.solve(problem(), cg.Galerkin(degree=4), intervals=20)
+    if plot:
+        axes = path.plot()
+        axes.set_title("Cart-pole swing-up")
+        save(axes, plot)
+    return path
+
+
+if __name__ == "__main__":
+    print(main(picture("cart_pole.png")))

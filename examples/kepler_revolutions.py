@@ -1,0 +1,55 @@
+"""Mercury around the Sun for 1000 revolutions, step by step: what a symplectic method keeps.
+
+Units are astronomical units and years, so that GM = 4π².  Energy and angular momentum stay at roundoff, and the planet
+returns to its perihelion after every period a^{3/2}.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+import casadi_galerkin as cg
+
+GM = 4 * np.pi**2
+SEMI_MAJOR_AXIS, ECCENTRICITY = 0.387098, 0.205630
+PERIOD = SEMI_MAJOR_AXIS**1.5
+REVOLUTIONS, STEPS_A_REVOLUTION = 1000, 16
+
+
+def lagrangian(t: ca.SX, x: ca.SX, v: ca.SX) -> ca.SX:
+    """Kinetic minus potential energy, for a mass of 1."""
+    return ca.dot(v, v) / 2 + GM / ca.norm_2(x)
+
+
+def rotation(x: ca.SX) -> list[ca.SX]:
+    """Generator of the rotations of the plane; its momentum map is the angular momentum."""
+    return [-x[1], x[0]]
+
+
+def main(plot: bool = False) -> tuple[cg.Trajectory, cg.Geometry]:
+    """Step through all revolutions from the perihelion; returns the path and what it conserves."""
+    perihelion = SEMI_MAJOR_AXIS * (1 - ECCENTRICITY)
+    speed = np.sqrt(GM * (2 / perihelion - 1 / SEMI_MAJOR_AXIS))
+    problem = cg.InitialProblem(lagrangian, (0, REVOLUTIONS * PERIOD), position=[perihelion, 0], velocity=[0, speed])
+    path = cg.solve(problem, cg.Galerkin(degree=8), intervals=REVOLUTIONS * STEPS_A_REVOLUTION)
+    conserved = cg.geometry(problem, path, symmetry=rotation)
+    if plot:
+        import matplotlib.pyplot as plt
+
+        axes = plt.subplots()[1]
+        axes.plot(path.t, path.energy / path.energy[0] - 1, ".", markersize=1)
+        axes.set_xlabel("years")
+        axes.set_ylabel("relative energy error")
+        plt.show()
+    return path, conserved
+
+
+if __name__ == "__main__":
+    path, conserved = main(plot=True)
+    print(path)
+    print(conserved)
+    print(
+        f"distance from the perihelion after {REVOLUTIONS} revolutions: "
+        f"{np.linalg.norm(path.x[:, -1] - path.x[:, 0]):.1e} AU"
+    )

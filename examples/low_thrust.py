@@ -1,0 +1,67 @@
+"""A spacecraft spirals from a circular orbit to one of twice the radius with the least ∫|u|²/2 dt.
+
+Polar coordinates x = (r, θ), unit gravitational parameter; u holds radial and tangential thrust acceleration, the
+latter with lever arm r.  The angle of arrival is free.
+"""
+
+import numpy as np
+from show import canvas, picture, save
+
+import casadi_galerkin as cg
+from casadi_galerkin.plotting import COLORS
+
+RADIUS, DURATION = 2.0, 20.0
+
+
+def lagrangian(t, x, v):
+    """Kinetic minus potential energy of unit mass in the field of a unit mass."""
+    return (v[0] ** 2 + (x[0] * v[1]) ** 2) / 2 + 1 / x[0]
+
+
+def problem():
+    """Circular orbit to circular orbit, angle of arrival free."""
+    return cg.ControlProblem(
+        lagrangian,
+        (0.0, DURATION),
+        start=[1.0, 0.0],
+        end=[RADIUS, None],
+        start_velocity=[0.0, 1.0],
+        end_velocity=[0.0, RADIUS**-1.5],
+        force=lambda t, x, v, u: [u[0], x[0] * u[1]],
+        running_cost=lambda t, x, v, u: (u[0] ** 2 + u[1] ** 2) / 2,
+        controls=2,
+    )
+
+
+def guess(t):
+    """Radius growing evenly, angle with the mean of the two orbits' rates."""
+    part = t / DURATION
+    return [1 + (RADIUS - 1) * part, t * (1 + RADIUS**-1.5) / 2]
+
+
+def main(plot=None):
+    """Solve from an even spiral."""
+    path = cg.solve(problem(), cg.Galerkin(degree=5), intervals=20, guess=guess)
+    if plot:
+        draw(path, plot)
+    return path
+
+
+def draw(path, name):
+    """Draw the spiral with thrust arrows."""
+    axes = canvas("Low-thrust transfer", "x", "y", (5.5, 5.5), aspect="equal")
+    circle = np.linspace(0, 2 * np.pi, 200)
+    for radius in (1.0, RADIUS):
+        axes.plot(radius * np.cos(circle), radius * np.sin(circle), color="0.8")
+    radius, angle = path.path(np.linspace(0, DURATION, 500))
+    axes.plot(radius * np.cos(angle), radius * np.sin(angle))
+    times = np.linspace(0, DURATION, 40)
+    (radius, angle), (radial, tangential) = path.path(times), path.control(times)
+    across = radial * np.cos(angle) - tangential * np.sin(angle)
+    up = radial * np.sin(angle) + tangential * np.cos(angle)
+    axes.quiver(radius * np.cos(angle), radius * np.sin(angle), across, up, color=COLORS[1], width=0.004)
+    save(axes, name)
+
+
+if __name__ == "__main__":
+    print(main(picture("low_thrust.png")))

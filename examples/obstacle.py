@@ -1,0 +1,65 @@
+"""A vehicle in the plane drives round a disc with the least ∫|u|²/2 dt; the disc is a path constraint.
+
+The straight line runs through the disc a little below its centre, so the cheaper way is below.  The best path touches
+the disc in its lowest point at half time, and is a cubic before and after: its cost is 6 for the unit length, and
+twice 6 d²/(T/2)³ for going down by d and up again.  Path constraints hold at the quadrature points; with a Lobatto rule
+these hold the joints, and with an even number of intervals half time is one of them: the answer is then exact.
+"""
+
+import numpy as np
+from show import canvas, picture, save
+
+import casadi_galerkin as cg
+from casadi_galerkin.plotting import COLORS
+
+CENTRE, RADIUS, DURATION = (0.5, 0.05), 0.25, 1.0
+DIP = RADIUS - CENTRE[1]
+EXACT = 6 / DURATION**3 + 2 * 6 * DIP**2 / (DURATION / 2) ** 3
+
+
+def distance(t, x, v, u):
+    """Squared distance from the disc's centre."""
+    return (x[0] - CENTRE[0]) ** 2 + (x[1] - CENTRE[1]) ** 2
+
+
+def problem():
+    """Unit mass from rest to rest, outside the disc."""
+    return cg.ControlProblem(
+        lambda t, x, v: (v[0] ** 2 + v[1] ** 2) / 2,
+        (0.0, DURATION),
+        start=[0.0, 0.0],
+        end=[1.0, 0.0],
+        start_velocity=[0.0, 0.0],
+        end_velocity=[0.0, 0.0],
+        force=lambda t, x, v, u: u,
+        running_cost=lambda t, x, v, u: (u[0] ** 2 + u[1] ** 2) / 2,
+        controls=2,
+        path_constraint=(distance, RADIUS**2, np.inf),
+    )
+
+
+def main(plot=None):
+    """Solve from the straight line."""
+    method = cg.Galerkin(degree=4, quadrature=cg.lobatto(5))
+    path = cg.solve(problem(), method, intervals=20)
+    if plot:
+        draw(path, plot)
+    return path
+
+
+def draw(path, name):
+    """Draw the path round the disc, with the directions of thrust."""
+    axes = canvas("Round an obstacle", "x", "y", (6.0, 4.0), aspect="equal")
+    turn = np.linspace(0, 2 * np.pi, 200)
+    axes.fill(CENTRE[0] + RADIUS * np.cos(turn), CENTRE[1] + RADIUS * np.sin(turn), color="0.85")
+    axes.plot(*path.path(np.linspace(0, DURATION, 400)), label=f"path, cost {path.cost:.6f}")
+    times = np.linspace(0, DURATION, 24)
+    axes.quiver(*path.path(times), *path.control(times), color=COLORS[1], width=0.004)
+    axes.legend()
+    save(axes, name)
+
+
+if __name__ == "__main__":
+    answer = main(picture("obstacle.png"))
+    print(answer)
+    print(f"  exact       {EXACT}")

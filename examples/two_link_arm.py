@@ -1,0 +1,50 @@
+"""A two-link arm of two uniform rods, from hanging to upright, with shoulder torque too weak to lift it straight.
+
+x holds both angles from below, absolute; u the torques in shoulder and elbow.  The elbow's torque turns the forearm
+and turns the upper arm back, so the generalised forces are (u_0 - u_1, u_1).
+"""
+
+import casadi as ca
+import numpy as np
+from show import picture, save
+
+import casadi_galerkin as cg
+
+GRAVITY, DURATION = 9.81, 1.5
+SHOULDER, ELBOW = 18.0, 8.0  # N m; held out straight, the arm weighs on the shoulder with 19.6 N m
+
+
+def lagrangian(t, x, v):
+    """Kinetic minus potential energy of two rods of 1 kg and 1 m each."""
+    kinetic = v[0] ** 2 * 2 / 3 + v[1] ** 2 / 6 + v[0] * v[1] * ca.cos(x[0] - x[1]) / 2
+    return kinetic + GRAVITY * (1.5 * ca.cos(x[0]) + 0.5 * ca.cos(x[1]))
+
+
+def problem():
+    """Arm from rest hanging to rest upright with the least squared torque."""
+    return cg.ControlProblem(
+        lagrangian,
+        (0.0, DURATION),
+        start=[0.0, 0.0],
+        end=[np.pi, np.pi],
+        start_velocity=[0.0, 0.0],
+        end_velocity=[0.0, 0.0],
+        force=lambda t, x, v, u: [u[0] - u[1], u[1]],
+        running_cost=lambda t, x, v, u: (u[0] ** 2 + u[1] ** 2) / 2,
+        controls=2,
+        control_bounds=([-SHOULDER, -ELBOW], [SHOULDER, ELBOW]),
+    )
+
+
+def main(plot=None):
+    """Solve from a straight line."""
+    path = cg.solve(problem(), cg.Galerkin(degree=4), intervals=20)
+    if plot:
+        axes = path.plot()
+        axes.set_title("Two-link arm")
+        save(axes, plot)
+    return path
+
+
+if __name__ == "__main__":
+    print(main(picture("two_link_arm.png")))

@@ -1,0 +1,105 @@
+"""Control problems used by several tests."""
+
+import casadi as ca
+import numpy as np
+
+import casadi_galerkin as cg
+
+
+def double_integrator(**changes):
+    """Unit mass on a line from rest at 0 to rest at 1 in unit time, least ∫u²/2: cost 6, u = 6 - 12 t."""
+    fields = {
+        "lagrangian": lambda t, x, v: v[0] ** 2 / 2,
+        "t_span": (0.0, 1.0),
+        "start": [0.0],
+        "end": [1.0],
+        "start_velocity": [0.0],
+        "end_velocity": [0.0],
+        "force": lambda t, x, v, u: u,
+        "running_cost": lambda t, x, v, u: u[0] ** 2 / 2,
+        "controls": 1,
+    }
+    return cg.ControlProblem(**(fields | changes))
+
+
+def minimum_time():
+    """Unit mass from rest to rest with a force of at most 1: T = 2."""
+    return double_integrator(running_cost=lambda t, x, v, u: 1, control_bounds=(-1.0, 1.0), duration_bounds=(0.1, 10.0))
+
+
+def pendulum(duration, **changes):
+    """Pendulum from rest below to rest above, least ∫u²/2."""
+    fields = {
+        "lagrangian": lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]),
+        "t_span": (0.0, duration),
+        "end": [np.pi],
+    }
+    return double_integrator(**(fields | changes))
+
+
+def pendulum_in_three():
+    """The pendulum with time for one swing back."""
+    return pendulum(3.0)
+
+
+def varying_mass():
+    """Mass that varies with the position, lever with time."""
+    return double_integrator(
+        lagrangian=lambda t, x, v: (1 + x[0] ** 2) * v[0] ** 2 / 2 - x[0] ** 2 / 2,
+        force=lambda t, x, v, u: u * (1 + ca.sin(t) / 3) - v[0] / 5,
+        t_span=(0.0, 2.0),
+    )
+
+
+def cart_pole():
+    """Kelly's swing-up, SIAM Review 59 (2017)."""
+
+    def lagrangian(t, x, v):
+        kinetic = 1.3 * v[0] ** 2 / 2 + 0.15 * v[0] * v[1] * ca.cos(x[1]) + 0.3 * (0.5 * v[1]) ** 2 / 2
+        return kinetic + 0.3 * 9.81 * 0.5 * ca.cos(x[1])
+
+    return cg.ControlProblem(
+        lagrangian,
+        (0.0, 2.0),
+        start=[0.0, 0.0],
+        end=[1.0, np.pi],
+        start_velocity=[0.0, 0.0],
+        end_velocity=[0.0, 0.0],
+        force=lambda t, x, v, u: [u[0], 0],
+        running_cost=lambda t, x, v, u: u[0] ** 2,
+        controls=1,
+        control_bounds=(-20.0, 20.0),
+        position_bounds=([-2.0, -np.inf], [2.0, np.inf]),
+    )
+
+
+def everything():
+    """All that a problem can have at once: nothing is separable, linear or constant."""
+
+    def lagrangian(t, x, v, p):
+        kinetic = (1 + 0.3 * ca.cos(x[1])) * v[0] ** 2 / 2 + 0.2 * v[0] * v[1] * ca.sin(t) + p[0] * v[1] ** 2 / 2
+        return kinetic - ca.cos(x[0]) * x[1] ** 2 + v[0] ** 4 / 12
+
+    return cg.ControlProblem(
+        lagrangian,
+        (0.3, 1.5),
+        start=[0.1, None],
+        end=[None, 0.4],
+        start_velocity=[None, 0.2],
+        end_velocity=[0.1, None],
+        force=lambda t, x, v, u, p: [u[0] * ca.cos(x[1]) - 0.1 * v[0], u[1] - p[1] * v[1] * v[0] * t],
+        running_cost=lambda t, x, v, u, p: (
+            u[0] ** 2 + ca.exp(u[1]) * x[0] ** 2 + t * v[0] * v[1] + ca.sumsqr(v) + p[0] * u[0]
+        ),
+        controls=2,
+        terminal_cost=lambda t, x, v, p: t**2 * x[0] * v[0] + p[1] * v[1] ** 3 / (1 + v[1] ** 2),
+        control_bounds=(-5.0, 5.0),
+        path_constraint=(
+            lambda t, x, v, u, p: [x[0] ** 2 + v[1] * u[0] * t, ca.sin(x[1]) * p[0]],
+            [-np.inf, -3.0],
+            [3.0, 3.0],
+        ),
+        duration_bounds=(0.5, 3.0),
+        parameters=[1.1, 0.3],
+        parameter_bounds=([0.5, -1.0], [2.0, 1.0]),
+    )

@@ -1,0 +1,149 @@
+"""Global against stepwise, on problems whose growth is known in closed form."""
+
+import casadi as ca
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+import casadi_galerkin as cg
+
+mpl.use("agg")
+METHOD = cg.Galerkin(8)
+
+
+def saddle(t, x, v):
+    return v[0] ** 2 / 2 + x[0] ** 2 / 2
+
+
+def kepler(t, x, v):
+    return ca.dot(v, v) / 2 + 1 / ca.norm_2(x)
+
+
+def exact(t, horizon):
+    return (np.exp(-t) + np.exp(t - horizon)) / (1 + np.exp(-horizon))
+
+
+@pytest.fixture(scope="module")
+def forty():
+    return cg.compare(cg.BoundaryProblem(saddle, (0, 40), [1.0], [1.0]), METHOD, intervals=80)
+
+
+def test_the_global_path_keeps_all_digits_where_shooting_keeps_none(forty):
+    path = forty.global_path
+    assert np.max(np.abs(path.x[0] - exact(path.t, 40))) <= 1e-12
+    assert forty.shooting.path is None
+    assert "A change of the start grows up to 1.2e+17 times along the path" in forty.shooting.failure
+    assert forty.shooting.iterations > 0
+    assert np.isnan(forty.shooting.gap).all()
+
+
+def test_the_gap_of_the_steps_grows_like_the_saddle(forty):
+    assert forty.stepped.gap[0] == 0
+    assert forty.gap_growth == pytest.approx(1, abs=0.02)
+    assert 28 < forty.parting_time < 38  # where e^t eps is a tenth: 33.8
+    assert forty.stepped.gap[-1] > 1
+
+
+@pytest.mark.parametrize("horizon", [1, 10, 40])
+def test_condition_numbers_are_those_of_the_closed_form(horizon):
+    comparison = cg.compare(cg.BoundaryProblem(saddle, (0, horizon), [1.0], [1.0]), METHOD, intervals=2 * horizon)
+    largest_momentum = np.tanh(horizon / 2)
+    stepwise = np.cosh(horizon) + np.sinh(horizon) * largest_momentum
+    assert comparison.condition_global == pytest.approx(1, rel=1e-12)
+    assert comparison.condition_stepwise == pytest.approx(stepwise, rel=1e-10)
+
+
+@pytest.mark.parametrize("horizon", [200, 700])
+def test_long_horizons_are_still_solved_globally(horizon):
+    comparison = cg.compare(cg.BoundaryProblem(saddle, (0, horizon), [1.0], [1.0]), METHOD, intervals=2 * horizon)
+    path = comparison.global_path
+    np.testing.assert_allclose(path.x[0], exact(path.t, horizon), rtol=0, atol=1e-14)
+    assert path.morse_index == 0
+    assert np.log(comparison.condition_stepwise) == pytest.approx(horizon, abs=1e-6)
+    assert comparison.shooting.failure is not None
+
+
+def test_ways_agree_on_a_short_arc_of_kepler():
+    comparison = cg.compare(cg.BoundaryProblem(kepler, (0, 2), [1.0, 0.0], [-0.4, 0.9]), METHOD, intervals=10)
+    assert comparison.shooting.failure is None
+    assert np.max(comparison.shooting.gap) < 1e-13
+    assert np.max(comparison.stepped.gap) < comparison.condition_stepwise * 1e-14
+    assert comparison.parting_time == np.inf
+    assert 1 <= comparison.condition_global < comparison.condition_stepwise
+    assert comparison.stepped.seconds > 0
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        cg.BoundaryProblem(saddle, (0, 2), [1.0], [None]),
+        cg.BoundaryProblem(saddle, (0, 2), [None], [1.0]),
+        cg.BoundaryProblem(
+            lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0] ** 2 + x[0] * ca.cos(t),
+            (0, 2 * np.pi),
+            [None],
+            parameters=[1.0],
+            periodic=True,
+        ),
+    ],
+    ids=["free end", "free start", "periodic with parameters"],
+)
+def test_every_kind_of_end_is_compared(problem):
+    comparison = cg.compare(problem, METHOD, mesh=problem.t_span[1] * np.linspace(0, 1, 9) ** 1.2)
+    assert np.max(comparison.shooting.gap) < 1e-12
+    given = [value for value in problem.start + problem.end if value is not None]
+    assert comparison.condition_global == pytest.approx(1.0 if given else 0.0, rel=1e-12)
+
+
+def test_steps_that_fail_are_part_of_the_answer():
+    def walls(t, x, v):  # x'' = x where |x| < 2, and no Lagrangian beyond: only the global path stays within
+        return v[0] ** 2 / 2 + x[0] ** 2 / 2 - 1e-9 * ca.log(2 - x[0]) - 1e-9 * ca.log(2 + x[0])
+
+    comparison = cg.compare(cg.BoundaryProblem(walls, (0, 60), [1.0], [1.0]), METHOD, intervals=120)
+    assert comparison.stepped.path is None
+    assert "was not solved" in comparison.stepped.failure
+    assert np.isfinite(comparison.stepped.gap[:40]).all()
+    assert np.isnan(comparison.stepped.gap[-1])
+    assert comparison.stepped.failure in str(comparison)
+    assert comparison.parting_time < 40
+
+
+def test_the_table_holds_all_ways(forty):
+    text = str(forty)
+    for part in ("global", "stepped from its start", "shooting", "failed", "2.4e+17", "grows like exp(1 t)"):
+        assert part in text
+
+
+def test_the_plot_shows_the_gap(forty):
+    axes = forty.plot()
+    (line,) = [line for line in axes.lines if line.get_label().startswith("stepped")]
+    assert axes.get_yscale() == "log"
+    assert line.get_ydata()[-1] == forty.stepped.gap[-1]
+    assert forty.plot(axes) is axes
+    mpl.pyplot.close("all")
+
+
+def test_a_global_failure_is_raised():
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, np.pi), [0.0], [1.0])
+    with pytest.raises(cg.ConvergenceError):
+        cg.compare(problem, cg.Galerkin(6), intervals=10)
+
+
+def test_geometry_of_a_global_path_is_that_of_its_steps():
+    problem = cg.BoundaryProblem(kepler, (0, 2), [1.0, 0.0], [-0.4, 0.9])
+    path = cg.solve(problem, METHOD, intervals=10)
+    measured = cg.geometry(problem, path, symmetry=lambda x: [-x[1], x[0]])
+    assert np.max(measured.symplecticity_defects) <= 1e-12
+    np.testing.assert_allclose(measured.momentum_map, measured.momentum_map[0], rtol=0, atol=1e-13)
+    assert measured.energy_error < 1e-10
+    assert abs(measured.energy_drift) < 1e-10
+    for part in ("energy", "symplecticity", "momentum map"):
+        assert part in str(measured)
+    assert "momentum map" not in str(cg.geometry(problem, path))
+
+
+def test_a_symmetry_of_the_wrong_length_is_named():
+    problem = cg.BoundaryProblem(kepler, (0, 2), [1.0, 0.0], [-0.4, 0.9])
+    path = cg.solve(problem, METHOD, intervals=10)
+    with pytest.raises(ValueError, match="symmetry must return a vector of length 2"):
+        cg.geometry(problem, path, symmetry=lambda x: x[0])

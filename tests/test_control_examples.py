@@ -1,0 +1,105 @@
+"""Every scene of trajectory optimisation runs and gives its known, or independently computed, numbers."""
+
+import importlib
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_galerkin as cg
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+SCENES = ("cart_pole", "minimum_time", "two_link_arm", "low_thrust", "obstacle")
+
+
+@pytest.fixture
+def scene(monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLES)
+    return importlib.import_module
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scene_runs_and_draws(scene, name, tmp_path, capsys):
+    mpl.use("Agg")
+    module = scene(name)
+    path = module.main(str(tmp_path / "picture.png"))
+    assert path.violation < 1e-9
+    assert (tmp_path / "picture.png").stat().st_size > 10_000
+    assert "picture written" in capsys.readouterr().out
+
+
+def test_cart_pole_costs_what_kelly_found(scene):
+    assert scene("cart_pole").main().cost == pytest.approx(58.80767, abs=1e-3)
+
+
+def test_minimum_time_is_two(scene):
+    assert scene("minimum_time").main().t[-1] == pytest.approx(2, abs=1e-9)
+
+
+def test_vehicle_passes_below_at_the_exact_cost(scene):
+    module = scene("obstacle")
+    path = module.main()
+    assert path.cost == pytest.approx(module.EXACT, abs=1e-9)
+    assert path.path(0.5) == pytest.approx([0.5, -0.2], abs=1e-6)
+
+
+def flown(rates, path, start):
+    """First-order equations under the controls found, by an integrator that knows nothing of the discretisation."""
+    state = np.array(start, dtype=float)
+    for begin, end in pairwise(path.t):  # the controls may jump at joints
+        before = np.nextafter(end, begin)
+
+        def slope(t, y, before=before):
+            return rates(y, path.control(min(t, before)))
+
+        state = solve_ivp(slope, (begin, end), state, rtol=1e-10, atol=1e-12).y[:, -1]
+    return state
+
+
+def test_arm_driven_by_its_torques_stands_upright_within_the_torque_limit(scene):
+    module = scene("two_link_arm")
+    path = module.main()
+
+    def rates(y, u):
+        s, c, g = np.sin(y[0] - y[1]), np.cos(y[0] - y[1]) / 2, module.GRAVITY
+        mass = np.array([[4 / 3, c], [c, 1 / 3]])
+        load = [
+            u[0] - u[1] - s / 2 * y[3] ** 2 - 1.5 * g * np.sin(y[0]),
+            u[1] + s / 2 * y[2] ** 2 - 0.5 * g * np.sin(y[1]),
+        ]
+        return np.concatenate((y[2:], np.linalg.solve(mass, load)))
+
+    np.testing.assert_allclose(flown(rates, path, [0, 0, 0, 0]), [np.pi, np.pi, 0, 0], rtol=0, atol=5e-3)
+    assert np.all(np.max(np.abs(path.control.values), axis=1) < [module.SHOULDER, module.ELBOW])
+    finer = cg.solve(module.problem(), cg.Galerkin(degree=8), intervals=30)
+    assert path.cost == pytest.approx(finer.cost, rel=1e-5)
+    np.testing.assert_allclose(flown(rates, finer, [0, 0, 0, 0]), [np.pi, np.pi, 0, 0], rtol=0, atol=1e-6)
+
+
+def test_spacecraft_arrives_on_the_wider_circle(scene):
+    module = scene("low_thrust")
+    path = module.main()
+
+    def rates(y, u):
+        return [y[2], y[3], y[0] * y[3] ** 2 - 1 / y[0] ** 2 + u[0], (u[1] - 2 * y[2] * y[3]) / y[0]]
+
+    r, _, radial, rate = flown(rates, path, [1, 0, 0, 1])
+    assert [r, radial, rate] == pytest.approx([2, 0, 2**-1.5], abs=1e-6)
+
+
+def test_angle_of_arrival_is_the_cheapest(scene):
+    module = scene("low_thrust")
+    free = module.main()
+
+    def cost(angle):
+        problem = replace(module.problem(), end=[module.RADIUS, angle])
+        return cg.solve(problem, free.method, intervals=20, guess=free).cost
+
+    best = cost(free.x[1, -1])
+    assert best == pytest.approx(free.cost, rel=1e-9)
+    assert cost(free.x[1, -1] - 0.05) > best * (1 + 1e-6)
+    assert cost(free.x[1, -1] + 0.05) > best * (1 + 1e-6)

@@ -1,0 +1,247 @@
+"""Orders of convergence on three nonlinear problems: at the joints min(2m, u), between them m + 1, velocity m.
+
+Each Lagrangian is forced by a term f(t) x that makes x = 0.2 + 0.5 sin t its exact path: the problem stays nonlinear,
+and the reference has no error of its own.  For degrees 4 to 6 the errors run into roundoff before the mesh is fine
+enough for a clean slope (measured: slopes scatter by 2 around 12 between 1e-8 and 1e-13, whatever the problem).  There
+the discrete equations are solved on in 60 digits by an implementation of their own, starting from the package's answer,
+which must already be right to roundoff.
+"""
+
+from functools import lru_cache
+
+import casadi as ca
+import mpmath
+import numpy as np
+import pytest
+from scenes import pendulum
+from test_quadrature import FAMILIES, polynomial
+
+import casadi_galerkin as cg
+
+BAND = 0.2
+PLATEAU = 1e-12  # errors below are masked; roundoff was measured at 1e-14 in x and 5e-14 in p
+POLISH = 1e-13  # how far the package's answer may be from the discrete equations' in 60 digits; momenta eps |x|/h
+
+
+def varying_mass(t, x, v):
+    return (1 + x[0] ** 2) * v[0] ** 2 / 2 - x[0] ** 2 / 2 - x[0] ** 4 / 4
+
+
+def quartic(t, x, v):
+    return v[0] ** 2 / 2 + v[0] ** 4 / 12 + ca.cos(x[0])
+
+
+LAGRANGIANS = {"pendulum": (pendulum, 4.0), "varying mass": (varying_mass, 5.0), "quartic": (quartic, 5.0)}
+# Intervals a unit of time, by degree: past the irregular meshes, and clear of roundoff.
+JOINTS = {1: (16, 20, 24), 2: (10, 13, 16), 3: (6, 8, 10)}
+BETWEEN = {1: (16, 20, 24), 2: (10, 13, 16), 3: (8, 10, 12)}
+RULES = {
+    "gauss(m)": lambda m: cg.gauss(m),
+    "gauss(m+1)": lambda m: cg.gauss(m + 1),
+    "lobatto(m)": lambda m: cg.lobatto(m),
+    "lobatto(m+1)": lambda m: cg.lobatto(m + 1),
+    "radau(m)": lambda m: cg.radau(m),
+    "radau(m+1)": lambda m: cg.radau(m + 1),
+    "left_rectangle": lambda m: cg.left_rectangle(),
+    "trapezoid": lambda m: cg.trapezoid(),
+    "midpoint": lambda m: cg.midpoint(),
+}
+DEGREE_ONE = ("left_rectangle", "trapezoid", "midpoint")
+CASES = [
+    (m, rule)
+    for m in range(1, 4)
+    for rule in RULES
+    if not (rule == "lobatto(m)" and m < 2) and not (rule in DEGREE_ONE and m > 1)
+]
+
+
+def expected(m, rule):
+    """Order at the joints, of the position between them, of the velocity."""
+    r = RULES[rule](m)
+    joints = min(2 * m, r.order)
+    # Lobatto(m) cannot see the node polynomial of its own m points: the path is one of degree m - 1, as measured.
+    inner = m if rule == "lobatto(m)" else m + 1
+    return joints, min(joints, inner), inner - 1
+
+
+def forced(lagrangian):
+    """The Lagrangian with x = 0.2 + 0.5 sin t made an exact path, and that path with its velocity and momentum."""
+    t, x, v = ca.SX.sym("t"), ca.SX.sym("x", 1), ca.SX.sym("v", 1)
+    path = 0.2 + 0.5 * ca.sin(t)
+    velocity = ca.jacobian(path, t)
+    value = lagrangian(t, x, v)
+    momentum = ca.gradient(value, v)
+    rate = ca.jacobian(momentum, v) * ca.jacobian(velocity, t) + ca.jacobian(momentum, x) * velocity
+    force, p = ca.substitute([rate - ca.gradient(value, x), momentum], [x, v], [path, velocity])
+    f = ca.Function("force", [t], [force])
+    return lambda t, x, v: lagrangian(t, x, v) + f(t) * x[0], ca.Function("exact", [t], [path, velocity, p])
+
+
+@pytest.fixture(scope="module")
+def problems():
+    answer = {}
+    for name, (lagrangian, T) in LAGRANGIANS.items():
+        full, exact = forced(lagrangian)
+        start, end = float(exact(0)[0]), float(exact(T)[0])
+        answer[name] = cg.BoundaryProblem(full, (0, T), [start], [end]), exact
+    return answer
+
+
+def errors(problem, exact, method, intervals):
+    """Root mean squares at the joints (x and p together), of x and of v between them."""
+    path = cg.solve(problem, method, intervals=intervals, guess=lambda t: np.array(exact(t)[0])[0])
+    x, _, p = (np.array(values) for values in exact(path.t[None, :]))
+    t = np.linspace(*problem.t_span, 1001)
+    xs, vs, _ = (np.array(values) for values in exact(t[None, :]))
+    mean = lambda *parts: np.sqrt(sum(np.mean(part**2) for part in parts))  # noqa: E731
+    return mean(path.x - x, path.momentum - p), mean(path.path(t) - xs), mean(path.path(t, 1) - vs)
+
+
+def slopes(problem, exact, method, densities):
+    """Slopes of the three errors over three meshes, NaN for an error that reaches the plateau."""
+    steps = [round(density * problem.t_span[1]) for density in densities]
+    table = np.array([errors(problem, exact, method, n) for n in steps])
+    table[:, np.any(table < PLATEAU, axis=0)] = np.nan
+    return -np.polyfit(np.log(steps), np.log(table), 1)[0]
+
+
+@pytest.mark.parametrize(("m", "rule"), CASES)
+@pytest.mark.parametrize("name", list(LAGRANGIANS))
+def test_order_at_the_joints_is_the_smaller_of_twice_the_degree_and_the_rules(problems, name, m, rule):
+    method = cg.Galerkin(m, quadrature=RULES[rule](m))
+    assert method.order == expected(m, rule)[0]
+    assert abs(slopes(*problems[name], method, JOINTS[m])[0] - method.order) <= BAND
+
+
+@pytest.mark.parametrize(("m", "rule"), CASES)
+@pytest.mark.parametrize("name", list(LAGRANGIANS))
+def test_order_between_the_joints(problems, name, m, rule):
+    method = cg.Galerkin(m, quadrature=RULES[rule](m))
+    _, order, order_of_velocity = expected(m, rule)
+    if order == 1 and name != "varying mass":
+        order = 2  # where L is a sum of functions of x and of v, one-sided rules give the trapezoid's path
+    _, position, velocity = slopes(*problems[name], method, BETWEEN[m])
+    assert abs(position - order) <= BAND
+    assert abs(velocity - order_of_velocity) <= BAND
+
+
+# Degrees 4 to 6, in 60 digits
+
+DIGITS = 60
+SPAN, FIRST, LAST = 0.02, 0.5, 0.513  # so short that the leading error term is all there is
+INSIDE = (0.13, 0.38, 0.61, 0.9)  # where errors between the joints are measured, as parts of an interval
+PARTIALS = {  # x, v -> L_x, L_v, L_xx, L_xv, L_vv, by hand
+    "pendulum": lambda x, v: (-mpmath.sin(x), v, -mpmath.cos(x), 0, 1),
+    "varying mass": lambda x, v: (x * v**2 - x - x**3, (1 + x**2) * v, v**2 - 1 - 3 * x**2, 2 * x * v, 1 + x**2),
+    "quartic": lambda x, v: (-mpmath.sin(x), v + v**3 / 3, -mpmath.cos(x), 0, 1 + v**2),
+}
+
+
+@lru_cache
+def exact_rule(family, n):
+    """Points and weights of `family`(n) on [0, 1] in `DIGITS` digits, which every caller works in."""
+    function, weight = polynomial(family, n)
+    answer = []
+    for q, w in zip(FAMILIES[family][0](n).points, FAMILIES[family][0](n).weights, strict=True):
+        if q in (0, 1):
+            end = mpmath.mpf(1) / (n * (n - 1)) if family == "lobatto" else mpmath.mpf(1) / n**2
+            assert abs(end - w) < 1e-14
+            answer.append((mpmath.mpf(q), end))
+        else:
+            x = 2 * mpmath.mpf(q) - 1
+            root = mpmath.findroot(function, (x, x + mpmath.mpf(10) ** -12))
+            answer.append(((1 + root) / 2, weight(root)))
+    return answer
+
+
+def basis(nodes, s):
+    """l_j(s) and l_j'(s) by the product formula."""
+    values, derivatives = [], []
+    for j, node in enumerate(nodes):
+        others = [o for k, o in enumerate(nodes) if k != j]
+        scale = mpmath.fprod(node - o for o in others)
+        values.append(mpmath.fprod(s - o for o in others) / scale)
+        rest = (mpmath.fprod(s - o for i, o in enumerate(others) if i != k) for k in range(len(others)))
+        derivatives.append(mpmath.fsum(rest) / scale)
+    return values, derivatives
+
+
+class Polished:
+    """The discrete equations of one case solved in `DIGITS` digits from the package's answer."""
+
+    def __init__(self, name, m, family, n, intervals):
+        method = cg.Galerkin(m, quadrature=FAMILIES[family][0](n))
+        lagrangian = LAGRANGIANS[name][0]
+        path = cg.solve(cg.BoundaryProblem(lagrangian, (0, SPAN), [FIRST], [LAST]), method, intervals=intervals)
+        self.m, self.h, self.partials = m, mpmath.mpf(SPAN) / intervals, PARTIALS[name]
+        self.nodes = [mpmath.mpf(c) for c in (0, *method.control_points, 1)]
+        self.points = [(w, *basis(self.nodes, q)) for q, w in exact_rule(family, n)]
+        self.x = [mpmath.mpf(value) for value in path.path.values[0]]
+        for turn in range(3):  # 1e-13, 1e-26, 1e-52
+            gradient, hessian = self.equations()
+            step = mpmath.lu_solve(hessian[1:-1, 1:-1], -gradient[1:-1, 0])
+            if turn == 0:
+                self.first_correction = max(abs(value) for value in step)
+                self.momentum_error = abs(-gradient[0, 0] - mpmath.mpf(float(path.momentum[0, 0])))
+            self.x[1:-1] = [value + change for value, change in zip(self.x[1:-1], step, strict=True)]
+        self.momentum = -self.equations(second=False)[0][0, 0]
+
+    def equations(self, second=True):
+        size, m, h = len(self.x), self.m, self.h
+        gradient, hessian = mpmath.zeros(size, 1), mpmath.zeros(size, size)
+        for i in range(0, size - 1, m):
+            for w, value, derivative in self.points:
+                x = mpmath.fdot(value, self.x[i : i + m + 1])
+                v = mpmath.fdot(derivative, self.x[i : i + m + 1]) / h
+                Lx, Lv, Lxx, Lxv, Lvv = self.partials(x, v)
+                for a in range(m + 1):
+                    A, dA = value[a], derivative[a] / h
+                    gradient[i + a, 0] += h * w * (Lx * A + Lv * dA)
+                    left, right = h * w * (Lxx * A + Lxv * dA), h * w * (Lxv * A + Lvv * dA)
+                    for b in range(m + 1 if second else 0):
+                        hessian[i + a, i + b] += left * value[b] + right * derivative[b] / h
+        return gradient, hessian
+
+    def at(self, t):
+        """x and v at a time."""
+        i = min(int(t / self.h), (len(self.x) - 1) // self.m - 1)
+        values, derivatives = basis(self.nodes, t / self.h - i)
+        local = self.x[i * self.m : (i + 1) * self.m + 1]
+        return mpmath.fdot(values, local), mpmath.fdot(derivatives, local) / self.h
+
+
+@pytest.fixture(scope="module")
+def references():
+    with mpmath.workdps(DIGITS):
+        return {name: Polished(name, 12, "gauss", 12, 2) for name in LAGRANGIANS}
+
+
+HIGH = [
+    (m, rule, family, m + more)
+    for m in (4, 5, 6)
+    for rule, family, more in (
+        ("gauss(m)", "gauss", 0),
+        ("gauss(m+1)", "gauss", 1),
+        ("lobatto(m)", "lobatto", 0),
+        ("lobatto(m+1)", "lobatto", 1),
+        ("radau(m)", "radau", 0),
+    )
+]
+
+
+@pytest.mark.parametrize(("m", "rule", "family", "n"), HIGH)
+@pytest.mark.parametrize("name", list(LAGRANGIANS))
+def test_orders_of_high_degree(references, name, m, rule, family, n):
+    steps, rows = (1, 2, 3), []
+    with mpmath.workdps(DIGITS):
+        reference = references[name]
+        for intervals in steps:
+            path = Polished(name, m, family, n, intervals)
+            assert path.first_correction < POLISH
+            assert path.momentum_error < POLISH
+            times = [(k + part) * path.h for k in range(intervals) for part in INSIDE]
+            off = [(path.at(t), reference.at(t)) for t in times]
+            between = [max(abs(a[k] - b[k]) for a, b in off) for k in (0, 1)]
+            rows.append([float(mpmath.log(e)) for e in (abs(path.momentum - reference.momentum), *between)])
+    got = -np.polyfit(np.log(steps), rows, 1)[0]
+    np.testing.assert_allclose(got, expected(m, rule), rtol=0, atol=BAND)

@@ -1,0 +1,144 @@
+"""Shooting: the same path as the global solve where it can, a failure with its measure where it cannot."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import casadi_galerkin as cg
+from casadi_galerkin.shooting import chain
+
+SAME = 1e-12  # the same discrete equations solved in two ways; conditions below 100
+
+
+def pendulum(t, x, v):
+    return v[0] ** 2 / 2 + ca.cos(x[0])
+
+
+def saddle(t, x, v):
+    return v[0] ** 2 / 2 + x[0] ** 2 / 2
+
+
+def kepler(t, x, v):
+    return ca.dot(v, v) / 2 + 1 / ca.norm_2(x)
+
+
+def varying_mass(t, x, v):
+    return (1 + x[0] ** 2 * ca.exp(-t)) * v[0] ** 2 / 2 - x[0] ** 4 / 4
+
+
+def driven(t, x, v):
+    return v[0] ** 2 / 2 - x[0] ** 2 + x[0] * ca.cos(t)
+
+
+def plane(t, x, v):
+    return ca.dot(v, v) / 2 + x[0] * v[1] - x[0] ** 2 - x[1] ** 4 / 4 + x[1] * ca.cos(t)
+
+
+PROBLEMS = {
+    "pendulum": cg.BoundaryProblem(pendulum, (0, 1), [0.0], [1.0]),
+    "varying mass": cg.BoundaryProblem(varying_mass, (0, 2), [1.0], [-0.5]),
+    "kepler": cg.BoundaryProblem(kepler, (0, 1.4), [1.0, 0.0], [0.1, 1.1]),
+    "free end": cg.BoundaryProblem(saddle, (0, 1), [1.0], [None]),
+    "free start": cg.BoundaryProblem(saddle, (0, 1), [None], [1.0]),
+    "mixed ends": cg.BoundaryProblem(plane, (0, 1), [None, 1.0], [0.5, None]),
+    "parameters": cg.BoundaryProblem(
+        lambda t, x, v, p: p[0] * v[0] ** 2 / 2 + ca.cos(x[0]), (0, 1), [0.0], [1.0], parameters=[2.0]
+    ),
+    "periodic": cg.BoundaryProblem(driven, (0, 2 * np.pi), [None], periodic=True),
+    "periodic through a point": cg.BoundaryProblem(driven, (0, 2), [0.3], periodic=True),
+    "periodic plane through a line": cg.BoundaryProblem(plane, (0, 2), [0.1, None], periodic=True),
+}
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("degree", [2, 5])
+def test_shooting_finds_the_global_path(name, degree):
+    problem, method = PROBLEMS[name], cg.Galerkin(degree)
+    mesh = problem.t_span[1] * np.linspace(0, 1, 11) ** 1.3
+    shot, whole = (way(problem, method, mesh=mesh) for way in (cg.shoot, cg.solve))
+    for ours, theirs in ((shot.x, whole.x), (shot.momentum, whole.momentum)):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=SAME * np.max(np.abs(theirs)))
+    assert shot.morse_index is None
+    assert shot.iterations <= 20
+    assert "single shooting" in str(shot)
+
+
+def test_lamberts_problem_in_kilometres_and_seconds():
+    # D. A. Vallado, "Fundamentals of Astrodynamics and Applications", 4th edition, example 5.7
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 + 398600.4418 / ca.norm_2(x),
+        (0, 4560),
+        [15945.34, 0, 0],
+        [12214.83899, 10249.46731, 0],
+    )
+    path = cg.shoot(problem, cg.Galerkin(8), intervals=20)
+    np.testing.assert_allclose(path.velocity[:, 0], [2.058913, 2.915965, 0], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(path.velocity[:, -1], [-3.451565, 0.910315, 0], rtol=0, atol=1e-6)
+
+
+def test_a_guess_chooses_among_several_paths():
+    problem = cg.BoundaryProblem(pendulum, (0, 10), [0.0], [1.0])
+    for start in (1.9995687170165, 1.8318277309911, 1.3287479250456):
+        guess = cg.solve(cg.InitialProblem(pendulum, (0, 10), [0.0], velocity=[start + 1e-7]), cg.Galerkin(6), 40)
+        path = cg.shoot(problem, cg.Galerkin(6), 40, guess=guess)
+        assert path.momentum[0, 0] == pytest.approx(start, abs=2e-11)  # the digits known, and the mesh's error
+
+
+def test_products_of_jacobians_are_the_derivative_of_the_whole_path():
+    method, mesh, difference = cg.Galerkin(3), np.linspace(0, 2, 8), 1e-5
+
+    def states(x, p):
+        path = cg.solve(cg.InitialProblem(pendulum, (0, 2), [x], momentum=[p]), method, mesh=mesh)
+        return np.concatenate((path.x, path.momentum))
+
+    problem = cg.InitialProblem(pendulum, (0, 2), [0.5], momentum=[1.0])
+    product = chain(cg.geometry(problem, cg.solve(problem, method, mesh=mesh)).jacobians)
+    by_x = (states(0.5 + difference, 1.0) - states(0.5 - difference, 1.0)) / (2 * difference)
+    by_p = (states(0.5, 1.0 + difference) - states(0.5, 1.0 - difference)) / (2 * difference)
+    np.testing.assert_allclose(product[:, :, 0].T, by_x, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(product[:, :, 1].T, by_p, rtol=0, atol=1e-8)
+
+
+def test_a_saddle_costs_the_digits_that_its_growth_says():
+    problem = cg.BoundaryProblem(saddle, (0, 20), [1.0], [1.0])
+    path = cg.shoot(problem, cg.Galerkin(8), intervals=40)
+    error = np.max(np.abs(path.x[0] - np.cosh(path.t - 10) / np.cosh(10)))
+    assert 1e-12 < error < np.exp(20) * 2.3e-16  # e^20 eps = 1e-7
+
+
+@pytest.mark.parametrize("horizon", [30, 40, 200, 700])
+def test_a_longer_saddle_fails_with_its_growth(horizon):
+    problem = cg.BoundaryProblem(saddle, (0, horizon), [1.0], [1.0])
+    growth = f"{np.cosh(horizon):.1e}".replace("+", r"\+")
+    with pytest.raises(cg.ConvergenceError, match=rf"the end is missed by .* grows up to {growth} times"):
+        cg.shoot(problem, cg.Galerkin(8), intervals=2 * horizon)
+
+
+def test_a_conjugate_point_is_named():
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, np.pi), [0.0], [1.0])
+    with pytest.raises(cg.ConjugatePointError, match="conjugate points"):
+        cg.shoot(problem, cg.Galerkin(8), intervals=12)
+
+
+def test_a_problem_without_a_path_fails():
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 5 * ca.exp(x[0]), (0, 1), [0.0], [0.0])  # Bratu, λ = 5
+    with pytest.raises(cg.ConvergenceError, match=r"shooting failed|conjugate"):
+        cg.shoot(problem, cg.Galerkin(4), intervals=10)
+
+
+def test_a_first_path_that_collides_fails():
+    problem = cg.BoundaryProblem(kepler, (0, 2), [1.0, 0.0], [-1.0, 0.0])
+    with pytest.raises(cg.ConvergenceError, match="the steps of the first path"):
+        cg.shoot(problem, cg.Galerkin(4), intervals=10)
+
+
+def test_bad_input_is_named():
+    problem = PROBLEMS["pendulum"]
+    with pytest.raises(TypeError, match="problem must be a BoundaryProblem, got InitialProblem"):
+        cg.shoot(cg.InitialProblem(pendulum, (0, 1), [0.0], [1.0]), cg.Galerkin(3), 5)
+    with pytest.raises(TypeError, match="method must be a Galerkin"):
+        cg.shoot(problem, 3, 5)
+    with pytest.raises(ValueError, match="give either intervals or mesh"):
+        cg.shoot(problem, cg.Galerkin(3))
+    with pytest.raises(TypeError, match=r"guess must be a Trajectory of 1 component\(s\)"):
+        cg.shoot(problem, cg.Galerkin(3), 5, guess=[1.0])
