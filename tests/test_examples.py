@@ -114,10 +114,10 @@ def test_a_point_more_helps_one_mass_and_not_the_other(scene):
 def test_work_precision_has_the_orders_of_its_methods(scene):
     module = scene("work_precision")
     measured = module.main()
-    for method in module.METHODS[:4]:
-        # degree m approaches m + 1 between the joints; the coarse meshes are not there yet for degree 4
-        assert measured.order(method) == pytest.approx(method.degree + 1, abs=0.35)
     errors = {(row.method, row.intervals): row.error for row in measured.rows}
+    for method in module.METHODS[:4]:  # the coarser meshes are not yet in the asymptotic range for degree 4
+        order = np.log2(errors[method, 40] / errors[method, 80])
+        assert order == pytest.approx(method.degree + 1, abs=0.2)
     for low, high in zip(module.METHODS[3:4], module.METHODS[5:], strict=True):
         assert errors[high, 20] < 1e-4 * errors[low, 20]
 
