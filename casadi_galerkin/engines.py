@@ -37,7 +37,7 @@ RESCUE = 100  # iterations IPOPT gets after Newton's method; rescues were measur
 NEARLY = 1e-9  # residual over the sizes of its terms from which two Newton steps reach roundoff
 LEAP = 0.3  # longest step of a relaxation, relative to the size of the path
 RELAXED = 1e-13  # promised relative gain of the action below which a relaxation has ended
-SINGULAR = 1e-11  # second variation over the sum of its terms' sizes below which the Hessian is called singular
+SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
 
 Data = tuple[np.ndarray, ...]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -188,3 +188,39 @@ def animate_linkage(times: np.ndarray, points: np.ndarray, interval: float, axes
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # laid out once; anew for every frame it took 0.2 s each
     return FuncAnimation(figure, frame, frames=len(times), interval=1000 * interval)
+
+
+def plot_work_precision(
+    lines: Mapping[str, tuple[Sequence[float], Sequence[float]]], floor: float, axes: Axes | None = None
+) -> Axes:
+    """Draw errors over seconds on logarithmic axes, and the floor below which errors mean nothing.
+
+    Parameters
+    ----------
+    lines : label -> seconds and errors
+    floor : error of roundoff or of the reference
+    axes : Matplotlib axes to draw into; default a new figure
+
+    Returns
+    -------
+    the Matplotlib axes
+    """
+    axes = axes_or_new(axes)
+    for i, (label, (seconds, errors)) in enumerate(lines.items()):
+        drawn = np.maximum(errors, floor / 3)  # an error of zero has no place on a logarithmic axis
+        axes.loglog(seconds, drawn, "o-", color=COLORS[i % len(COLORS)], markersize=4, label=label)
+    axes.axhspan(floor / 10, floor, color="0.85", zorder=0)
+    axes.text(
+        0.99,
+        floor,
+        f"roundoff or the reference's error, {floor:.0e} ",
+        transform=axes.get_yaxis_transform(),
+        ha="right",
+        va="bottom",
+        fontsize="small",
+        color="0.4",
+    )
+    axes.set_xlabel("seconds of a warm solve")
+    axes.set_ylabel("largest relative error of the path")
+    axes.legend(fontsize="small", loc="upper right")
+    return axes

@@ -104,9 +104,37 @@ def test_functional_by_hand_is_that_of_the_graph(scene):
     np.testing.assert_allclose(numbers["momenta by hand"], numbers["momenta reported"], rtol=1e-14, atol=0)
 
 
+def test_a_point_more_helps_one_mass_and_not_the_other(scene):
+    factors = scene("mass_quadrature").main()
+    # ratios of leading error constants, still moving by a tenth between 4 and 8 intervals
+    np.testing.assert_allclose([factors["mass 1 + x²"][m] for m in (1, 2, 3)], [1.7, 16.3, 5.7], rtol=0.1, atol=0)
+    np.testing.assert_allclose([factors["mass exp(x)"][m] for m in (1, 2, 3)], [0.9, 0.7, 0.6], rtol=0.1, atol=0)
+
+
+def test_work_precision_has_the_orders_of_its_methods(scene):
+    module = scene("work_precision")
+    measured = module.main()
+    errors = {(row.method, row.intervals): row.error for row in measured.rows}
+    for method in module.METHODS[:4]:  # the coarser meshes are not yet in the asymptotic range for degree 4
+        order = np.log2(errors[method, 40] / errors[method, 80])
+        assert order == pytest.approx(method.degree + 1, abs=0.2)
+    for low, high in zip(module.METHODS[3:4], module.METHODS[5:], strict=True):
+        assert errors[high, 20] < 1e-4 * errors[low, 20]
+
+
 @pytest.mark.parametrize(
     "name",
-    ["lambert", "pendulum", "catenoid", "great_circle", "charged_particle", "brachistochrone", "calculus"],
+    [
+        "work_precision",
+        "mass_quadrature",
+        "lambert",
+        "pendulum",
+        "catenoid",
+        "great_circle",
+        "charged_particle",
+        "brachistochrone",
+        "calculus",
+    ],
 )
 def test_scene_writes_its_picture(scene, name, tmp_path):
     target = tmp_path / "picture.png"

@@ -38,7 +38,8 @@ RANKS = {
     "sensitivity": 6,
     "solve": 10,
     "comparison": 11,
-    "trade": 11,
+    "accuracy": 11,
+    "trade": 12,
     "sweep": 11,
 }
 PACKAGE = Path(casadi_galerkin.__file__).parent

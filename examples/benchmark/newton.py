@@ -1,0 +1,120 @@
+"""One Newton iteration against what the machine allows.
+
+An iteration is ∇S, ∇²S and the solution with ∇²S.  Its limit is the evaluation of both derivatives at all points by
+a loop compiled in C, and LAPACK's banded factorisation and solution of the same matrix (Cholesky where it is
+definite, else LU), with the matrix in LAPACK's own form already: assembling it is not counted.
+
+Run it alone on a quiet machine; it takes a minute or two.
+"""
+
+import platform
+import time
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import lapack
+
+import casadi_galerkin as cg
+from casadi_galerkin.engines import Evaluator
+from casadi_galerkin.functional import compiled, embedding
+
+SIZES, DEGREES = (100, 1000, 10_000), (2, 4, 8)
+FASTEST_OF, SECONDS = 30, 0.3  # runs of which the fastest counts, fewer where they take so long
+
+
+def pendulum():
+    """One component."""
+    return cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0.0, 2.0), [0.0], [1.0])
+
+
+def kepler():
+    """Two components."""
+    return cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 + 1 / ca.norm_2(x), (0.0, 1.0), [0.4, 0.0], [-0.62894817682, 0.79966473097]
+    )
+
+
+def chain(masses=6):
+    """Masses on stiffening springs."""
+
+    def lagrangian(t, x, v):
+        stretch = x - ca.vertcat(0, x[:-1])
+        return ca.dot(v, v) / 2 - ca.sum1(stretch**2 / 2 + stretch**4 / 4)
+
+    return cg.BoundaryProblem(lagrangian, (0.0, 2.0), [0.0] * masses, [1.0] * masses)
+
+
+def fastest(call):
+    """Least milliseconds of a callable."""
+    call()
+    runs, began = [], time.perf_counter()
+    while len(runs) < 3 or (len(runs) < FASTEST_OF and time.perf_counter() - began < SECONDS):
+        start = time.perf_counter()
+        call()
+        runs.append(time.perf_counter() - start)
+    return 1e3 * min(runs)
+
+
+def iteration(transcription, unknowns, data):
+    """Milliseconds of derivatives and solution."""
+    system = transcription.system
+
+    def once():
+        (gradient,) = system.evaluate("derivatives", unknowns, *data)
+        system.solved("direction", gradient)
+
+    return fastest(once)
+
+
+def banded(transcription, unknowns, data):
+    """Milliseconds of LAPACK's factorisation and solution; copies of the inputs, which it overwrites, taken off."""
+    matrix = transcription.hessian.call([unknowns, *data])[0]
+    columns, rows = (np.array(index) for index in reversed(matrix.sparsity().get_triplet()))
+    entries, n = np.array(matrix.nonzeros()), matrix.size1()
+    width = int(np.max(rows - columns))
+    lower = np.zeros((width + 1, n), order="F")
+    below = rows >= columns
+    lower[(rows - columns)[below], columns[below]] = entries[below]
+    right = np.ones((n, 1), order="F")
+    if lapack.dpbsv(lower, right, lower=1)[2] == 0:
+        whole = fastest(lambda: lapack.dpbsv(lower, right, lower=1))
+        return whole - fastest(lambda: (lower.copy(order="F"), right.copy(order="F")))
+    full = np.zeros((3 * width + 1, n), order="F")
+    full[2 * width + rows - columns, columns] = entries
+    whole = fastest(lambda: lapack.dgbsv(width, width, full, right))
+    return whole - fastest(lambda: (full.copy(order="F"), right.copy(order="F")))
+
+
+def points(transcription, unknowns, data):
+    """Milliseconds of both derivatives at all points, compiled in C."""
+    functional = transcription._functional
+    at = embedding(functional.layout)(np.concatenate((unknowns, *data[:2])), data[2])
+    loop = Evaluator(compiled(functional.pointwise.derivatives, functional.layout.points, ()))
+    given = [np.array(a).ravel(order="F") for a in at]
+    return fastest(lambda: loop(*given))
+
+
+def main(sizes=SIZES):
+    """Measure all; returns {(d, m, N): ratio to the limit without and with jit}."""
+    ratios = {}
+    for make in (pendulum, kepler, chain):
+        problem = make()
+        for degree in DEGREES:
+            for intervals in sizes:
+                plain, fast = (cg.transcribe(problem, cg.Galerkin(degree), intervals, jit=jit) for jit in (False, True))
+                point = plain.critical_point()
+                at = point.solution.unknowns, point.data
+                times = [iteration(plain, *at), iteration(fast, *at), points(plain, *at), banded(plain, *at)]
+                limit = times[2] + times[3]
+                ratios[problem.dimension, degree, intervals] = times[0] / limit, times[1] / limit
+                row = "".join(f"{value:10.3f}" for value in times)
+                shown = f"{times[0] / limit:8.2f}{times[1] / limit:8.2f}"
+                print(f"{problem.dimension:3d}{degree:3d}{intervals:7d}{row}{shown}", flush=True)
+    return ratios
+
+
+if __name__ == "__main__":
+    print(f"Python {platform.python_version()}, CasADi {ca.__version__}, NumPy {np.__version__}, {platform.machine()}")
+    print("  d  m      N   plain/ms    jit/ms points/ms banded/ms   ratio  of jit")
+    figures = np.array(list(main().values()))
+    print(f"largest ratios {figures.max(axis=0).round(2)}, medians {np.median(figures, axis=0).round(2)}")
