@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial, time_scale
 from casadi_galerkin.engines import (
     SINGULAR,
+    Algebra,
     Data,
+    Evaluator,
     Solution,
     SolveFailure,
     System,
@@ -23,7 +25,7 @@ from casadi_galerkin.engines import (
     rootfinder,
     second_variation,
 )
-from casadi_galerkin.functional import Functional, Layout
+from casadi_galerkin.functional import LAYOUTS_KEPT, Functional, Layout, assembly
 from casadi_galerkin.problems import BoundaryProblem, components, numbers
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
@@ -54,6 +56,24 @@ class CriticalPoint:
     solution: Solution
     data: Data
     path: PiecewisePolynomial
+
+
+@lru_cache(LAYOUTS_KEPT)
+def algebra(
+    layout: Layout, colind: tuple[int, ...], row: tuple[int, ...], blocks: tuple[tuple[int, int], ...]
+) -> Algebra:
+    """Newton's method for all Lagrangians whose Hessian has this sparsity; arguments as for `assembly`."""
+    d, numbering = layout.dimension, layout.numbering
+    component = np.zeros(layout.size, dtype=np.int64)
+    component[numbering] = np.arange(d)
+    by_component = numbering[: layout.size // d].T
+    sizes = {"unknowns": layout.free, "start": len(layout.fixed_start), "end": len(layout.fixed_end)}
+    ends = [ca.MX.sym(name, size) for name, size in sizes.items()]
+    values = ca.MX.sym("values", by_component.shape[1])
+    peak = ca.Function("peak", [values], [ca.norm_inf(values)]).map(d)
+    paths = ca.reshape(ca.vertcat(*ends).get_nz(False, by_component.ravel().tolist()), -1, d)
+    scale = ca.Function("scale", ends, [peak(paths).T], list(sizes), ["scale"])
+    return Algebra(assembly(layout, colind, row, blocks).sparsity_out(0), component[: layout.free], scale)
 
 
 class Transcription:
@@ -88,46 +108,60 @@ class Transcription:
         self._symbols = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
         self._u = ca.vertcat(*(self._symbols[name] for name in ("unknowns", "start", "end")))
         self._at = (self._u, self._symbols["mesh"], self._symbols.get("parameters"))
-        local, total = self._functional.gradient(*self._at)
-        self.gradient = self._function("gradient", total[: self.layout.free])
-        self.hessian = self._function("hessian", self._functional.hessian(*self._at))
-        self._momenta = self._function("momenta", ca.horzcat(-local[: problem.dimension, 0], self._ends(local)))
+        self._local, total = self._functional.gradient(*self._at)
+        self._derivatives = self._functional.hessian(*self._at), total[: self.layout.free]
+        self.hessian, self.gradient = map(self._function, ("hessian", "gradient"), self._derivatives)
         self.build_seconds = time.perf_counter() - began
 
-    def _ends(self, local: ca.MX) -> ca.MX:
-        """Derivative of each interval's action by its last node, (d, N)."""
-        return ca.reshape(local[:, -1], self.problem.dimension, self.layout.intervals)
-
-    def _function(self, name: str, *outputs: ca.MX, extra: tuple[ca.MX, ...] = ()) -> ca.Function:
+    def _function(
+        self, name: str, *outputs: ca.MX, extra: tuple[ca.MX, ...] = (), results: Sequence[str] | None = None
+    ) -> ca.Function:
         names = list(self._symbols) + [f"extra{i}" for i in range(len(extra))]
-        results = [name] if len(outputs) == 1 else [f"{name}{i}" for i in range(len(outputs))]
+        results = results or ([name] if len(outputs) == 1 else [f"{name}{i}" for i in range(len(outputs))])
         return ca.Function(name, [*self._symbols.values(), *extra], list(outputs), names, results)
 
     @cached_property
     def action(self) -> ca.Function:
         """S of (unknowns, start, end, mesh[, parameters])."""
-        return self._function("action", self._functional.action(*self._at))
+        return self._function("action", self._action)
+
+    @cached_property
+    def _action(self) -> ca.MX:
+        return self._functional.action(*self._at)
+
+    @cached_property
+    def _calculus(self) -> DiscreteCalculus:
+        return DiscreteCalculus(self.method, self.mesh)
+
+    @cached_property
+    def _summary(self) -> Evaluator:
+        """(unknowns, *data) -> S, and momenta at all joints: the first -∂S/∂x_0, then ∂S_k/∂x_{k+1} of interval k."""
+        d, local = self.problem.dimension, self._local
+        momenta = ca.horzcat(-local[:d, 0], ca.reshape(local[:, -1], d, self.layout.intervals))
+        return Evaluator(self._function("summary", self._action, momenta))
 
     @cached_property
     def system(self) -> System:
         """The stationarity conditions as the engines take them."""
         direction = ca.MX.sym("direction", self.layout.free)
         given = ca.MX.zeros(self.layout.size - self.layout.free, 1)
-        inertia = ca.MX.sym("inertia")
         curvature = self._functional.curvature(*self._at, ca.vertcat(direction, given))
-        component = np.zeros(self.layout.size, dtype=np.int64)
-        component[self.layout.numbering] = np.arange(self.problem.dimension)
         return System(
             self.action,
             self.gradient,
             self.hessian,
+            self._function("derivatives", *self._derivatives, results=["matrix", "gradient"]),
             self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free]),
             self._function("curvature", *curvature, extra=(direction,)),
-            self._function("inertial", self._functional.hessian(*self._at, inertia), extra=(inertia,)),
-            component[: self.layout.free],
-            lambda unknowns, data: np.max(np.abs(self._values(unknowns, data)), axis=0),
+            self._inertial,
+            algebra(*self._functional.assembly_key),
             self._functional.pointwise.kinetic,
         )
+
+    def _inertial(self) -> ca.Function:
+        inertia = ca.MX.sym("inertia")
+        matrix = self._functional.hessian(*self._at, inertia)
+        return self._function("inertial", matrix, extra=(inertia,), results=["matrix"])
 
     def _values(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) in the order of time."""
@@ -184,16 +218,17 @@ class Transcription:
         """Find the node values of the path without what `trajectory` adds; arguments and errors as for `solve`."""
         if not callable(solver):
             raise TypeError(f"solver must be rootfinder, ipopt or minimizer, got {solver!r}")
-        joints = self.mesh if mesh is None else time_scale(mesh)
+        calculus = self._calculus if mesh is None else DiscreteCalculus(self.method, mesh)
+        joints = calculus.mesh
         if len(joints) != len(self.mesh):
             raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {len(joints) - 1}")
         data = self._data(start, end, parameters, joints)
-        calculus = DiscreteCalculus(self.method, joints)
         first = self._unknowns(self._guess(guess, calculus, data))
-        try:
-            solution = solver(self.system, first, data, verbose)
-        except SolveFailure as failure:
-            raise self._error(failure, calculus, data) from None
+        with self.system.algebra.lock:
+            try:
+                solution = solver(self.system, first, data, verbose)
+            except SolveFailure as failure:
+                raise self._error(failure, calculus, data) from None
         return CriticalPoint(solution, data, calculus.emb(self._values(solution.unknowns, data).T))
 
     def drawn(self, guess: Guess, mesh: np.ndarray) -> PiecewisePolynomial:
@@ -208,10 +243,11 @@ class Transcription:
         data = self._data(None, None, None, mesh)
         calculus = DiscreteCalculus(self.method, mesh)
         unknowns = self._unknowns(self._guess(path, calculus, data))
-        try:
-            unknowns, inertia, norm = relax(self.system, unknowns, data, inertia, steps)
-        except SolveFailure as failure:
-            raise self._error(failure, calculus, data) from None
+        with self.system.algebra.lock:
+            try:
+                unknowns, inertia, norm = relax(self.system, unknowns, data, inertia, steps)
+            except SolveFailure as failure:
+                raise self._error(failure, calculus, data) from None
         return calculus.emb(self._values(unknowns, data).T), inertia, norm
 
     def correction(self, path: PiecewisePolynomial, parameters: Sequence[float] | None = None) -> PiecewisePolynomial:
@@ -222,9 +258,10 @@ class Transcription:
         data = self._data(None, None, parameters, path.mesh)
         calculus = DiscreteCalculus(self.method, path.mesh)
         unknowns = self._unknowns(path(calculus.node_times).T)
-        (gradient,) = self.system.evaluate("gradient", unknowns, *data)
-        (matrix,) = self.system.evaluate("hessian", unknowns, *data)
-        step = np.concatenate((self.system.direction(matrix, gradient), np.zeros(self.layout.size - self.layout.free)))
+        with self.system.algebra.lock:
+            (gradient,) = self.system.evaluate("derivatives", unknowns, *data)
+            step = self.system.solved("direction", gradient)[0]
+        step = np.concatenate((step, np.zeros(self.layout.size - self.layout.free)))
         return calculus.emb(step[self.layout.numbering].T)
 
     def _data(
@@ -263,7 +300,8 @@ class Transcription:
         miss = np.where(numbering[[0, -1]] >= self.layout.free, fixed[numbering[[0, -1]]] - values[[0, -1]], np.nan)
         miss = np.where(np.isnan(miss), miss[::-1], miss)  # a free end takes over what the other one is moved by
         part = ((times - times[0]) / (times[-1] - times[0]))[:, None]
-        bent = values + (1 - part) * np.nan_to_num(miss[0]) + part * np.nan_to_num(miss[1])
+        miss = np.where(np.isnan(miss), 0.0, miss)
+        bent = values + (1 - part) * miss[0] + part * miss[1]
         if not np.all(np.isfinite(bent)):
             i = int(np.argmax(~np.isfinite(bent).all(axis=1)))
             raise ValueError(f"the guess must be finite, got {bent[i]} at t = {times[i]}")
@@ -299,8 +337,9 @@ class Transcription:
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
         system, unknowns, data = self.system, point.solution.unknowns, point.data
-        (matrix,) = system.evaluate("hessian", unknowns, *data)
-        quotient = second_variation(system, matrix, unknowns, data)
+        with system.algebra.lock:
+            quotient = second_variation(system, unknowns, data)
+            index = negative_eigenvalues(system, unknowns, data)
         if quotient < SINGULAR:
             raise ConjugatePointError(
                 f"the second variation of the action vanishes (relative size {quotient:.0e}): the ends are conjugate "
@@ -310,14 +349,14 @@ class Transcription:
                 point.solution.residual,
                 point.solution.iterations,
             )
-        (momenta,) = self._evaluate_momenta(unknowns, data)
+        action, momenta = self._summary(unknowns, *data)
         return Trajectory(
             t=point.path.mesh,
             x=point.path.values[:, :: self.method.degree].copy(),
             momentum=momenta.reshape(self.problem.dimension, -1, order="F"),
             path=point.path,
-            action=float(system.evaluate("action", unknowns, *data)[0][0]),
-            morse_index=negative_eigenvalues(system, unknowns, data),
+            action=float(action[0]),
+            morse_index=index,
             iterations=point.solution.iterations,
             residual=point.solution.residual,
             solver=point.solution.report,
@@ -328,16 +367,12 @@ class Transcription:
             parameters=tuple(data[3].tolist()) if len(data) > 3 else None,
         )
 
-    def _evaluate_momenta(self, unknowns: np.ndarray, data: Data) -> list[np.ndarray]:
-        return [np.array(self._momenta(unknowns, *data)).ravel(order="F")]
-
     def _error(self, failure: SolveFailure, calculus: DiscreteCalculus, data: Data) -> ConvergenceError:
         """Say what happened, where in time, how far it got, and what to try."""
         unknowns, system = failure.unknowns, self.system
         path = calculus.emb(self._values(unknowns, data).T)
-        (g,) = system.evaluate("gradient", unknowns, *data)
-        (matrix,) = system.evaluate("hessian", unknowns, *data)
-        residual = system.residual(g, matrix, unknowns, data)
+        (g,) = system.evaluate("derivatives", unknowns, *data)
+        residual = system.ratios(g, unknowns, data)
         worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
         when = calculus.node_times[np.argmax((self.layout.numbering == worst).any(axis=1))]
         where = f"after {failure.iterations} iterations; the largest residual is at t = {when:.6g}"

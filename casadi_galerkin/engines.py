@@ -18,6 +18,8 @@ the terms it sums and of what the rounding of the unknowns themselves does to it
 
 from __future__ import annotations
 
+import math
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -48,17 +50,23 @@ class SolveFailure(Exception):
 
 
 class Evaluator:
-    """Calls a Function on NumPy arrays without conversion: nonzeros in, nonzeros out."""
+    """Calls a Function on NumPy arrays without conversion: nonzeros in, nonzeros out.
 
-    def __init__(self, function: ca.Function) -> None:
+    An input or output named "matrix" is bound to the array `matrix`, and neither passed nor returned: at degree 30
+    copying the Hessian would take longer than all else that is done in Python.
+    """
+
+    def __init__(self, function: ca.Function, matrix: np.ndarray | None = None) -> None:
         self._function = function  # the buffer does not keep it alive
-        self._inputs: list[Any] = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
-        self._outputs: list[Any] = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
         self._buffer, self._run = function.buffer()
-        for i, array in enumerate(self._inputs):
-            self._buffer.set_arg(i, memoryview(array))
-        for i, array in enumerate(self._outputs):
-            self._buffer.set_res(i, memoryview(array))
+        shared: Any = np.zeros(0) if matrix is None else matrix
+        inputs: dict[str, Any] = {function.name_in(i): np.zeros(function.nnz_in(i)) for i in range(function.n_in())}
+        outputs: dict[str, Any] = {function.name_out(i): np.zeros(function.nnz_out(i)) for i in range(function.n_out())}
+        for arrays, bind in ((inputs, self._buffer.set_arg), (outputs, self._buffer.set_res)):
+            for i, (name, array) in enumerate(arrays.items()):
+                bind(i, memoryview(shared if name == "matrix" else array))
+        self._inputs = [array for name, array in inputs.items() if name != "matrix"]
+        self._outputs = [array for name, array in outputs.items() if name != "matrix"]
 
     def __call__(self, *arguments: np.ndarray) -> list[np.ndarray]:
         """Evaluate; the returned arrays are copies."""
@@ -86,86 +94,157 @@ class Solution:
     report: str
 
 
+class Algebra:
+    """Newton's method between two evaluations: what depends on the Hessian's sparsity and the scale, but not on L.
+
+    It is kept for all Lagrangians of a layout, with the Hessian in `matrix` as `System.derivatives` left it there, so
+    whoever works with it holds `lock`.  The steps of an iteration are bundled into few Functions, since a call from
+    Python costs about as much as evaluating a small problem.  Those that solve with ∇²S are built for a linear
+    solver, "ldl" or "qr"; their first output is the solution, the last two are the size of the right-hand side and
+    the excess of the defect.
+
+    Parameters
+    ----------
+    sparsity : of ∇²S
+    component : int array, the component of the path that each unknown is a value of
+    scale : (ξ, start, end) -> largest size of each component along the path
+    """
+
+    def __init__(self, sparsity: ca.Sparsity, component: np.ndarray, scale: ca.Function) -> None:
+        self.component, self.scale = component, scale
+        self._ends = [ca.MX.sym(scale.name_in(i), scale.size1_in(i)) for i in range(3)]
+        self._matrix, self._damping = ca.MX.sym("matrix", sparsity), ca.MX.sym("damping")
+        self._vectors = [ca.MX.sym(f"vector{i}", sparsity.size1()) for i in range(4)]
+        self.matrix, self.lock = np.zeros(sparsity.nnz()), threading.Lock()
+        self._evaluators: dict[tuple[str, str | None], Evaluator] = {}
+
+    def evaluate(self, name: str, solver: str | None, *arguments: np.ndarray) -> list[np.ndarray]:
+        """Evaluate the Function of that name, built when it is first asked for."""
+        evaluator = self._evaluators.get((name, solver))
+        if evaluator is None:
+            inputs, outputs = getattr(self, name)(*([solver] if solver else []))
+            names = ["matrix" if symbol is self._matrix else f"input{i}" for i, symbol in enumerate(inputs)]
+            function = ca.Function(name, inputs, outputs, names, [f"output{i}" for i in range(len(outputs))])
+            evaluator = self._evaluators[name, solver] = Evaluator(function, self.matrix)
+        return evaluator(*arguments)
+
+    @cached_property
+    def factors(self) -> ca.Linsol:
+        """LDLᵀ without pivoting, its symbolic part done once.  Measured 4 times faster than QR."""
+        return ca.Linsol("ldl", "ldl", self._matrix.sparsity())
+
+    def _solve(self, solver: str, rhs: ca.MX) -> list[ca.MX]:
+        """Solution of ∇²S y = -rhs, size of rhs, excess of the defect; a sum of sizes does not lose a NaN."""
+        matrix = self._matrix
+        y = -(self.factors.solve(matrix, rhs) if solver == "ldl" else ca.solve(matrix, rhs, solver))
+        total = ca.norm_1(rhs)
+        return [y, total, ca.norm_1(ca.mac(matrix, y, rhs)) - LOCAL * total]
+
+    def _expand(self, values: ca.MX) -> ca.MX:
+        """One value a component -> one an unknown."""
+        return ca.vec(values.get_nz(False, self.component.tolist()))
+
+    def direction(self, solver: str) -> tuple[list[ca.MX], list[ca.MX]]:
+        """(∇²S, g) -> step -∇²S⁻¹ g."""
+        return [self._matrix, self._vectors[0]], self._solve(solver, self._vectors[0])
+
+    def descent(self, solver: str) -> tuple[list[ca.MX], list[ca.MX]]:
+        """(∇²S, g, ξ, start, end) -> Newton step, the sizes that it is measured by, its norm."""
+        step, total, excess = self._solve(solver, self._vectors[0])
+        change = self.scale(step, *(ca.MX.zeros(a.shape) for a in self._ends[1:]))
+        largest = ca.fmax(self.scale(*self._ends), change)
+        sizes = self._expand(largest + (largest == 0))
+        inputs = [self._matrix, self._vectors[0], *self._ends]
+        return inputs, [step, sizes, ca.norm_inf(step / sizes), total, excess]
+
+    def trial(self, solver: str) -> tuple[list[ca.MX], list[ca.MX]]:
+        """(∇²S, g, step, sizes, damping) -> next step with the same matrix, norms of it and of the path's bend."""
+        g, step, sizes, _ = self._vectors
+        y, total, excess = self._solve(solver, g)
+        norms = [ca.norm_inf(y / sizes), ca.norm_inf((y - (1 - self._damping) * step) / sizes)]
+        return [self._matrix, g, step, sizes, self._damping], [y, *norms, total, excess]
+
+    def variation(self, solver: str) -> tuple[list[ca.MX], list[ca.MX]]:
+        """(∇²S, ξ, start, end) -> direction after three inverse iterations."""
+        scale, excess = self.scale(*self._ends), 0
+        y = np.cos(1.0 + np.arange(len(self.component))) * self._expand(scale + (scale == 0))
+        for _ in range(3):
+            y, total, defect = self._solve(solver, y)
+            y, excess = y / ca.norm_inf(y), ca.fmax(excess, defect) + 0 * defect  # the last term keeps a NaN
+        return [self._matrix, *self._ends], [y, total, excess]
+
+    def forecast(self) -> tuple[list[ca.MX], list[ca.MX]]:
+        """(last step, the one simplified after it, step, sizes) -> factor on the damping (Deuflhard, eq. 3.47)."""
+        last, simplified, step, sizes = self._vectors
+        norms = [ca.norm_inf(y / sizes) for y in (last, simplified, simplified - step, step)]
+        return self._vectors, [norms[0] * norms[1] / ca.fmax(norms[2] * norms[3], 1e-300)]
+
+    def length(self) -> tuple[list[ca.MX], list[ca.MX]]:
+        """(step, ξ, start, end) -> the step's norm relative to the path's size; not finite where the step is not."""
+        step, scale = self._vectors[0], self.scale(*self._ends)
+        relative = step / self._expand(scale + (scale == 0))
+        return [step, *self._ends], [ca.norm_inf(relative) + 0 * ca.norm_1(step)]
+
+    def ratios(self) -> tuple[list[ca.MX], list[ca.MX]]:
+        """(∇²S, g, terms, ξ, start, end) -> residuals over their own roundoff floors."""
+        g, terms, *_ = self._vectors
+        spread = ca.mtimes(ca.fabs(self._matrix), self._expand(self.scale(*self._ends)))
+        floor = ca.fmax(EPS * (terms + spread), float(np.finfo(float).tiny))
+        return [self._matrix, g, terms, *self._ends], [ca.fabs(g) / floor]
+
+
 @dataclass(frozen=True)
 class System:
-    """Stationarity conditions of a discrete action as CasADi Functions of (ξ, *data).
+    """Stationarity conditions of a discrete action as CasADi Functions of (ξ, *data), data being (start, end, ...).
 
     Attributes
     ----------
     action : -> S
     gradient : -> ∇S by ξ
     hessian : -> ∇²S by ξ, sparse and symmetric
+    derivatives : -> both; by `evaluate`, only ∇S is returned and ∇²S is left in `algebra.matrix`
     terms : -> sizes of the terms that `gradient` sums
     curvature : with a direction y as last input -> yᵀ∇²S y, and the same with every term positive
-    inertial : with a factor on ∂²L/∂v² as last input -> ∇²S
-    component : int array, the component of the path that each unknown is a value of
-    scale : (ξ, data) -> largest size of each component along the path
+    inertial : builds: with a factor on ∂²L/∂v² as last input -> ∇²S, left in `algebra.matrix`
+    algebra : Algebra
     pivots : whether LDLᵀ without pivoting can work: False where ∂²L/∂v_i² is structurally zero for some i
     """
 
     action: ca.Function
     gradient: ca.Function
     hessian: ca.Function
+    derivatives: ca.Function
     terms: ca.Function
     curvature: ca.Function
-    inertial: ca.Function
-    component: np.ndarray
-    scale: Callable[[np.ndarray, Data], np.ndarray]
+    inertial: Callable[[], ca.Function]
+    algebra: Algebra
     pivots: bool = True
     _evaluators: dict[str, Evaluator] = field(default_factory=dict, repr=False, compare=False)
 
     def evaluate(self, name: str, *arguments: np.ndarray) -> list[np.ndarray]:
         """Evaluate one of the Functions by name on NumPy arrays."""
         if name not in self._evaluators:
-            self._evaluators[name] = Evaluator(getattr(self, name))
+            function = self.inertial() if name == "inertial" else getattr(self, name)
+            self._evaluators[name] = Evaluator(function, self.algebra.matrix)
         return self._evaluators[name](*arguments)
 
-    def _linear(self, solver: str) -> ca.Function:
-        matrix = ca.MX.sym("matrix", self.hessian.sparsity_out(0))
-        rhs = ca.MX.sym("rhs", matrix.shape[0])
-        step = -ca.solve(matrix, rhs, solver)
-        return ca.Function(solver, [matrix, rhs], [step, ca.norm_inf(ca.mtimes(matrix, step) + rhs)])
+    def solved(self, name: str, *arguments: np.ndarray) -> list[np.ndarray]:
+        """Evaluate one of the Functions that solve with ∇²S: by LDLᵀ, then by QR where that fails.
 
-    @cached_property
-    def ldl(self) -> ca.Function:
-        """Solve by LDLᵀ without pivoting: (matrix, g) -> step, defect.  Measured 4 times faster than `qr`."""
-        return self._linear("ldl")
+        The first output is not finite where the Hessian is singular to the last digit.
+        """
+        for solver in ("ldl", "qr") if self.pivots else ("qr",):
+            results = self.algebra.evaluate(name, solver, *arguments)
+            if results[-1][0] <= 0 or not math.isfinite(results[-2][0]):
+                return results
+        if not np.any(results[0]):  # CasADi's QR answers a rank-deficient system with zeros
+            results[0][:] = np.nan
+        return results
 
-    @cached_property
-    def qr(self) -> ca.Function:
-        """The same by QR, for the matrices that LDLᵀ fails on."""
-        return self._linear("qr")
-
-    @cached_property
-    def spread(self) -> ca.Function:
-        """(matrix, sizes) -> |matrix| sizes."""
-        matrix = ca.MX.sym("matrix", self.hessian.sparsity_out(0))
-        sizes = ca.MX.sym("sizes", matrix.shape[0])
-        return ca.Function("spread", [matrix, sizes], [ca.mtimes(ca.fabs(matrix), sizes)])
-
-    def direction(self, matrix: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-        """Newton step -∇²S⁻¹ ∇S; not finite where the Hessian is singular to the last digit."""
-        largest = np.max(np.abs(gradient), initial=0.0)
-        if self.pivots:
-            step, defect = self.evaluate("ldl", matrix, gradient)
-        if not self.pivots or not np.all(np.isfinite(step)) or defect[0] > LOCAL * largest:
-            (step, _) = self.evaluate("qr", matrix, gradient)
-        if largest > 0 and not np.any(step):  # CasADi's QR answers a rank-deficient system with zeros
-            return np.full_like(step, np.nan)
-        return step
-
-    def sizes(self, step: np.ndarray, unknowns: np.ndarray, data: Data) -> np.ndarray:
-        """What a change of each unknown is measured by: the largest size or `step` of its component."""
-        scale = self.scale(unknowns, data)
-        np.maximum.at(scale, self.component, np.abs(step))
-        return np.asarray(np.where(scale > 0, scale, 1.0)[self.component])
-
-    def residual(self, gradient: np.ndarray, matrix: np.ndarray, unknowns: np.ndarray, data: Data) -> np.ndarray:
+    def ratios(self, gradient: np.ndarray, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Residuals over their own roundoff floors."""
         (terms,) = self.evaluate("terms", unknowns, *data)
-        (spread,) = self.evaluate("spread", matrix, self.scale(unknowns, data)[self.component])
-        floor = EPS * (terms + spread)
-        return np.asarray(np.abs(gradient) / np.where(floor > 0, floor, np.finfo(float).tiny))
+        return self.algebra.evaluate("ratios", None, gradient, terms, unknowns, *data[:2])[0]
 
 
 def rootfinder(system: System, guess: np.ndarray, data: Data, verbose: int = 0) -> Solution:
@@ -211,25 +290,23 @@ def minimizer(system: System, guess: np.ndarray, data: Data, verbose: int = 0) -
 def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limit: int = 200) -> Solution:
     """Newton's method with natural monotonicity line search; arguments as `rootfinder`, at most `limit` iterations."""
     x, damping, before = guess, 1.0, None
-    (g,) = system.evaluate("gradient", x, *data)
-    if not np.all(np.isfinite(g)):
-        raise SolveFailure("the gradient of the action is not finite at the guess", x, 0)
     for iteration in range(1, limit + 1):
-        (matrix,) = system.evaluate("hessian", x, *data)
-        step = system.direction(matrix, g)
-        if not np.all(np.isfinite(step)):
-            raise SolveFailure("the Hessian of the action is singular", x, iteration, bool(np.all(np.isfinite(matrix))))
-        sizes = system.sizes(step, x, data)
-        norm = _norm(step, sizes)
+        (g,) = system.evaluate("derivatives", x, *data)
+        step, sizes, (norm,), (total,), _ = system.solved("descent", g, x, *data[:2])
+        if iteration == 1 and not math.isfinite(total):
+            raise SolveFailure("the gradient of the action is not finite at the guess", x, 0)
+        if not np.isfinite(step).all():
+            finite = bool(np.isfinite(system.algebra.matrix).all())
+            raise SolveFailure("the Hessian of the action is singular", x, iteration, singular=finite)
         if before is not None:
-            damping = min(1.0, _predicted(before, step, sizes, damping))
-        x, g, simplified, damping = _line_search(system, x, step, sizes, matrix, data, damping, iteration)
+            damping = min(1.0, damping * float(system.algebra.evaluate("forecast", None, *before, step, sizes)[0][0]))
+        x, g, simplified, damping = _line_search(system, x, step, sizes, norm, data, damping, iteration)
         before = (step, simplified) if simplified is not None else None
         if verbose > 1:
             print(f"  {iteration:4d}   step {norm:9.2e}   damping {damping:7.1e}")
         # Only after the step: at 1e5 intervals the residual is at roundoff while the path is still off by 1e-9.
-        if norm < NEAR and np.max(system.residual(g, matrix, x, data), initial=0.0) <= ROUNDOFF:
-            return _polished(system, x, g, matrix, data, iteration)
+        if norm < NEAR and (residual := system.ratios(g, x, data).max(initial=0.0)) <= ROUNDOFF:
+            return _polished(system, x, g, float(residual), data, iteration)
     raise SolveFailure(f"no convergence in {limit} iterations, last relative step {norm:.1e}", x, limit)
 
 
@@ -250,9 +327,9 @@ def relax(
     for _ in range(steps):
         (g,) = system.evaluate("gradient", x, *data)
         while True:
-            (matrix,) = system.evaluate("inertial", x, *data, np.array([1.0 + inertia]))
-            step = system.direction(matrix, g)
-            norm = _norm(step, system.sizes(np.zeros_like(step), x, data))
+            system.evaluate("inertial", x, *data, np.array([1.0 + inertia]))
+            step = system.solved("direction", g)[0]
+            norm = float(system.algebra.evaluate("length", None, step, x, *data[:2])[0][0])
             slope = float(g @ step)
             if np.isfinite(norm) and norm <= LEAP and slope <= 0:
                 if -slope < RELAXED * abs(action):
@@ -270,56 +347,46 @@ def relax(
     return x, inertia, norm
 
 
-def _norm(step: np.ndarray, sizes: np.ndarray) -> float:
-    """Largest change relative to the sizes; one iteration measures all its steps by the same sizes."""
-    return float(np.max(np.abs(step) / sizes, initial=0.0))
-
-
-def _predicted(before: tuple[np.ndarray, np.ndarray], step: np.ndarray, sizes: np.ndarray, damping: float) -> float:
-    """Damping expected to pass, from how far the last simplified step missed this one (Deuflhard, eq. 3.47)."""
-    last, simplified = before
-    miss = _norm(simplified - step, sizes) * _norm(step, sizes)
-    return damping * _norm(last, sizes) * _norm(simplified, sizes) / max(miss, 1e-300)
-
-
 def _line_search(
     system: System,
     x: np.ndarray,
     step: np.ndarray,
     sizes: np.ndarray,
-    matrix: np.ndarray,
+    norm: float,
     data: Data,
     damping: float,
     iteration: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, float]:
     """Shorten the step until the next one, with the same matrix, is shorter: new x, gradient, that step, damping."""
-    norm = _norm(step, sizes)
     while damping >= SMALLEST_DAMPING:
         trial = x + damping * step
         (g,) = system.evaluate("gradient", trial, *data)
-        if not np.all(np.isfinite(g)):
+        if not np.isfinite(g).all():
             damping /= 2
             continue
-        if norm * damping < LOCAL and damping == 1.0:
+        if damping == 1.0 and norm < LOCAL:
             return trial, g, None, damping
-        simplified = system.direction(matrix, g)
-        if _norm(simplified, sizes) <= (1 - damping / 4) * norm:
+        simplified, (shrunk,), (bend,), _, _ = system.solved("trial", g, step, sizes, np.array([damping]))
+        if shrunk <= (1 - damping / 4) * norm and np.isfinite(simplified).all():
             return trial, g, simplified, damping
-        bend = _norm(simplified - (1 - damping) * step, sizes)
         damping = min(damping / 2, norm * damping**2 / (2 * max(bend, 1e-300)))
-    if second_variation(system, matrix, x, data) < SINGULAR:
+    if second_variation(system, x, data) < SINGULAR:
         raise SolveFailure("the Hessian of the action is singular", x, iteration, singular=True)
     raise SolveFailure("the line search found no step that leads on", x, iteration)
 
 
 def _polished(
-    system: System, x: np.ndarray, g: np.ndarray, matrix: np.ndarray, data: Data, iterations: int
+    system: System,
+    x: np.ndarray,
+    g: np.ndarray,
+    residual: float,
+    data: Data,
+    iterations: int,
 ) -> Solution:
     """Take one more step with the last matrix if it does not hurt, and report."""
-    residual = float(np.max(system.residual(g, matrix, x, data), initial=0.0))
-    trial = x + system.direction(matrix, g)
+    trial = x + system.solved("direction", g)[0]
     (g,) = system.evaluate("gradient", trial, *data)
-    after = float(np.max(system.residual(g, matrix, trial, data), initial=0.0))
+    after = float(system.ratios(g, trial, data).max(initial=0.0))
     if after <= residual:
         x, residual = trial, after
     return Solution(x, iterations, residual, "Newton")
@@ -370,7 +437,7 @@ def _nlpsol(system: System, minimize: bool, verbose: int, limit: int) -> ca.Func
     return ca.nlpsol("stationary", "ipopt", {"x": x, "p": p, "f": 0, "g": gradient}, options)
 
 
-def second_variation(system: System, matrix: np.ndarray, unknowns: np.ndarray, data: Data) -> float:
+def second_variation(system: System, unknowns: np.ndarray, data: Data) -> float:
     """Smallest second variation relative to the sizes of its terms; 0 at a conjugate point.
 
     Three inverse iterations find the direction y, the pointwise sums give its quotient
@@ -378,16 +445,11 @@ def second_variation(system: System, matrix: np.ndarray, unknowns: np.ndarray, d
     """
     if len(unknowns) == 0:
         return np.inf  # nothing can vary
-    scale = system.scale(unknowns, data)
-    y = np.cos(1.0 + np.arange(len(unknowns))) * np.where(scale > 0, scale, 1.0)[system.component]
-    for _ in range(3):
-        y = system.direction(matrix, y)
-        largest = np.max(np.abs(y), initial=0.0)
-        if not np.isfinite(largest) or largest == 0:
-            return 0.0
-        y = y / largest
+    system.evaluate("derivatives", unknowns, *data)
+    y = system.solved("variation", unknowns, *data[:2])[0]
     signed, positive = system.evaluate("curvature", unknowns, *data, y)
-    return float(abs(signed[0]) / positive[0])
+    quotient = float(abs(signed[0]) / positive[0])
+    return quotient if math.isfinite(quotient) else 0.0
 
 
 def negative_eigenvalues(system: System, unknowns: np.ndarray, data: Data) -> int | None:
@@ -400,8 +462,6 @@ def negative_eigenvalues(system: System, unknowns: np.ndarray, data: Data) -> in
         return None
     if len(unknowns) == 0:
         return 0
-    matrix = system.hessian(unknowns, *data)
-    solver = ca.Linsol("inertia", "ldl", matrix.sparsity())
-    solver.sfact(matrix)
-    solver.nfact(matrix)
-    return int(solver.neig(matrix))
+    (matrix,) = system.hessian.call([unknowns, *data])
+    system.algebra.factors.nfact(matrix)
+    return int(system.algebra.factors.neig(matrix))

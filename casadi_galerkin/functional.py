@@ -111,7 +111,7 @@ def _contributions(target: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]
     ordered = target[order]
     group = np.flatnonzero(np.append(True, ordered[1:] != ordered[:-1]))
     rank = np.arange(len(target)) - np.repeat(group, np.diff(np.append(group, len(target))))
-    for turn in range(int(rank.max(initial=-1)) + 1):
+    for turn in range(int(rank.max(initial=0)) + 1):
         yield order[rank == turn], ordered[rank == turn]
 
 
@@ -189,12 +189,15 @@ def assembly(
     stacked = ca.horzcat(*(ca.reshape(values, len(row) * n, -1) for values in inputs))
     entries = ca.vec(_times(stacked, products))  # node pair slowest, then interval, then entry of the pattern
     position, target = _hessian_entries(layout, np.array(colind), np.array(row))
-    matrix = ca.MX(layout.free, layout.free)
-    for chosen, targets in _contributions(target):
-        columns, rows = np.divmod(targets, layout.free)
-        starts = np.searchsorted(columns, np.arange(layout.free + 1))
-        sparsity = ca.Sparsity(layout.free, layout.free, starts.tolist(), rows.tolist())
-        matrix = matrix + ca.MX(sparsity, entries.get_nz(False, position[chosen].tolist()))
+    (first, targets), *others = _contributions(target)
+    columns, rows = np.divmod(targets, layout.free)
+    starts = np.searchsorted(columns, np.arange(layout.free + 1))
+    sparsity = ca.Sparsity(layout.free, layout.free, starts.tolist(), rows.tolist())
+    values = entries.get_nz(False, position[first].tolist())
+    for chosen, repeated in others:  # in the joints; added in place, where sums of matrices would copy all of them
+        places = np.searchsorted(targets, repeated).tolist()
+        values.nz[places] = values.nz[places] + entries.nz[position[chosen].tolist()]
+    matrix = ca.MX(sparsity, values)
     return ca.Function("assembly", inputs, [matrix], [f"block{i}{j}" for i, j in blocks], ["hessian"])
 
 
@@ -257,14 +260,13 @@ def pointwise(integrand: ca.Function) -> Pointwise:
         pattern = pattern + cell.sparsity() + cell.sparsity().T
     columns = [ca.vertcat(*ca.project(cells[key], pattern).nonzeros()) for key in blocks]
     size = ca.fabs(z)
-    inputs, options = [t, h, x, slope, *parameters], {"cse": True}
+    inputs = [t, h, x, slope, *parameters]
     return Pointwise(
-        ca.Function("value", inputs, [value], options),
-        ca.Function("gradient", inputs, [ca.densify(gradient[part[0]]), ca.densify(gradient[part[1]])], options),
-        ca.Function("hessian", inputs, columns, options),
-        ca.Function(
-            "curvature", [*inputs, z], [ca.bilin(hessian, z, z), ca.bilin(ca.fabs(hessian), size, size)], options
-        ),
+        ca.Function("value", inputs, [value]),
+        ca.Function("gradient", inputs, [ca.densify(gradient[part[0]]), ca.densify(gradient[part[1]])]),
+        # common subexpressions cost more to find than they save, but for the Hessian: a tenth of its instructions
+        ca.Function("hessian", inputs, columns, {"cse": True}),
+        ca.Function("curvature", [*inputs, z], [ca.bilin(hessian, z, z), ca.bilin(ca.fabs(hessian), size, size)]),
         pattern,
         blocks,
         all(cells[1, 1].sparsity().has_nz(i, i) for i in range(d)),
@@ -282,6 +284,8 @@ class Functional:
 
     def __init__(self, integrand: ca.Function, layout: Layout) -> None:
         self.pointwise, self.layout = pointwise(integrand), layout
+        pattern = self.pointwise.pattern
+        self.assembly_key = (layout, tuple(pattern.colind()), tuple(pattern.row()), self.pointwise.blocks)
 
     def _map(self, f: ca.Function, at: list[ca.MX], parameters: ca.MX | None, *extra: ca.MX) -> list[ca.MX]:
         """Evaluate a pointwise Function at all quadrature points; outputs (n, N r)."""
@@ -314,14 +318,13 @@ class Functional:
         the kinetic energy is.
         """
         at = embedding(self.layout).call([u, mesh])
-        pattern, blocks = self.pointwise.pattern, self.pointwise.blocks
-        assemble = assembly(self.layout, tuple(pattern.colind()), tuple(pattern.row()), blocks)
         values = self._map(self.pointwise.hessian, at, parameters)
         if inertia is not None:
+            blocks = self.pointwise.blocks
             values = [
                 inertia * value if block == (1, 1) else value for block, value in zip(blocks, values, strict=True)
             ]
-        return assemble(*values)
+        return assembly(*self.assembly_key)(*values)
 
     def curvature(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None, direction: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Second variation yᵀ∇²S y along y = `direction`, and the same with every term taken positive."""

@@ -1,0 +1,147 @@
+"""What a solve costs: building, overhead, the growth with the number of intervals, memory and the error floor.
+
+"Outside" is wall time less the time that CasADi spends on evaluating its Functions and factorising matrices: tracing,
+building graphs, symbolic factorisation, and everything in Python.  Times are the best of several runs in a warm
+process.  The problem is a Kepler arc with d = 2 whose end is known to 1e-15, so that the error floor can be seen.
+
+Run it alone on a quiet machine; the last part takes a few GiB of memory and a minute.
+"""
+
+import platform
+import resource
+import sys
+import time
+
+import casadi as ca
+import numpy as np
+
+import casadi_galerkin as cg
+from casadi_galerkin import boundary, engines, functional
+
+ECCENTRICITY, START = 0.6, (0.4, 0.0)  # from the pericentre, unit semi-major axis
+SMALL, REPEATS = 20, 15  # intervals of the small problem, runs of which the best counts
+SIZES = (100, 1000, 10_000, 100_000)
+
+
+class Ledger:
+    """Adds up the seconds that CasADi spends on evaluating, by timing the package's own calls from outside."""
+
+    def __init__(self):
+        self.seconds = 0.0
+        build = engines.Evaluator.__init__
+
+        def timed_evaluator(evaluator, *arguments):
+            build(evaluator, *arguments)
+            evaluator._run = self.timed(evaluator._run)
+
+        engines.Evaluator.__init__ = timed_evaluator
+        for name in ("nfact", "neig"):
+            setattr(ca.Linsol, name, self.timed(getattr(ca.Linsol, name)))
+        call = ca.Function.call
+        numerical = self.timed(call)
+        ca.Function.call = lambda f, given, *rest: (numerical if isinstance(given[0], np.ndarray) else call)(
+            f, given, *rest
+        )
+
+    def timed(self, call):
+        """Let a callable enter its time."""
+
+        def wrapped(*arguments):
+            began = time.perf_counter()
+            try:
+                return call(*arguments)
+            finally:
+                self.seconds += time.perf_counter() - began
+
+        return wrapped
+
+    def outside(self, call):
+        """Milliseconds of a call that are not evaluation, and those that are."""
+        self.seconds, began = 0.0, time.perf_counter()
+        call()
+        total = time.perf_counter() - began
+        return 1e3 * (total - self.seconds), 1e3 * self.seconds
+
+
+def exact(t):
+    """Position at time t after the pericentre, by Kepler's equation; (2,)."""
+    anomaly = t
+    for _ in range(50):
+        anomaly -= (anomaly - ECCENTRICITY * np.sin(anomaly) - t) / (1 - ECCENTRICITY * np.cos(anomaly))
+    return np.array([np.cos(anomaly) - ECCENTRICITY, np.sqrt(1 - ECCENTRICITY**2) * np.sin(anomaly)])
+
+
+def arc(strength=1.0):
+    """A Kepler arc; every call makes another Lagrangian."""
+    return cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2 + strength / ca.norm_2(x), (0.0, 1.0), START, exact(1.0))
+
+
+def forget():
+    """Drop the graphs that depend on the layout alone."""
+    for kept in (functional.embedding, functional.integration, functional.summation, functional.assembly):
+        kept.cache_clear()
+    boundary.algebra.cache_clear()
+
+
+def overhead(ledger, degree):
+    """Milliseconds (outside, evaluating) of a first solve, one with a new layout, and a repeated one."""
+    method = cg.Galerkin(degree)
+    cg.solve(arc(), method, SMALL)
+    known, new, again = [], [], []
+    for _ in range(REPEATS):
+        known.append(ledger.outside(lambda: cg.solve(arc(), method, SMALL)))
+        forget()
+        new.append(ledger.outside(lambda: cg.solve(arc(), method, SMALL)))
+        transcription = cg.transcribe(arc(), method, SMALL)
+        transcription.solve()
+        again.append(ledger.outside(transcription.solve))
+    return {"first": min(known), "new layout": min(new), "repeated": min(again)}
+
+
+def iteration(intervals, degree=4):
+    """Seconds of one ∇S and ∇²S and one factorisation with solution; best of some."""
+    transcription = cg.transcribe(arc(), cg.Galerkin(degree), intervals)
+    point = transcription.critical_point()
+    system, unknowns, runs = transcription.system, point.solution.unknowns, []
+    for _ in range(max(3, min(200, 200_000 // intervals))):
+        began = time.perf_counter()
+        (gradient,) = system.evaluate("derivatives", unknowns, *point.data)
+        system.solved("direction", gradient)
+        runs.append(time.perf_counter() - began)
+    return min(runs)
+
+
+def floor(intervals=SIZES[-1], degree=4):
+    """Solve at the largest size; seconds, error relative to the path's size, and peak memory of the process in GiB."""
+    began = time.perf_counter()
+    path = cg.solve(arc(), cg.Galerkin(degree), intervals)
+    seconds = time.perf_counter() - began
+    times = np.linspace(0, 1, 1001)
+    error = np.max(np.abs(path.path(times) - np.stack([exact(t) for t in times], axis=1)))
+    unit = 1024**3 if sys.platform == "darwin" else 1024**2
+    return seconds, error, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit, path
+
+
+def main():
+    """Measure everything; returns the figures by name."""
+    ledger, figures = Ledger(), {}
+    for degree in (4, 30):
+        for what, (outside, evaluating) in overhead(ledger, degree).items():
+            figures[f"{what} solve, N = {SMALL}, m = {degree}: ms outside"] = outside
+            figures[f"{what} solve, N = {SMALL}, m = {degree}: ms evaluating"] = evaluating
+    seconds = [iteration(size) for size in SIZES]
+    for size, value in zip(SIZES, seconds, strict=True):
+        figures[f"one Newton iteration, N = {size}, m = 4: ms"] = 1e3 * value
+    figures["exponent of its growth with N"] = np.polyfit(np.log(SIZES), np.log(seconds), 1)[0]
+    solve_seconds, error, memory, path = floor()
+    figures[f"solve, N = {SIZES[-1]}, m = 4: seconds"] = solve_seconds
+    figures[f"solve, N = {SIZES[-1]}, m = 4: of them building"] = path.build_seconds
+    figures[f"solve, N = {SIZES[-1]}, m = 4: largest error"] = error
+    figures["peak memory of this process: GiB"] = memory
+    return figures
+
+
+if __name__ == "__main__":
+    print(f"Python {platform.python_version()}, CasADi {ca.__version__}, NumPy {np.__version__}, {platform.machine()}")
+    for name, figure in main().items():
+        print(f"{name:58} {figure:10.3g}")
