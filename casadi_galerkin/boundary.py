@@ -25,7 +25,7 @@ from casadi_galerkin.engines import (
     rootfinder,
     second_variation,
 )
-from casadi_galerkin.functional import LAYOUTS_KEPT, Functional, Layout, assembly
+from casadi_galerkin.functional import LAYOUTS_KEPT, Functional, Layout, assembly, embedding
 from casadi_galerkin.problems import BoundaryProblem, components, numbers
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
@@ -337,6 +337,15 @@ class Transcription:
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
         system, unknowns, data = self.system, point.solution.unknowns, point.data
+        (action,), momenta = self._summary(unknowns, *data)
+        if not np.isfinite(action):
+            raise ConvergenceError(
+                f"no path was found: the equations have a solution, but on it {self._not_finite(unknowns, data)}. "
+                "Try a guess that stays where the Lagrangian is defined",
+                point.path,
+                point.solution.residual,
+                point.solution.iterations,
+            )
         with system.algebra.lock:
             quotient = second_variation(system, unknowns, data)
             index = negative_eigenvalues(system, unknowns, data)
@@ -349,13 +358,12 @@ class Transcription:
                 point.solution.residual,
                 point.solution.iterations,
             )
-        action, momenta = self._summary(unknowns, *data)
         return Trajectory(
             t=point.path.mesh,
             x=point.path.values[:, :: self.method.degree].copy(),
             momentum=momenta.reshape(self.problem.dimension, -1, order="F"),
             path=point.path,
-            action=float(action[0]),
+            action=float(action),
             morse_index=index,
             iterations=point.solution.iterations,
             residual=point.solution.residual,
@@ -367,6 +375,19 @@ class Transcription:
             parameters=tuple(data[3].tolist()) if len(data) > 3 else None,
         )
 
+    def _not_finite(self, unknowns: np.ndarray, data: Data) -> str:
+        """Say at which time the Lagrangian or its derivatives first are not finite."""
+        pointwise, parameters = self._functional.pointwise, data[3:]
+        at = [np.array(a) for a in embedding(self.layout)(np.concatenate((unknowns, *data[:2])), data[2])]
+        times, steps, x, slope = at
+        for k in np.argsort(times[0], kind="stable"):
+            point = (*(a[:, k] for a in at), *parameters)
+            results = [pointwise.value(*point), *pointwise.gradient(*point)]
+            if not all(np.all(np.isfinite(np.array(result))) for result in results):
+                v = slope[:, k] / steps[0, k]
+                return f"the Lagrangian is not finite at t = {times[0, k]:.6g}, where x = {x[:, k]} and v = {v}"
+        return "the Lagrangian overflows"
+
     def _error(self, failure: SolveFailure, calculus: DiscreteCalculus, data: Data) -> ConvergenceError:
         """Say what happened, where in time, how far it got, and what to try."""
         unknowns, system = failure.unknowns, self.system
@@ -375,7 +396,10 @@ class Transcription:
         residual = system.ratios(g, unknowns, data)
         worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
         when = calculus.node_times[np.argmax((self.layout.numbering == worst).any(axis=1))]
-        where = f"after {failure.iterations} iterations; the largest residual is at t = {when:.6g}"
+        place = f"the largest residual is at t = {when:.6g}"
+        if not np.all(np.isfinite(g)):
+            place = self._not_finite(unknowns, data)
+        where = f"after {failure.iterations} iterations; {place}"
         if failure.singular:
             return ConjugatePointError(
                 f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free: "

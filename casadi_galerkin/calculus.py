@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.nodes import _degree, differentiation_matrix, lagrange_values, lobatto_points
-from casadi_galerkin.quadrature import Quadrature, gauss
+from casadi_galerkin.quadrature import Quadrature, gauss, real_array
 
 LEBESGUE_WARNING = 50.0  # equispaced points pass it at degree 11; Lobatto points stay below 5 at degree 100
 
@@ -107,7 +107,7 @@ class Galerkin:
 def _control_points(degree: int, given: Sequence[float] | np.ndarray | None) -> tuple[float, ...]:
     if given is None:
         return tuple(lobatto_points(degree).tolist())
-    points = np.asarray(given, dtype=float)
+    points = real_array("control points", given)
     if points.shape != (degree - 1,):
         raise ValueError(f"degree {degree} takes {degree - 1} control points, got an array of shape {points.shape}")
     if not np.all((points > 0) & (points < 1)) or np.any(np.diff(points) <= 0):
@@ -127,7 +127,7 @@ def _control_points(degree: int, given: Sequence[float] | np.ndarray | None) -> 
 
 def time_scale(mesh: ArrayLike) -> np.ndarray:
     """Check the joints a = t_0 < ... < t_N = b of a time scale T; shape (N + 1,), N >= 1."""
-    joints = np.array(mesh, dtype=float)
+    joints = real_array("the joints of a mesh", mesh)
     if joints.ndim != 1 or joints.size < 2:
         raise ValueError(f"a mesh is a sequence of at least 2 joints, got shape {joints.shape}")
     if not np.all(np.isfinite(joints)):
@@ -158,7 +158,9 @@ class PiecewisePolynomial:
 
         At a joint the derivative is the right one, at the last joint the left one.
         """
-        times = np.asarray(t, dtype=float)
+        if isinstance(nu, bool) or not isinstance(nu, (int, np.integer)) or nu < 0:
+            raise ValueError(f"nu must be a whole number from 0 on, got {nu!r}")
+        times = real_array("times", t)
         flat = times.ravel()
         slack = 1e-12 * (self.mesh[-1] - self.mesh[0])
         if np.any(~((flat >= self.mesh[0] - slack) & (flat <= self.mesh[-1] + slack))):
@@ -202,7 +204,7 @@ class DiscreteCalculus:
 
     def emb(self, values: ArrayLike) -> PiecewisePolynomial:
         """Embedding emb_m: node values X̄ of shape (d, N m + 1) to the path x̄ (paper, section 2)."""
-        array = np.asarray(values, dtype=float)
+        array = real_array("node values", values)
         if array.ndim != 2 or array.shape[1] != len(self.node_times):
             raise ValueError(f"node values must have the shape (d, {len(self.node_times)}), got {array.shape}")
         return PiecewisePolynomial(self.mesh, self._element.nodes, array)
@@ -222,7 +224,7 @@ class DiscreteCalculus:
         -------
         (..., N + 1), zero at t_0
         """
-        array = np.asarray(f, dtype=float)
+        array = real_array("values at the quadrature points", f)
         if array.shape[-1:] != self.weights.shape:
             raise ValueError(
                 f"values at the quadrature points must have the shape (..., {len(self.weights)}), got {array.shape}"

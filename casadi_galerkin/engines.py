@@ -283,8 +283,13 @@ def ipopt(system: System, guess: np.ndarray, data: Data, verbose: int = 0) -> So
 
 
 def minimizer(system: System, guess: np.ndarray, data: Data, verbose: int = 0) -> Solution:
-    """IPOPT on the action itself: finds a minimum, or diverges where there is none; arguments as `rootfinder`."""
-    return _interior_point(system, guess, data, verbose, minimize=True)
+    """IPOPT on the action itself: finds a minimum, or fails where there is none; arguments as `rootfinder`."""
+    solution = _interior_point(system, guess, data, verbose, minimize=True)
+    index = negative_eigenvalues(system, solution.unknowns, data)
+    if index != 0:
+        reason = f"IPOPT on the action ended at a path that is no minimum (Morse index {index})"
+        raise SolveFailure(reason, solution.unknowns, solution.iterations)
+    return solution
 
 
 def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limit: int = 200) -> Solution:
@@ -426,6 +431,7 @@ def _nlpsol(system: System, minimize: bool, verbose: int, limit: int) -> ca.Func
     options = {
         "hess_lag": ca.Function("hess_lag", [x, p, factor, multipliers], [upper]),
         "print_time": False,
+        "calc_lam_p": False,
         "show_eval_warnings": verbose > 1,  # IPOPT shortens a step that leaves the Lagrangian's domain
         "ipopt": {"print_level": 5 if verbose > 1 else 0, "sb": "yes", "tol": 1e-10, "max_iter": limit},
     }
@@ -448,7 +454,8 @@ def second_variation(system: System, unknowns: np.ndarray, data: Data) -> float:
     system.evaluate("derivatives", unknowns, *data)
     y = system.solved("variation", unknowns, *data[:2])[0]
     signed, positive = system.evaluate("curvature", unknowns, *data, y)
-    quotient = float(abs(signed[0]) / positive[0])
+    with np.errstate(invalid="ignore"):  # no direction is found where the Hessian is singular to the last digit
+        quotient = float(abs(signed[0]) / positive[0])
     return quotient if math.isfinite(quotient) else 0.0
 
 

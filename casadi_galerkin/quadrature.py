@@ -23,6 +23,17 @@ SUM_TOLERANCE = 1e-12  # weights come from tables with about 13 digits, or from 
 EXACTNESS_TOLERANCE = 1e-13  # on Legendre polynomials, which are bounded by 1 on [0, 1]
 
 
+def real_array(name: str, values: ArrayLike) -> np.ndarray:
+    """Array of floats from whatever NumPy reads as real numbers; TypeError otherwise."""
+    try:
+        array = np.asarray(values)
+    except Exception as error:  # ragged lists, and symbols of other libraries that refuse in their own way
+        raise TypeError(f"{name} must be real numbers, got {values!r}") from error
+    if array.dtype.kind not in "iuf":
+        raise TypeError(f"{name} must be real numbers, got {values!r}")
+    return np.array(array, dtype=float)
+
+
 @dataclass(frozen=True)
 class Quadrature:
     """A quadrature rule (Q, w) on [0, 1].
@@ -42,7 +53,7 @@ class Quadrature:
     weights: tuple[float, ...]
 
     def __init__(self, points: ArrayLike, weights: ArrayLike) -> None:
-        q, w = np.asarray(points, dtype=float), np.asarray(weights, dtype=float)
+        q, w = real_array("points", points), real_array("weights", weights)
         if q.ndim != 1 or q.shape != w.shape or q.size == 0:
             raise ValueError(f"points and weights must be two equally long sequences, got {q.shape} and {w.shape}")
         if not (np.all(np.isfinite(q)) and np.all(np.isfinite(w))):

@@ -1,0 +1,307 @@
+"""The discrete calculus as the paper writes it: emb_m, Δ_m, ∫ Δ_w, the decomposition, the Du Bois-Reymond lemma."""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_array
+
+import casadi_galerkin as cg
+
+ROUNDOFF = 1e-13  # values of size 1 to 10, derivatives of degree up to 6 on steps of 0.1 to 1
+MESHES = {"uniform": np.linspace(-1, 2, 5), "graded": np.array([-1.0, -0.7, 0.4, 0.5, 2.0])}
+METHODS = [
+    cg.Galerkin(1),
+    cg.Galerkin(1, quadrature=cg.trapezoid()),
+    cg.Galerkin(2),
+    cg.Galerkin(3, control_points=[0.2, 0.7]),
+    cg.Galerkin(4, quadrature=cg.lobatto(5)),
+    cg.Galerkin(6, control_points=cg.chebyshev_points(6), quadrature=cg.radau(7)),
+]
+
+
+@pytest.fixture(params=list(MESHES))
+def mesh(request):
+    return MESHES[request.param]
+
+
+@pytest.fixture(params=METHODS, ids=str)
+def calculus(request, mesh):
+    return cg.DiscreteCalculus(request.param, mesh)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(7)
+
+
+def lagrange(calculus: cg.DiscreteCalculus, i: int, j: int, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """l_{i,j} and its derivative on [t_i, t_{i+1}], by the product formula: independent of the package's."""
+    m = calculus.method.degree
+    nodes = calculus.node_times[i * m : i * m + m + 1]
+    others = np.delete(nodes, j)
+    value = np.prod([(t - s) / (nodes[j] - s) for s in others], axis=0)
+    slope = sum(
+        np.prod([(t - s) / (nodes[j] - s) for s in np.delete(others, k)] + [np.ones_like(t)], axis=0)
+        / (nodes[j] - others[k])
+        for k in range(len(others))
+    )
+    return value, slope
+
+
+def points_within(calculus, i):
+    a, b = calculus.mesh[i : i + 2]
+    return a + (b - a) * np.array([0.0, 0.15, 0.5, 0.9, 1.0])
+
+
+def test_nodes_are_joints_and_control_points(calculus):
+    m, mesh = calculus.method.degree, calculus.mesh
+    np.testing.assert_array_equal(calculus.node_times[::m], mesh)
+    for i, h in enumerate(np.diff(mesh)):
+        inner = calculus.node_times[i * m + 1 : (i + 1) * m]
+        np.testing.assert_allclose(inner, mesh[i] + h * np.array(calculus.method.control_points), rtol=0, atol=1e-15)
+
+
+def test_embedding_takes_the_node_values_at_the_nodes(calculus, rng):
+    values = rng.normal(size=(2, len(calculus.node_times)))
+    np.testing.assert_allclose(calculus.emb(values)(calculus.node_times), values, rtol=0, atol=ROUNDOFF)
+
+
+def test_embedding_is_the_scalar_product_with_lagrange_polynomials(calculus, rng):
+    """Equation (interdef)."""
+    values = rng.normal(size=len(calculus.node_times))
+    path, m = calculus.emb(values[None, :]), calculus.method.degree
+    for i in range(len(calculus.mesh) - 1):
+        t = points_within(calculus, i)
+        parts = [np.array(lagrange(calculus, i, j, t)) * values[i * m + j] for j in range(m + 1)]
+        value, slope = sum(parts)
+        np.testing.assert_allclose(path(t)[0], value, rtol=0, atol=ROUNDOFF)
+        np.testing.assert_allclose(path(t[:-1], 1)[0], slope[:-1], rtol=ROUNDOFF, atol=1e2 * ROUNDOFF)
+
+
+def test_embedding_derivative_and_antiderivative_are_linear(calculus, rng):
+    x, y = rng.normal(size=(2, 1, len(calculus.node_times)))
+    t = np.linspace(calculus.mesh[0], calculus.mesh[-1], 23)
+    both = calculus.emb(2.5 * x + y)(t)
+    np.testing.assert_allclose(both, 2.5 * calculus.emb(x)(t) + calculus.emb(y)(t), rtol=0, atol=ROUNDOFF)
+    slopes = 2.5 * calculus.delta(x) + calculus.delta(y)
+    np.testing.assert_allclose(calculus.delta(2.5 * x + y), slopes, rtol=ROUNDOFF, atol=1e2 * ROUNDOFF)
+    f, g = rng.normal(size=(2, len(calculus.weights)))
+    parts = 2.5 * calculus.integral(f) + calculus.integral(g)
+    np.testing.assert_allclose(calculus.integral(2.5 * f + g), parts, rtol=0, atol=ROUNDOFF)
+
+
+def test_path_decomposes_into_its_joints_part_and_its_control_part(calculus, rng):
+    """Equation (decomp): x̄ = x + x_C, where x_C vanishes on T and x at the control points."""
+    values = rng.normal(size=(1, len(calculus.node_times)))
+    at_joint = np.arange(values.size) % calculus.method.degree == 0
+    x, x_c = calculus.emb(np.where(at_joint, values, 0)), calculus.emb(np.where(at_joint, 0, values))
+    t = np.linspace(calculus.mesh[0], calculus.mesh[-1], 31)
+    np.testing.assert_allclose(calculus.emb(values)(t), x(t) + x_c(t), rtol=0, atol=ROUNDOFF)
+    np.testing.assert_array_equal(x_c(calculus.mesh), 0)
+    if calculus.method.degree == 1:
+        np.testing.assert_array_equal(x_c(t), 0)
+    else:
+        np.testing.assert_allclose(x(calculus.node_times[~at_joint]), 0, rtol=0, atol=ROUNDOFF)
+
+
+def test_discrete_derivative_is_the_right_derivative_on_all_joints_but_the_last(calculus, rng):
+    values = rng.normal(size=(1, len(calculus.node_times)))
+    m = calculus.method.degree
+    got = calculus.delta(values)
+    assert got.shape == (1, len(calculus.mesh) - 1)
+    for i, t in enumerate(calculus.mesh[:-1]):
+        slope = sum(lagrange(calculus, i, j, np.array([t]))[1] * values[0, i * m + j] for j in range(m + 1))
+        np.testing.assert_allclose(got[:, i], slope, rtol=ROUNDOFF, atol=1e2 * ROUNDOFF)
+
+
+def test_discrete_derivative_of_degree_one_is_the_forward_difference(mesh, rng):
+    x = rng.normal(size=(1, len(mesh)))
+    got = cg.DiscreteCalculus(cg.Galerkin(1), mesh).delta(x)
+    np.testing.assert_allclose(got, np.diff(x) / np.diff(mesh), rtol=1e-14)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 5, 8])
+def test_a_polynomial_of_the_degree_is_embedded_and_differentiated_exactly_and_the_next_is_not(degree, mesh):
+    calculus = cg.DiscreteCalculus(cg.Galerkin(degree), mesh)
+    t = np.linspace(mesh[0], mesh[-1], 41)
+    for power in (degree, degree + 1):
+        path = calculus.emb(calculus.node_times[None, :] ** power)
+        off = np.max(np.abs(path(t)[0] - t**power)) / 2.0**power
+        off_slope = np.max(np.abs(path(t, 1)[0] - power * t ** (power - 1))) / 2.0**power
+        if power == degree:
+            assert off < ROUNDOFF
+            assert off_slope < 1e3 * ROUNDOFF
+        else:
+            assert off > 1e3 * ROUNDOFF
+            assert off_slope > 1e5 * ROUNDOFF
+
+
+def test_antiderivative_is_the_papers_sum_with_the_step(calculus, rng):
+    """The sum over interval k carries the factor h_k, which the text leaves out."""
+    f = rng.normal(size=len(calculus.weights))
+    rule, steps = calculus.method.quadrature, np.diff(calculus.mesh)
+    total, expected = 0.0, [0.0]
+    for k, h in enumerate(steps):
+        for j, w in enumerate(rule.weights):
+            total += h * w * f[k * len(rule) + j]
+        expected.append(total)
+    np.testing.assert_allclose(calculus.integral(f), expected, rtol=0, atol=ROUNDOFF)
+
+
+def test_antiderivative_of_a_polynomial_is_exact_below_the_order_and_not_at_it(calculus):
+    t, order = calculus.quadrature_times, calculus.method.quadrature.order
+    exact = lambda k: (calculus.mesh ** (k + 1) - calculus.mesh[0] ** (k + 1)) / (k + 1)  # noqa: E731
+    for k in range(order):
+        np.testing.assert_allclose(calculus.integral(t**k), exact(k), rtol=ROUNDOFF, atol=ROUNDOFF)
+    missed = np.abs(calculus.integral(t**order) - exact(order))[-1]
+    assert missed > 1e-10
+
+
+def test_antiderivative_keeps_leading_axes(calculus, rng):
+    f = rng.normal(size=(3, 2, len(calculus.weights)))
+    got = calculus.integral(f)
+    assert got.shape == (3, 2, len(calculus.mesh))
+    np.testing.assert_allclose(got[1, 0], calculus.integral(f[1, 0]), rtol=0, atol=ROUNDOFF)
+    np.testing.assert_allclose(got[..., -1], f @ calculus.weights, rtol=0, atol=ROUNDOFF)
+
+
+def test_fundamental_theorem(mesh, rng):
+    """∫ dx̄/dt Δ_w t = x̄(t_i) - x̄(a), exact because the rule integrates degree m - 1."""
+    calculus = cg.DiscreteCalculus(cg.Galerkin(4), mesh)
+    values = rng.normal(size=(1, len(calculus.node_times)))
+    path = calculus.emb(values)
+    got = calculus.integral(path(calculus.quadrature_times, 1))
+    np.testing.assert_allclose(got, path(mesh) - values[:, :1], rtol=0, atol=ROUNDOFF)
+
+
+def test_operator_is_the_embedding_and_its_derivative_at_the_quadrature_points(calculus, rng):
+    n_points, n_nodes = len(calculus.weights), len(calculus.node_times)
+    matrix = coo_array(calculus.operator(), shape=(2 * n_points, n_nodes)).tocsr()
+    x = rng.normal(size=n_nodes)
+    both, path = matrix @ x, calculus.emb(x[None, :])
+    np.testing.assert_allclose(both[:n_points], path(calculus.quadrature_times)[0], rtol=0, atol=ROUNDOFF)
+    r, m = len(calculus.method.quadrature), calculus.method.degree
+    for k, t in enumerate(calculus.quadrature_times):  # the derivative is always this interval's, also at q = 1
+        i = k // r
+        slope = sum(lagrange(calculus, i, j, np.array([t]))[1] * x[i * m + j] for j in range(m + 1))
+        np.testing.assert_allclose(both[n_points + k], slope[0], rtol=ROUNDOFF, atol=1e2 * ROUNDOFF)
+
+
+@pytest.mark.parametrize("method", METHODS, ids=str)
+def test_discrete_du_bois_reymond_lemma(method, rng):
+    """∫ (f y + g y') Δ_w t = 0 for all Y with zero ends if and only if (cond1) and (cond2) hold.
+
+    The rows of `conditions` are the left-hand sides of (cond1) for the inner joints and (cond2), written with
+    the Lagrange polynomials of `lagrange`; (f, g) is drawn from their null space.
+    """
+    calculus = cg.DiscreteCalculus(method, MESHES["graded"])
+    m, r, n = method.degree, len(method.quadrature), len(calculus.mesh) - 1
+    points, weights = calculus.quadrature_times.reshape(n, r), calculus.weights.reshape(n, r)
+
+    def row(pieces):
+        f, g = np.zeros((n, r)), np.zeros((n, r))
+        for i, j in pieces:
+            value, slope = lagrange(calculus, i, j, points[i])
+            f[i] += weights[i] * value
+            g[i] += weights[i] * slope
+        return np.concatenate((f.ravel(), g.ravel()))
+
+    joints = [row([(i - 1, m), (i, 0)]) for i in range(1, n)]
+    controls = [row([(i, j)]) for i in range(n) for j in range(1, m)]
+    conditions = np.array(joints + controls)
+    _, sizes, basis = np.linalg.svd(conditions)
+    assert sizes[-1] > 1e-3  # the conditions are independent
+    good = basis[len(conditions) :].T @ rng.normal(size=basis.shape[0] - len(conditions))
+
+    def integral(pair, y):
+        f, g = pair.reshape(2, -1)
+        path = calculus.emb(y[None, :])
+        # slopes interval by interval, from the operator: at q = 1 the path itself would take the next interval's
+        matrix = coo_array(calculus.operator(), shape=(2 * n * r, n * m + 1)).tocsr()
+        value, slope = (matrix @ y).reshape(2, -1)
+        np.testing.assert_allclose(value, path(points.ravel())[0], rtol=0, atol=ROUNDOFF)
+        return float(calculus.weights @ (f * value + g * slope))
+
+    for _ in range(5):
+        y = rng.normal(size=n * m + 1)
+        y[[0, -1]] = 0
+        assert abs(integral(good, y)) < ROUNDOFF * np.abs(good).max() * 10
+    y = rng.normal(size=n * m + 1)
+    assert abs(integral(good, y)) > 1e-3  # without the zero ends it does not vanish
+    for k in range(len(conditions)):  # violate one condition, keep the others: some Y sees it, and only its own node
+        bad = good + np.linalg.pinv(conditions)[:, k]
+        order = [i * m for i in range(1, n)] + [i * m + j for i in range(n) for j in range(1, m)]
+        seen = [integral(bad, np.eye(n * m + 1)[node]) for node in order]
+        np.testing.assert_allclose(seen, np.eye(len(conditions))[k], rtol=0, atol=1e-11)
+
+
+def test_derivative_at_a_joint_is_the_right_one_and_at_the_last_the_left_one():
+    path = cg.DiscreteCalculus(cg.Galerkin(1), [0.0, 1.0, 3.0]).emb([[0.0, 1.0, 7.0]])
+    np.testing.assert_array_equal(path([0.0, 0.5, 1.0, 2.0, 3.0], 1), [[1, 1, 3, 3, 3]])
+    np.testing.assert_array_equal(path([0.5, 1.0], 2), [[0, 0]])
+
+
+def test_derivatives_of_higher_order_and_shapes():
+    calculus = cg.DiscreteCalculus(cg.Galerkin(4), [0.0, 0.5, 2.0])
+    path = calculus.emb(np.stack([calculus.node_times**4, calculus.node_times]))
+    assert path(1.0).shape == (2,)
+    assert path(np.zeros((3, 2))).shape == (2, 3, 2)
+    np.testing.assert_allclose(path(0.7, 2), [12 * 0.7**2, 0], rtol=1e-12, atol=1e-11)
+    np.testing.assert_allclose(path(0.7, 4), [24, 0], rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(path(0.7, 5), [0, 0], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("t", [-0.1, 2.1, np.nan])
+def test_times_outside_the_mesh_are_refused(t):
+    path = cg.DiscreteCalculus(cg.Galerkin(1), [0.0, 2.0]).emb([[0.0, 1.0]])
+    with pytest.raises(ValueError, match=r"times must lie within \[0.0, 2.0\], got"):
+        path(t)
+
+
+@pytest.mark.parametrize("nu", [-1, 1.5, True, "1"])
+def test_an_order_of_derivative_that_is_none_is_refused(nu):
+    path = cg.DiscreteCalculus(cg.Galerkin(1), [0.0, 2.0]).emb([[0.0, 1.0]])
+    with pytest.raises(ValueError, match="nu must be a whole number from 0 on, got"):
+        path(1.0, nu)
+
+
+@pytest.mark.parametrize("degree", range(2, 11))
+def test_equispaced_control_points_up_to_ten_pass_without_a_word(degree):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        cg.Galerkin(degree, control_points=cg.equispaced_points(degree))
+
+
+@pytest.mark.parametrize("degree", [11, 12, 20])
+def test_equispaced_control_points_above_ten_warn(degree):
+    with pytest.warns(RuntimeWarning, match=rf"magnify roundoff .* lobatto_points\({degree}\)"):
+        cg.Galerkin(degree, control_points=cg.equispaced_points(degree))
+
+
+@pytest.mark.parametrize("points", [cg.lobatto_points, cg.chebyshev_points])
+def test_the_other_families_do_not_warn_at_degree_one_hundred(points):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        cg.Galerkin(100, control_points=points(100))
+
+
+@pytest.mark.parametrize(
+    ("method", "order"),
+    [
+        (cg.Galerkin(3), 6),
+        (cg.Galerkin(3, quadrature=cg.gauss(4)), 6),
+        (cg.Galerkin(3, quadrature=cg.lobatto(3)), 4),
+        (cg.Galerkin(3, quadrature=cg.radau(3)), 5),
+        (cg.Galerkin(1, quadrature=cg.left_rectangle()), 1),
+    ],
+)
+def test_order_is_the_smaller_of_twice_the_degree_and_the_rules(method, order):
+    assert method.order == order
+    assert str(order if len(method.quadrature) == method.degree else 8) in str(method)
+
+
+def test_methods_are_values():
+    assert cg.Galerkin(3) == cg.Galerkin(3, control_points=cg.lobatto_points(3), quadrature=cg.gauss(3))
+    assert hash(cg.Galerkin(3)) == hash(cg.Galerkin(3, quadrature=cg.gauss(3)))
+    assert cg.Galerkin(3) != cg.Galerkin(3, quadrature=cg.gauss(4))

@@ -1,0 +1,104 @@
+"""A module imports only from those of a lower rank; Matplotlib is loaded only when a plot is asked for."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import casadi_galerkin
+
+RANKS = {
+    "quadrature": 0,
+    "nodes": 1,  # Lobatto control points are the points of a Lobatto rule
+    "calculus": 2,
+    "functional": 3,
+    "adaptivity": 3,
+    "plotting": 3,
+    "engines": 3,
+    "problems": 4,
+    "trajectory": 4,
+    "boundary": 5,
+    "stepping": 5,
+    "control": 5,
+    "continuation": 6,
+    "refinement": 6,
+    "solve": 7,
+    "comparison": 8,
+    "trade": 8,
+    "sweep": 8,
+}
+PACKAGE = Path(casadi_galerkin.__file__).parent
+MODULES = sorted(path.stem for path in PACKAGE.glob("*.py") if path.stem != "__init__")
+
+
+def imported(source: str) -> set[str]:
+    """Modules of the package that a source imports, anywhere in it, by any form of import."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                base = f"casadi_galerkin.{base}".rstrip(".")
+            names = [f"{base}.{alias.name}" for alias in node.names] if base == "casadi_galerkin" else [base]
+        elif isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        else:
+            continue
+        found |= {name.split(".")[1] for name in names if name.startswith("casadi_galerkin.")}
+        assert "casadi_galerkin" not in names, "a module must not import the package itself"
+    return found
+
+
+def upward(module: str, source: str) -> list[str]:
+    return sorted(name for name in imported(source) if RANKS[name] >= RANKS[module])
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_module_imports_only_from_lower_ranks(module):
+    assert module in RANKS, f"give {module} a rank"
+    assert upward(module, (PACKAGE / f"{module}.py").read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "from casadi_galerkin.solve import solve",
+        "import casadi_galerkin.boundary",
+        "from .boundary import transcribe",
+        "from . import boundary",
+        "from casadi_galerkin import boundary",
+        "def f():\n    from casadi_galerkin.calculus import Galerkin",
+    ],
+)
+def test_an_upward_import_is_found_in_every_form(source):
+    assert len(upward("nodes", source)) == 1
+
+
+@pytest.mark.parametrize("module", ["quadrature", "nodes", "calculus", "plotting"])
+def test_numpy_modules_know_nothing_of_casadi(module):
+    tree = ast.parse((PACKAGE / f"{module}.py").read_text(encoding="utf-8"))
+    names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    names |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    assert "casadi" not in names
+
+
+def test_only_engines_call_solvers():
+    for module in MODULES:
+        text = (PACKAGE / f"{module}.py").read_text(encoding="utf-8")
+        calls = {node.attr for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Attribute)}
+        assert module == "engines" or not calls & {"nlpsol", "rootfinder", "Linsol"}, module
+
+
+def test_importing_the_package_loads_no_matplotlib():
+    code = "import sys, casadi_galerkin; print([name for name in sys.modules if name.startswith('matplotlib')])"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
+
+
+def test_public_names_are_reexported_explicitly():
+    """``from .x import y as y``, nothing else but the docstring."""
+    tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
+    assert all(isinstance(node, ast.ImportFrom) for node in tree.body[1:])
+    assert all(alias.asname == alias.name for node in tree.body[1:] for alias in node.names)
