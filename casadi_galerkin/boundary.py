@@ -91,6 +91,7 @@ class Transcription:
     ----------
     action, gradient, hessian : Functions of (unknowns, start, end, mesh[, parameters])
         S, ∇S and the sparse ∇²S by the unknowns; `start` and `end` hold the fixed components only
+    system : the same for the engines, with what else they need; built when first used
     build_seconds : float
     """
 
@@ -109,9 +110,17 @@ class Transcription:
         self._u = ca.vertcat(*(self._symbols[name] for name in ("unknowns", "start", "end")))
         self._at = (self._u, self._symbols["mesh"], self._symbols.get("parameters"))
         self._local, total = self._functional.gradient(*self._at)
-        self._derivatives = self._functional.hessian(*self._at), total[: self.layout.free]
-        self.hessian, self.gradient = map(self._function, ("hessian", "gradient"), self._derivatives)
+        self._total = total[: self.layout.free]
+        kinetic = self._functional.pointwise.kinetic
+        self.system = System(self._build, algebra(*self._functional.assembly_key), kinetic)
         self.build_seconds = time.perf_counter() - began
+
+    def _build(self, name: str) -> ca.Function:
+        """One of the Functions below; what is built only now counts as building too."""
+        began = time.perf_counter()
+        function: ca.Function = getattr(self, name)
+        self.build_seconds += time.perf_counter() - began
+        return function
 
     def _function(
         self, name: str, *outputs: ca.MX, extra: tuple[ca.MX, ...] = (), results: Sequence[str] | None = None
@@ -124,6 +133,45 @@ class Transcription:
     def action(self) -> ca.Function:
         """S of (unknowns, start, end, mesh[, parameters])."""
         return self._function("action", self._action)
+
+    @cached_property
+    def gradient(self) -> ca.Function:
+        """∇S by the unknowns."""
+        return self._function("gradient", self._total)
+
+    @cached_property
+    def hessian(self) -> ca.Function:
+        """∇²S by the unknowns, sparse."""
+        return self._function("hessian", self._hessian)
+
+    @cached_property
+    def derivatives(self) -> ca.Function:
+        """∇²S and ∇S together."""
+        return self._function("derivatives", self._hessian, self._total, results=["matrix", "gradient"])
+
+    @cached_property
+    def terms(self) -> ca.Function:
+        """Sizes of the terms that ∇S sums."""
+        return self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free])
+
+    @cached_property
+    def curvature(self) -> ca.Function:
+        """Second variation along one more input, a direction, and the sum of the sizes of its terms."""
+        direction = ca.MX.sym("direction", self.layout.free)
+        given = ca.MX.zeros(self.layout.size - self.layout.free, 1)
+        terms = self._functional.curvature(*self._at, ca.vertcat(direction, given))
+        return self._function("curvature", *terms, extra=(direction,))
+
+    @cached_property
+    def inertial(self) -> ca.Function:
+        """∇²S with one more input, a factor on ∂²L/∂v²."""
+        inertia = ca.MX.sym("inertia")
+        matrix = self._functional.hessian(*self._at, inertia)
+        return self._function("inertial", matrix, extra=(inertia,), results=["matrix"])
+
+    @cached_property
+    def _hessian(self) -> ca.MX:
+        return self._functional.hessian(*self._at)
 
     @cached_property
     def _action(self) -> ca.MX:
@@ -139,29 +187,6 @@ class Transcription:
         d, local = self.problem.dimension, self._local
         momenta = ca.horzcat(-local[:d, 0], ca.reshape(local[:, -1], d, self.layout.intervals))
         return Evaluator(self._function("summary", self._action, momenta))
-
-    @cached_property
-    def system(self) -> System:
-        """The stationarity conditions as the engines take them."""
-        direction = ca.MX.sym("direction", self.layout.free)
-        given = ca.MX.zeros(self.layout.size - self.layout.free, 1)
-        curvature = self._functional.curvature(*self._at, ca.vertcat(direction, given))
-        return System(
-            self.action,
-            self.gradient,
-            self.hessian,
-            self._function("derivatives", *self._derivatives, results=["matrix", "gradient"]),
-            self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free]),
-            self._function("curvature", *curvature, extra=(direction,)),
-            self._inertial,
-            algebra(*self._functional.assembly_key),
-            self._functional.pointwise.kinetic,
-        )
-
-    def _inertial(self) -> ca.Function:
-        inertia = ca.MX.sym("inertia")
-        matrix = self._functional.hessian(*self._at, inertia)
-        return self._function("inertial", matrix, extra=(inertia,), results=["matrix"])
 
     def _values(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) in the order of time."""
@@ -198,9 +223,9 @@ class Transcription:
         ValueError, TypeError
             for input that does not fit
         """
-        began = time.perf_counter()
+        began = time.perf_counter() - self.build_seconds
         point = self.critical_point(start, end, parameters, guess, mesh, solver, verbose)
-        path = self.trajectory(point, time.perf_counter() - began)
+        path = self.trajectory(point, time.perf_counter() - self.build_seconds - began)
         if verbose:
             print(path)
         return path

@@ -199,24 +199,21 @@ class System:
 
     Attributes
     ----------
-    action : -> S
-    gradient : -> ∇S by ξ
-    hessian : -> ∇²S by ξ, sparse and symmetric
-    derivatives : -> both; by `evaluate`, only ∇S is returned and ∇²S is left in `algebra.matrix`
-    terms : -> sizes of the terms that `gradient` sums
-    curvature : with a direction y as last input -> yᵀ∇²S y, and the same with every term positive
-    inertial : builds: with a factor on ∂²L/∂v² as last input -> ∇²S, left in `algebra.matrix`
+    build : name -> Function; called when the Function is first needed, since building costs more than evaluating.
+        The names are
+
+        - action : -> S
+        - gradient : -> ∇S by ξ
+        - hessian : -> ∇²S by ξ, sparse and symmetric
+        - derivatives : -> both; by `evaluate`, only ∇S is returned and ∇²S is left in `algebra.matrix`
+        - terms : -> sizes of the terms that `gradient` sums
+        - curvature : with a direction y as last input -> yᵀ∇²S y, and the same with every term positive
+        - inertial : with a factor on ∂²L/∂v² as last input -> ∇²S, left in `algebra.matrix`
     algebra : Algebra
     pivots : whether LDLᵀ without pivoting can work: False where ∂²L/∂v_i² is structurally zero for some i
     """
 
-    action: ca.Function
-    gradient: ca.Function
-    hessian: ca.Function
-    derivatives: ca.Function
-    terms: ca.Function
-    curvature: ca.Function
-    inertial: Callable[[], ca.Function]
+    build: Callable[[str], ca.Function]
     algebra: Algebra
     pivots: bool = True
     _evaluators: dict[str, Evaluator] = field(default_factory=dict, repr=False, compare=False)
@@ -224,8 +221,7 @@ class System:
     def evaluate(self, name: str, *arguments: np.ndarray) -> list[np.ndarray]:
         """Evaluate one of the Functions by name on NumPy arrays."""
         if name not in self._evaluators:
-            function = self.inertial() if name == "inertial" else getattr(self, name)
-            self._evaluators[name] = Evaluator(function, self.algebra.matrix)
+            self._evaluators[name] = Evaluator(self.build(name), self.algebra.matrix)
         return self._evaluators[name](*arguments)
 
     def solved(self, name: str, *arguments: np.ndarray) -> list[np.ndarray]:
@@ -422,10 +418,11 @@ def _interior_point(
 
 def _nlpsol(system: System, minimize: bool, verbose: int, limit: int) -> ca.Function:
     """IPOPT with all derivatives supplied from the pointwise Functions."""
-    n, sizes = system.gradient.size1_in(0), [system.gradient.size1_in(i) for i in range(1, system.gradient.n_in())]
+    slope = system.build("gradient")
+    n, *sizes = [slope.size1_in(i) for i in range(slope.n_in())]
     x, p = ca.MX.sym("x", n), ca.MX.sym("p", sum(sizes))
     arguments = [x, *ca.vertsplit(p, np.cumsum([0, *sizes]).tolist())]
-    gradient, hessian = system.gradient(*arguments), system.hessian(*arguments)
+    gradient, hessian = slope(*arguments), system.build("hessian")(*arguments)
     factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0 if minimize else n)
     upper = factor * ca.triu(hessian) if minimize else ca.MX(n, n)  # the constraints' curvature is left out
     options = {
@@ -436,7 +433,7 @@ def _nlpsol(system: System, minimize: bool, verbose: int, limit: int) -> ca.Func
         "ipopt": {"print_level": 5 if verbose > 1 else 0, "sb": "yes", "tol": 1e-10, "max_iter": limit},
     }
     if minimize:
-        action = system.action(*arguments)
+        action = system.build("action")(*arguments)
         options["grad_f"] = ca.Function("grad_f", [x, p], [action, gradient])
         return ca.nlpsol("minimizer", "ipopt", {"x": x, "p": p, "f": action}, options)
     options["jac_g"] = ca.Function("jac_g", [x, p], [gradient, hessian])
@@ -469,6 +466,6 @@ def negative_eigenvalues(system: System, unknowns: np.ndarray, data: Data) -> in
         return None
     if len(unknowns) == 0:
         return 0
-    (matrix,) = system.hessian.call([unknowns, *data])
+    (matrix,) = system.build("hessian").call([unknowns, *data])
     system.algebra.factors.nfact(matrix)
     return int(system.algebra.factors.neig(matrix))

@@ -244,8 +244,9 @@ class Pointwise:
     kinetic: bool
 
 
+@lru_cache(LAYOUTS_KEPT)
 def pointwise(integrand: ca.Function) -> Pointwise:
-    """Derive the pointwise Functions of an integrand f(t, x, v[, p]) -> scalar."""
+    """Derive the pointwise Functions of an integrand f(t, x, v[, p]) -> scalar; the last ones are kept."""
     t, h = ca.SX.sym("t"), ca.SX.sym("h")
     d = integrand.size1_in(1)
     x, slope, z = ca.SX.sym("x", d), ca.SX.sym("slope", d), ca.SX.sym("z", 2 * d)
