@@ -62,7 +62,13 @@ def interval_maxima(path: PiecewisePolynomial) -> np.ndarray:
 
 
 def equidistributed(
-    mesh: np.ndarray, error: np.ndarray, order: int, tol: float, finest: float = FINEST, fewest: int = FEWEST
+    mesh: np.ndarray,
+    error: np.ndarray,
+    order: int,
+    tol: float,
+    finest: float = FINEST,
+    fewest: int = FEWEST,
+    fewer: float = FEWER,
 ) -> np.ndarray:
     """Joints of a new mesh on which every interval's error should be a fraction of the tolerance.
 
@@ -74,6 +80,7 @@ def equidistributed(
     tol : tolerance
     finest : largest number of intervals that one is split into
     fewest : least number of intervals of the new mesh
+    fewer : factor of too many intervals from which their number is lowered
 
     Returns
     -------
@@ -88,7 +95,7 @@ def equidistributed(
     cumulated = np.concatenate(([0.0], np.cumsum(density * np.diff(mesh))))
     count = max(fewest, int(np.ceil(cumulated[-1])))
     before = len(mesh) - 1
-    if before / FEWER < count <= before:
+    if before / fewer < count <= before:
         count = before
     elif count > before:
         count = max(count, int(np.ceil(GROWTH * before)))

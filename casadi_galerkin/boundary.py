@@ -21,7 +21,6 @@ from casadi_galerkin.engines import (
     SolveFailure,
     System,
     negative_eigenvalues,
-    relax,
     rootfinder,
     second_variation,
 )
@@ -170,6 +169,12 @@ class Transcription:
         return self._function("inertial", matrix, extra=(inertia,), results=["matrix"])
 
     @cached_property
+    def timing(self) -> ca.Function:
+        """∂S/∂t_i and ∂²S/∂t_i∂t_j by the joints, at fixed node values: the first are the jumps of the energy."""
+        hessian, gradient = ca.hessian(self._action, self._symbols["mesh"])
+        return self._function("timing", gradient, hessian)
+
+    @cached_property
     def _hessian(self) -> ca.MX:
         return self._functional.hessian(*self._at)
 
@@ -247,8 +252,8 @@ class Transcription:
         joints = calculus.mesh
         if len(joints) != len(self.mesh):
             raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {len(joints) - 1}")
-        data = self._data(start, end, parameters, joints)
-        first = self._unknowns(self._guess(guess, calculus, data))
+        data = self.data(joints, start, end, parameters)
+        first = self.unknowns(self._guess(guess, calculus, data))
         with self.system.algebra.lock:
             try:
                 solution = solver(self.system, first, data, verbose)
@@ -256,46 +261,39 @@ class Transcription:
                 raise self._error(failure, calculus, data) from None
         return CriticalPoint(solution, data, calculus.emb(self._values(solution.unknowns, data).T))
 
-    def drawn(self, guess: Guess, mesh: np.ndarray) -> PiecewisePolynomial:
+    def drawn(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:
         """Put a guess on a mesh, bent to meet the ends."""
         calculus = DiscreteCalculus(self.method, mesh)
-        return calculus.emb(self._guess(guess, calculus, self._data(None, None, None, mesh)).T)
+        return calculus.emb(self._guess(guess, calculus, self.data(mesh)).T)
 
-    def relax(
-        self, path: Guess | None, mesh: np.ndarray, inertia: float, steps: int
-    ) -> tuple[PiecewisePolynomial, float, float]:
-        """Take a few damped steps that lower the action: the new path, the next inertia, the last relative step."""
-        data = self._data(None, None, None, mesh)
-        calculus = DiscreteCalculus(self.method, mesh)
-        unknowns = self._unknowns(self._guess(path, calculus, data))
-        with self.system.algebra.lock:
-            try:
-                unknowns, inertia, norm = relax(self.system, unknowns, data, inertia, steps)
-            except SolveFailure as failure:
-                raise self._error(failure, calculus, data) from None
-        return calculus.emb(self._values(unknowns, data).T), inertia, norm
+    def corrections(self, path: PiecewisePolynomial) -> list[PiecewisePolynomial]:
+        """Two Newton steps from a path on the same mesh, of any degree up to this one's; zero if it is critical here.
 
-    def correction(self, path: PiecewisePolynomial, parameters: Sequence[float] | None = None) -> PiecewisePolynomial:
-        """Newton step from a path on the same mesh, of any degree up to this one's: zero if it is critical here too.
-
-        With a higher degree than the path's it estimates the path's error, in the joints as well as between them.
+        With a higher degree than the path's the first estimates the path's error, in the joints as well as between
+        them, and the second how far to trust the first.
         """
-        data = self._data(None, None, parameters, path.mesh)
-        calculus = DiscreteCalculus(self.method, path.mesh)
-        unknowns = self._unknowns(path(calculus.node_times).T)
+        data, calculus = self.data(path.mesh), DiscreteCalculus(self.method, path.mesh)
+        unknowns, steps = self.unknowns(path(calculus.node_times).T), []
         with self.system.algebra.lock:
-            (gradient,) = self.system.evaluate("derivatives", unknowns, *data)
-            step = self.system.solved("direction", gradient)[0]
-        step = np.concatenate((step, np.zeros(self.layout.size - self.layout.free)))
-        return calculus.emb(step[self.layout.numbering].T)
+            for _ in range(2):
+                (gradient,) = self.system.evaluate("derivatives", unknowns, *data)
+                steps.append(self.system.solved("direction", gradient)[0])
+                unknowns = unknowns + steps[-1]
+        return [calculus.emb(self.change(step)) for step in steps]
 
-    def _data(
+    def change(self, step: np.ndarray) -> np.ndarray:
+        """Node values (d, N m + 1) of a step of the unknowns."""
+        given = np.zeros(self.layout.size - self.layout.free)
+        return np.asarray(np.concatenate((step, given))[self.layout.numbering].T)
+
+    def data(
         self,
-        start: Sequence[float | None] | None,
-        end: Sequence[float | None] | None,
-        parameters: Sequence[float] | None,
         joints: np.ndarray,
+        start: Sequence[float | None] | None = None,
+        end: Sequence[float | None] | None = None,
+        parameters: Sequence[float] | None = None,
     ) -> Data:
+        """Values of all inputs of the graph but the unknowns; the problem's unless others are given."""
         data = []
         for name, given in (("start", start), ("end", end)):
             of_problem = getattr(self.problem, name)
@@ -311,7 +309,7 @@ class Transcription:
             raise ValueError(f"the problem has no parameters, got parameters={parameters!r}")
         return tuple(data)
 
-    def _unknowns(self, values: np.ndarray) -> np.ndarray:
+    def unknowns(self, values: np.ndarray) -> np.ndarray:
         """Free values out of node values (N m + 1, d)."""
         u = np.zeros(self.layout.size)
         u[self.layout.numbering[::-1]] = values[::-1]  # the first joint of a periodic path is written last

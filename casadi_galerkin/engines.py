@@ -34,8 +34,6 @@ LOCAL = 1e-3  # below this relative step, Newton's method needs no line search
 NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
 SMALLEST_DAMPING = 1e-7
 RESCUE = 100  # iterations IPOPT gets after Newton's method; rescues were measured to take 4 to 40
-LEAP = 0.3  # longest step of a relaxation, relative to the size of the path
-RELAXED = 1e-13  # promised relative gain of the action below which a relaxation has ended
 SINGULAR = 1e-11  # second variation over the sum of its terms' sizes below which the Hessian is called singular
 
 Data = tuple[np.ndarray, ...]
@@ -309,43 +307,6 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
         if norm < NEAR and (residual := system.ratios(g, x, data).max(initial=0.0)) <= ROUNDOFF:
             return _polished(system, x, g, float(residual), data, iteration)
     raise SolveFailure(f"no convergence in {limit} iterations, last relative step {norm:.1e}", x, limit)
-
-
-def relax(
-    system: System, unknowns: np.ndarray, data: Data, inertia: float, steps: int
-) -> tuple[np.ndarray, float, float]:
-    """Lower the action by Newton steps with added inertia (Levenberg and Marquardt in the kinetic metric).
-
-    Unlike IPOPT it never moves a path far at once, so the path stays on its side of an obstacle as long as the
-    mesh resolves it.  Steps at most `LEAP` of the path's size that gain what their quadratic model promises.
-
-    Returns
-    -------
-    new unknowns, inertia for the next call (0 where plain Newton steps were good), the last relative step
-    """
-    x = unknowns
-    (action,) = system.evaluate("action", x, *data)[0]
-    for _ in range(steps):
-        (g,) = system.evaluate("gradient", x, *data)
-        while True:
-            system.evaluate("inertial", x, *data, np.array([1.0 + inertia]))
-            step = system.solved("direction", g)[0]
-            norm = float(system.algebra.evaluate("length", None, step, x, *data[:2])[0][0])
-            slope = float(g @ step)
-            if np.isfinite(norm) and norm <= LEAP and slope <= 0:
-                if -slope < RELAXED * abs(action):
-                    return x, inertia, norm
-                (trial,) = system.evaluate("action", x + step, *data)[0]
-                gain = (action - trial) / (-slope / 2)
-                if gain > 0.25:
-                    break
-            inertia = max(3 * inertia, 1e-3)
-            if inertia > 1e12:
-                raise SolveFailure("no step lowers the action", x, steps)
-        x, action = x + step, trial
-        if gain > 0.75:
-            inertia = inertia / 3 if inertia > 1e-3 else 0.0
-    return x, inertia, norm
 
 
 def _line_search(

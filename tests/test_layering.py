@@ -22,12 +22,13 @@ RANKS = {
     "boundary": 5,
     "stepping": 5,
     "control": 5,
-    "continuation": 6,
-    "refinement": 6,
-    "solve": 7,
-    "comparison": 8,
-    "trade": 8,
-    "sweep": 8,
+    "relaxation": 6,
+    "continuation": 7,
+    "refinement": 7,
+    "solve": 8,
+    "comparison": 9,
+    "trade": 9,
+    "sweep": 9,
 }
 PACKAGE = Path(casadi_galerkin.__file__).parent
 MODULES = sorted(path.stem for path in PACKAGE.glob("*.py") if path.stem != "__init__")
