@@ -5,6 +5,9 @@ from casadi_galerkin.boundary import transcribe as transcribe
 from casadi_galerkin.calculus import DiscreteCalculus as DiscreteCalculus
 from casadi_galerkin.calculus import Galerkin as Galerkin
 from casadi_galerkin.calculus import PiecewisePolynomial as PiecewisePolynomial
+from casadi_galerkin.continuation import Branch as Branch
+from casadi_galerkin.continuation import Fold as Fold
+from casadi_galerkin.continuation import continuation as continuation
 from casadi_galerkin.engines import ipopt as ipopt
 from casadi_galerkin.engines import minimizer as minimizer
 from casadi_galerkin.engines import rootfinder as rootfinder

@@ -169,6 +169,13 @@ class Transcription:
         return self._function("inertial", matrix, extra=(inertia,), results=["matrix"])
 
     @cached_property
+    def sensitivity(self) -> ca.Function:
+        """Derivative of ∇S along one more input, a direction of the parameters."""
+        parameters = self._symbols["parameters"]
+        direction = ca.MX.sym("direction", parameters.shape[0])
+        return self._function("sensitivity", ca.jtimes(self._total, parameters, direction), extra=(direction,))
+
+    @cached_property
     def timing(self) -> ca.Function:
         """∂S/∂t_i and ∂²S/∂t_i∂t_j by the joints, at fixed node values: the first are the jumps of the energy."""
         hessian, gradient = ca.hessian(self._action, self._symbols["mesh"])
