@@ -42,8 +42,7 @@ def truncation(path: PiecewisePolynomial) -> np.ndarray:
     in pairs because of parity, and the first coefficient left out is the last one times the rate.
     """
     m = len(path.nodes) - 1
-    index = m * np.arange(len(path.mesh) - 1)[:, None] + np.arange(m + 1)
-    local = path.values[:, index] / sizes(path)[:, None, None]
+    local = path.local / sizes(path)[:, None, None]
     coefficients = np.abs(local @ _to_legendre(tuple(path.nodes.tolist())).T)  # (d, N, m + 1)
     if m < 3:
         return np.asarray(np.max(coefficients[:, :, -1], axis=0))
@@ -56,9 +55,8 @@ def truncation(path: PiecewisePolynomial) -> np.ndarray:
 def interval_maxima(path: PiecewisePolynomial) -> np.ndarray:
     """Largest size of every component on every interval, (d, N), sampled between the nodes as well."""
     m = len(path.nodes) - 1
-    index = m * np.arange(len(path.mesh) - 1)[:, None] + np.arange(m + 1)
     samples = lagrange_values(path.nodes, np.linspace(0, 1, 4 * m + 1))
-    return np.asarray(np.max(np.abs(path.values[:, index] @ samples.T), axis=2))
+    return np.asarray(np.max(np.abs(path.local @ samples.T), axis=2))
 
 
 def equidistributed(

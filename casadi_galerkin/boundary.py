@@ -280,7 +280,7 @@ class Transcription:
         them, and the second how far to trust the first.
         """
         data, calculus = self.data(path.mesh), DiscreteCalculus(self.method, path.mesh)
-        unknowns, steps = self.unknowns(path(calculus.node_times).T), []
+        unknowns, steps = self.unknowns(path.at(self.method.element.nodes).T), []
         with self.system.algebra.lock:
             for _ in range(2):
                 (gradient,) = self.system.evaluate("derivatives", unknowns, *data)

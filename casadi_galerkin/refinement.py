@@ -28,7 +28,7 @@ from casadi_galerkin.relaxation import relaxed
 from casadi_galerkin.trajectory import ConvergenceError, Trajectory
 
 FIRST_INTERVALS = 8
-ITERATIONS = 40  # of Newton's method on a level; where it took more it was measured to wander
+ITERATIONS = 40  # of Newton's method from an earlier path; where it took more it was measured to wander
 RELAXATIONS = (Galerkin(6), 1e-4), (Galerkin(12), 1e-9)  # the second where the first leaves Newton's method lost
 RELAXATION_INTERVALS = 40
 GUESS_LEVELS, GUESS_INTERVALS, GUESS_TOLERANCE = 10, 200, 1e-4
@@ -113,7 +113,7 @@ class Refinement:
     def starts(self, mesh: np.ndarray, guess: Guess | None, solver: Engine) -> Iterator[Callable[[], CriticalPoint]]:
         """Ways to a first path: Newton's method on the coarse mesh, relaxation, then whatever `solver` tries."""
         if solver is rootfinder:
-            yield lambda: self.solve(self.method, mesh, guess, following)
+            yield lambda: self.solve(self.method, mesh, guess, newton)
             count = max(RELAXATION_INTERVALS + 1, len(mesh))
             joints = np.interp(np.linspace(0, 1, count), np.linspace(0, 1, len(mesh)), mesh)
             for method, tol in RELAXATIONS:

@@ -168,9 +168,11 @@ def carried(path: PiecewisePolynomial, change: np.ndarray) -> PiecewisePolynomia
 
 def retimed(path: PiecewisePolynomial, slope: np.ndarray, curvature: np.ndarray) -> PiecewisePolynomial:
     """Newton step of the inner joints at fixed node values, from the action's derivatives by all joints."""
-    gradient, hessian = np.asarray(slope).ravel()[1:-1], np.asarray(curvature)[1:-1, 1:-1]
-    with np.errstate(all="ignore"):
-        step = np.linalg.lstsq(hessian, -gradient, rcond=None)[0]
+    gradient, hessian = np.array(slope).ravel()[1:-1], np.array(curvature)[1:-1, 1:-1]
+    try:
+        step = np.linalg.solve(hessian, -gradient)
+    except np.linalg.LinAlgError:
+        return path
     shift = np.concatenate(([0.0], step, [0.0]))
     return PiecewisePolynomial(path.mesh + squeezed(shift, np.diff(path.mesh)), path.nodes, path.values)
 
