@@ -39,7 +39,7 @@ def truncation(path: PiecewisePolynomial) -> np.ndarray:
     """Estimate what a path of its degree leaves out on each interval, relative to the size of the components; (N,).
 
     The Legendre coefficients of an analytic function fall geometrically.  Their rate is taken from the last four,
-    in pairs because of parity, and the first coefficient left out is the last one times the rate.
+    in pairs because of parity, and the first coefficient left out follows from the last two with it.
     """
     m = len(path.nodes) - 1
     local = path.local / sizes(path)[:, None, None]
@@ -49,7 +49,8 @@ def truncation(path: PiecewisePolynomial) -> np.ndarray:
     last = np.maximum(coefficients[:, :, -1], coefficients[:, :, -2])
     before = np.maximum(coefficients[:, :, -3], coefficients[:, :, -4])
     rate = np.sqrt(np.minimum(last / np.maximum(before, 1e-300), 1.0))
-    return np.asarray(np.max(last * rate, axis=0))
+    following = rate * np.maximum(coefficients[:, :, -1], rate * coefficients[:, :, -2])
+    return np.asarray(np.max(following, axis=0))
 
 
 def interval_maxima(path: PiecewisePolynomial) -> np.ndarray:

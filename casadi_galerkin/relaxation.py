@@ -126,7 +126,7 @@ class Relaxation:
                 self.step = float(system.algebra.evaluate("length", None, step, *arguments[:3])[0][0])
             promised = -float(g @ step)
             if np.isfinite(self.step) and self.step <= LEAP and promised >= 0:
-                if promised < RELAXED * abs(self._action):
+                if promised <= RELAXED * abs(self._action):
                     return False
                 before, change = self._action, self.transcription.change(step)
                 ways = moved(self.path, change), carried(self.path, change)
