@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.polynomial import legendre
 
-from casadi_galerkin.calculus import PiecewisePolynomial
+from casadi_galerkin.calculus import Galerkin, PiecewisePolynomial
 from casadi_galerkin.nodes import lagrange_values
 
 FINEST = 32.0  # an interval is split into at most this many at once
@@ -21,6 +21,17 @@ FEWEST = 4  # intervals of a new mesh
 FEWER = 3.0  # factor of too many intervals from which the number of intervals is lowered
 GROWTH = 1.25  # least factor by which the number of intervals grows, if it does
 TARGET = 0.3  # a new mesh aims at this part of the tolerance
+
+
+@lru_cache(32)
+def of_degree(degree: int) -> Galerkin:
+    """The default method of a degree, kept with its basis."""
+    return Galerkin(degree)
+
+
+def degree_for(tol: float) -> int:
+    """Degree for a tolerance, from low for a loose to high for a tight one."""
+    return int(np.clip(np.ceil(2 - np.log10(tol)), 4, 14))
 
 
 @lru_cache(maxsize=64)

@@ -34,14 +34,7 @@ POINTS = 1000  # of a branch
 
 @dataclass(frozen=True)
 class Fold:
-    """Where a branch turns back: two paths meet, and beyond there is none.
-
-    Attributes
-    ----------
-    parameters : (n,)
-    path : PiecewisePolynomial
-    after : number of points of the branch before the fold
-    """
+    """Where a branch turns back: parameters (n,), path, and number of paths of the branch before it."""
 
     parameters: np.ndarray
     path: PiecewisePolynomial
@@ -105,11 +98,10 @@ def continuation(
     Examples
     --------
     >>> import casadi as ca
-    >>> lagrangian = lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0])
-    >>> problem = BoundaryProblem(lagrangian, (0, 1), [0.0], [0.0], parameters=[1.0])
-    >>> branch = continuation(problem, [4.0], intervals=10)
-    >>> branch.folds[0].parameters.round(6), branch.reached
-    (array([3.513831]), False)
+    >>> bratu = lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0])
+    >>> problem = BoundaryProblem(bratu, (0, 1), [0.0], [0.0], parameters=[1.0])
+    >>> continuation(problem, [4.0], intervals=10).folds[0].parameters.round(6)
+    array([3.513831])
     """
     if problem.parameters is None:
         raise ValueError("continuation walks parameters: give the problem some")

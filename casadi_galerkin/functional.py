@@ -286,7 +286,14 @@ class Functional:
     def __init__(self, integrand: ca.Function, layout: Layout) -> None:
         self.pointwise, self.layout = pointwise(integrand), layout
         pattern = self.pointwise.pattern
+        self._points: tuple[ca.MX, ca.MX, list[ca.MX]] | None = None
         self.assembly_key = (layout, tuple(pattern.colind()), tuple(pattern.row()), self.pointwise.blocks)
+
+    def _embedded(self, u: ca.MX, mesh: ca.MX) -> list[ca.MX]:
+        """Points for u and mesh, the same expressions when asked again for the same ones."""
+        if self._points is None or self._points[0] is not u or self._points[1] is not mesh:
+            self._points = u, mesh, list(embedding(self.layout).call([u, mesh]))
+        return self._points[2]
 
     def _map(self, f: ca.Function, at: list[ca.MX], parameters: ca.MX | None, *extra: ca.MX) -> list[ca.MX]:
         """Evaluate a pointwise Function at all quadrature points; outputs (n, N r)."""
@@ -297,18 +304,18 @@ class Functional:
 
     def action(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> ca.MX:
         """S: scalar."""
-        at = embedding(self.layout).call([u, mesh])
+        at = self._embedded(u, mesh)
         return summation(self.layout)(*self._map(self.pointwise.value, at, parameters))
 
     def gradient(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> tuple[ca.MX, ca.MX]:
         """∇S: of each interval's action by its own node values (d N, m + 1), and of S by u."""
-        at = embedding(self.layout).call([u, mesh])
+        at = self._embedded(u, mesh)
         local, total = integration(self.layout).call(self._map(self.pointwise.gradient, at, parameters))
         return local, total
 
     def gradient_terms(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> ca.MX:
         """Sum of the sizes of the terms of ∇S; their roundoff is a few eps of this."""
-        at = embedding(self.layout).call([u, mesh])
+        at = self._embedded(u, mesh)
         sizes = [ca.fabs(values) for values in self._map(self.pointwise.gradient, at, parameters)]
         return integration(self.layout, absolute=True).call(sizes)[1]
 
@@ -318,7 +325,7 @@ class Functional:
         With `inertia`, the block ∂²L/∂v² is multiplied by it: large values make the matrix positive definite where
         the kinetic energy is.
         """
-        at = embedding(self.layout).call([u, mesh])
+        at = self._embedded(u, mesh)
         values = self._map(self.pointwise.hessian, at, parameters)
         if inertia is not None:
             blocks = self.pointwise.blocks
@@ -329,7 +336,7 @@ class Functional:
 
     def curvature(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None, direction: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Second variation yᵀ∇²S y along y = `direction`, and the same with every term taken positive."""
-        at = embedding(self.layout).call([u, mesh])
+        at = self._embedded(u, mesh)
         y, slope = embedding(self.layout).call([direction, mesh])[2:]
         signed, positive = self._map(self.pointwise.curvature, at, parameters, ca.vertcat(y, slope))
         return summation(self.layout)(signed), summation(self.layout)(positive)

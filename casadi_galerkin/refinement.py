@@ -19,7 +19,16 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.adaptivity import FEWER, FINEST, equidistributed, interval_maxima, sizes, truncation
+from casadi_galerkin.adaptivity import (
+    FEWER,
+    FINEST,
+    degree_for,
+    equidistributed,
+    interval_maxima,
+    of_degree,
+    sizes,
+    truncation,
+)
 from casadi_galerkin.boundary import CriticalPoint, Engine, Guess, Transcription, mesh_of
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial
 from casadi_galerkin.engines import newton, rootfinder
@@ -29,14 +38,14 @@ from casadi_galerkin.trajectory import ConvergenceError, Trajectory
 
 FIRST_INTERVALS = 8
 ITERATIONS = 40  # of Newton's method from an earlier path; where it took more it was measured to wander
-RELAXATIONS = (Galerkin(6), 1e-4), (Galerkin(12), 1e-9)  # the second where the first leaves Newton's method lost
-RELAXATION_INTERVALS = 40
+RELAXATION_DEGREE, RELAXATION_INTERVALS, RELAXATION_TOLERANCE = 6, 40, 1e-5
+LEAPS = 0.02, 0.1  # of a relaxation: short ones stay on their side of a singularity, long ones arrive
 GUESS_LEVELS, GUESS_INTERVALS, GUESS_TOLERANCE = 10, 200, 1e-4
 RISE = 3  # degrees that a level may gain on the one before
 HIGHER = 2  # degrees added for the error estimate; two, because one adds nothing to a path of the other parity
 SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
 SMALLEST_SPLIT = 1.2  # where Newton's method does not follow even a mesh this little finer, it has lost the path
-ROUNDOFF_LEVEL = 1e-9  # an error that refinement no longer lowers is called the roundoff floor below this
+STALLED, ROUNDOFF_LEVEL = 2, 1e-9  # levels that did not lower an error below this: it is at the roundoff floor
 
 
 @dataclass(frozen=True)
@@ -60,9 +69,8 @@ class Limits:
                 raise ValueError(f"the limit of {name} must be a positive number, got {value!r}")
 
 
-def degree_for(tol: float) -> int:
-    """Degree for a tolerance: the one that was cheapest over the reference problems."""
-    return int(np.clip(np.ceil(2 - np.log10(tol)), 4, 14))
+class LimitReached(ConvergenceError):
+    """A refinement that follows a path and was stopped before its tolerance; another start would not help."""
 
 
 following = partial(newton, limit=ITERATIONS)
@@ -75,7 +83,7 @@ class Refinement:
         self, problem: BoundaryProblem, tol: float, method: Galerkin | None, limits: Limits, verbose: int
     ) -> None:
         self.problem, self.tol, self.limits, self.verbose = problem, tol, limits, verbose
-        self.method, self.fixed = method or Galerkin(degree_for(tol)), method is not None
+        self.method, self.fixed = method or of_degree(degree_for(tol)), method is not None
         self._transcriptions: dict[tuple[int, int], Transcription] = {}
         self.began, self.iterations = time.perf_counter(), 0
 
@@ -116,15 +124,16 @@ class Refinement:
             yield lambda: self.solve(self.method, mesh, guess, newton)
             count = max(RELAXATION_INTERVALS + 1, len(mesh))
             joints = np.interp(np.linspace(0, 1, count), np.linspace(0, 1, len(mesh)), mesh)
-            for method, tol in RELAXATIONS:
-                yield partial(self.relaxed, method, joints, guess, tol)
+            for leap in LEAPS:
+                yield partial(self.relaxed, joints, guess, leap)
         yield lambda: self.solve(self.method, mesh, guess, solver)
 
-    def relaxed(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None, tol: float) -> CriticalPoint:
+    def relaxed(self, mesh: np.ndarray, guess: Guess | None, leap: float) -> CriticalPoint:
         """Relax a guess until Newton's method takes over."""
-        path = self.transcription(method, mesh).drawn(guess, mesh)
-        path = relaxed(partial(self.transcription, method), path, tol, self.limits.levels, self.late)
-        return self.solve(method, path.mesh, path, following)
+        transcribed = partial(self.transcription, of_degree(RELAXATION_DEGREE))
+        path = transcribed(mesh).drawn(guess, mesh)
+        path = relaxed(transcribed, path, RELAXATION_TOLERANCE, leap, self.limits.levels, self.late)
+        return self.solve(of_degree(RELAXATION_DEGREE), path.mesh, path, following)
 
     def late(self) -> bool:
         """Whether the time is up."""
@@ -133,13 +142,12 @@ class Refinement:
     def next(self, point: CriticalPoint, error: np.ndarray) -> CriticalPoint:
         """Solve on the equidistributed mesh; where Newton's method does not follow, on one changed less.
 
-        From a relaxed path the degree rises by at most `RISE`, and only falls to one that was asked for; an analytic
-        path's error then falls to the power of the ratio of the orders.
+        The degree rises by at most `RISE`; an analytic path's error then falls to the power of the orders' ratio.
         """
         finest, degree = FINEST, len(point.path.nodes) - 1
         method = self.method
         if degree + RISE < method.degree or (degree > method.degree and not self.fixed):
-            method = Galerkin(min(degree + RISE, max(degree, method.degree)))
+            method = of_degree(min(degree + RISE, max(degree, method.degree)))
         order = method.degree + 1
         expected = error ** (order / (degree + 1))
         fewer = FEWER if method.degree == degree else 1.0  # where the graph is built anew, it may as well be small
@@ -155,11 +163,8 @@ class Refinement:
                     raise
 
     def error(self, path: PiecewisePolynomial) -> float:
-        """Estimated error of a path, the largest on it, relative to the size of its components.
-
-        The second Newton step continues the first as a geometric series.
-        """
-        higher = Galerkin(len(path.nodes) - 1 + HIGHER)
+        """Largest error on a path, relative to the size of its components: two Newton steps as a geometric series."""
+        higher = of_degree(len(path.nodes) - 1 + HIGHER)
         steps = self.transcription(higher, path.mesh).corrections(path)
         first, second = (float(np.max(interval_maxima(step) / sizes(path)[:, None])) for step in steps)
         return first / (1 - min(SLOWEST, second / first)) if first > 0 else 0.0
@@ -191,7 +196,7 @@ class Refinement:
 
     def refine(self, point: CriticalPoint) -> tuple[CriticalPoint, float]:
         """Solve on better and better meshes until the estimated error is below the tolerance; returns both."""
-        best, smallest = point, np.inf
+        best, smallest, stalled = point, np.inf, 0
         for level in range(self.limits.levels):
             error = truncation(point.path)
             suits = not self.fixed or len(point.path.nodes) == self.method.degree + 1
@@ -200,7 +205,8 @@ class Refinement:
             self.report(level, point, reached, verified)
             if verified and reached <= self.tol:
                 return point, reached
-            if verified and smallest / 2 < reached < ROUNDOFF_LEVEL:
+            stalled += verified and smallest / 2 < reached < ROUNDOFF_LEVEL
+            if stalled == STALLED:
                 floor = min(reached, smallest)
                 raise self.stopped(f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here", best, floor)
             if self.late():
@@ -213,17 +219,16 @@ class Refinement:
 
     def report(self, level: int, point: CriticalPoint, reached: float, verified: bool) -> None:
         """One line a level."""
-        if not self.verbose:
-            return
-        if level == 0:
+        if self.verbose and level == 0:
             print(f"{'Level':>7}{'Degree':>8}{'Intervals':>11}{'Iterations':>12}{'Max error':>12}  Estimated from")
         degree, intervals, iterations = len(point.path.nodes) - 1, len(point.path.mesh) - 1, point.solution.iterations
         source = f"degree {degree + HIGHER}" if verified else "Legendre coefficients"
-        print(f"{level:7d}{degree:8d}{intervals:11d}{iterations:12d}{reached:12.2e}  {source}")
+        if self.verbose:
+            print(f"{level:7d}{degree:8d}{intervals:11d}{iterations:12d}{reached:12.2e}  {source}")
 
     def finish(self, point: CriticalPoint, reached: float) -> Trajectory:
         """Wrap the path that passed."""
-        method = self.method if self.fixed else Galerkin(len(point.path.nodes) - 1)
+        method = self.method if self.fixed else of_degree(len(point.path.nodes) - 1)
         path = self.transcription(method, point.path.mesh).trajectory(point, 0.0)
         build_seconds = sum(built.build_seconds for built in self._transcriptions.values())
         return replace(
@@ -233,10 +238,6 @@ class Refinement:
             solve_seconds=time.perf_counter() - self.began - build_seconds,
             error_estimate=reached,
         )
-
-
-class LimitReached(ConvergenceError):
-    """A refinement that follows a path and was stopped before its tolerance; another start would not help."""
 
 
 def solve_to_tolerance(
@@ -253,7 +254,5 @@ def solve_to_tolerance(
     """Solve a boundary problem to a tolerance; see `solve` for the arguments."""
     if isinstance(tol, bool) or not isinstance(tol, (int, float)) or not 0 < tol < 1:
         raise ValueError(f"tol must be a number between 0 and 1, got {tol!r}")
-    if intervals is None and mesh is None:
-        intervals = FIRST_INTERVALS
-    joints = mesh_of(problem.t_span, intervals, mesh)
+    joints = mesh_of(problem.t_span, FIRST_INTERVALS if intervals is None and mesh is None else intervals, mesh)
     return Refinement(problem, tol, method, limits, verbose).run(joints, guess, solver)

@@ -22,12 +22,12 @@ from casadi_galerkin.calculus import PiecewisePolynomial
 from casadi_galerkin.trajectory import ConvergenceError
 
 STEPS = 3  # between two meshes
-LEAP = 0.1  # longest step, relative to the size of the path
 POOR, GOOD = 0.25, 0.75  # gain over the one promised below which a step is refused, above which the next may be longer
 RELAXED = 1e-13  # promised relative gain of the action below which a relaxation has ended
 LEAST, MOST = 1e-3, 1e12  # inertia that is added if any is, and at which no step will be found
 SQUEEZE = 0.5  # largest relative change of an interval in one step
 FINER = 2.0  # an interval is split into at most this many between two meshes
+MOST_INTERVALS = 120  # a path on its way needs no more; its front moves on
 SETTLED = 1e-4  # relative step at which Newton's method can take over
 
 
@@ -35,6 +35,7 @@ def relaxed(
     transcribed: Callable[[np.ndarray], Transcription],
     path: PiecewisePolynomial,
     tol: float,
+    leap: float,
     levels: int,
     late: Callable[[], bool],
 ) -> PiecewisePolynomial:
@@ -45,6 +46,7 @@ def relaxed(
     transcribed : joints -> Transcription for as many intervals, of the path's degree
     path : PiecewisePolynomial that meets the ends
     tol : relative size of what the path may leave out on an interval
+    leap : longest step, relative to the size of the path
     levels : most meshes
     late : whether to stop now
 
@@ -55,7 +57,7 @@ def relaxed(
     """
     inertia, fewest = 1.0, len(path.mesh) - 1
     for _ in range(levels):
-        relaxation = Relaxation(transcribed(path.mesh), path, inertia)
+        relaxation = Relaxation(transcribed(path.mesh), path, inertia, leap)
         ended = relaxation.run(STEPS)
         path, inertia, error = relaxation.path, relaxation.inertia, truncation(relaxation.path)
         if np.max(error) < 3 * tol and (ended or (relaxation.step < SETTLED and inertia == 0)):
@@ -63,6 +65,8 @@ def relaxed(
         if late():
             raise ConvergenceError("the time was up before a path was found", path)
         mesh = equidistributed(path.mesh, error, len(path.nodes), tol, FINER, fewest)
+        if len(mesh) - 1 > MOST_INTERVALS:
+            mesh = np.interp(np.linspace(0, 1, MOST_INTERVALS + 1), np.linspace(0, 1, len(mesh)), mesh)
         path = transcribed(mesh).drawn(path, mesh)
     return path
 
@@ -75,6 +79,7 @@ class Relaxation:
     transcription : Transcription, for any mesh of as many intervals as `path` has
     path : PiecewisePolynomial of the transcription's degree
     inertia : added to the factor on ∂²L/∂v² (Levenberg and Marquardt in the kinetic metric)
+    leap : longest step, relative to the size of the path
 
     Attributes
     ----------
@@ -82,8 +87,9 @@ class Relaxation:
     step : the last step relative to the size of the path
     """
 
-    def __init__(self, transcription: Transcription, path: PiecewisePolynomial, inertia: float) -> None:
-        self.transcription, self.path, self.inertia, self.step = transcription, path, inertia, np.inf
+    def __init__(self, transcription: Transcription, path: PiecewisePolynomial, inertia: float, leap: float) -> None:
+        self.transcription, self.path, self.inertia, self.leap = transcription, path, inertia, leap
+        self.step = np.inf
         self._action = self.action(path)
 
     def arguments(self, path: PiecewisePolynomial) -> tuple[np.ndarray, ...]:
@@ -106,7 +112,7 @@ class Relaxation:
         for _ in range(steps):
             if not self.advance():
                 return True
-            self.take(retimed(self.path, *self.transcription.timing.call(list(self.arguments(self.path)))))
+            self.take(retimed(self.path, *self.transcription.system.evaluate("timing", *self.arguments(self.path))))
         return False
 
     def take(self, path: PiecewisePolynomial) -> None:
@@ -125,7 +131,7 @@ class Relaxation:
                 step = system.solved("direction", g)[0]
                 self.step = float(system.algebra.evaluate("length", None, step, *arguments[:3])[0][0])
             promised = -float(g @ step)
-            if np.isfinite(self.step) and self.step <= LEAP and promised >= 0:
+            if np.isfinite(self.step) and self.step <= self.leap and promised >= 0:
                 if promised <= RELAXED * abs(self._action):
                     return False
                 before, change = self._action, self.transcription.change(step)
@@ -167,13 +173,20 @@ def carried(path: PiecewisePolynomial, change: np.ndarray) -> PiecewisePolynomia
 
 
 def retimed(path: PiecewisePolynomial, slope: np.ndarray, curvature: np.ndarray) -> PiecewisePolynomial:
-    """Newton step of the inner joints at fixed node values, from the action's derivatives by all joints."""
-    gradient, hessian = np.array(slope).ravel()[1:-1], np.array(curvature)[1:-1, 1:-1]
-    try:
-        step = np.linalg.solve(hessian, -gradient)
-    except np.linalg.LinAlgError:
+    """Newton step of the inner joints at fixed node values.
+
+    `slope` (N + 1,) and `curvature`, a tridiagonal matrix by columns, are the action's derivatives by all joints.
+    """
+    shift = np.zeros(len(slope))
+    pivots, rhs, upper = curvature[0::3].tolist(), (-slope).tolist(), curvature[2::3].tolist()
+    for i in range(2, len(shift) - 1):  # symmetric elimination without the ends; faster here than a dense solve
+        factor = upper[i - 1] / pivots[i - 1]
+        pivots[i] -= factor * upper[i - 1]
+        rhs[i] -= factor * rhs[i - 1]
+    for i in range(len(shift) - 2, 0, -1):
+        shift[i] = (rhs[i] - upper[i] * shift[i + 1]) / pivots[i]
+    if not np.all(np.isfinite(shift)):
         return path
-    shift = np.concatenate(([0.0], step, [0.0]))
     return PiecewisePolynomial(path.mesh + squeezed(shift, np.diff(path.mesh)), path.nodes, path.values)
 
 

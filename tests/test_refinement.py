@@ -1,12 +1,11 @@
-"""A tolerance is kept: on the reference problems, on hundreds of random ones, and where it cannot be, an error says so."""
+"""A tolerance is kept, on the reference problems and on hundreds of random ones; else an error says why."""
 
-from dataclasses import replace
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 import pytest
-from scenes import BY_NAME, SCENES, TROESCH, boundary_layer, bratu, bratu_theta, oscillator, pendulum, troesch
+from scenes import BY_NAME, TROESCH, boundary_layer, bratu, bratu_theta, oscillator, pendulum, troesch
 
 import casadi_galerkin as cg
 
@@ -25,7 +24,8 @@ def samples(mesh):
 def relative_error(path, exact):
     times = samples(path.t)
     x = exact(times)
-    return np.max(np.abs(path.path(times) - x) / np.max(np.abs(x), axis=1, keepdims=True))
+    size = np.max(np.abs(x), axis=1, keepdims=True)
+    return np.max(np.abs(path.path(times) - x) / np.where(size > 0, size, 1.0))
 
 
 @lru_cache(None)
@@ -41,9 +41,7 @@ def oracle(name):
     return cg.solve(scene.problem, cg.Galerkin(16), mesh=mesh, guess=scene.guess).path
 
 
-EXACT_CATENARY = [name for name in BY_NAME if name.startswith("catenoid")]
-# the near-singular film's oracle solves its equation for c only to 1e-13; everything else is in the table
-CASES = [scene.name for scene in SCENES if scene.t_span[1] - scene.t_span[0] < 1e3]
+CASES = list(BY_NAME)
 
 
 @lru_cache(None)
@@ -144,16 +142,21 @@ def test_both_of_bratus_branches_are_found(rate, upper):
     theta = bratu_theta(rate, upper)
     guess = (lambda t: [20 * t * (1 - t)]) if upper else None
     path = cg.solve(cg.BoundaryProblem(bratu(rate), (0, 1), [0.0], [0.0]), tol=1e-9, guess=guess)
-    exact = lambda t: -2 * np.log(np.cosh((t - 0.5) * theta / 2) / np.cosh(theta / 4))[None]
-    assert relative_error(path, exact) <= 1e-9
+    error = relative_error(path, lambda t: -2 * np.log(np.cosh((t - 0.5) * theta / 2) / np.cosh(theta / 4))[None])
+    assert error <= 1e-9
     assert path.morse_index == int(upper)
 
 
 def comet(eccentricity):
     """Problem, exact path and the ellipse at the wrong times, through the pericentre."""
     half, minor = 2 - eccentricity * np.sin(2), np.sqrt(1 - eccentricity**2)
-    place = lambda anomaly: np.array([np.cos(anomaly) - eccentricity, minor * np.sin(anomaly)])
     grid = np.linspace(-2.1, 2.1, 20_001)
+
+    def place(anomaly):
+        return np.array([np.cos(anomaly) - eccentricity, minor * np.sin(anomaly)])
+
+    def lagrangian(t, x, v):
+        return ca.dot(v, v) / 2 + 1 / ca.norm_2(x)
 
     def exact(t):
         anomaly = np.interp(t, grid - eccentricity * np.sin(grid), grid)
@@ -161,7 +164,6 @@ def comet(eccentricity):
             anomaly -= (anomaly - eccentricity * np.sin(anomaly) - t) / (1 - eccentricity * np.cos(anomaly))
         return place(anomaly)
 
-    lagrangian = lambda t, x, v: ca.dot(v, v) / 2 + 1 / ca.norm_2(x)
     problem = cg.BoundaryProblem(lagrangian, (-half, half), exact(np.array(-half)), exact(np.array(half)))
     return problem, exact, lambda t: place(2 * t / half)
 
@@ -297,11 +299,3 @@ def test_limits_without_a_tolerance_are_refused():
 def test_neither_method_nor_tolerance_is_refused():
     with pytest.raises(ValueError, match="give a method and intervals, or tol"):
         cg.solve(BY_NAME["oscillator 1.0"].problem)
-
-
-def test_an_unresolved_estimate_is_not_taken_for_a_small_one():
-    """A spike between the nodes of the first mesh is invisible to the path there, not to the higher degree."""
-    problem, _, exact = random_problem(7)
-    coarse = cg.solve(problem, tol=1e-2, intervals=2)
-    assert relative_error(coarse, exact) <= WORST * 1e-2
-    assert replace(coarse, error_estimate=None).error_estimate is None
