@@ -7,6 +7,9 @@ from casadi_galerkin.calculus import Galerkin as Galerkin
 from casadi_galerkin.calculus import PiecewisePolynomial as PiecewisePolynomial
 from casadi_galerkin.comparison import Comparison as Comparison
 from casadi_galerkin.comparison import compare as compare
+from casadi_galerkin.continuation import Branch as Branch
+from casadi_galerkin.continuation import Fold as Fold
+from casadi_galerkin.continuation import continuation as continuation
 from casadi_galerkin.control import ControlTranscription as ControlTranscription
 from casadi_galerkin.control import transcribe_control as transcribe_control
 from casadi_galerkin.control_problem import ControlProblem as ControlProblem

@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.polynomial import legendre
 
-from casadi_galerkin.calculus import PiecewisePolynomial
+from casadi_galerkin.calculus import Galerkin, PiecewisePolynomial
 from casadi_galerkin.nodes import lagrange_values
 
 FINEST = 32.0  # an interval is split into at most this many at once
@@ -21,6 +21,17 @@ FEWEST = 4  # intervals of a new mesh
 FEWER = 3.0  # factor of too many intervals from which the number of intervals is lowered
 GROWTH = 1.25  # least factor by which the number of intervals grows, if it does
 TARGET = 0.3  # a new mesh aims at this part of the tolerance
+
+
+@lru_cache(32)
+def of_degree(degree: int) -> Galerkin:
+    """The default method of a degree, kept with its basis."""
+    return Galerkin(degree)
+
+
+def degree_for(tol: float) -> int:
+    """Degree for a tolerance, from low for a loose to high for a tight one."""
+    return int(np.clip(np.ceil(2 - np.log10(tol)), 4, 14))
 
 
 @lru_cache(maxsize=64)
@@ -39,30 +50,35 @@ def truncation(path: PiecewisePolynomial) -> np.ndarray:
     """Estimate what a path of its degree leaves out on each interval, relative to the size of the components; (N,).
 
     The Legendre coefficients of an analytic function fall geometrically.  Their rate is taken from the last four,
-    in pairs because of parity, and the first coefficient left out is the last one times the rate.
+    in pairs because of parity, and the first coefficient left out follows from the last two with it.
     """
     m = len(path.nodes) - 1
-    index = m * np.arange(len(path.mesh) - 1)[:, None] + np.arange(m + 1)
-    local = path.values[:, index] / sizes(path)[:, None, None]
+    local = path.local / sizes(path)[:, None, None]
     coefficients = np.abs(local @ _to_legendre(tuple(path.nodes.tolist())).T)  # (d, N, m + 1)
     if m < 3:
         return np.asarray(np.max(coefficients[:, :, -1], axis=0))
     last = np.maximum(coefficients[:, :, -1], coefficients[:, :, -2])
     before = np.maximum(coefficients[:, :, -3], coefficients[:, :, -4])
     rate = np.sqrt(np.minimum(last / np.maximum(before, 1e-300), 1.0))
-    return np.asarray(np.max(last * rate, axis=0))
+    following = rate * np.maximum(coefficients[:, :, -1], rate * coefficients[:, :, -2])
+    return np.asarray(np.max(following, axis=0))
 
 
 def interval_maxima(path: PiecewisePolynomial) -> np.ndarray:
     """Largest size of every component on every interval, (d, N), sampled between the nodes as well."""
     m = len(path.nodes) - 1
-    index = m * np.arange(len(path.mesh) - 1)[:, None] + np.arange(m + 1)
     samples = lagrange_values(path.nodes, np.linspace(0, 1, 4 * m + 1))
-    return np.asarray(np.max(np.abs(path.values[:, index] @ samples.T), axis=2))
+    return np.asarray(np.max(np.abs(path.local @ samples.T), axis=2))
 
 
 def equidistributed(
-    mesh: np.ndarray, error: np.ndarray, order: int, tol: float, finest: float = FINEST, fewest: int = FEWEST
+    mesh: np.ndarray,
+    error: np.ndarray,
+    order: int,
+    tol: float,
+    finest: float = FINEST,
+    fewest: int = FEWEST,
+    fewer: float = FEWER,
 ) -> np.ndarray:
     """Joints of a new mesh on which every interval's error should be a fraction of the tolerance.
 
@@ -74,6 +90,7 @@ def equidistributed(
     tol : tolerance
     finest : largest number of intervals that one is split into
     fewest : least number of intervals of the new mesh
+    fewer : factor of too many intervals from which their number is lowered
 
     Returns
     -------
@@ -88,7 +105,7 @@ def equidistributed(
     cumulated = np.concatenate(([0.0], np.cumsum(density * np.diff(mesh))))
     count = max(fewest, int(np.ceil(cumulated[-1])))
     before = len(mesh) - 1
-    if before / FEWER < count <= before:
+    if before / fewer < count <= before:
         count = before
     elif count > before:
         count = max(count, int(np.ceil(GROWTH * before)))

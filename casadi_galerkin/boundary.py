@@ -22,7 +22,6 @@ from casadi_galerkin.engines import (
     SolveFailure,
     System,
     negative_eigenvalues,
-    relax,
     rootfinder,
     second_variation,
 )
@@ -126,6 +125,7 @@ class Transcription:
     ----------
     action, gradient, hessian, summary : Functions of (unknowns, start, end, mesh[, parameters])
         S, ∇S and the sparse ∇²S by the unknowns; S with the momenta; `start` and `end` hold the fixed components only
+    system : the same for the engines, with what else they need; built when first used
     build_seconds : float
     """
 
@@ -144,9 +144,17 @@ class Transcription:
         self._u = ca.vertcat(*(self._symbols[name] for name in ("unknowns", "start", "end")))
         self._at = (self._u, self._symbols["mesh"], self._symbols.get("parameters"))
         self._local, total = self._functional.gradient(*self._at)
-        self.hessian = self._function("hessian", self._functional.hessian(*self._at))
-        self.gradient = self._function("gradient", total[: self.layout.free])
+        self._total = total[: self.layout.free]
+        kinetic = self._functional.pointwise.kinetic
+        self.system = System(self._build, algebra(*self._functional.assembly_key), kinetic)
         self.build_seconds = time.perf_counter() - began
+
+    def _build(self, name: str) -> ca.Function:
+        """One of the Functions below; what is built only now counts as building too."""
+        began = time.perf_counter()
+        function: ca.Function = getattr(self, name)
+        self.build_seconds += time.perf_counter() - began
+        return function
 
     def _function(
         self, name: str, *outputs: ca.MX, extra: tuple[ca.MX, ...] = (), results: Sequence[str] | None = None
@@ -159,6 +167,54 @@ class Transcription:
     def action(self) -> ca.Function:
         """S of (unknowns, start, end, mesh[, parameters])."""
         return self._function("action", self._action)
+
+    @cached_property
+    def gradient(self) -> ca.Function:
+        """∇S by the unknowns."""
+        return self._function("gradient", self._total)
+
+    @cached_property
+    def hessian(self) -> ca.Function:
+        """∇²S by the unknowns, sparse."""
+        return self._function("hessian", self._functional.hessian(*self._at))
+
+    @cached_property
+    def derivatives(self) -> ca.Function:
+        """∇²S and ∇S together."""
+        return self._function("derivatives", *self._functional.derivatives(*self._at), results=["matrix", "gradient"])
+
+    @cached_property
+    def terms(self) -> ca.Function:
+        """Sizes of the terms that ∇S sums."""
+        return self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free])
+
+    @cached_property
+    def curvature(self) -> ca.Function:
+        """Second variation along one more input, a direction, and the sum of the sizes of its terms."""
+        direction = ca.MX.sym("direction", self.layout.free)
+        given = ca.MX.zeros(self.layout.size - self.layout.free, 1)
+        terms = self._functional.curvature(*self._at, ca.vertcat(direction, given))
+        return self._function("curvature", *terms, extra=(direction,))
+
+    @cached_property
+    def inertial(self) -> ca.Function:
+        """∇²S with one more input, a factor on ∂²L/∂v²."""
+        inertia = ca.MX.sym("inertia")
+        matrix = self._functional.hessian(*self._at, inertia)
+        return self._function("inertial", matrix, extra=(inertia,), results=["matrix"])
+
+    @cached_property
+    def sensitivity(self) -> ca.Function:
+        """Derivative of ∇S along one more input, a direction of the parameters."""
+        parameters = self._symbols["parameters"]
+        direction = ca.MX.sym("direction", parameters.shape[0])
+        return self._function("sensitivity", ca.jtimes(self._total, parameters, direction), extra=(direction,))
+
+    @cached_property
+    def timing(self) -> ca.Function:
+        """∂S/∂t_i and ∂²S/∂t_i∂t_j by the joints, at fixed node values: the first are the jumps of the energy."""
+        hessian, gradient = ca.hessian(self._action, self._symbols["mesh"])
+        return self._function("timing", gradient, hessian)
 
     @cached_property
     def _action(self) -> ca.MX:
@@ -178,29 +234,6 @@ class Transcription:
     @cached_property
     def _summary(self) -> Evaluator:
         return Evaluator(self.summary)
-
-    @cached_property
-    def system(self) -> System:
-        """The stationarity conditions as the engines take them."""
-        direction = ca.MX.sym("direction", self.layout.free)
-        given = ca.MX.zeros(self.layout.size - self.layout.free, 1)
-        curvature = self._functional.curvature(*self._at, ca.vertcat(direction, given))
-        return System(
-            self.action,
-            self.gradient,
-            self.hessian,
-            self._function("derivatives", *self._functional.derivatives(*self._at), results=["matrix", "gradient"]),
-            self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free]),
-            self._function("curvature", *curvature, extra=(direction,)),
-            self._inertial,
-            algebra(*self._functional.assembly_key),
-            self._functional.pointwise.kinetic,
-        )
-
-    def _inertial(self) -> ca.Function:
-        inertia = ca.MX.sym("inertia")
-        matrix = self._functional.hessian(*self._at, inertia)
-        return self._function("inertial", matrix, extra=(inertia,), results=["matrix"])
 
     def _values(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) in the order of time."""
@@ -237,9 +270,9 @@ class Transcription:
         ValueError, TypeError
             for input that does not fit
         """
-        began = time.perf_counter()
+        began = time.perf_counter() - self.build_seconds
         point = self.critical_point(start, end, parameters, guess, mesh, solver, verbose)
-        path = self.trajectory(point, time.perf_counter() - began)
+        path = self.trajectory(point, time.perf_counter() - self.build_seconds - began)
         if verbose:
             print(path)
         return path
@@ -261,8 +294,8 @@ class Transcription:
         joints = calculus.mesh
         if len(joints) != len(self.mesh):
             raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {len(joints) - 1}")
-        data = self._data(start, end, parameters, joints)
-        first = self._unknowns(self._guess(guess, calculus, data))
+        data = self.data(joints, start, end, parameters)
+        first = self.unknowns(self._guess(guess, calculus, data))
         with self.system.algebra.lock:
             try:
                 solution = solver(self.system, first, data, verbose)
@@ -270,46 +303,39 @@ class Transcription:
                 raise self._error(failure, calculus, data) from None
         return CriticalPoint(solution, data, calculus.emb(self._values(solution.unknowns, data).T))
 
-    def drawn(self, guess: Guess, mesh: np.ndarray) -> PiecewisePolynomial:
+    def drawn(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:
         """Put a guess on a mesh, bent to meet the ends."""
         calculus = DiscreteCalculus(self.method, mesh)
-        return calculus.emb(self._guess(guess, calculus, self._data(None, None, None, mesh)).T)
+        return calculus.emb(self._guess(guess, calculus, self.data(mesh)).T)
 
-    def relax(
-        self, path: Guess | None, mesh: np.ndarray, inertia: float, steps: int
-    ) -> tuple[PiecewisePolynomial, float, float]:
-        """Take a few damped steps that lower the action: the new path, the next inertia, the last relative step."""
-        data = self._data(None, None, None, mesh)
-        calculus = DiscreteCalculus(self.method, mesh)
-        unknowns = self._unknowns(self._guess(path, calculus, data))
-        with self.system.algebra.lock:
-            try:
-                unknowns, inertia, norm = relax(self.system, unknowns, data, inertia, steps)
-            except SolveFailure as failure:
-                raise self._error(failure, calculus, data) from None
-        return calculus.emb(self._values(unknowns, data).T), inertia, norm
+    def corrections(self, path: PiecewisePolynomial) -> list[PiecewisePolynomial]:
+        """Two Newton steps from a path on the same mesh, of any degree up to this one's; zero if it is critical here.
 
-    def correction(self, path: PiecewisePolynomial, parameters: Sequence[float] | None = None) -> PiecewisePolynomial:
-        """Newton step from a path on the same mesh, of any degree up to this one's: zero if it is critical here too.
-
-        With a higher degree than the path's it estimates the path's error, in the joints as well as between them.
+        With a higher degree than the path's the first estimates the path's error, in the joints as well as between
+        them, and the second how far to trust the first.
         """
-        data = self._data(None, None, parameters, path.mesh)
-        calculus = DiscreteCalculus(self.method, path.mesh)
-        unknowns = self._unknowns(path(calculus.node_times).T)
+        data, calculus = self.data(path.mesh), DiscreteCalculus(self.method, path.mesh)
+        unknowns, steps = self.unknowns(path.at(self.method.element.nodes).T), []
         with self.system.algebra.lock:
-            (gradient,) = self.system.evaluate("derivatives", unknowns, *data)
-            step = self.system.solved("direction", gradient)[0]
-        step = np.concatenate((step, np.zeros(self.layout.size - self.layout.free)))
-        return calculus.emb(step[self.layout.numbering].T)
+            for _ in range(2):
+                (gradient,) = self.system.evaluate("derivatives", unknowns, *data)
+                steps.append(self.system.solved("direction", gradient)[0])
+                unknowns = unknowns + steps[-1]
+        return [calculus.emb(self.change(step)) for step in steps]
 
-    def _data(
+    def change(self, step: np.ndarray) -> np.ndarray:
+        """Node values (d, N m + 1) of a step of the unknowns."""
+        given = np.zeros(self.layout.size - self.layout.free)
+        return np.asarray(np.concatenate((step, given))[self.layout.numbering].T)
+
+    def data(
         self,
-        start: Sequence[float | None] | None,
-        end: Sequence[float | None] | None,
-        parameters: Sequence[float] | None,
         joints: np.ndarray,
+        start: Sequence[float | None] | None = None,
+        end: Sequence[float | None] | None = None,
+        parameters: Sequence[float] | None = None,
     ) -> Data:
+        """Values of all inputs of the graph but the unknowns; the problem's unless others are given."""
         data = []
         for name, given in (("start", start), ("end", end)):
             of_problem = getattr(self.problem, name)
@@ -325,7 +351,7 @@ class Transcription:
             raise ValueError(f"the problem has no parameters, got parameters={parameters!r}")
         return tuple(data)
 
-    def _unknowns(self, values: np.ndarray) -> np.ndarray:
+    def unknowns(self, values: np.ndarray) -> np.ndarray:
         """Free values out of node values (N m + 1, d)."""
         u = np.zeros(self.layout.size)
         u[self.layout.numbering[::-1]] = values[::-1]  # the first joint of a periodic path is written last
@@ -349,8 +375,8 @@ class Transcription:
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
         system, unknowns, data = self.system, point.solution.unknowns, point.data
-        action, momenta = self._summary(unknowns, *data)
-        if not np.isfinite(action[0]):
+        (action,), momenta = self._summary(unknowns, *data)
+        if not np.isfinite(action):
             raise ConvergenceError(
                 f"no path was found: the equations have a solution, but on it {self._not_finite(unknowns, data)}. "
                 "Try a guess that stays where the Lagrangian is defined",
@@ -375,7 +401,7 @@ class Transcription:
             x=point.path.values[:, :: self.method.degree].copy(),
             momentum=momenta.reshape(self.problem.dimension, -1, order="F"),
             path=point.path,
-            action=float(action[0]),
+            action=float(action),
             morse_index=index,
             iterations=point.solution.iterations,
             residual=point.solution.residual,

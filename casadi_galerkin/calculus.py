@@ -153,6 +153,17 @@ class PiecewisePolynomial:
     def __init__(self, mesh: np.ndarray, nodes: np.ndarray, values: np.ndarray) -> None:
         self.mesh, self.nodes, self.values = mesh, nodes, values
 
+    @property
+    def local(self) -> np.ndarray:
+        """Values at the nodes of every interval, (d, N, m + 1)."""
+        m = len(self.nodes) - 1
+        return np.asarray(self.values[:, m * np.arange(len(self.mesh) - 1)[:, None] + np.arange(m + 1)])
+
+    def at(self, nodes: np.ndarray) -> np.ndarray:
+        """Node values (d, N m' + 1) on the same mesh with other nodes: no times, so no roundoff of theirs."""
+        inner = self.local @ lagrange_values(self.nodes, nodes[:-1]).T
+        return np.concatenate((inner.reshape(len(self.values), -1), self.values[:, -1:]), axis=1)
+
     def __call__(self, t: ArrayLike, nu: int = 0) -> np.ndarray:
         """Value, or derivative of order `nu`, at times t within the mesh; shape (d,) + t.shape.
 

@@ -35,8 +35,6 @@ NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
 SMALLEST_DAMPING = 1e-7
 RESCUE = 100  # iterations IPOPT gets after Newton's method; rescues were measured to take 4 to 40
 NEARLY = 1e-9  # residual over the sizes of its terms from which two Newton steps reach roundoff
-LEAP = 0.3  # longest step of a relaxation, relative to the size of the path
-RELAXED = 1e-13  # promised relative gain of the action below which a relaxation has ended
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
 
 Data = tuple[np.ndarray, ...]
@@ -201,24 +199,21 @@ class System:
 
     Attributes
     ----------
-    action : -> S
-    gradient : -> ∇S by ξ
-    hessian : -> ∇²S by ξ, sparse and symmetric
-    derivatives : -> both; by `evaluate`, only ∇S is returned and ∇²S is left in `algebra.matrix`
-    terms : -> sizes of the terms that `gradient` sums
-    curvature : with a direction y as last input -> yᵀ∇²S y, and the same with every term positive
-    inertial : builds: with a factor on ∂²L/∂v² as last input -> ∇²S, left in `algebra.matrix`
+    build : name -> Function; called when the Function is first needed, since building costs more than evaluating.
+        The names are
+
+        - action : -> S
+        - gradient : -> ∇S by ξ
+        - hessian : -> ∇²S by ξ, sparse and symmetric
+        - derivatives : -> both; by `evaluate`, only ∇S is returned and ∇²S is left in `algebra.matrix`
+        - terms : -> sizes of the terms that `gradient` sums
+        - curvature : with a direction y as last input -> yᵀ∇²S y, and the same with every term positive
+        - inertial : with a factor on ∂²L/∂v² as last input -> ∇²S, left in `algebra.matrix`
     algebra : Algebra
     pivots : whether LDLᵀ without pivoting can work: False where ∂²L/∂v_i² is structurally zero for some i
     """
 
-    action: ca.Function
-    gradient: ca.Function
-    hessian: ca.Function
-    derivatives: ca.Function
-    terms: ca.Function
-    curvature: ca.Function
-    inertial: Callable[[], ca.Function]
+    build: Callable[[str], ca.Function]
     algebra: Algebra
     pivots: bool = True
     _evaluators: dict[str, Evaluator] = field(default_factory=dict, repr=False, compare=False)
@@ -227,8 +222,7 @@ class System:
     def evaluate(self, name: str, *arguments: np.ndarray) -> list[np.ndarray]:
         """Evaluate one of the Functions by name on NumPy arrays."""
         if name not in self._evaluators:
-            function = self.inertial() if name == "inertial" else getattr(self, name)
-            self._evaluators[name] = Evaluator(function, self.algebra.matrix)
+            self._evaluators[name] = Evaluator(self.build(name), self.algebra.matrix)
         return self._evaluators[name](*arguments)
 
     def solved(self, name: str, *arguments: np.ndarray) -> list[np.ndarray]:
@@ -318,43 +312,6 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
     raise SolveFailure(f"no convergence in {limit} iterations, last relative step {norm:.1e}", x, limit)
 
 
-def relax(
-    system: System, unknowns: np.ndarray, data: Data, inertia: float, steps: int
-) -> tuple[np.ndarray, float, float]:
-    """Lower the action by Newton steps with added inertia (Levenberg and Marquardt in the kinetic metric).
-
-    Unlike IPOPT it never moves a path far at once, so the path stays on its side of an obstacle as long as the
-    mesh resolves it.  Steps at most `LEAP` of the path's size that gain what their quadratic model promises.
-
-    Returns
-    -------
-    new unknowns, inertia for the next call (0 where plain Newton steps were good), the last relative step
-    """
-    x = unknowns
-    (action,) = system.evaluate("action", x, *data)[0]
-    for _ in range(steps):
-        (g,) = system.evaluate("gradient", x, *data)
-        while True:
-            system.evaluate("inertial", x, *data, np.array([1.0 + inertia]))
-            step = system.solved("direction", g)[0]
-            norm = float(system.algebra.evaluate("length", None, step, x, *data[:2])[0][0])
-            slope = float(g @ step)
-            if np.isfinite(norm) and norm <= LEAP and slope <= 0:
-                if -slope < RELAXED * abs(action):
-                    return x, inertia, norm
-                (trial,) = system.evaluate("action", x + step, *data)[0]
-                gain = (action - trial) / (-slope / 2)
-                if gain > 0.25:
-                    break
-            inertia = max(3 * inertia, 1e-3)
-            if inertia > 1e12:
-                raise SolveFailure("no step lowers the action", x, steps)
-        x, action = x + step, trial
-        if gain > 0.75:
-            inertia = inertia / 3 if inertia > 1e-3 else 0.0
-    return x, inertia, norm
-
-
 def _line_search(
     system: System,
     x: np.ndarray,
@@ -428,10 +385,11 @@ def _interior_point(
 
 def _nlpsol(system: System, minimize: bool, verbose: int, limit: int) -> ca.Function:
     """IPOPT with all derivatives supplied from the pointwise Functions."""
-    n, sizes = system.gradient.size1_in(0), [system.gradient.size1_in(i) for i in range(1, system.gradient.n_in())]
+    slope = system.build("gradient")
+    n, *sizes = [slope.size1_in(i) for i in range(slope.n_in())]
     x, p = ca.MX.sym("x", n), ca.MX.sym("p", sum(sizes))
     arguments = [x, *ca.vertsplit(p, np.cumsum([0, *sizes]).tolist())]
-    gradient, hessian = system.gradient(*arguments), system.hessian(*arguments)
+    gradient, hessian = slope(*arguments), system.build("hessian")(*arguments)
     factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0 if minimize else n)
     upper = factor * ca.triu(hessian) if minimize else ca.MX(n, n)  # the constraints' curvature is left out
     options = {
@@ -442,7 +400,7 @@ def _nlpsol(system: System, minimize: bool, verbose: int, limit: int) -> ca.Func
         "ipopt": {"print_level": 5 if verbose > 1 else 0, "sb": "yes", "tol": 1e-10, "max_iter": limit},
     }
     if minimize:
-        action = system.action(*arguments)
+        action = system.build("action")(*arguments)
         options["grad_f"] = ca.Function("grad_f", [x, p], [action, gradient])
         return ca.nlpsol("minimizer", "ipopt", {"x": x, "p": p, "f": action}, options)
     options["jac_g"] = ca.Function("jac_g", [x, p], [gradient, hessian])
@@ -473,7 +431,7 @@ def negative_eigenvalues(system: System, unknowns: np.ndarray, data: Data) -> in
         return None
     if len(unknowns) == 0:
         return 0
-    (matrix,) = system.hessian.call([unknowns, *data])
+    (matrix,) = system.build("hessian").call([unknowns, *data])
     system.algebra.factors.nfact(matrix)
     return int(system.algebra.factors.neig(matrix))
 
@@ -491,8 +449,9 @@ def embeddable(system: System, weights: np.ndarray, limit: int = 50) -> ca.Funct
     weights : factor on every row of ∇S = 0, one over the sizes of the terms it sums
     limit : most iterations
     """
-    symbols, names = system.gradient.mx_in(), [system.gradient.name_in(i) for i in range(system.gradient.n_in())]
-    matrix, gradient = (output for output in system.derivatives.call(symbols))
+    derivatives = system.build("derivatives")
+    symbols, names = derivatives.mx_in(), [derivatives.name_in(i) for i in range(derivatives.n_in())]
+    matrix, gradient = derivatives.call(symbols)
     rows = ca.DM(weights)
     residual = ca.Function("residual", symbols, [rows * gradient], names, ["residual"])
     scaled = [ca.mtimes(ca.diag(rows), matrix), rows * gradient]

@@ -249,8 +249,9 @@ class Pointwise:
     kinetic: bool
 
 
+@lru_cache(LAYOUTS_KEPT)
 def pointwise(integrand: ca.Function) -> Pointwise:
-    """Derive the pointwise Functions of an integrand f(t, x, v[, p]) -> scalar."""
+    """Derive the pointwise Functions of an integrand f(t, x, v[, p]) -> scalar; the last ones are kept."""
     t, h = ca.SX.sym("t"), ca.SX.sym("h")
     d = integrand.size1_in(1)
     x, slope, z = ca.SX.sym("x", d), ca.SX.sym("slope", d), ca.SX.sym("z", 2 * d)
@@ -318,7 +319,14 @@ class Functional:
     def __init__(self, integrand: ca.Function, layout: Layout, jit: bool = False) -> None:
         self.pointwise, self.layout, self.jit = pointwise(integrand), layout, jit
         pattern = self.pointwise.pattern
+        self._points: tuple[ca.MX, ca.MX, list[ca.MX]] | None = None
         self.assembly_key = (layout, tuple(pattern.colind()), tuple(pattern.row()), self.pointwise.blocks)
+
+    def _embedded(self, u: ca.MX, mesh: ca.MX) -> list[ca.MX]:
+        """Points for u and mesh, the same expressions when asked again for the same ones."""
+        if self._points is None or self._points[0] is not u or self._points[1] is not mesh:
+            self._points = u, mesh, list(embedding(self.layout).call([u, mesh]))
+        return self._points[2]
 
     def _map(
         self, f: ca.Function, at: list[ca.MX], parameters: ca.MX | None, *extra: ca.MX, batch: bool = False
@@ -334,24 +342,24 @@ class Functional:
 
     def action(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> ca.MX:
         """S: scalar."""
-        at = embedding(self.layout).call([u, mesh])
+        at = self._embedded(u, mesh)
         return summation(self.layout)(*self._map(self.pointwise.value, at, parameters))
 
     def gradient(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> tuple[ca.MX, ca.MX]:
         """∇S: of each interval's action by its own node values (d N, m + 1), and of S by u."""
-        at = embedding(self.layout).call([u, mesh])
+        at = self._embedded(u, mesh)
         local, total = integration(self.layout).call(self._map(self.pointwise.gradient, at, parameters, batch=True))
         return local, total
 
     def gradient_terms(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> ca.MX:
         """Sum of the sizes of the terms of ∇S; their roundoff is a few eps of this."""
-        at = embedding(self.layout).call([u, mesh])
+        at = self._embedded(u, mesh)
         sizes = [ca.fabs(values) for values in self._map(self.pointwise.gradient, at, parameters)]
         return integration(self.layout, absolute=True).call(sizes)[1]
 
     def derivatives(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> tuple[ca.MX, ca.MX]:
         """∇²S and ∇S with respect to the free values ξ, in one go through the points."""
-        at = embedding(self.layout).call([u, mesh])
+        at = self._embedded(u, mesh)
         by_x, by_slope, *values = self._map(self.pointwise.derivatives, at, parameters, batch=True)
         total = integration(self.layout).call([by_x, by_slope])[1]
         return assembly(*self.assembly_key)(*values), total[: self.layout.free]
@@ -362,7 +370,7 @@ class Functional:
         With `inertia`, the block ∂²L/∂v² is multiplied by it: large values make the matrix positive definite where
         the kinetic energy is.
         """
-        at = embedding(self.layout).call([u, mesh])
+        at = self._embedded(u, mesh)
         values = self._map(self.pointwise.derivatives, at, parameters, batch=True)[2:]
         if inertia is not None:
             blocks = self.pointwise.blocks
@@ -373,7 +381,7 @@ class Functional:
 
     def curvature(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None, direction: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Second variation yᵀ∇²S y along y = `direction`, and the same with every term taken positive."""
-        at = embedding(self.layout).call([u, mesh])
+        at = self._embedded(u, mesh)
         y, slope = embedding(self.layout).call([direction, mesh])[2:]
         signed, positive = self._map(self.pointwise.curvature, at, parameters, ca.vertcat(y, slope))
         return summation(self.layout)(signed), summation(self.layout)(positive)

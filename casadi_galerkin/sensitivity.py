@@ -83,8 +83,8 @@ def solution_function(
     with system.algebra.lock:
         system.evaluate("derivatives", unknowns, *point.data)
         weights = EPS * system.ratios(np.ones(layout.free), unknowns, point.data)
-    names = [name for name in ("start", "end", "parameters") if name in system.gradient.name_in()]
-    data = {name: system.gradient.mx_in(name) for name in names}
+    names = [name for name in ("start", "end", "parameters") if name in system.build("gradient").name_in()]
+    data = {name: system.build("gradient").mx_in(name) for name in names}
     joints = {"mesh": ca.DM(point.data[2])}
     nodes = ca.MX.sym("guess", problem.dimension, layout.numbering.shape[0])
     root = embeddable(system, weights)(guess=ca.vec(nodes)[_places(layout).tolist()], **joints, **data)["unknowns"]
@@ -107,11 +107,11 @@ def _places(layout: Layout) -> np.ndarray:
 def _check(transcription: Transcription) -> ca.Function:
     """(unknowns, *data) -> whether all residuals are within `ROUNDOFF` of their floor; without derivatives."""
     system = transcription.system
-    symbols = system.gradient.mx_in()
-    names = [system.gradient.name_in(i) for i in range(len(symbols))]
-    matrix, gradient = system.derivatives.call(symbols)
+    symbols = system.build("gradient").mx_in()
+    names = [system.build("gradient").name_in(i) for i in range(len(symbols))]
+    matrix, gradient = system.build("derivatives").call(symbols)
     ratios = ca.Function("ratios", *system.algebra.ratios())
-    worst = ca.norm_inf(ratios(matrix, gradient, system.terms(*symbols), *symbols[:3]))
+    worst = ca.norm_inf(ratios(matrix, gradient, system.build("terms")(*symbols), *symbols[:3]))
     passed = ca.logic_and(worst <= ROUNDOFF, ca.norm_1(gradient) < np.inf)  # a maximum may lose a NaN, a sum does not
     return ca.Function("check", symbols, [passed], names, ["verified"], {"is_diff_out": [False]})
 
@@ -159,7 +159,7 @@ def sensitivity(path: Trajectory) -> Sensitivity:
     transcription = transcribe(problem, path.method, mesh=path.t)
     layout, symbols = transcription.layout, dict(_named(transcription.gradient))
     data = ca.vertcat(*(symbols[name] for name in ("start", "end", "parameters") if name in symbols))
-    matrix, gradient = transcription.system.derivatives.call(list(symbols.values()))
+    matrix, gradient = transcription.derivatives.call(list(symbols.values()))
     change = -ca.solve(matrix, ca.densify(ca.jacobian(gradient, data)), "qr")
     unknowns = path.path.values.ravel(order="F")[_places(layout)]
     ends = [np.array([value for value in end if value is not None]) for end in (problem.start, problem.end)]

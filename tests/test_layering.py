@@ -34,6 +34,8 @@ RANKS = {
     "control_graph": 7,
     "control_guess": 7,
     "control": 8,
+    "relaxation": 6,
+    "continuation": 7,
     "refinement": 9,
     "sensitivity": 6,
     "solve": 10,

@@ -1,0 +1,97 @@
+"""What a piecewise polynomial leaves out is found where it is, and new meshes spread it evenly."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import casadi_galerkin as cg
+from casadi_galerkin.adaptivity import FINEST, NEIGHBOURS, TARGET, equidistributed, interval_maxima, sizes, truncation
+from casadi_galerkin.calculus import DiscreteCalculus
+
+SHARP = 30.0  # the estimate may be this factor off the true interpolation error; measured up to 23
+ROUNDOFF = 2e-15
+
+
+def interpolated(function, degree, mesh):
+    calculus = DiscreteCalculus(cg.Galerkin(degree), mesh)
+    return calculus.emb(np.atleast_2d(function(calculus.node_times)))
+
+
+def spike(width):
+    return lambda t: 1 / (1 + ((t - 0.3) / width) ** 2)
+
+
+@pytest.mark.parametrize("degree", [4, 5, 8, 11])
+@pytest.mark.parametrize("function", [np.exp, np.sin, lambda t: np.cos(3 * t), spike(0.5)])
+def test_truncation_is_near_the_interpolation_error(degree, function):
+    mesh = np.linspace(0, 1, 4)
+    path = interpolated(function, degree, mesh)
+    for k, estimate in enumerate(truncation(path)):
+        t = np.linspace(mesh[k], mesh[k + 1], 101)
+        error = np.max(np.abs(path(t)[0] - function(t))) / sizes(path)[0]
+        assert (error - ROUNDOFF) / SHARP < estimate < error * SHARP + ROUNDOFF
+
+
+def test_truncation_of_a_polynomial_is_roundoff():
+    path = interpolated(lambda t: 1 + t**3, 6, np.linspace(0, 2, 6))
+    assert np.max(truncation(path)) < 1e-15
+
+
+def test_truncation_does_not_see_the_unit_of_a_component():
+    mesh = np.linspace(0, 1, 5)
+    path = interpolated(lambda t: np.array([np.sin(9 * t), np.cos(7 * t)]), 5, mesh)
+    scaled = interpolated(lambda t: np.array([1e9 * np.sin(9 * t), 1e-9 * np.cos(7 * t)]), 5, mesh)
+    np.testing.assert_allclose(truncation(scaled), truncation(path), rtol=1e-9, atol=0)
+
+
+def test_size_of_a_vanishing_component_is_one():
+    path = interpolated(lambda t: np.array([0 * t, 3 - t]), 4, np.linspace(0, 1, 3))
+    np.testing.assert_array_equal(sizes(path), [1.0, 3.0])
+
+
+def test_maxima_see_what_lies_between_the_nodes():
+    path = interpolated(lambda t: np.sin(np.pi * t), 3, np.linspace(0, 3, 4))
+    np.testing.assert_allclose(interval_maxima(path), path(np.array([[0.5, 1.5, 2.5]]))[0].__abs__(), rtol=1e-3)
+
+
+def test_an_even_mesh_with_an_error_on_target_stays():
+    mesh = np.linspace(0, 1, 11)
+    np.testing.assert_allclose(equidistributed(mesh, np.full(10, TARGET * 1e-6), 5, 1e-6), mesh, rtol=0, atol=1e-15)
+
+
+def test_interpolation_on_the_new_mesh_meets_the_tolerance():
+    """A spike of width 1e-3 is found from eight intervals, and the mesh grades towards it."""
+    mesh, tol, degree = np.linspace(0, 1, 9), 1e-8, 8
+    for _ in range(30):
+        path = interpolated(spike(1e-3), degree, mesh)
+        error = truncation(path)
+        if error.max() <= tol:
+            break
+        mesh = equidistributed(mesh, error, degree + 1, tol)
+    t = np.concatenate([np.linspace(a, b, 30) for a, b in pairwise(mesh)])
+    assert np.max(np.abs(path(t)[0] - spike(1e-3)(t))) <= 5 * tol
+    shortest = np.argmin(np.diff(mesh))
+    assert abs(mesh[shortest] - 0.3) < 1e-2
+    assert len(mesh) < 100
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_new_meshes_increase_keep_their_ends_and_grade_gently(seed):
+    random = np.random.default_rng(seed)
+    mesh = np.cumsum(random.uniform(0.5, 2.0, 12))
+    error = 10.0 ** random.uniform(-14, 0, 11)
+    new = equidistributed(mesh, error, 6, 1e-6)
+    steps = np.diff(new)
+    assert new[0] == mesh[0]
+    assert new[-1] == mesh[-1]
+    assert np.all(steps > 0)
+    assert len(new) - 1 <= FINEST * 11 + 1
+    # densities of old neighbours differ by at most this, and a new interval may straddle two joints
+    assert np.max(np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])) <= NEIGHBOURS**2
+
+
+def test_too_fine_a_mesh_is_made_coarser():
+    mesh = np.linspace(0, 1, 101)
+    assert len(equidistributed(mesh, np.full(100, 1e-15), 6, 1e-3)) < 40
+    assert len(equidistributed(mesh, np.full(100, 0.1 * TARGET * 1e-3), 6, 1e-3)) == 101  # the graph is kept

@@ -1,0 +1,97 @@
+"""A branch is followed to its target, or round its folds and back."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scenes import bratu_theta
+
+import casadi_galerkin as cg
+
+FOLD = 3.513830719125162  # exact: λ = 8 / sinh²(θ/4) where θ/4 tanh(θ/4) = 1
+DISCRETE = 1e-10  # relative; what degree 8 on ten intervals leaves of Bratu's paths
+
+
+def bratu(start=1.0):
+    return cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0]), (0, 1), [0.0], [0.0], parameters=[start]
+    )
+
+
+def height(rate, upper):
+    return 2 * np.log(np.cosh(bratu_theta(rate, upper) / 4))
+
+
+@pytest.fixture(scope="module")
+def round_the_fold():
+    return cg.continuation(bratu(), [4.0], intervals=10)
+
+
+def test_bratus_fold_is_located(round_the_fold):
+    (fold,) = round_the_fold.folds
+    np.testing.assert_allclose(fold.parameters, [FOLD], rtol=DISCRETE, atol=0)
+    # at a fold the path is exact to the square root of the parameter's accuracy only
+    np.testing.assert_allclose(fold.path(0.5), height(FOLD * (1 - 1e-15), upper=False), rtol=1e-6, atol=0)
+
+
+def test_the_walk_comes_back_on_the_upper_branch(round_the_fold):
+    branch, (fold,) = round_the_fold, round_the_fold.folds
+    assert not branch.reached
+    np.testing.assert_array_equal(branch.parameters[[0, -1]], [[1.0], [1.0]])
+    for k, (rate, path) in enumerate(zip(branch.parameters[:, 0], branch.trajectories, strict=True)):
+        upper = k >= fold.after
+        assert path.morse_index == int(upper)
+        assert path.parameters == (rate,)
+        np.testing.assert_allclose(path.path(0.5), height(rate, upper), rtol=1e3 * DISCRETE, atol=0)
+
+
+def test_a_target_before_the_fold_is_reached():
+    branch = cg.continuation(bratu(), [3.5], cg.Galerkin(8), 10)
+    assert branch.reached
+    assert branch.folds == ()
+    assert branch.parameters[-1, 0] == 3.5
+    np.testing.assert_allclose(branch.trajectories[-1].path(0.5), height(3.5, upper=False), rtol=1e-9, atol=0)
+    assert np.all(np.diff(branch.parameters[:, 0]) > 0)
+
+
+def test_a_walk_may_begin_on_the_upper_branch_and_go_down_in_the_parameter():
+    branch = cg.continuation(bratu(2.0), [1.0], intervals=10, guess=lambda t: [12 * t * (1 - t)])
+    assert branch.reached
+    np.testing.assert_allclose(branch.trajectories[-1].path(0.5), height(1.0, upper=True), rtol=1e-7, atol=0)
+
+
+def test_two_parameters_walk_on_a_line():
+    def lagrangian(t, x, v, p):
+        return p[0] * v[0] ** 2 / 2 + p[1] * x[0] ** 2 / 2
+
+    problem = cg.BoundaryProblem(lagrangian, (0, 1), [0.0], [1.0], parameters=[1.0, 1.0])
+    branch = cg.continuation(problem, [2.0, 8.0], intervals=8)
+    np.testing.assert_allclose(branch.trajectories[-1].path(0.5), np.sinh(1) / np.sinh(2), rtol=1e-12, atol=0)
+    np.testing.assert_allclose(branch.parameters[:, 1], 1 + 7 * (branch.parameters[:, 0] - 1), rtol=1e-14, atol=0)
+
+
+def test_the_catenoid_breaks_at_its_critical_height():
+    """Scaled to [-1, 1], the area of the film of half-distance h is x √(h² + x'²)."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: x[0] * ca.sqrt(p[0] ** 2 + v[0] ** 2), (-1, 1), [1.0], [1.0], parameters=[0.3]
+    )
+    branch = cg.continuation(problem, [1.0], intervals=10)
+    np.testing.assert_allclose(branch.folds[0].parameters, [0.66274341934918], rtol=1e-10, atol=0)
+
+
+def test_a_branch_is_summarised(round_the_fold):
+    lines = str(round_the_fold).splitlines()
+    assert lines[0].startswith(f"Branch of {len(round_the_fold.trajectories)} paths from [1.] to [1.]")
+    assert lines[1].startswith("  fold at [3.513830")
+
+
+def test_bad_input_is_refused():
+    problem = bratu()
+    plain = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0])
+    with pytest.raises(ValueError, match="continuation walks parameters"):
+        cg.continuation(plain, [1.0], intervals=4)
+    with pytest.raises(ValueError, match="the target must differ"):
+        cg.continuation(problem, [1.0], intervals=4)
+    with pytest.raises(ValueError, match=r"target must have 1 component\(s\), got 2"):
+        cg.continuation(problem, [1.0, 2.0], intervals=4)
+    with pytest.raises(ValueError, match="give either intervals or mesh"):
+        cg.continuation(problem, [2.0])

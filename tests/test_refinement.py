@@ -1,0 +1,301 @@
+"""A tolerance is kept, on the reference problems and on hundreds of random ones; else an error says why."""
+
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from scenes import BY_NAME, TROESCH, boundary_layer, bratu, bratu_theta, oscillator, pendulum, troesch
+
+import casadi_galerkin as cg
+
+TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
+WORST = 5.0  # no success may have an error above this many tolerances
+MOSTLY = 0.95  # part of the runs whose error is at most the tolerance
+SHARP = (0.2, 100.0)  # estimated over true error
+ORACLE = 2e-13  # relative; below it, neither the reference paths nor the arithmetic tell errors apart
+PER_INTERVAL = 50  # samples, so that there are about a thousand along a path
+
+
+def samples(mesh):
+    return np.unique(np.concatenate([mesh[:-1] + s * np.diff(mesh) for s in np.linspace(0, 1, PER_INTERVAL)]))
+
+
+def relative_error(path, exact):
+    times = samples(path.t)
+    x = exact(times)
+    size = np.max(np.abs(x), axis=1, keepdims=True)
+    return np.max(np.abs(path.path(times) - x) / np.where(size > 0, size, 1.0))
+
+
+@lru_cache(None)
+def oracle(name):
+    """Exact path of a scene; for those without a closed form, one of degree 16 on twice the intervals."""
+    scene = BY_NAME[name]
+    if scene.path is not None:
+        t = ca.SX.sym("t")
+        function = ca.Function("path", [t], [ca.vertcat(*map(ca.SX, scene.path(t)))])
+        return lambda times: np.array(function.map(len(times))(times[None])).reshape(-1, len(times))
+    share = np.linspace(0, 1, 2 * len(scene.joints) - 1)
+    mesh = np.interp(share, share[::2], scene.joints)
+    return cg.solve(scene.problem, cg.Galerkin(16), mesh=mesh, guess=scene.guess).path
+
+
+CASES = list(BY_NAME)
+
+
+@lru_cache(None)
+def run(name, tol):
+    scene = BY_NAME[name]
+    path = cg.solve(scene.problem, tol=tol, guess=scene.guess)
+    return path, relative_error(path, oracle(name))
+
+
+@pytest.mark.parametrize("tol", TOLERANCES)
+@pytest.mark.parametrize("name", CASES)
+def test_no_reference_problem_misses_its_tolerance_by_much(name, tol):
+    path, error = run(name, tol)
+    assert path.error_estimate <= tol
+    assert error <= WORST * max(tol, ORACLE)
+
+
+@pytest.mark.parametrize("tol", TOLERANCES)
+@pytest.mark.parametrize("name", CASES)
+def test_the_estimate_is_sharp(name, tol):
+    path, error = run(name, tol)
+    if max(path.error_estimate, error) > ORACLE:
+        assert SHARP[0] <= path.error_estimate / error <= SHARP[1]
+
+
+def test_nearly_all_reference_problems_keep_their_tolerance():
+    kept = [run(name, tol)[1] <= max(tol, ORACLE) for name in CASES for tol in TOLERANCES]
+    assert np.mean(kept) >= MOSTLY
+
+
+def random_problem(seed):
+    """L = m(t) |v - x*'|²/2 + V(x - x*), V convex with its minimum at 0: x* solves it, and nothing else does."""
+    random = np.random.default_rng(seed)
+    d, t = int(random.integers(1, 3)), ca.SX.sym("t")
+    span = (float(random.uniform(-2, 0)), float(random.uniform(0.5, 4)))
+
+    def component():
+        kind = random.integers(0, 4)
+        frequency, phase, centre = random.uniform(0.5, 12), random.uniform(0, 6), random.uniform(*span)
+        width = 10 ** random.uniform(-2, 0)
+        shape = [
+            lambda: ca.sin(frequency * t + phase),
+            lambda: 1 / (1 + ((t - centre) / width) ** 2),
+            lambda: ca.tanh((t - centre) / width),
+            lambda: ca.exp(0.5 * ca.sin(frequency * t)) + t,
+        ][kind]
+        return random.uniform(0.5, 2) * shape() + random.uniform(-1, 1) * t
+
+    star = ca.vertcat(*(component() for _ in range(d)))
+    exact = ca.Function("exact", [t], [star, ca.jacobian(star, t)])
+    stiffness, quartic, ripple, coupling = (
+        10 ** random.uniform(-1, 3),
+        *random.uniform(0, 2, 2),
+        random.uniform(-0.9, 0.9),
+    )
+
+    def lagrangian(t, x, v):
+        star, rate = exact(t)
+        u, w = x - star, v - rate
+        kinetic = ca.dot(w, w) / 2 + (coupling * w[0] * w[1] if d == 2 else 0)
+        mass = 1 + 0.5 * ripple / 2 * ca.sin(3 * t)
+        return mass * kinetic + stiffness * ca.dot(u, u) / 2 + quartic * ca.dot(u, u) ** 2
+
+    ends = [np.array(exact(s)[0]).ravel().tolist() for s in span]
+    problem = cg.BoundaryProblem(lagrangian, span, *ends)
+    tol = float(10 ** random.uniform(-11, -2))
+    return problem, tol, lambda times: np.array(exact.map(len(times))(times[None])[0]).reshape(d, -1)
+
+
+@pytest.mark.parametrize("seed", range(300))
+def test_no_success_on_a_random_problem_misses_its_tolerance(seed):
+    problem, tol, exact = random_problem(seed)
+    path = cg.solve(problem, tol=tol)
+    assert relative_error(path, exact) <= WORST * tol
+
+
+@pytest.mark.parametrize("rate", TROESCH)
+def test_troeschs_problem_is_solved_from_the_straight_line(rate):
+    path = cg.solve(cg.BoundaryProblem(troesch(rate), (0, 1), [0.0], [1.0]), tol=1e-9)
+    first, last = TROESCH[rate]
+    np.testing.assert_allclose(path.momentum[0, -1], last, rtol=1e-8, atol=0)
+    if rate <= 10:
+        np.testing.assert_allclose(path.momentum[0, 0], first, rtol=1e-8, atol=0)
+
+
+@pytest.mark.parametrize("epsilon", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
+def test_layers_are_found(epsilon):
+    width, tol = np.sqrt(epsilon), 1e-9
+    path = cg.solve(cg.BoundaryProblem(boundary_layer(epsilon), (0, 1), [1.0], [0.0]), tol=tol)
+    error = relative_error(
+        path, lambda t: (np.exp(-t / width) * np.expm1(-2 * (1 - t) / width) / np.expm1(-2 / width))[None]
+    )
+    assert error <= tol
+
+
+@pytest.mark.parametrize(("rate", "upper"), [(1.0, False), (3.5, False), (3.51, False), (1.0, True), (3.51, True)])
+def test_both_of_bratus_branches_are_found(rate, upper):
+    theta = bratu_theta(rate, upper)
+    guess = (lambda t: [20 * t * (1 - t)]) if upper else None
+    path = cg.solve(cg.BoundaryProblem(bratu(rate), (0, 1), [0.0], [0.0]), tol=1e-9, guess=guess)
+    error = relative_error(path, lambda t: -2 * np.log(np.cosh((t - 0.5) * theta / 2) / np.cosh(theta / 4))[None])
+    assert error <= 1e-9
+    assert path.morse_index == int(upper)
+
+
+def comet(eccentricity):
+    """Problem, exact path and the ellipse at the wrong times, through the pericentre."""
+    half, minor = 2 - eccentricity * np.sin(2), np.sqrt(1 - eccentricity**2)
+    grid = np.linspace(-2.1, 2.1, 20_001)
+
+    def place(anomaly):
+        return np.array([np.cos(anomaly) - eccentricity, minor * np.sin(anomaly)])
+
+    def lagrangian(t, x, v):
+        return ca.dot(v, v) / 2 + 1 / ca.norm_2(x)
+
+    def exact(t):
+        anomaly = np.interp(t, grid - eccentricity * np.sin(grid), grid)
+        for _ in range(8):
+            anomaly -= (anomaly - eccentricity * np.sin(anomaly) - t) / (1 - eccentricity * np.cos(anomaly))
+        return place(anomaly)
+
+    problem = cg.BoundaryProblem(lagrangian, (-half, half), exact(np.array(-half)), exact(np.array(half)))
+    return problem, exact, lambda t: place(2 * t / half)
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("eccentricity", [0.9, 0.99, 0.999])
+def test_near_collisions_are_passed_on_the_right_side(eccentricity, tol):
+    problem, exact, guess = comet(eccentricity)
+    path = cg.solve(problem, tol=tol, guess=guess)
+    assert relative_error(path, exact) <= WORST * tol
+
+
+@pytest.mark.parametrize(
+    ("lagrangian", "end", "last"), [(pendulum, 10.0, 1.0), (oscillator, 50.0, 1.0)], ids=["pendulum", "oscillator"]
+)
+def test_long_horizons_work_from_the_straight_line(lagrangian, end, last):
+    problem = cg.BoundaryProblem(lagrangian, (0, end), [0.0], [last])
+    path = cg.solve(problem, tol=1e-9)
+    share = np.linspace(0, 1, 3 * len(path.t) - 2)
+    fine = cg.solve(problem, cg.Galerkin(16), mesh=np.interp(share, share[::3], path.t), guess=path)
+    assert relative_error(path, fine.path) <= 1e-9
+    assert path.morse_index == fine.morse_index
+
+
+def test_a_double_pendulum_works_from_the_straight_line():
+    def lagrangian(t, x, v):
+        kinetic = v[0] ** 2 + v[1] ** 2 / 2 + v[0] * v[1] * ca.cos(x[0] - x[1])
+        return kinetic + 9.81 * (2 * ca.cos(x[0]) + ca.cos(x[1]))
+
+    problem = cg.BoundaryProblem(lagrangian, (0, 2), [1.0, 1.2], [0.3, 0.5])
+    path = cg.solve(problem, tol=1e-9)
+    np.testing.assert_allclose(path.energy, path.energy[0], rtol=1e-9, atol=0)
+
+
+def test_a_chain_of_twenty_masses_works_from_the_straight_line():
+    def lagrangian(t, x, v):
+        stretch = x[1:] - x[:-1]
+        springs = ca.dot(stretch, stretch) / 2 + ca.dot(stretch**2, stretch**2) / 4
+        return ca.dot(v, v) / 2 - springs - x[0] ** 2 / 2 - x[19] ** 2 / 2
+
+    problem = cg.BoundaryProblem(lagrangian, (0, 1), [0.0] * 20, np.sin(np.arange(20.0)))
+    path = cg.solve(problem, tol=1e-9)
+    np.testing.assert_allclose(path.energy, path.energy[0], rtol=1e-9, atol=0)
+
+
+def test_free_periodic_and_parametric_problems_are_refined():
+    natural = cg.BoundaryProblem(lambda t, x, v: (v[0] ** 2 + x[0] ** 2) / 2, (0, 1), [1.0], [None])
+    assert relative_error(cg.solve(natural, tol=1e-10), lambda t: np.cosh(1 - t)[None] / np.cosh(1)) <= 1e-10
+    forced = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 + x[0] ** 2 / 2 - p[0] * x[0] * ca.sin(t),
+        (0, 2 * np.pi),
+        [None],
+        parameters=[2.0],
+        periodic=True,
+    )
+    assert relative_error(cg.solve(forced, tol=1e-10), lambda t: np.sin(t)[None]) <= 1e-10
+
+
+def test_a_chosen_degree_is_kept():
+    path = cg.solve(BY_NAME["Troesch 5"].problem, cg.Galerkin(5), tol=1e-7)
+    assert path.method.degree == 5
+
+
+def test_meshes_grade_towards_a_layer():
+    steps = np.diff(cg.solve(cg.BoundaryProblem(boundary_layer(1e-8), (0, 1), [1.0], [0.0]), tol=1e-6).t)
+    assert steps[0] < 1e-3
+    assert steps[-1] > 0.05
+
+
+def test_the_roundoff_floor_is_named_and_the_best_path_attached():
+    problem, exact, guess = comet(0.99)
+    with pytest.raises(cg.ConvergenceError, match=r"1e-15 asked, .* is the roundoff floor here") as caught:
+        cg.solve(problem, tol=1e-15, guess=guess)
+    times = samples(caught.value.path.mesh)
+    assert np.max(np.abs(caught.value.path(times) - exact(times))) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [
+        (cg.Limits(levels=2), "2 levels were not enough"),
+        (cg.Limits(intervals=9), "the mesh would need .* intervals"),
+        (cg.Limits(seconds=1e-9), "1e-09 seconds have passed"),
+    ],
+)
+def test_limits_stop_a_refinement_with_the_best_path(limits, message):
+    with pytest.raises(cg.ConvergenceError, match=message) as caught:
+        cg.solve(cg.BoundaryProblem(boundary_layer(1e-8), (0, 1), [1.0], [0.0]), tol=1e-9, limits=limits)
+    assert caught.value.path is not None
+
+
+def test_no_path_beyond_bratus_fold():
+    with pytest.raises(cg.ConvergenceError):
+        cg.solve(cg.BoundaryProblem(bratu(3.6), (0, 1), [0.0], [0.0]), tol=1e-6, limits=cg.Limits(seconds=2))
+
+
+def test_conjugate_ends_are_named():
+    problem = cg.BoundaryProblem(oscillator, (0, np.pi), [0.0], [0.0])
+    with pytest.raises(cg.ConjugatePointError):
+        cg.solve(problem, tol=1e-9)
+
+
+def test_verbose_prints_a_line_a_level(capsys):
+    path = cg.solve(BY_NAME["Troesch 10"].problem, tol=1e-9, verbose=1)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == ["Level", "Degree", "Intervals", "Iterations", "Max", "error", "Estimated", "from"]
+    levels = [line.split() for line in lines[1:] if line.split()[0].isdigit()]
+    assert [int(words[0]) for words in levels] == list(range(len(levels)))
+    assert len(levels) > 1
+    assert int(levels[-1][2]) == len(path.t) - 1
+    assert float(levels[-1][4]) == pytest.approx(path.error_estimate, rel=1e-2)
+    assert "degree" in lines[len(levels)]
+
+
+@pytest.mark.parametrize("tol", [0, 0.0, -1e-6, 1.0, 2.0, np.nan, np.inf, "1e-6", True, [1e-6]])
+def test_bad_tolerances_are_refused(tol):
+    with pytest.raises(ValueError, match="tol must be a number between 0 and 1, got"):
+        cg.solve(BY_NAME["oscillator 1.0"].problem, tol=tol)
+
+
+@pytest.mark.parametrize("name", ["intervals", "seconds", "levels"])
+@pytest.mark.parametrize("value", [0, -1, np.nan, "10", None, True])
+def test_bad_limits_are_refused(name, value):
+    with pytest.raises(ValueError, match=f"the limit of {name} must be a positive number, got"):
+        cg.Limits(**{name: value})
+
+
+def test_limits_without_a_tolerance_are_refused():
+    with pytest.raises(ValueError, match="limits stop a refinement: give tol with them"):
+        cg.solve(BY_NAME["oscillator 1.0"].problem, cg.Galerkin(4), 8, limits=cg.Limits())
+
+
+def test_neither_method_nor_tolerance_is_refused():
+    with pytest.raises(TypeError, match="got None; or give tol instead"):
+        cg.solve(BY_NAME["oscillator 1.0"].problem)
