@@ -33,12 +33,14 @@ RANKS = {
     "shooting": 7,
     "control_graph": 7,
     "control_guess": 7,
+    "control_adaptivity": 7,
     "control": 8,
     "refinement": 9,
-    "solve": 10,
-    "comparison": 11,
-    "trade": 11,
-    "sweep": 11,
+    "control_refinement": 10,
+    "solve": 11,
+    "comparison": 12,
+    "trade": 12,
+    "sweep": 12,
 }
 PACKAGE = Path(casadi_galerkin.__file__).parent
 MODULES = sorted(path.stem for path in PACKAGE.glob("*.py") if path.stem != "__init__")
