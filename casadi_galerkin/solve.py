@@ -8,6 +8,8 @@ from casadi_galerkin.boundary import Engine, Guess, mesh_of, transcribe
 from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.control import transcribe_control
 from casadi_galerkin.control_problem import ControlProblem
+from casadi_galerkin.control_refinement import solve_control_to_tolerance
+from casadi_galerkin.control_trajectory import ControlTrajectory
 from casadi_galerkin.engines import ipopt, rootfinder
 from casadi_galerkin.initial import integrate
 from casadi_galerkin.problems import BoundaryProblem, InitialProblem
@@ -35,7 +37,8 @@ def solve(
     are where refinement begins.
 
     An `InitialProblem` is solved step by step, with `method` and `intervals` or `mesh`; a `ControlProblem`, whose
-    answer is a ControlTrajectory, by IPOPT, with these and a `guess`.
+    answer is a ControlTrajectory, by IPOPT, with these or `tol`, and a `guess`.  Its `tol` bounds the relative errors
+    of cost and duration as well.
 
     Parameters
     ----------
@@ -43,8 +46,8 @@ def solve(
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
-    tol : relative tolerance between 0 and 1; for boundary problems
-    guess, solver : as for `Transcription.solve`; for boundary problems
+    tol : relative tolerance between 0 and 1; for boundary and control problems
+    guess, solver : as for `Transcription.solve`; for boundary problems, the guess for control problems too
     limits : Limits that stop a refinement; only with `tol`
     verbose : 1 prints a summary and, with `tol`, a line a level; 2 also the solver's lines
 
@@ -57,9 +60,9 @@ def solve(
     0.569747
     """
     if isinstance(problem, ControlProblem):
-        if solver not in (rootfinder, ipopt) or tol is not None or method is None:
-            raise ValueError("a ControlProblem is solved by ipopt, with a method and intervals, not to a tolerance")
-        return transcribe_control(problem, method, intervals, mesh=mesh).solve(guess=guess, verbose=verbose)
+        if solver not in (rootfinder, ipopt):
+            raise ValueError(f"a ControlProblem is solved by ipopt, got the solver {solver!r}")
+        return _solve_control(problem, method, intervals, tol, mesh, guess, limits, verbose)
     if isinstance(problem, InitialProblem):
         if guess is not None or tol is not None or limits is not None or solver is not rootfinder:
             raise ValueError("an initial problem takes no tol, limits, guess or solver: it is solved step by step")
@@ -76,3 +79,26 @@ def solve(
     if method is None:
         raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
     return transcribe(problem, method, intervals, mesh=mesh).solve(guess=guess, solver=solver, verbose=verbose)
+
+
+def _solve_control(
+    problem: ControlProblem,
+    method: Galerkin | None,
+    intervals: int | None,
+    tol: float | None,
+    mesh: ArrayLike | None,
+    guess: Guess | None,
+    limits: Limits | None,
+    verbose: int,
+) -> ControlTrajectory:
+    """Solve a control problem with a fixed discretisation or to a tolerance."""
+    if tol is not None:
+        path = solve_control_to_tolerance(problem, tol, method, intervals, mesh, guess, limits or Limits(), verbose)
+        if verbose:
+            print(path)
+        return path
+    if limits is not None:
+        raise ValueError("limits stop a refinement: give tol with them")
+    if method is None:
+        raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
+    return transcribe_control(problem, method, intervals, mesh=mesh).solve(guess=guess, verbose=verbose)

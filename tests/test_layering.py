@@ -33,16 +33,18 @@ RANKS = {
     "shooting": 7,
     "control_graph": 7,
     "control_guess": 7,
+    "control_adaptivity": 7,
     "control": 8,
     "relaxation": 6,
     "continuation": 7,
     "refinement": 9,
     "sensitivity": 6,
-    "solve": 10,
-    "comparison": 11,
-    "accuracy": 11,
-    "trade": 12,
-    "sweep": 11,
+    "control_refinement": 10,
+    "solve": 11,
+    "comparison": 12,
+    "accuracy": 12,
+    "sweep": 12,
+    "trade": 13,
 }
 PACKAGE = Path(casadi_galerkin.__file__).parent
 MODULES = sorted(path.stem for path in PACKAGE.glob("*.py") if path.stem != "__init__")

@@ -1,0 +1,194 @@
+"""Control problems solved to a tolerance: the true error is below it, whatever the mesh to begin with."""
+
+import importlib
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from control_problems import cart_pole, double_integrator, minimum_time, pendulum
+from scipy.optimize import minimize_scalar
+
+import casadi_galerkin as cg
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+FRACTIONS = np.linspace(0, 1, 1001)
+FINE = cg.Galerkin(12)  # on 20 intervals its errors are below 1e-11, see the published costs in test_control
+
+
+def late_start(velocity=-0.3):
+    """Minimum time with a velocity at the start: the jump falls on no joint of an equal mesh."""
+    return double_integrator(
+        start_velocity=[velocity],
+        running_cost=lambda t, x, v, u: 1,
+        control_bounds=(-1.0, 1.0),
+        duration_bounds=(0.1, 10.0),
+    )
+
+
+def fastest(velocity):
+    """Full thrust until s, then full brake until v + 2 s: the way is 1."""
+    s = -velocity + np.sqrt(1 + velocity**2 / 2)
+    duration = velocity + 2 * s
+    t = FRACTIONS * duration
+    way = np.where(t < s, velocity * t + t**2 / 2, 1 - (duration - t) ** 2 / 2)
+    return duration, way[None, :]
+
+
+def exact_effort():
+    return 6.0, (3 * FRACTIONS**2 - 2 * FRACTIONS**3)[None, :]
+
+
+def exact_obstacle():
+    """Straight on in x; in y a cubic from rest at 0 to rest at -0.2 at half time, and its mirror image."""
+    s = 2 * np.minimum(FRACTIONS, 1 - FRACTIONS)
+    return 6 + 12 * 0.2**2 * 8, along_obstacle(s)
+
+
+def along_obstacle(s):
+    """With u_y free at the touch: y'' is linear on each half, y = -d (3 s² - 2 s³)."""
+    return np.stack((3 * FRACTIONS**2 - 2 * FRACTIONS**3, -0.2 * (3 * s**2 - 2 * s**3)))
+
+
+@lru_cache
+def resolved(make, *arguments):
+    path = cg.solve(make(*arguments), FINE, intervals=20)
+    return path.cost, path.path(path.t[0] + FRACTIONS * np.ptp(path.t))
+
+
+def true_error(path, cost, way):
+    """Relative error of the cost and of the positions at the same fractions of the duration."""
+    found = path.path(path.t[0] + FRACTIONS * np.ptp(path.t))
+    sizes = np.max(np.abs(way), axis=1, keepdims=True)
+    return max(abs(path.cost / cost - 1), np.max(np.abs(found - way) / sizes))
+
+
+SCENES = {
+    "effort": (double_integrator, exact_effort),
+    "minimum time": (minimum_time, lambda: fastest(0.0)),
+    "minimum time, moving": (late_start, lambda: fastest(-0.3)),
+    "pendulum in 3": (lambda: pendulum(3.0), lambda: resolved(pendulum, 3.0)),
+    "pendulum in 5": (lambda: pendulum(5.0), lambda: resolved(pendulum, 5.0)),
+    "cart-pole": (cart_pole, lambda: resolved(cart_pole)),
+}
+SMOOTH = ("effort", "pendulum in 3", "pendulum in 5", "cart-pole")
+CASES = [(name, tol) for name in SCENES for tol in (1e-3, 1e-6)] + [(name, 1e-8) for name in SMOOTH]
+
+
+@pytest.mark.parametrize(("name", "tol"), CASES)
+def test_true_error_is_below_the_tolerance(name, tol):
+    make, known = SCENES[name]
+    path = cg.solve(make(), tol=tol, intervals=7)
+    assert path.error_estimate <= tol
+    assert true_error(path, *known()) <= tol
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6])
+def test_obstacle_is_passed_below_at_the_exact_cost(monkeypatch, tol):
+    monkeypatch.syspath_prepend(EXAMPLES)
+    module = importlib.import_module("obstacle")
+    path = cg.solve(module.problem(), tol=tol, guess=lambda t: [t, -0.8 * t * (1 - t)])
+    assert path.error_estimate <= tol
+    assert exact_obstacle()[0] == pytest.approx(module.EXACT, rel=1e-14)
+    assert true_error(path, *exact_obstacle()) <= tol
+
+
+@pytest.mark.parametrize("tol", [1e-2, 1e-4])
+@pytest.mark.parametrize("degree", [4, 5])
+def test_estimate_is_sharp_on_a_smooth_path(degree, tol):
+    path = cg.solve(cart_pole(), cg.Galerkin(degree), tol=tol)
+    assert path.method.degree == degree
+    ratio = path.error_estimate / true_error(path, *resolved(cart_pole))
+    assert 0.8 < ratio < 1.5
+
+
+@pytest.mark.parametrize("intervals", [5, 7])
+def test_a_joint_is_moved_to_the_switch(intervals):
+    path = cg.solve(minimum_time(), tol=1e-6, intervals=intervals)
+    assert np.min(np.abs(path.t - 1)) <= 1e-6
+    assert np.min(np.abs(cg.solve(minimum_time(), cg.Galerkin(4), intervals).t - 1)) > 0.1
+    assert path.cost == pytest.approx(2, abs=1e-8)
+    assert path.control_overshoot.max() <= 1e-3
+
+
+def fast_pendulum():
+    """Minimum time to swing up with half the weight: two switches, neither known in advance."""
+    return pendulum(6.0, running_cost=lambda t, x, v, u: 1, control_bounds=(-0.5, 0.5), duration_bounds=(0.1, 20.0))
+
+
+def test_two_switches_are_found_from_different_meshes():
+    tol = 1e-5
+    first, second = (cg.solve(fast_pendulum(), tol=tol, intervals=n) for n in (7, 8))
+    assert first.cost == pytest.approx(second.cost, rel=tol / 100)  # of second order in the switching times
+    for path in (first, second):
+        jumps = np.flatnonzero(np.abs(np.diff(path.control.values[0])) > 0.5)
+        assert len(jumps) == 2
+        np.testing.assert_allclose(path.control.times[jumps], [2.37217, 6.33145], rtol=0, atol=2 * tol * path.cost)
+
+
+def wall():
+    """A mass that comes with velocity -2 and must not pass -0.1: it touches there once."""
+    return double_integrator(start_velocity=[-2.0], position_bounds=(-0.1, np.inf))
+
+
+def touching(t):
+    """Least cost with the touch at t: two cubics, by 6 d²/T³ - 6 d v/T² + 2 v²/T each."""
+    return 6 * 0.1**2 / t**3 - 6 * 0.1 * 2 / t**2 + 2 * 2**2 / t + 6 * 1.1**2 / (1 - t) ** 3
+
+
+def wall_cost():
+    return minimize_scalar(touching, bounds=(0.01, 0.4), method="bounded", options={"xatol": 1e-10}).fun
+
+
+@pytest.mark.parametrize("intervals", [7, 8])
+@pytest.mark.parametrize("tol", [1e-3, 1e-6])
+def test_a_bound_of_the_position_is_touched_at_the_exact_cost(intervals, tol):
+    path = cg.solve(wall(), tol=tol, intervals=intervals)
+    assert path.error_estimate <= tol
+    assert path.cost == pytest.approx(wall_cost(), rel=tol / 10)  # of second order in the time of the touch
+
+
+def test_a_loose_tolerance_takes_less_work():
+    loose, tight = (cg.solve(cart_pole(), tol=tol) for tol in (1e-3, 1e-8))
+    assert len(loose.path.values[0]) < len(tight.path.values[0])
+    assert loose.error_estimate > tight.error_estimate
+
+
+def test_lines_of_the_levels(capsys):
+    cg.solve(cart_pole(), tol=1e-4, verbose=1)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split()[:3] == ["Level", "Degree", "Intervals"]
+    assert lines[1].split()[:3] == ["0", "5", "8"]
+    assert any(line.startswith("ControlTrajectory") for line in lines)
+
+
+LIMITS = {
+    "intervals": (cg.Limits(intervals=9), "would need .* intervals"),
+    "seconds": (cg.Limits(seconds=1e-9), "seconds have passed"),
+    "levels": (cg.Limits(levels=1), "1 levels were not enough"),
+}
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_best_path_is_attached_when_a_limit_is_reached(name):
+    limits, message = LIMITS[name]
+    with pytest.raises(cg.ControlLimitReached, match=message) as caught:
+        cg.solve(cart_pole(), tol=1e-8, limits=limits)
+    best = caught.value.trajectory
+    assert best.cost == pytest.approx(58.8, abs=0.1)
+    assert best.error_estimate > 1e-8
+    assert cg.solve(cart_pole(), tol=1e-3, guess=best).error_estimate <= 1e-3
+
+
+def test_infeasible_problem_is_refused_in_ipopts_words():
+    with pytest.raises(cg.ConvergenceError, match="Infeasible"):
+        cg.solve(double_integrator(control_bounds=(-1, 1)), tol=1e-4)
+
+
+def test_bad_arguments_are_named():
+    with pytest.raises(ValueError, match="tol must be a number between 0 and 1, got 2"):
+        cg.solve(double_integrator(), tol=2)
+    with pytest.raises(ValueError, match="limits stop a refinement"):
+        cg.solve(double_integrator(), cg.Galerkin(3), intervals=4, limits=cg.Limits())
+    with pytest.raises(TypeError, match="or give tol instead"):
+        cg.solve(double_integrator(), intervals=4)
