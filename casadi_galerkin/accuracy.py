@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.adaptivity import sizes
-from casadi_galerkin.boundary import Guess
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin
 from casadi_galerkin.control_problem import ControlProblem
+from casadi_galerkin.guesses import Guess
 from casadi_galerkin.problems import BoundaryProblem, InitialProblem
 from casadi_galerkin.quadrature import gauss
 from casadi_galerkin.solve import solve

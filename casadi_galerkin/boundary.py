@@ -5,81 +5,26 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial, time_scale
-from casadi_galerkin.engines import (
-    SINGULAR,
-    Algebra,
-    Data,
-    Evaluator,
-    Solution,
-    SolveFailure,
-    System,
-    negative_eigenvalues,
-    rootfinder,
-    second_variation,
-)
-from casadi_galerkin.functional import LAYOUTS_KEPT, Functional, Layout, assembly, embedding
+from casadi_galerkin.action_graph import ActionGraph
+from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial
+from casadi_galerkin.engines import Solution, SolveFailure, rootfinder
+from casadi_galerkin.guesses import Guess, given_values, mesh_of
+from casadi_galerkin.operators import embedding
 from casadi_galerkin.plotting import plot_pattern
 from casadi_galerkin.problems import BoundaryProblem, components, numbers
-from casadi_galerkin.quadrature import real_array
+from casadi_galerkin.system import SINGULAR, Data, Evaluator, System, negative_eigenvalues, second_variation
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Engine = Callable[[System, np.ndarray, Data, int], Solution]
-Guess = Callable[[float], ArrayLike] | ArrayLike | Trajectory | PiecewisePolynomial
-
-
-def mesh_of(t_span: tuple[float, float], intervals: int | None, mesh: ArrayLike | None) -> np.ndarray:
-    """Joints from a number of equal intervals, or from the joints themselves; exactly one must be given."""
-    if (intervals is None) == (mesh is None):
-        raise ValueError(f"give either intervals or mesh, got intervals={intervals!r} and mesh={mesh!r}")
-    if mesh is None:
-        if isinstance(intervals, bool) or not isinstance(intervals, (int, np.integer)):
-            raise TypeError(f"intervals must be a whole number, got {intervals!r}")
-        if intervals < 1:
-            raise ValueError(f"intervals must be at least 1, got {intervals}")
-        return time_scale(np.linspace(*t_span, int(intervals) + 1))
-    joints = time_scale(mesh)
-    if (joints[0], joints[-1]) != t_span:
-        raise ValueError(f"the mesh must run from {t_span[0]} to {t_span[1]}, got {joints[0]} to {joints[-1]}")
-    return joints
-
-
-def given_values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:
-    """Values (d, N m + 1) of a guess as it was given."""
-    times, d = calculus.node_times, dimension
-    if isinstance(guess, (Trajectory, PiecewisePolynomial)):
-        path = guess.path if isinstance(guess, Trajectory) else guess
-        old = path.mesh
-        if len(path.values) != d:
-            raise ValueError(f"the guess must be a path of {d} component(s), got {len(path.values)}")
-        same = old[0] == times[0] and old[-1] == times[-1]
-        part = (times - times[0]) / (times[-1] - times[0])
-        return path(times if same else np.clip(old[0] + part * (old[-1] - old[0]), old[0], old[-1]))
-    if callable(guess):
-        columns = [real_array("values of the guess", guess(float(t))) for t in times]
-        shapes = {column.shape for column in columns}
-        if shapes != {(d,)}:
-            raise ValueError(f"the guess must return an array of shape ({d},), got {shapes.pop()}")
-        return np.stack(columns, axis=1)
-    array = real_array("the guess", guess)
-    if array.shape == (d, len(times)):
-        return array
-    if array.shape == (d, len(calculus.mesh)):
-        return np.stack([np.interp(times, calculus.mesh, row) for row in array])
-    raise ValueError(
-        f"the guess must have the shape ({d}, {len(calculus.mesh)}) for values at the joints or "
-        f"({d}, {len(times)}) at all nodes, got {array.shape}"
-    )
 
 
 @dataclass(frozen=True)
@@ -91,25 +36,7 @@ class CriticalPoint:
     path: PiecewisePolynomial
 
 
-@lru_cache(LAYOUTS_KEPT)
-def algebra(
-    layout: Layout, colind: tuple[int, ...], row: tuple[int, ...], blocks: tuple[tuple[int, int], ...]
-) -> Algebra:
-    """Newton's method for all Lagrangians whose Hessian has this sparsity; arguments as for `assembly`."""
-    d, numbering = layout.dimension, layout.numbering
-    component = np.zeros(layout.size, dtype=np.int64)
-    component[numbering] = np.arange(d)
-    by_component = numbering[: layout.size // d].T
-    sizes = {"unknowns": layout.free, "start": len(layout.fixed_start), "end": len(layout.fixed_end)}
-    ends = [ca.MX.sym(name, size) for name, size in sizes.items()]
-    values = ca.MX.sym("values", by_component.shape[1])
-    peak = ca.Function("peak", [values], [ca.norm_inf(values)]).map(d)
-    paths = ca.reshape(ca.vertcat(*ends).get_nz(False, by_component.ravel().tolist()), -1, d)
-    scale = ca.Function("scale", ends, [peak(paths).T], list(sizes), ["scale"])
-    return Algebra(assembly(layout, colind, row, blocks).sparsity_out(0), component[: layout.free], scale)
-
-
-class Transcription:
+class Transcription(ActionGraph):
     """A boundary problem on N intervals as one CasADi graph, built once and solved often.
 
     Ends, parameters and joints are inputs of the graph: nothing is rebuilt when they change.
@@ -129,107 +56,9 @@ class Transcription:
     build_seconds : float
     """
 
-    def __init__(self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, jit: bool = False) -> None:
-        began = time.perf_counter()
-        self.problem, self.method, self.mesh = problem, method, mesh
-        fixed_start, fixed_end = (
-            tuple(i for i, value in enumerate(end) if value is not None) for end in (problem.start, problem.end)
-        )
-        self.layout = Layout(method, len(mesh) - 1, problem.dimension, fixed_start, fixed_end, problem.periodic)
-        self._functional = Functional(problem.lagrangian, self.layout, jit)
-        sizes = {"unknowns": self.layout.free, "start": len(fixed_start), "end": len(fixed_end), "mesh": len(mesh)}
-        if problem.parameters is not None:
-            sizes["parameters"] = len(problem.parameters)
-        self._symbols = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
-        self._u = ca.vertcat(*(self._symbols[name] for name in ("unknowns", "start", "end")))
-        self._at = (self._u, self._symbols["mesh"], self._symbols.get("parameters"))
-        self._local, total = self._functional.gradient(*self._at)
-        self._total = total[: self.layout.free]
-        kinetic = self._functional.pointwise.kinetic
-        self.system = System(self._build, algebra(*self._functional.assembly_key), kinetic)
-        self.build_seconds = time.perf_counter() - began
-
-    def _build(self, name: str) -> ca.Function:
-        """One of the Functions below; what is built only now counts as building too."""
-        began = time.perf_counter()
-        function: ca.Function = getattr(self, name)
-        self.build_seconds += time.perf_counter() - began
-        return function
-
-    def _function(
-        self, name: str, *outputs: ca.MX, extra: tuple[ca.MX, ...] = (), results: Sequence[str] | None = None
-    ) -> ca.Function:
-        names = list(self._symbols) + [f"extra{i}" for i in range(len(extra))]
-        results = results or ([name] if len(outputs) == 1 else [f"{name}{i}" for i in range(len(outputs))])
-        return ca.Function(name, [*self._symbols.values(), *extra], list(outputs), names, results)
-
-    @cached_property
-    def action(self) -> ca.Function:
-        """S of (unknowns, start, end, mesh[, parameters])."""
-        return self._function("action", self._action)
-
-    @cached_property
-    def gradient(self) -> ca.Function:
-        """∇S by the unknowns."""
-        return self._function("gradient", self._total)
-
-    @cached_property
-    def hessian(self) -> ca.Function:
-        """∇²S by the unknowns, sparse."""
-        return self._function("hessian", self._functional.hessian(*self._at))
-
-    @cached_property
-    def derivatives(self) -> ca.Function:
-        """∇²S and ∇S together."""
-        return self._function("derivatives", *self._functional.derivatives(*self._at), results=["matrix", "gradient"])
-
-    @cached_property
-    def terms(self) -> ca.Function:
-        """Sizes of the terms that ∇S sums."""
-        return self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free])
-
-    @cached_property
-    def curvature(self) -> ca.Function:
-        """Second variation along one more input, a direction, and the sum of the sizes of its terms."""
-        direction = ca.MX.sym("direction", self.layout.free)
-        given = ca.MX.zeros(self.layout.size - self.layout.free, 1)
-        terms = self._functional.curvature(*self._at, ca.vertcat(direction, given))
-        return self._function("curvature", *terms, extra=(direction,))
-
-    @cached_property
-    def inertial(self) -> ca.Function:
-        """∇²S with one more input, a factor on ∂²L/∂v²."""
-        inertia = ca.MX.sym("inertia")
-        matrix = self._functional.hessian(*self._at, inertia)
-        return self._function("inertial", matrix, extra=(inertia,), results=["matrix"])
-
-    @cached_property
-    def sensitivity(self) -> ca.Function:
-        """Derivative of ∇S along one more input, a direction of the parameters."""
-        parameters = self._symbols["parameters"]
-        direction = ca.MX.sym("direction", parameters.shape[0])
-        return self._function("sensitivity", ca.jtimes(self._total, parameters, direction), extra=(direction,))
-
-    @cached_property
-    def timing(self) -> ca.Function:
-        """∂S/∂t_i and ∂²S/∂t_i∂t_j by the joints, at fixed node values: the first are the jumps of the energy."""
-        hessian, gradient = ca.hessian(self._action, self._symbols["mesh"])
-        return self._function("timing", gradient, hessian)
-
-    @cached_property
-    def _action(self) -> ca.MX:
-        return self._functional.action(*self._at)
-
     @cached_property
     def _calculus(self) -> DiscreteCalculus:
         return DiscreteCalculus(self.method, self.mesh)
-
-    @cached_property
-    def summary(self) -> ca.Function:
-        """S, and momenta (d, N + 1) at all joints: the first -∂S/∂x_0, then ∂S_k/∂x_{k+1} of interval k."""
-        d, local = self.problem.dimension, self._local
-        momenta = ca.horzcat(-local[:d, 0], ca.reshape(local[:, -1], d, self.layout.intervals))
-        return self._function("summary", self._action, momenta, results=["action", "momentum"])
 
     @cached_property
     def _summary(self) -> Evaluator:

@@ -18,10 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary import CriticalPoint, Guess, Transcription, transcribe
+from casadi_galerkin.boundary import CriticalPoint, Transcription, transcribe
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial
-from casadi_galerkin.engines import ROUNDOFF, Data, Solution
+from casadi_galerkin.engines import Solution
+from casadi_galerkin.guesses import Guess
 from casadi_galerkin.problems import BoundaryProblem, numbers
+from casadi_galerkin.system import ROUNDOFF, Data
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
 FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.5, 1e-9  # of the arc length, in which the path counts by its size

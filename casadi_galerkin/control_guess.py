@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_galerkin.boundary import Guess, given_values
 from casadi_galerkin.calculus import DiscreteCalculus
 from casadi_galerkin.control_layout import ControlLayout
 from casadi_galerkin.control_problem import ControlProblem
 from casadi_galerkin.control_trajectory import ControlTrajectory
+from casadi_galerkin.guesses import Guess, given_values
 
 
 def first_values(

@@ -20,12 +20,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary import Guess, mesh_of
 from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.control import transcribe_control
 from casadi_galerkin.control_adaptivity import better_mesh, estimated_error
 from casadi_galerkin.control_problem import ControlProblem
 from casadi_galerkin.control_trajectory import ControlTrajectory
+from casadi_galerkin.guesses import Guess, mesh_of
 from casadi_galerkin.quadrature import gauss, lobatto
 from casadi_galerkin.refinement import LimitReached, Limits
 from casadi_galerkin.trajectory import ConvergenceError

@@ -9,16 +9,7 @@ L̂(t, h, x, x') = h L(t, x, x'/h),
     ∇²S  = Eᵀ blockdiag( w_k ∇²L̂ ) E.
 
 L̂, ∇L̂ and ∇²L̂ are SX Functions of one point (`Pointwise`), mapped over all points; nothing is differentiated
-through the graph.  E, Eᵀ and Eᵀ blockdiag(·) E are three Functions of the `Layout` alone (`embedding`,
-`integration`, `assembly`), kept for the next Lagrangian.  They use E as its two factors, a selection of each
-interval's node values and the dense matrices of the reference `Element`.  Because the step is an input of L̂,
-nothing in them depends on the mesh.
-
-Velocities are taken from differences to the interval's first value, and its gradient from the sum of the others
-(the columns of l_j' sum to zero): roundoff then stays near 1e-14 at 1e5 intervals instead of growing with 1/h.
-
-Local node values are arranged as a matrix of shape (d N, m + 1): column a is node a of all intervals, component
-fastest.  Points are numbered the same way: quadrature point slowest, then interval, then component.
+through the graph.  E, Eᵀ and Eᵀ blockdiag(·) E are the `operators` of the layout.
 """
 
 from __future__ import annotations
@@ -26,202 +17,14 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import casadi as ca
-import numpy as np
 
-from casadi_galerkin.calculus import Galerkin
+from casadi_galerkin.operators import LAYOUTS_KEPT, Layout, assembly, embedding, integration, summation
 
-BLAS = "classic" if ca.has_blas("classic") else "reference"  # measured: 3 to 5 times faster than the reference
 BATCH, BATCH_INSTRUCTIONS = 16, 2000  # points that one call evaluates, and instructions that it may have
-LAYOUTS_KEPT = 8  # a graph of 1e5 intervals holds some 100 MB
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Which entry of the vector u stands for which value of the path: X̄ = P ξ + c as a numbering.
-
-    u holds the free values ξ in the order of time, then the fixed components of the start, then those of the end.
-
-    Parameters
-    ----------
-    method : Galerkin
-    intervals : int, N
-    dimension : int, d
-    fixed_start, fixed_end : indices of the components that are given at the ends
-    periodic : bool, whether the last joint is the first one; `fixed_start` then holds for both
-    """
-
-    method: Galerkin
-    intervals: int
-    dimension: int
-    fixed_start: tuple[int, ...] = ()
-    fixed_end: tuple[int, ...] = ()
-    periodic: bool = False
-
-    @cached_property
-    def numbering(self) -> np.ndarray:
-        """Entry of u at every node in the order of time; (N m + 1, d)."""
-        nodes = np.zeros((self.intervals * self.method.degree + 1, self.dimension), dtype=np.int64)
-        given = np.zeros(nodes.shape, dtype=bool)
-        given[0, list(self.fixed_start)] = True
-        if self.periodic:
-            given[-1] = True  # numbered with the first joint, below
-        else:
-            given[-1, list(self.fixed_end)] = True
-        nodes[~given] = np.arange(np.count_nonzero(~given))
-        starts = self.free + np.arange(len(self.fixed_start))
-        nodes[0, list(self.fixed_start)] = starts
-        if self.periodic:
-            nodes[-1] = nodes[0]
-        else:
-            nodes[-1, list(self.fixed_end)] = self.free + len(starts) + np.arange(len(self.fixed_end))
-        return nodes
-
-    @property
-    def free(self) -> int:
-        """Number of unknowns, the length of ξ."""
-        joints = self.intervals * self.method.degree + (0 if self.periodic else 1)
-        return joints * self.dimension - len(self.fixed_start) - len(self.fixed_end)
-
-    @property
-    def size(self) -> int:
-        """Length of u."""
-        return self.free + len(self.fixed_start) + len(self.fixed_end)
-
-    @property
-    def local(self) -> np.ndarray:
-        """Entry of u at every local node; (m + 1, N, d)."""
-        m = self.method.degree
-        return np.asarray(self.numbering[m * np.arange(self.intervals)[None, :] + np.arange(m + 1)[:, None]])
-
-    @property
-    def points(self) -> int:
-        """Number of quadrature points, N r."""
-        return self.intervals * len(self.method.quadrature)
-
-
-def _times(left: ca.MX, right: np.ndarray | ca.DM) -> ca.MX:
-    """Dense product with a constant."""
-    return ca.mtimes(left, ca.MX(ca.DM(right)), BLAS)
-
-
-def _contributions(target: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Split a sum by target into rounds of distinct targets: (positions, sorted targets) of each round."""
-    order = np.argsort(target, kind="stable")
-    ordered = target[order]
-    group = np.flatnonzero(np.append(True, ordered[1:] != ordered[:-1]))
-    rank = np.arange(len(target)) - np.repeat(group, np.diff(np.append(group, len(target))))
-    for turn in range(int(rank.max(initial=0)) + 1):
-        yield order[rank == turn], ordered[rank == turn]
-
-
-@lru_cache(LAYOUTS_KEPT)
-def embedding(layout: Layout) -> ca.Function:
-    """E: (u, mesh) -> t (1, N r), h (1, N r), x (d, N r), x' (d, N r) at the quadrature points."""
-    element, n, d = layout.method.element, layout.intervals, layout.dimension
-    r, nodes = len(element.points), layout.method.degree + 1
-    u, mesh = ca.MX.sym("u", layout.size), ca.MX.sym("mesh", n + 1)
-    local = ca.reshape(u.get_nz(False, layout.local.ravel().tolist()), d * n, nodes)
-    first = local[:, 0]
-    differences = local[:, 1:] - ca.repmat(first, 1, nodes - 1)
-    x = ca.repmat(first, 1, r) + _times(differences, element.values[:, 1:].T)
-    slope = _times(differences, element.slopes[:, 1:].T)
-    steps = mesh[1:] - mesh[:-1]
-    t = ca.repmat(mesh[:-1], 1, r) + _times(steps, element.points[None, :])
-    outputs = [ca.reshape(t, 1, n * r), ca.repmat(steps.T, 1, r), *(ca.reshape(a, d, n * r) for a in (x, slope))]
-    return ca.Function("embedding", [u, mesh], outputs, ["u", "mesh"], ["t", "h", "x", "slope"])
-
-
-@lru_cache(2 * LAYOUTS_KEPT)
-def integration(layout: Layout, absolute: bool = False) -> ca.Function:
-    """Eᵀ: values fx, fv (d, N r) that multiply x and x' -> local sums (d N, m + 1), and their sum by entry of u.
-
-    With `absolute`, every constant is taken positive: applied to sizes it bounds the terms that were summed.
-    """
-    element, n, d = layout.method.element, layout.intervals, layout.dimension
-    fx, fv = ca.MX.sym("fx", d, layout.points), ca.MX.sym("fv", d, layout.points)
-    x, v = (ca.reshape(a, d * n, -1) for a in (fx, fv))
-    weights = element.weights[:, None]
-    values, slopes = weights * element.values, weights * element.slopes
-    if absolute:
-        local = _times(x, np.abs(values)) + _times(v, np.abs(slopes))
-    else:
-        others = _times(x, values[:, 1:]) + _times(v, slopes[:, 1:])
-        local = ca.horzcat(_times(x, weights) - ca.sum2(others), others)
-    entries, total = ca.vec(local), 0
-    for positions, targets in _contributions(layout.local.ravel()):
-        sparsity = ca.Sparsity(layout.size, 1, [0, len(targets)], targets.tolist())
-        total = total + ca.MX(sparsity, entries.get_nz(False, positions.tolist()))
-    return ca.Function("integration", [fx, fv], [local, total], ["fx", "fv"], ["local", "total"])
-
-
-@lru_cache(LAYOUTS_KEPT)
-def summation(layout: Layout) -> ca.Function:
-    """∫ f Δ_w t on the reference interval, summed: values (1, N r), step included -> scalar."""
-    f = ca.MX.sym("f", 1, layout.points)
-    total = ca.sum1(_times(ca.reshape(f, layout.intervals, -1), layout.method.element.weights[:, None]))
-    return ca.Function("summation", [f], [total], ["f"], ["integral"])
-
-
-@lru_cache(LAYOUTS_KEPT)
-def assembly(
-    layout: Layout, colind: tuple[int, ...], row: tuple[int, ...], blocks: tuple[tuple[int, int], ...]
-) -> ca.Function:
-    """Eᵀ blockdiag(·) E: second derivatives at the points -> sparse symmetric matrix over the unknowns ξ.
-
-    Inputs are one matrix a block, (entries of the (d, d) pattern, N r).  Each interval contributes a dense
-    (m + 1) by (m + 1) grid of cells with that pattern, and neighbours overlap in the joint between them:
-
-        ■ ■ ■ · ·
-        ■ ■ ■ · ·
-        ■ ■ ■ ■ ■
-        · · ■ ■ ■
-        · · ■ ■ ■
-
-    Only cells of node pairs (a, b) with a >= b are computed; the others are their transposes.
-    """
-    element, n = layout.method.element, layout.intervals
-    a, b = (index.tolist() for index in np.tril_indices(layout.method.degree + 1))
-    basis = [ca.DM(element.values), ca.DM(element.slopes)]
-    weights = ca.repmat(ca.DM(element.weights), 1, len(a))
-    products = ca.vertcat(*(weights * basis[i][:, a] * basis[j][:, b] for i, j in blocks))
-    inputs = [ca.MX.sym(f"block{i}{j}", len(row), layout.points) for i, j in blocks]
-    stacked = ca.horzcat(*(ca.reshape(values, len(row) * n, -1) for values in inputs))
-    entries = ca.vec(_times(stacked, products))  # node pair slowest, then interval, then entry of the pattern
-    position, target = _hessian_entries(layout, np.array(colind), np.array(row))
-    (first, targets), *others = _contributions(target)
-    columns, rows = np.divmod(targets, layout.free)
-    starts = np.searchsorted(columns, np.arange(layout.free + 1))
-    sparsity = ca.Sparsity(layout.free, layout.free, starts.tolist(), rows.tolist())
-    values = entries.get_nz(False, position[first].tolist())
-    for chosen, repeated in others:  # in the joints; added in place, where sums of matrices would copy all of them
-        places = np.searchsorted(targets, repeated).tolist()
-        values.nz[places] = values.nz[places] + entries.nz[position[chosen].tolist()]
-    matrix = ca.MX(sparsity, values)
-    return ca.Function("assembly", inputs, [matrix], [f"block{i}{j}" for i, j in blocks], ["hessian"])
-
-
-def _hessian_entries(layout: Layout, colind: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """For every entry of every local Hessian: its position among the computed ones, its place column-major."""
-    nodes, count = layout.method.degree + 1, len(row)
-    column = np.repeat(np.arange(len(colind) - 1), np.diff(colind))
-    mirrored = np.lexsort((column, row))  # entry (j, i) for each entry (i, j) of the symmetric pattern
-    b, a, entry = (index.ravel() for index in np.indices((nodes, nodes, count)))
-    order = np.lexsort((row[entry], a, column[entry], b))  # column-major, so that the final sort has little to do
-    a, b, entry = a[order], b[order], entry[order]
-    low, high = np.minimum(a, b), np.maximum(a, b)
-    pair = high * (high + 1) // 2 + low
-    stored = np.where(a >= b, entry, mirrored[entry])
-    interval = np.arange(layout.intervals)[:, None]
-    position = (pair * layout.intervals + interval) * count + stored
-    local = layout.local
-    rows, columns = local[a, interval, row[entry]], local[b, interval, column[entry]]
-    kept = (rows < layout.free) & (columns < layout.free)
-    return position[kept], columns[kept] * layout.free + rows[kept]
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,9 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus import Galerkin
-from casadi_galerkin.engines import EPS
 from casadi_galerkin.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.quadrature import gauss
+from casadi_galerkin.system import EPS
 
 DOUBLINGS = 4  # of Newton's iterations, to at most 16; 1 to 8 were measured, the most at the largest steps
 # a relative Newton step that is not worth taking; the estimate of the next one was measured up to 60 times too small

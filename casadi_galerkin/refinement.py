@@ -31,9 +31,10 @@ from casadi_galerkin.adaptivity import (
     sizes,
     truncation,
 )
-from casadi_galerkin.boundary import CriticalPoint, Engine, Guess, Transcription, mesh_of
+from casadi_galerkin.boundary import CriticalPoint, Engine, Transcription
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial
 from casadi_galerkin.engines import newton, rootfinder
+from casadi_galerkin.guesses import Guess, mesh_of
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.relaxation import relaxed
 from casadi_galerkin.trajectory import ConvergenceError, Trajectory

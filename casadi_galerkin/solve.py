@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary import Engine, Guess, mesh_of, transcribe
+from casadi_galerkin.boundary import Engine, transcribe
 from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.control import transcribe_control
 from casadi_galerkin.control_problem import ControlProblem
 from casadi_galerkin.control_refinement import solve_control_to_tolerance
 from casadi_galerkin.control_trajectory import ControlTrajectory
 from casadi_galerkin.engines import ipopt, rootfinder
+from casadi_galerkin.guesses import Guess, mesh_of
 from casadi_galerkin.initial import integrate
 from casadi_galerkin.problems import BoundaryProblem, InitialProblem
 from casadi_galerkin.refinement import Limits, solve_to_tolerance

@@ -14,8 +14,8 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus import Galerkin
-from casadi_galerkin.engines import ROUNDOFF, Evaluator
 from casadi_galerkin.interval import TAYLOR, interval, newton_iteration, slope_basis
+from casadi_galerkin.system import ROUNDOFF, Evaluator
 
 PIECE = 128  # intervals rolled without Python; longer pieces were not faster, and took longer to build
 

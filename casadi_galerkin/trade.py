@@ -18,8 +18,9 @@ import numpy as np
 from tqdm import tqdm
 
 from casadi_galerkin.accuracy import ROUNDOFF, Problem, Reference, Yardstick, finer
-from casadi_galerkin.boundary import Guess, transcribe
+from casadi_galerkin.boundary import transcribe
 from casadi_galerkin.calculus import Galerkin
+from casadi_galerkin.guesses import Guess
 from casadi_galerkin.plotting import plot_work_precision
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.solve import solve

@@ -1,0 +1,135 @@
+"""The discrete action of a boundary problem as named CasADi Functions, each built when it is first needed.
+
+All are Functions of (unknowns, start, end, mesh[, parameters]); `start` and `end` hold the fixed components only.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus import Galerkin
+from casadi_galerkin.functional import Functional
+from casadi_galerkin.operators import Layout
+from casadi_galerkin.problems import BoundaryProblem
+from casadi_galerkin.system import System, algebra
+
+
+class ActionGraph:
+    """The graph of a boundary problem on N intervals.
+
+    Parameters
+    ----------
+    problem : BoundaryProblem
+    method : Galerkin
+    mesh : (N + 1,), joints; only their number enters the graph
+    jit : whether gradient and Hessian are compiled in C
+
+    Attributes
+    ----------
+    layout : Layout, which unknown is which value of the path
+    system : the Functions below as the engines take them
+    build_seconds : float
+    """
+
+    def __init__(self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, jit: bool = False) -> None:
+        began = time.perf_counter()
+        self.problem, self.method, self.mesh = problem, method, mesh
+        fixed_start, fixed_end = (
+            tuple(i for i, value in enumerate(end) if value is not None) for end in (problem.start, problem.end)
+        )
+        self.layout = Layout(method, len(mesh) - 1, problem.dimension, fixed_start, fixed_end, problem.periodic)
+        self._functional = Functional(problem.lagrangian, self.layout, jit)
+        sizes = {"unknowns": self.layout.free, "start": len(fixed_start), "end": len(fixed_end), "mesh": len(mesh)}
+        if problem.parameters is not None:
+            sizes["parameters"] = len(problem.parameters)
+        self._symbols = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
+        self._u = ca.vertcat(*(self._symbols[name] for name in ("unknowns", "start", "end")))
+        self._at = (self._u, self._symbols["mesh"], self._symbols.get("parameters"))
+        self._local, total = self._functional.gradient(*self._at)
+        self._total = total[: self.layout.free]
+        kinetic = self._functional.pointwise.kinetic
+        self.system = System(self._build, algebra(*self._functional.assembly_key), kinetic)
+        self.build_seconds = time.perf_counter() - began
+
+    def _build(self, name: str) -> ca.Function:
+        """One of the Functions below; what is built only now counts as building too."""
+        began = time.perf_counter()
+        function: ca.Function = getattr(self, name)
+        self.build_seconds += time.perf_counter() - began
+        return function
+
+    def _function(
+        self, name: str, *outputs: ca.MX, extra: tuple[ca.MX, ...] = (), results: Sequence[str] | None = None
+    ) -> ca.Function:
+        names = list(self._symbols) + [f"extra{i}" for i in range(len(extra))]
+        results = results or ([name] if len(outputs) == 1 else [f"{name}{i}" for i in range(len(outputs))])
+        return ca.Function(name, [*self._symbols.values(), *extra], list(outputs), names, results)
+
+    @cached_property
+    def action(self) -> ca.Function:
+        """S of (unknowns, start, end, mesh[, parameters])."""
+        return self._function("action", self._action)
+
+    @cached_property
+    def gradient(self) -> ca.Function:
+        """∇S by the unknowns."""
+        return self._function("gradient", self._total)
+
+    @cached_property
+    def hessian(self) -> ca.Function:
+        """∇²S by the unknowns, sparse."""
+        return self._function("hessian", self._functional.hessian(*self._at))
+
+    @cached_property
+    def derivatives(self) -> ca.Function:
+        """∇²S and ∇S together."""
+        return self._function("derivatives", *self._functional.derivatives(*self._at), results=["matrix", "gradient"])
+
+    @cached_property
+    def terms(self) -> ca.Function:
+        """Sizes of the terms that ∇S sums."""
+        return self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free])
+
+    @cached_property
+    def curvature(self) -> ca.Function:
+        """Second variation along one more input, a direction, and the sum of the sizes of its terms."""
+        direction = ca.MX.sym("direction", self.layout.free)
+        given = ca.MX.zeros(self.layout.size - self.layout.free, 1)
+        terms = self._functional.curvature(*self._at, ca.vertcat(direction, given))
+        return self._function("curvature", *terms, extra=(direction,))
+
+    @cached_property
+    def inertial(self) -> ca.Function:
+        """∇²S with one more input, a factor on ∂²L/∂v²."""
+        inertia = ca.MX.sym("inertia")
+        matrix = self._functional.hessian(*self._at, inertia)
+        return self._function("inertial", matrix, extra=(inertia,), results=["matrix"])
+
+    @cached_property
+    def sensitivity(self) -> ca.Function:
+        """Derivative of ∇S along one more input, a direction of the parameters."""
+        parameters = self._symbols["parameters"]
+        direction = ca.MX.sym("direction", parameters.shape[0])
+        return self._function("sensitivity", ca.jtimes(self._total, parameters, direction), extra=(direction,))
+
+    @cached_property
+    def timing(self) -> ca.Function:
+        """∂S/∂t_i and ∂²S/∂t_i∂t_j by the joints, at fixed node values: the first are the jumps of the energy."""
+        hessian, gradient = ca.hessian(self._action, self._symbols["mesh"])
+        return self._function("timing", gradient, hessian)
+
+    @cached_property
+    def _action(self) -> ca.MX:
+        return self._functional.action(*self._at)
+
+    @cached_property
+    def summary(self) -> ca.Function:
+        """S, and momenta (d, N + 1) at all joints: the first -∂S/∂x_0, then ∂S_k/∂x_{k+1} of interval k."""
+        d, local = self.problem.dimension, self._local
+        momenta = ca.horzcat(-local[:d, 0], ca.reshape(local[:, -1], d, self.layout.intervals))
+        return self._function("summary", self._action, momenta, results=["action", "momentum"])
