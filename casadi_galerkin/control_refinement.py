@@ -8,7 +8,8 @@ the optimum is the global one.
 Measured over tolerances 1e-3 ... 1e-8, the estimate is 0.95 to 1.2 times the true error on smooth paths down to 1e-12,
 and 1.5 to 2.5 times with a path constraint touched in one point.  With bang-bang controls it is only a bound, ten times
 the error and more, because it holds for the switching times; where a position touches its bound, 6 to 30 times.
-Out of reach was 1e-8 with a path constraint touched in one point and a Gauss rule; the error raised says so.
+Out of reach was 1e-8 with a path constraint touched in one point and a Gauss rule, and on some meshes with bang-bang
+controls, where IPOPT fails on the tiny intervals beside a switch; the error raised says so.
 The dynamics defect was measured too: of order m, it is 0.3 to 100 times the error of x.
 """
 
