@@ -17,7 +17,7 @@ from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.interval import TAYLOR, interval, newton_iteration, slope_basis
 from casadi_galerkin.system import ROUNDOFF, Evaluator
 
-PIECE = 128  # intervals rolled without Python; longer pieces were not faster, and took longer to build
+PIECE = 64  # intervals rolled without Python; longer pieces were not faster, and took longer to build
 
 
 def with_parameters(function: ca.Function, parameters: tuple[float, ...] | None) -> ca.Function:
