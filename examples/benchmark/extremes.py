@@ -205,7 +205,7 @@ def edge(name):
 def rows():
     """Lines of the table: case, how far, call, what limits it, what is seen beyond."""
     lobatto, equal = cg.lobatto_points, cg.equispaced_points
-    graph = "memory of the graph: 3.3 GiB in 18 s", "MemoryError of the system"
+    graph = "memory of the graph", "MemoryError of the system"
     roundoff, nothing = "roundoff", "nothing up to here"
     yield "degree, Lobatto points", "100", lambda: degree(100, lobatto), "cost: dense blocks", nothing
     for m in (10, 20, 30, 40):
