@@ -28,7 +28,7 @@ from casadi_galerkin.control_problem import ControlProblem
 from casadi_galerkin.control_trajectory import ControlTrajectory
 from casadi_galerkin.guesses import Guess, mesh_of
 from casadi_galerkin.quadrature import gauss, lobatto
-from casadi_galerkin.refinement import LimitReached, Limits
+from casadi_galerkin.refinement import LimitReached, Limits, check_tolerance
 from casadi_galerkin.trajectory import ConvergenceError
 
 FIRST_INTERVALS = 8
@@ -170,8 +170,7 @@ def solve_control_to_tolerance(
     ConvergenceError
         where IPOPT finds no path on the first mesh, nor on the same mesh twice and four times as fine
     """
-    if not isinstance(tol, (int, float)) or isinstance(tol, bool) or not 0 < tol < 1:
-        raise ValueError(f"tol must be a number between 0 and 1, got {tol!r}")
+    check_tolerance(tol)
     if intervals is None and mesh is None:
         intervals = FIRST_INTERVALS
     return ControlRefinement(problem, tol, method, limits, verbose).run(mesh_of(problem.t_span, intervals, mesh), guess)

@@ -243,6 +243,12 @@ class Refinement:
         )
 
 
+def check_tolerance(tol: float) -> None:
+    """Refuse a relative tolerance that is none."""
+    if isinstance(tol, bool) or not isinstance(tol, (int, float)) or not 0 < tol < 1:
+        raise ValueError(f"tol must be a number between 0 and 1, got {tol!r}")
+
+
 def solve_to_tolerance(
     problem: BoundaryProblem,
     tol: float,
@@ -255,7 +261,6 @@ def solve_to_tolerance(
     verbose: int,
 ) -> Trajectory:
     """Solve a boundary problem to a tolerance; see `solve` for the arguments."""
-    if isinstance(tol, bool) or not isinstance(tol, (int, float)) or not 0 < tol < 1:
-        raise ValueError(f"tol must be a number between 0 and 1, got {tol!r}")
+    check_tolerance(tol)
     joints = mesh_of(problem.t_span, FIRST_INTERVALS if intervals is None and mesh is None else intervals, mesh)
     return Refinement(problem, tol, method, limits, verbose).run(joints, guess, solver)
