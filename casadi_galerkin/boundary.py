@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,12 +18,13 @@ from casadi_galerkin.guesses import Guess, given_values, mesh_of
 from casadi_galerkin.operators import embedding
 from casadi_galerkin.plotting import plot_pattern
 from casadi_galerkin.problems import BoundaryProblem, components, numbers
-from casadi_galerkin.system import SINGULAR, Data, Evaluator, System, negative_eigenvalues, second_variation
+from casadi_galerkin.system import SINGULAR, Data, System, negative_eigenvalues, second_variation
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+REGULAR = 1e-9  # `Solution.regularity` above which the second variation need not be looked at
 Engine = Callable[[System, np.ndarray, Data, int], Solution]
 
 
@@ -59,10 +60,6 @@ class Transcription(ActionGraph):
     @cached_property
     def _calculus(self) -> DiscreteCalculus:
         return DiscreteCalculus(self.method, self.mesh)
-
-    @cached_property
-    def _summary(self) -> Evaluator:
-        return Evaluator(self.summary)
 
     def _values(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) in the order of time."""
@@ -148,7 +145,7 @@ class Transcription(ActionGraph):
         with self.system.algebra.lock:
             for _ in range(2):
                 (gradient,) = self.system.evaluate("derivatives", unknowns, *data)
-                steps.append(self.system.solved("direction", gradient)[0])
+                steps.extend(self.system.solve(gradient))
                 unknowns = unknowns + steps[-1]
         return [calculus.emb(self.change(step)) for step in steps]
 
@@ -203,42 +200,42 @@ class Transcription(ActionGraph):
 
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
-        system, unknowns, data = self.system, point.solution.unknowns, point.data
-        (action,), momenta = self._summary(unknowns, *data)
-        if not np.isfinite(action):
+        solution, data = point.solution, point.data
+        if not np.isfinite(solution.action):
+            place = self._not_finite(solution.unknowns, data)
             raise ConvergenceError(
-                f"no path was found: the equations have a solution, but on it {self._not_finite(unknowns, data)}. "
+                f"no path was found: the equations have a solution, but on it {place}. "
                 "Try a guess that stays where the Lagrangian is defined",
                 point.path,
-                point.solution.residual,
-                point.solution.iterations,
+                solution.residual,
+                solution.iterations,
             )
-        with system.algebra.lock:
-            quotient = second_variation(system, unknowns, data)
-            index = negative_eigenvalues(system, unknowns, data)
-        if quotient < SINGULAR:
-            raise ConjugatePointError(
-                f"the second variation of the action vanishes (relative size {quotient:.0e}): the ends are conjugate "
-                "points, or a family of paths joins them. Move an end, change the time span, or fix a component "
-                "that a symmetry leaves free",
-                point.path,
-                point.solution.residual,
-                point.solution.iterations,
-            )
+        if not solution.regularity > REGULAR:
+            with self.system.algebra.lock:
+                quotient = second_variation(self.system, solution.unknowns, data)
+            if quotient < SINGULAR:
+                raise ConjugatePointError(
+                    f"the second variation of the action vanishes (relative size {quotient:.0e}): the ends are "
+                    "conjugate points, or a family of paths joins them. Move an end, change the time span, or fix a "
+                    "component that a symmetry leaves free",
+                    point.path,
+                    solution.residual,
+                    solution.iterations,
+                )
         return Trajectory(
             t=point.path.mesh,
             x=point.path.values[:, :: self.method.degree].copy(),
-            momentum=momenta.reshape(self.problem.dimension, -1, order="F"),
+            momentum=solution.momentum.reshape(self.problem.dimension, -1, order="F"),
             path=point.path,
-            action=float(action),
-            morse_index=index,
-            iterations=point.solution.iterations,
-            residual=point.solution.residual,
-            solver=point.solution.report,
+            action=solution.action,
+            iterations=solution.iterations,
+            residual=solution.residual,
+            solver=solution.report,
             build_seconds=self.build_seconds,
             solve_seconds=solve_seconds,
             method=self.method,
             problem=self._solved(data),
+            count_negative=partial(negative_eigenvalues, self.system, solution.unknowns, data),
         )
 
     def _solved(self, data: Data) -> BoundaryProblem:
@@ -262,7 +259,7 @@ class Transcription(ActionGraph):
         times, steps, x, slope = at
         for k in np.argsort(times[0], kind="stable"):
             point = (*(a[:, k] for a in at), *parameters)
-            results = [pointwise.value(*point), *pointwise.gradient(*point)]
+            results = pointwise.first(*point)
             if not all(np.all(np.isfinite(np.array(result))) for result in results):
                 v = slope[:, k] / steps[0, k]
                 return f"the Lagrangian is not finite at t = {times[0, k]:.6g}, where x = {x[:, k]} and v = {v}"
@@ -270,10 +267,10 @@ class Transcription(ActionGraph):
 
     def _error(self, failure: SolveFailure, calculus: DiscreteCalculus, data: Data) -> ConvergenceError:
         """Say what happened, where in time, how far it got, and what to try."""
-        unknowns, system = failure.unknowns, self.system
+        unknowns = failure.unknowns
         path = calculus.emb(self._values(unknowns, data).T)
-        (g,) = system.evaluate("derivatives", unknowns, *data)
-        residual = system.ratios(g, unknowns, data)
+        g, floor = (np.array(f.call([unknowns, *data])[0]).ravel() for f in (self.gradient, self.floor))
+        residual = np.abs(g) / floor
         worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
         when = calculus.node_times[np.argmax((self.layout.numbering == worst).any(axis=1))]
         place = f"the largest residual is at t = {when:.6g}"

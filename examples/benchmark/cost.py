@@ -110,7 +110,7 @@ def iteration(intervals, degree=4):
     for _ in range(max(3, min(200, 200_000 // intervals))):
         began = time.perf_counter()
         (gradient,) = system.evaluate("derivatives", unknowns, *point.data)
-        system.solved("direction", gradient)
+        system.solve(gradient)
         runs.append(time.perf_counter() - began)
     return min(runs)
 
