@@ -108,10 +108,12 @@ class Algebra:
 
     def sizes(self, u: np.ndarray, step: np.ndarray | None = None) -> np.ndarray:
         """What each unknown is measured by: the size of its component in the path (and in a step), one for zero."""
-        scale = self.scale(u)
+        largest = np.abs(u)
         if step is not None:
-            scale = np.maximum(scale, self.scale(np.concatenate((step, np.zeros(len(u) - len(step))))))
-        return self.expanded(np.where(scale == 0, 1.0, scale))
+            np.maximum(largest[: len(step)], np.abs(step), out=largest[: len(step)])
+        scale = self.scale(largest)
+        scale[scale == 0] = 1.0
+        return self.expanded(scale)
 
     def probe(self, u: np.ndarray) -> np.ndarray:
         """A right-hand side of the path's size without symmetry: its solution leans to the softest direction."""

@@ -185,7 +185,7 @@ def _iterate(system: System, x: np.ndarray, probe: np.ndarray, data: Data) -> It
 
 
 def _size(vector: np.ndarray) -> float:
-    return float(np.max(np.abs(vector), initial=0.0))
+    return float(np.abs(vector).max(initial=0.0))
 
 
 def _forecast(step: np.ndarray, simplified: np.ndarray, now: Iterate) -> float:
