@@ -187,12 +187,12 @@ class Transcription(ActionGraph):
         """Node values (N m + 1, d) of a guess, bent to meet the fixed ends by adding a straight line."""
         times, d = calculus.node_times, self.problem.dimension
         values = np.zeros((len(times), d)) if guess is None else given_values(guess, calculus, d).T
-        numbering, fixed = self.layout.numbering, np.concatenate((np.zeros(self.layout.free), *data[:2]))
-        miss = np.where(numbering[[0, -1]] >= self.layout.free, fixed[numbering[[0, -1]]] - values[[0, -1]], np.nan)
-        miss = np.where(np.isnan(miss), miss[::-1], miss)  # a free end takes over what the other one is moved by
-        part = ((times - times[0]) / (times[-1] - times[0]))[:, None]
-        miss = np.where(np.isnan(miss), 0.0, miss)
-        bent = values + (1 - part) * miss[0] + part * miss[1]
+        entries = self.layout.numbering[[0, -1]]
+        fixed = entries >= self.layout.free
+        miss = np.where(fixed, np.concatenate((np.zeros(self.layout.free), *data[:2]))[entries] - values[[0, -1]], 0.0)
+        miss = np.where(fixed, miss, miss[::-1])  # a free end takes over what the other one is moved by
+        part = (times - times[0]) / (times[-1] - times[0])
+        bent = values + miss[0] + np.multiply.outer(part, miss[1] - miss[0])
         if not np.all(np.isfinite(bent)):
             i = int(np.argmax(~np.isfinite(bent).all(axis=1)))
             raise ValueError(f"the guess must be finite, got {bent[i]} at t = {times[i]}")
