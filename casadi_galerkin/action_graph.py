@@ -14,7 +14,7 @@ import numpy as np
 
 from casadi_galerkin.algebra import algebra
 from casadi_galerkin.calculus import Galerkin
-from casadi_galerkin.functional import Functional
+from casadi_galerkin.functional import Evaluation, Functional
 from casadi_galerkin.operators import Layout
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.system import EPS, TINY, System
@@ -28,7 +28,7 @@ class ActionGraph:
     problem : BoundaryProblem
     method : Galerkin
     mesh : (N + 1,), joints; only their number enters the graph
-    jit : whether gradient and Hessian are compiled in C
+    evaluation : of gradient and Hessian at the points, as for `Functional`
 
     Attributes
     ----------
@@ -37,14 +37,16 @@ class ActionGraph:
     build_seconds : float
     """
 
-    def __init__(self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, jit: bool = False) -> None:
+    def __init__(
+        self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, evaluation: Evaluation = "batched"
+    ) -> None:
         began = time.perf_counter()
         self.problem, self.method, self.mesh = problem, method, mesh
         fixed_start, fixed_end = (
             tuple(i for i, value in enumerate(end) if value is not None) for end in (problem.start, problem.end)
         )
         self.layout = Layout(method, len(mesh) - 1, problem.dimension, fixed_start, fixed_end, problem.periodic)
-        self._functional = Functional(problem.lagrangian, self.layout, jit)
+        self._functional = Functional(problem.lagrangian, self.layout, evaluation)
         sizes = {"unknowns": self.layout.free, "start": len(fixed_start), "end": len(fixed_end), "mesh": len(mesh)}
         if problem.parameters is not None:
             sizes["parameters"] = len(problem.parameters)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.action_graph import ActionGraph
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial
 from casadi_galerkin.engines import Solution, SolveFailure, rootfinder
+from casadi_galerkin.functional import Evaluation
 from casadi_galerkin.guesses import Guess, given_values, mesh_of
 from casadi_galerkin.operators import embedding
 from casadi_galerkin.plotting import plot_pattern
@@ -47,7 +48,7 @@ class Transcription(ActionGraph):
     problem : BoundaryProblem
     method : Galerkin
     mesh : (N + 1,), the joints used unless others are given to `solve`
-    jit : whether gradient and Hessian are compiled in C
+    evaluation : of gradient and Hessian at the points, as for `Functional`
 
     Attributes
     ----------
@@ -187,16 +188,15 @@ class Transcription(ActionGraph):
         """Node values (N m + 1, d) of a guess, bent to meet the fixed ends by adding a straight line."""
         times, d = calculus.node_times, self.problem.dimension
         values = np.zeros((len(times), d)) if guess is None else given_values(guess, calculus, d).T
+        if not np.all(np.isfinite(values)):
+            i = int(np.argmax(~np.isfinite(values).all(axis=1)))
+            raise ValueError(f"the guess must be finite, got {values[i]} at t = {times[i]}")
         entries = self.layout.numbering[[0, -1]]
         fixed = entries >= self.layout.free
         miss = np.where(fixed, np.concatenate((np.zeros(self.layout.free), *data[:2]))[entries] - values[[0, -1]], 0.0)
         miss = np.where(fixed, miss, miss[::-1])  # a free end takes over what the other one is moved by
         part = (times - times[0]) / (times[-1] - times[0])
-        bent = values + miss[0] + np.multiply.outer(part, miss[1] - miss[0])
-        if not np.all(np.isfinite(bent)):
-            i = int(np.argmax(~np.isfinite(bent).all(axis=1)))
-            raise ValueError(f"the guess must be finite, got {bent[i]} at t = {times[i]}")
-        return np.asarray(bent)
+        return np.asarray(values + miss[0] + np.multiply.outer(part, miss[1] - miss[0]))
 
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
@@ -312,8 +312,19 @@ def transcribe(
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     jit : compile gradient and Hessian in C: 0.3 s each, then 2 to 6 times faster at the points; needs a C compiler
     """
+    return transcribed(problem, method, intervals, mesh, "compiled" if jit else "batched")
+
+
+def transcribed(
+    problem: BoundaryProblem,
+    method: Galerkin,
+    intervals: int | None,
+    mesh: ArrayLike | None,
+    evaluation: Evaluation,
+) -> Transcription:
+    """`transcribe`, with the way that the Lagrangian is evaluated at the points, as for `Functional`."""
     if not isinstance(problem, BoundaryProblem):
         raise TypeError(f"problem must be a BoundaryProblem, got {type(problem).__name__}")
     if not isinstance(method, Galerkin):
         raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
-    return Transcription(problem, method, mesh_of(problem.t_span, intervals, mesh), jit)
+    return Transcription(problem, method, mesh_of(problem.t_span, intervals, mesh), evaluation)

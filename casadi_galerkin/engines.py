@@ -38,7 +38,8 @@ from casadi_galerkin.system import (
 )
 
 NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
-CONTRACTION = 0.25
+SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if the next one is so much shorter
+STRONG_CONTRACTION = 0.1  # the same for a long first step: from a straight line, all steps are long
 SMALLEST_DAMPING = 1e-7
 RESCUE = 100  # iterations IPOPT gets after Newton's method; rescues were measured to take 4 to 40
 NEARLY = 1e-9  # residual over the sizes of its terms from which two Newton steps reach roundoff
@@ -144,8 +145,8 @@ class Iterate:
 def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limit: int = 200) -> Solution:
     """Newton's method with natural monotonicity line search; arguments as `rootfinder`, at most `limit` iterations.
 
-    A full step is accepted at once if the next one is a quarter of it, which needs no solution beyond the next
-    iteration's own.  Where steps shrink by less, full ones were measured to jump to other paths.
+    A short full step is accepted at once if the next one is much shorter, which needs no solution beyond the next
+    iteration's own.  Where steps are long or shrink by less, full ones were measured to jump to other paths.
     """
     probe = system.algebra.probe(joined(guess, data))
     at, damping = _iterate(system, guess, probe, data), 1.0
@@ -161,19 +162,21 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
             solution = verified(system, at.unknowns + at.step, data, probe, at.soft, iteration, "Newton")
             if solution is not None:
                 return solution
-        if verbose > 1:
-            print(f"  {iteration:4d}   step {at.norm:9.2e}   damping {damping:7.1e}")
-        last, trial = at.norm, None
-        if damping == 1.0:
+        last, trial, forecast = at.norm, None, 1.0
+        short = last < SHORT
+        if damping == 1.0 and (short or iteration == 1):
             trial = _iterate(system, at.unknowns + at.step, probe, data)
-            if not (trial.norm <= CONTRACTION * last or (last < LOCAL and math.isfinite(trial.norm))):
+            contracts = trial.norm <= last * (CONTRACTION if short else STRONG_CONTRACTION)
+            if not (contracts or (last < LOCAL and math.isfinite(trial.norm))):
                 trial = None
                 system.evaluate("derivatives", at.unknowns, *data)  # the Hessian that the step belongs to
         if trial is None:
             x, simplified, damping = _line_search(system, at, damping, data, iteration)
             trial = _iterate(system, x, probe, data)
-            damping = min(1.0, damping * _forecast(at.step, simplified, trial))
-        at = trial
+            forecast = min(1.0, damping * _forecast(at.step, simplified, trial))
+        if verbose > 1:
+            print(f"  {iteration:4d}   step {last:9.2e}   damping {damping:7.1e}")
+        at, damping = trial, forecast
     raise SolveFailure(f"no convergence in {limit} iterations, last relative step {at.norm:.1e}", at.unknowns, limit)
 
 

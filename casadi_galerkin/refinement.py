@@ -34,6 +34,7 @@ from casadi_galerkin.adaptivity import (
 from casadi_galerkin.boundary import CriticalPoint, Engine, Transcription
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial
 from casadi_galerkin.engines import newton, rootfinder
+from casadi_galerkin.functional import Evaluation
 from casadi_galerkin.guesses import Guess, mesh_of
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.relaxation import relaxed
@@ -90,11 +91,11 @@ class Refinement:
         self._transcriptions: dict[tuple[int, int], Transcription] = {}
         self.began, self.iterations = time.perf_counter(), 0
 
-    def transcription(self, method: Galerkin, mesh: np.ndarray) -> Transcription:
+    def transcription(self, method: Galerkin, mesh: np.ndarray, evaluation: Evaluation = "single") -> Transcription:
         """The graph for this degree and number of intervals, built when first asked for."""
         key = (method.degree, len(mesh))
         if key not in self._transcriptions:
-            self._transcriptions[key] = Transcription(self.problem, method, mesh)
+            self._transcriptions[key] = Transcription(self.problem, method, mesh, evaluation)
         return self._transcriptions[key]
 
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: Engine) -> CriticalPoint:
@@ -133,7 +134,7 @@ class Refinement:
 
     def relaxed(self, mesh: np.ndarray, guess: Guess | None, leap: float) -> CriticalPoint:
         """Relax a guess until Newton's method takes over."""
-        transcribed = partial(self.transcription, of_degree(RELAXATION_DEGREE))
+        transcribed = partial(self.transcription, of_degree(RELAXATION_DEGREE), evaluation="batched")
         path = transcribed(mesh).drawn(guess, mesh)
         path = relaxed(transcribed, path, RELAXATION_TOLERANCE, leap, self.limits.levels, self.late)
         return self.solve(of_degree(RELAXATION_DEGREE), path.mesh, path, following)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary import Engine, transcribe
+from casadi_galerkin.boundary import Engine, transcribed
 from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.control import transcribe_control
 from casadi_galerkin.control_problem import ControlProblem
@@ -79,7 +79,8 @@ def solve(
         raise ValueError("limits stop a refinement: give tol with them")
     if method is None:
         raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
-    return transcribe(problem, method, intervals, mesh=mesh).solve(guess=guess, solver=solver, verbose=verbose)
+    transcription = transcribed(problem, method, intervals, mesh, "single")
+    return transcription.solve(guess=guess, solver=solver, verbose=verbose)
 
 
 def _solve_control(

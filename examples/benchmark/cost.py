@@ -78,7 +78,13 @@ def arc(strength=1.0):
 
 def forget():
     """Drop the graphs that depend on the layout alone."""
-    for kept in (operators.embedding, operators.integration, operators.summation, operators.assembly, operators.hessian_pattern):
+    for kept in (
+        operators.embedding,
+        operators.integration,
+        operators.summation,
+        operators.assembly,
+        operators.hessian_pattern,
+    ):
         kept.cache_clear()
     algebra.algebra.cache_clear()
 
