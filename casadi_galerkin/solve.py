@@ -60,6 +60,7 @@ def solve(
     >>> float(path.path(0.5)[0].round(6))
     0.569747
     """
+    _check_limits(limits)
     if isinstance(problem, ControlProblem):
         if solver not in (rootfinder, ipopt):
             raise ValueError(f"a ControlProblem is solved by ipopt, got the solver {solver!r}")
@@ -81,6 +82,11 @@ def solve(
         raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
     transcription = transcribed(problem, method, intervals, mesh, "single")
     return transcription.solve(guess=guess, solver=solver, verbose=verbose)
+
+
+def _check_limits(limits: Limits | None) -> None:
+    if limits is not None and not isinstance(limits, Limits):
+        raise TypeError(f"limits must be Limits, such as Limits(intervals=500), got {limits!r}")
 
 
 def _solve_control(

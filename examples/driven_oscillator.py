@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
 STIFFNESS, DAMPING = 4.0, 0.5  # ω₀² and c, for a mass of 1
 DRIVE, FREQUENCY = 1.0, 1.5  # A and ω
 DURATION, INTERVALS = 80.0, 160
+STEP = DURATION / INTERVALS
 RESPONSE = DRIVE / np.hypot(STIFFNESS - FREQUENCY**2, DAMPING * FREQUENCY)
 
 
@@ -33,21 +35,30 @@ def response(t: np.ndarray) -> np.ndarray:
     return RESPONSE * np.cos(FREQUENCY * t - phase)
 
 
-def main(plot: bool = False) -> tuple[cg.Trajectory, cg.Geometry]:
-    """Step from rest into the response; returns the path and its geometry."""
+def main(plot: str | None = None) -> tuple[cg.Trajectory, cg.Geometry]:
+    """Step from x = 2 at rest into the response; returns the path and its geometry."""
     problem = cg.InitialProblem(lagrangian, (0, DURATION), position=[2.0], velocity=[0.0], force=force)
     path = cg.solve(problem, cg.Galerkin(degree=6), INTERVALS)
     if plot:
-        import matplotlib.pyplot as plt
-
-        times = np.linspace(0, DURATION, 1000)
-        path.plot().plot(times, response(times), "k:")
-        plt.show()
+        draw(path, plot)
     return path, cg.geometry(problem, path)
 
 
+def draw(path: cg.Trajectory, name: str) -> None:
+    """Draw the motion over the response that it settles into."""
+    axes = canvas("A damped and driven oscillator", "t", "x", (7.0, 3.6))
+    times = np.linspace(0, DURATION / 2, 1000)
+    axes.plot(times, path.path(times)[0], label="from x = 2 at rest")
+    axes.plot(times, response(times), "k:", label="response")
+    axes.legend()
+    save(axes, name)
+
+
 if __name__ == "__main__":
-    path, measured = main(plot=True)
+    path, measured = main(picture("driven_oscillator.png"))
     print(path)
-    print(f"determinant of a step: {measured.determinants[0]:.12g}, e^(-c h) = {np.exp(-DAMPING * 0.5):.12g}")
-    print(f"from the response at the end: {abs(path.x[0, -1] - response(path.t[-1])):.1e}")
+    print(f"determinant of a step: {measured.determinants[0]:.12g}, e^(-c h) = {np.exp(-DAMPING * STEP):.12g}")
+    left, shrunk = abs(path.x[0, -1] - response(path.t[-1])), np.exp(-DAMPING * DURATION / 2)
+    print(
+        f"from the response at the end: {left:.1e}; what the start adds has shrunk to e^(-c T / 2) = {shrunk:.1e} of it"
+    )

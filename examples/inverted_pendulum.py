@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from show import picture, save
 
 import casadi_galerkin as cg
 
@@ -26,7 +27,7 @@ def exact(t: np.ndarray, horizon: float) -> np.ndarray:
     return (np.exp(-t) + np.exp(t - horizon)) / (1 + np.exp(-horizon))
 
 
-def main(plot: bool = False) -> dict[int, tuple[cg.Comparison, float]]:
+def main(plot: str | None = None) -> dict[int, tuple[cg.Comparison, float]]:
     """By horizon, the comparison and the largest error of the global path relative to the path's size 1."""
     results = {}
     for horizon in HORIZONS:
@@ -35,14 +36,11 @@ def main(plot: bool = False) -> dict[int, tuple[cg.Comparison, float]]:
         path = comparison.global_path
         results[horizon] = comparison, float(np.max(np.abs(path.x[0] - exact(path.t, horizon))))
     if plot:
-        import matplotlib.pyplot as plt
-
-        results[40][0].plot()
-        plt.show()
+        save(results[40][0].plot(), plot)
     return results
 
 
 if __name__ == "__main__":
-    for comparison, error in main(plot=True).values():
+    for comparison, error in main(picture("inverted_pendulum.png")).values():
         print(comparison)
         print(f"  error of the global path: {error:.1e}\n")
