@@ -45,14 +45,9 @@ class ActionGraph:
         fixed_start, fixed_end = (
             tuple(i for i, value in enumerate(end) if value is not None) for end in (problem.start, problem.end)
         )
-        self.layout = Layout(method, len(mesh) - 1, problem.dimension, fixed_start, fixed_end, problem.periodic)
-        self._functional = Functional(problem.lagrangian, self.layout, evaluation)
-        sizes = {"unknowns": self.layout.free, "start": len(fixed_start), "end": len(fixed_end), "mesh": len(mesh)}
-        if problem.parameters is not None:
-            sizes["parameters"] = len(problem.parameters)
-        self._symbols = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
-        self._u = ca.vertcat(*(self._symbols[name] for name in ("unknowns", "start", "end")))
-        self._at = (self._u, self._symbols["mesh"], self._symbols.get("parameters"))
+        layout = Layout(method, len(mesh) - 1, problem.dimension, fixed_start, fixed_end, problem.periodic)
+        self._functional = Functional(problem.lagrangian, layout, evaluation)
+        self.layout, self._symbols = self._functional.layout, self._functional.symbols
         kinetic = self._functional.pointwise.kinetic
         self.system = System(self._build, algebra(*self._functional.pattern_key), kinetic)
         self.build_seconds = time.perf_counter() - began
@@ -74,29 +69,28 @@ class ActionGraph:
     @cached_property
     def action(self) -> ca.Function:
         """S of (unknowns, start, end, mesh[, parameters])."""
-        return self._function("action", self._first[0])
+        return self._function("action", self._functional.action())
 
     @cached_property
     def gradient(self) -> ca.Function:
         """∇S by the unknowns."""
-        return self._function("gradient", self._first[2])
+        return self._function("gradient", self._functional.gradient())
 
     @cached_property
     def hessian(self) -> ca.Function:
         """∇²S by the unknowns, sparse."""
-        return self._function("hessian", self._functional.hessian(*self._at))
+        return self._function("hessian", self._functional.hessian())
 
     @cached_property
     def derivatives(self) -> ca.Function:
         """∇²S and ∇S together."""
-        return self._function("derivatives", *self._functional.derivatives(*self._at), results=["matrix", "gradient"])
+        return self._function("derivatives", *self._functional.derivatives(), results=["matrix", "gradient"])
 
     @cached_property
     def curvature(self) -> ca.Function:
         """Second variation along one more input, a direction, and the sum of the sizes of its terms."""
         direction = ca.MX.sym("direction", self.layout.free)
-        given = ca.MX.zeros(self.layout.size - self.layout.free, 1)
-        terms = self._functional.curvature(*self._at, ca.vertcat(direction, given))
+        terms = self._functional.curvature(direction)
         return self._function("curvature", *terms, extra=(direction,))
 
     @cached_property
@@ -105,16 +99,17 @@ class ActionGraph:
         numbering = self.layout.numbering
         component = np.zeros(self.layout.size, dtype=np.int64)
         component[numbering] = np.arange(self.problem.dimension)
-        scale = ca.vertcat(*(ca.norm_inf(self._u[column.tolist()]) for column in numbering.T))
+        scale = ca.vertcat(*(ca.norm_inf(self._functional.u[column.tolist()]) for column in numbering.T))
         sizes = ca.vec(scale.get_nz(False, component[: self.layout.free].tolist()))
-        spread = ca.mtimes(ca.fabs(self._functional.hessian(*self._at)), sizes)
-        return self._function("floor", ca.fmax(EPS * (self._first[3] + spread), TINY))
+        terms = self._functional.first()[3]
+        spread = ca.mtimes(ca.fabs(self._functional.hessian()), sizes)
+        return self._function("floor", ca.fmax(EPS * (terms + spread), TINY))
 
     @cached_property
     def inertial(self) -> ca.Function:
         """∇²S with one more input, a factor on ∂²L/∂v²."""
         inertia = ca.MX.sym("inertia")
-        matrix = self._functional.hessian(*self._at, inertia)
+        matrix = self._functional.hessian(inertia)
         return self._function("inertial", matrix, extra=(inertia,), results=["matrix"])
 
     @cached_property
@@ -122,12 +117,14 @@ class ActionGraph:
         """Derivative of ∇S along one more input, a direction of the parameters."""
         parameters = self._symbols["parameters"]
         direction = ca.MX.sym("direction", parameters.shape[0])
-        return self._function("sensitivity", ca.jtimes(self._first[2], parameters, direction), extra=(direction,))
+        return self._function(
+            "sensitivity", ca.jtimes(self._functional.gradient(), parameters, direction), extra=(direction,)
+        )
 
     @cached_property
     def timing(self) -> ca.Function:
         """∂S/∂t_i and ∂²S/∂t_i∂t_j by the joints, at fixed node values: the first are the jumps of the energy."""
-        hessian, gradient = ca.hessian(self._first[0], self._symbols["mesh"])
+        hessian, gradient = ca.hessian(self._functional.action(), self._symbols["mesh"])
         return self._function("timing", gradient, hessian)
 
     @cached_property
@@ -136,14 +133,5 @@ class ActionGraph:
 
         The first momentum is -∂S/∂x_0, the others are ∂S_k/∂x_{k+1} of interval k.
         """
-        action, local, total, terms = self._first
-        d = self.problem.dimension
-        momenta = ca.horzcat(-local[:d, 0], ca.reshape(local[:, -1], d, self.layout.intervals))
-        return self._function(
-            "summary", action, momenta, total, terms, results=["action", "momentum", "gradient", "terms"]
-        )
-
-    @cached_property
-    def _first(self) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
-        action, local, total, terms = self._functional.first(*self._at)
-        return action, local, total[: self.layout.free], terms[: self.layout.free]
+        outputs = self._functional.first()
+        return self._function("summary", *outputs, results=["action", "momentum", "gradient", "terms"])

@@ -40,6 +40,12 @@ def _to_legendre(nodes: tuple[float, ...]) -> np.ndarray:
     return np.linalg.inv(legendre.legvander(2 * np.array(nodes) - 1, len(nodes) - 1))
 
 
+@lru_cache(maxsize=64)
+def _to_samples(nodes: tuple[float, ...]) -> np.ndarray:
+    """Matrix from values at the nodes of [0, 1] to values at four times as many points."""
+    return lagrange_values(np.array(nodes), np.linspace(0, 1, 4 * len(nodes) - 3))
+
+
 def sizes(path: PiecewisePolynomial) -> np.ndarray:
     """Largest value of each component, (d,), to which errors are relative; 1 for a component that is zero."""
     largest = np.max(np.abs(path.values), axis=1)
@@ -66,9 +72,7 @@ def truncation(path: PiecewisePolynomial) -> np.ndarray:
 
 def interval_maxima(path: PiecewisePolynomial) -> np.ndarray:
     """Largest size of every component on every interval, (d, N), sampled between the nodes as well."""
-    m = len(path.nodes) - 1
-    samples = lagrange_values(path.nodes, np.linspace(0, 1, 4 * m + 1))
-    return np.asarray(np.max(np.abs(path.local @ samples.T), axis=2))
+    return np.asarray(np.max(np.abs(path.local @ _to_samples(tuple(path.nodes.tolist())).T), axis=2))
 
 
 def equidistributed(

@@ -22,7 +22,16 @@ from typing import Literal
 
 import casadi as ca
 
-from casadi_galerkin.operators import LAYOUTS_KEPT, Layout, assembly, embedding, integration, summation
+from casadi_galerkin.operators import (
+    LAYOUTS_KEPT,
+    Layout,
+    assembly,
+    embedded,
+    embedding,
+    first_variation,
+    integration,
+    summation,
+)
 
 BATCH, BATCH_INSTRUCTIONS = 16, 2000  # points that one call evaluates, and instructions that it may have
 MANY = 2000  # points from which batches pay within one solve: to join points takes 0.8 ms, a call 0.2 us
@@ -74,7 +83,7 @@ class Pointwise:
 
         Together, because a call costs as much as evaluating a small Lagrangian.
         """
-        columns = [ca.vertcat(*ca.project(self._cells[key], self.pattern).nonzeros()) for key in self.blocks]
+        columns = [ca.project(self._cells[key], self.pattern).nz[:] for key in self.blocks]
         # common subexpressions cost more to find than they save, but for the Hessian: a tenth of its instructions
         return ca.Function("derivatives", self._inputs, [*self._gradient, *columns], {"cse": True})
 
@@ -126,7 +135,7 @@ def compiled(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Function
 
 
 class Functional:
-    """The discrete functional of an integrand, as expressions in u, the joints of the mesh and parameters.
+    """The discrete functional of an integrand, as expressions in the symbols of a layout and of parameters.
 
     Parameters
     ----------
@@ -134,6 +143,11 @@ class Functional:
     layout : Layout
     evaluation : how gradient and Hessian are evaluated at the points: "single", quick to build; "batched", several
         in a call; or "compiled" in C
+
+    Attributes
+    ----------
+    symbols : unknowns ξ, start, end, mesh and, if the integrand has some, parameters, by name
+    u : the layout's vector
     """
 
     def __init__(self, integrand: ca.Function, layout: Layout, evaluation: Evaluation = "batched") -> None:
@@ -141,66 +155,62 @@ class Functional:
             compiler()  # a missing one is reported before anything is built
         elif layout.points >= MANY:
             evaluation = "batched"
-        self.pointwise, self.layout, self.evaluation = pointwise(integrand), layout, evaluation
+        path = embedded(layout)
+        self.pointwise, self.layout, self.evaluation = pointwise(integrand), path.layout, evaluation
+        self.symbols, self.u, self._points = dict(path.symbols), path.u, path.points
+        if integrand.n_in() == 4:
+            self.symbols["parameters"] = ca.MX.sym("parameters", integrand.size1_in(3))
         pattern = self.pointwise.pattern
-        self._points: tuple[ca.MX, ca.MX, list[ca.MX]] | None = None
-        self.pattern_key = (layout, tuple(pattern.colind()), tuple(pattern.row()))
+        self.pattern_key = (path.layout, tuple(pattern.colind()), tuple(pattern.row()))
 
-    def _embedded(self, u: ca.MX, mesh: ca.MX) -> list[ca.MX]:
-        """Points for u and mesh, the same expressions when asked again for the same ones."""
-        if self._points is None or self._points[0] is not u or self._points[1] is not mesh:
-            self._points = u, mesh, list(embedding(self.layout).call([u, mesh]))
-        return self._points[2]
-
-    def _map(
-        self, f: ca.Function, at: list[ca.MX], parameters: ca.MX | None, *extra: ca.MX, batch: bool = False
-    ) -> list[ca.MX]:
+    def _map(self, f: ca.Function, *extra: ca.MX, batch: bool = True) -> list[ca.MX]:
         """Evaluate a pointwise Function at all quadrature points; outputs (n, N r)."""
-        shared, given = ((), []) if parameters is None else ((len(at),), [parameters])
+        at, count = list(self._points), self.layout.points
+        shared = (len(at),) if "parameters" in self.symbols else ()
+        at += [self.symbols["parameters"] for _ in shared]
         if batch and self.evaluation == "compiled":
-            return list(compiled(f, self.layout.points, shared).call([*at, *given]))
-        f, size = batched(f, self.layout.points, shared) if batch and self.evaluation == "batched" else (f, 1)
-        calls = self.layout.points // size
-        mapped = f.map(f.name(), "serial", calls, list(shared), []) if shared else f.map(calls)
-        return list(mapped.call([*at, *given, *extra]))
+            return list(compiled(f, count, shared).call(at))
+        f, size = batched(f, count, shared) if batch and self.evaluation == "batched" else (f, 1)
+        mapped = f.map(f.name(), "serial", count // size, list(shared), []) if shared else f.map(count // size)
+        return list(mapped.call([*at, *extra]))
 
-    def first(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
-        """S; ∇S of each interval's action by its own node values (d N, m + 1), and of S by u; sizes of its terms.
+    def action(self) -> ca.MX:
+        """S: scalar."""
+        return summation(self.layout)(self._map(self.pointwise.first)[0])
 
-        The roundoff of a sum is a few eps of the sum of the sizes of its terms.
-        """
-        at = self._embedded(u, mesh)
-        values, *slopes = self._map(self.pointwise.first, at, parameters, batch=True)
-        local, total = integration(self.layout).call(slopes)
-        terms = integration(self.layout, absolute=True).call([ca.fabs(slope) for slope in slopes])[1]
-        return summation(self.layout).call([values])[0], local, total, terms
+    def gradient(self) -> ca.MX:
+        """∇S with respect to the free values ξ."""
+        return integration(self.layout)(*self._map(self.pointwise.first)[1:])
 
-    def derivatives(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> tuple[ca.MX, ca.MX]:
+    def first(self) -> list[ca.MX]:
+        """S, momenta at the joints, ∇S with respect to the free values ξ, and sizes of the terms that it sums."""
+        return list(first_variation(self.layout).call(self._map(self.pointwise.first)))
+
+    def derivatives(self) -> tuple[ca.MX, ca.MX]:
         """∇²S and ∇S with respect to the free values ξ, in one go through the points."""
-        at = self._embedded(u, mesh)
-        by_x, by_slope, *values = self._map(self.pointwise.derivatives, at, parameters, batch=True)
-        total = integration(self.layout).call([by_x, by_slope])[1]
-        return assembly(*self.pattern_key, self.pointwise.blocks).call(values)[0], total[: self.layout.free]
+        by_x, by_slope, *values = self._map(self.pointwise.derivatives)
+        return self._assembled(values), integration(self.layout).call([by_x, by_slope])[0]
 
-    def hessian(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None, inertia: ca.MX | None = None) -> ca.MX:
+    def hessian(self, inertia: ca.MX | None = None) -> ca.MX:
         """∇²S with respect to the free values ξ: sparse, symmetric, both halves stored.
 
         With `inertia`, the block ∂²L/∂v² is multiplied by it: large values make the matrix positive definite where
         the kinetic energy is.
         """
-        at = self._embedded(u, mesh)
-        values = self._map(self.pointwise.derivatives, at, parameters, batch=True)[2:]
+        values = self._map(self.pointwise.derivatives)[2:]
         if inertia is not None:
             blocks = self.pointwise.blocks
             values = [
                 inertia * value if block == (1, 1) else value for block, value in zip(blocks, values, strict=True)
             ]
+        return self._assembled(values)
+
+    def _assembled(self, values: list[ca.MX]) -> ca.MX:
         return assembly(*self.pattern_key, self.pointwise.blocks).call(values)[0]
 
-    def curvature(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None, direction: ca.MX) -> tuple[ca.MX, ca.MX]:
+    def curvature(self, direction: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Second variation yᵀ∇²S y along y = `direction`, and the same with every term taken positive."""
-        at = self._embedded(u, mesh)
-        y, slope = embedding(self.layout).call([direction, mesh])[2:]
-        signed, positive = self._map(self.pointwise.curvature, at, parameters, ca.vertcat(y, slope))
-        signed, positive = (summation(self.layout).call([values])[0] for values in (signed, positive))
-        return signed, positive
+        given = ca.MX.zeros(self.layout.size - self.layout.free, 1)
+        y, slope = embedding(self.layout).call([ca.vertcat(direction, given), self.symbols["mesh"]])[2:]
+        signed, positive = self._map(self.pointwise.curvature, ca.vertcat(y, slope), batch=False)
+        return summation(self.layout)(signed), summation(self.layout)(positive)

@@ -122,14 +122,42 @@ def embedding(layout: Layout) -> ca.Function:
     return ca.Function("embedding", [u, mesh], outputs, ["u", "mesh"], ["t", "h", "x", "slope"])
 
 
-@lru_cache(2 * LAYOUTS_KEPT)
-def integration(layout: Layout, absolute: bool = False) -> ca.Function:
-    """Eᵀ: values fx, fv (d, N r) that multiply x and x' -> local sums (d N, m + 1), and their sum by entry of u.
+@dataclass(frozen=True)
+class Embedded:
+    """A path in symbols, and what E makes of it; the same for all Lagrangians.
+
+    Attributes
+    ----------
+    layout : Layout
+    symbols : unknowns, start, end and mesh by name
+    u : the layout's vector, of the first three
+    points : t (1, N r), h (1, N r), x (d, N r), x' (d, N r)
+    """
+
+    layout: Layout
+    symbols: dict[str, ca.MX]
+    u: ca.MX
+    points: list[ca.MX]
+
+
+@lru_cache(LAYOUTS_KEPT)
+def embedded(layout: Layout) -> Embedded:
+    """Embed the symbols of a layout."""
+    sizes = (layout.free, len(layout.fixed_start), len(layout.fixed_end), layout.intervals + 1)
+    symbols = {
+        name: ca.MX.sym(name, size) for name, size in zip(("unknowns", "start", "end", "mesh"), sizes, strict=True)
+    }
+    *values, mesh = symbols.values()
+    u = ca.vertcat(*values)
+    return Embedded(layout, symbols, u, list(embedding(layout).call([u, mesh])))
+
+
+def _integrated(layout: Layout, fx: ca.MX, fv: ca.MX, absolute: bool = False) -> tuple[ca.MX, ca.MX]:
+    """Eᵀ as expressions: local sums (d N, m + 1), and their sum by unknown.
 
     With `absolute`, every constant is taken positive: applied to sizes it bounds the terms that were summed.
     """
     element, n, d = layout.method.element, layout.intervals, layout.dimension
-    fx, fv = ca.MX.sym("fx", d, layout.points), ca.MX.sym("fv", d, layout.points)
     x, v = (ca.reshape(a, d * n, -1) for a in (fx, fv))
     weights = element.weights[:, None]
     values, slopes = weights * element.values, weights * element.slopes
@@ -138,19 +166,52 @@ def integration(layout: Layout, absolute: bool = False) -> ca.Function:
     else:
         others = _times(x, values[:, 1:]) + _times(v, slopes[:, 1:])
         local = ca.horzcat(_times(x, weights) - ca.sum2(others), others)
-    entries, total = ca.vec(local), 0
-    for positions, targets in _contributions(layout.local.ravel()):
-        sparsity = ca.Sparsity(layout.size, 1, [0, len(targets)], targets.tolist())
-        total = total + ca.MX(sparsity, entries.get_nz(False, positions.tolist()))
-    return ca.Function("integration", [fx, fv], [local, total], ["fx", "fv"], ["local", "total"])
+    entries, total, target = ca.vec(local), ca.MX(layout.free, 1), layout.local.ravel()
+    unknown = np.flatnonzero(target < layout.free)
+    for positions, targets in _contributions(target[unknown]):
+        sparsity = ca.Sparsity(layout.free, 1, [0, len(targets)], targets.tolist())
+        total = total + ca.MX(sparsity, entries.get_nz(False, unknown[positions].tolist()))
+    return local, ca.densify(total)
+
+
+def _slopes(layout: Layout) -> list[ca.MX]:
+    """Symbols for values that multiply x and x', (d, N r)."""
+    return [ca.MX.sym(name, layout.dimension, layout.points) for name in ("fx", "fv")]
+
+
+@lru_cache(LAYOUTS_KEPT)
+def integration(layout: Layout) -> ca.Function:
+    """Eᵀ: values fx, fv (d, N r) that multiply x and x' -> their sum by unknown."""
+    inputs = _slopes(layout)
+    return ca.Function("integration", inputs, [_integrated(layout, *inputs)[1]], ["fx", "fv"], ["total"])
+
+
+def _summed(layout: Layout, f: ca.MX) -> ca.MX:
+    """∫ f Δ_w t on the reference interval, summed: values (1, N r), step included -> scalar."""
+    return ca.sum1(_times(ca.reshape(f, layout.intervals, -1), layout.method.element.weights[:, None]))
 
 
 @lru_cache(LAYOUTS_KEPT)
 def summation(layout: Layout) -> ca.Function:
     """∫ f Δ_w t on the reference interval, summed: values (1, N r), step included -> scalar."""
     f = ca.MX.sym("f", 1, layout.points)
-    total = ca.sum1(_times(ca.reshape(f, layout.intervals, -1), layout.method.element.weights[:, None]))
-    return ca.Function("summation", [f], [total], ["f"], ["integral"])
+    return ca.Function("summation", [f], [_summed(layout, f)], ["f"], ["integral"])
+
+
+@lru_cache(LAYOUTS_KEPT)
+def first_variation(layout: Layout) -> ca.Function:
+    """From an integrand (1, N r) and its gradient fx, fv (d, N r): S, momenta, ∇S by unknown, sizes of its terms.
+
+    Momenta (d, N + 1) are -∂S/∂x_0 at the first joint and ∂S_k/∂x_{k+1}, of interval k, at the others.  The
+    roundoff of a sum is a few eps of the sum of the sizes of its terms.
+    """
+    f, (fx, fv) = ca.MX.sym("f", 1, layout.points), _slopes(layout)
+    local, total = _integrated(layout, fx, fv)
+    terms = _integrated(layout, ca.fabs(fx), ca.fabs(fv), absolute=True)[1]
+    d = layout.dimension
+    momenta = ca.horzcat(-local[:d, 0], ca.reshape(local[:, -1], d, layout.intervals))
+    results = [_summed(layout, f), momenta, total, terms]
+    return ca.Function("first", [f, fx, fv], results, ["f", "fx", "fv"], ["action", "momentum", "gradient", "terms"])
 
 
 @lru_cache(LAYOUTS_KEPT)
