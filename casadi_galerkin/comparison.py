@@ -105,10 +105,16 @@ class Comparison:
         lines += [f"  {attempt.failure}" for attempt in (self.stepped, self.shooting) if attempt.failure]
         return "\n".join(lines)
 
-    def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the gaps over time, logarithmic; returns the Matplotlib axes."""
+    def plot(self, axes: Axes | None = None, time: str = "t") -> Axes:
+        """Draw the gaps over time, logarithmic; returns the Matplotlib axes.
+
+        Parameters
+        ----------
+        axes : Matplotlib axes to draw into; default a new figure
+        time : name of the time with its unit, such as "t in s"
+        """
         gaps = {"stepped from the global start": self.stepped.gap, "shooting": self.shooting.gap}
-        return plot_gaps(self.global_path.t, gaps, axes)
+        return plot_gaps(self.global_path.t, gaps, axes, time)
 
 
 def compare(
