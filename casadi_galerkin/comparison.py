@@ -113,7 +113,8 @@ class Comparison:
         axes : Matplotlib axes to draw into; default a new figure
         time : name of the time with its unit, such as "t in s"
         """
-        gaps = {"stepped from the global start": self.stepped.gap, "shooting": self.shooting.gap}
+        ways = {"stepped from the global start": self.stepped, "shooting": self.shooting}
+        gaps = {name + (" (failed)" if way.path is None else ""): way.gap for name, way in ways.items()}
         return plot_gaps(self.global_path.t, gaps, axes, time)
 
 

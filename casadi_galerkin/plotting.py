@@ -74,7 +74,8 @@ def _named(name: str, count: int, labels: Sequence[str] | None) -> tuple[Sequenc
         return names, names[0] if count == 1 else name
     if isinstance(labels, str) or len(labels) != count:
         raise ValueError(f"labels of {name} must be {count} name(s), one a component, got {labels!r}")
-    return labels, fill(", ".join(labels), WIDTH)
+    unbroken = ", ".join(label.replace(" ", "\N{NO-BREAK SPACE}") for label in labels)
+    return labels, fill(unbroken, WIDTH).replace("\N{NO-BREAK SPACE}", " ")
 
 
 def panels(count: int) -> list[Axes]:
@@ -223,7 +224,7 @@ def plot_work_precision(
     -------
     the Matplotlib axes
     """
-    axes = axes_or_new(axes)
+    axes = axes_or_new(axes, (9.0, 4.0))
     for i, (label, (seconds, errors)) in enumerate(lines.items()):
         drawn = np.maximum(errors, floor / 3)  # an error of zero has no place on a logarithmic axis
         axes.loglog(seconds, drawn, "o-", color=COLORS[i % len(COLORS)], markersize=4, label=label)
@@ -240,5 +241,5 @@ def plot_work_precision(
     )
     axes.set_xlabel("seconds of a warm solve")
     axes.set_ylabel("largest relative error of the path")
-    axes.legend(fontsize="small", loc="upper right")
+    axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))  # beside the lines
     return axes

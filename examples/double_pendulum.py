@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from show import picture, save
 
 import casadi_galerkin as cg
 
@@ -22,8 +23,8 @@ def lagrangian(t: ca.SX, x: ca.SX, v: ca.SX) -> ca.SX:
     return kinetic + GRAVITY * (2 * ca.cos(x[0]) + ca.cos(x[1]))
 
 
-def main(plot: bool = False) -> cg.Comparison:
-    """Compare the global path with the stepwise ways to it."""
+def main(plot: str | None = None) -> cg.Comparison:
+    """Compare the global path with the stepwise ways to it; with `plot`, the name of a file, draw how far they are."""
     method, intervals = cg.Galerkin(degree=8), DURATION * STEPS_A_SECOND
     start = [2.0, 2.5]
     motion = cg.InitialProblem(lagrangian, (0, DURATION), position=start, velocity=[0, 0])
@@ -31,14 +32,13 @@ def main(plot: bool = False) -> cg.Comparison:
     problem = cg.BoundaryProblem(lagrangian, (0, DURATION), start=start, end=np.round(guess.x[:, -1], 2).tolist())
     comparison = cg.compare(problem, method, intervals, guess=guess)
     if plot:
-        import matplotlib.pyplot as plt
-
-        comparison.plot()
-        plt.show()
+        axes = comparison.plot(time="t in s")
+        axes.set_title("Double pendulum: chaos parts the steps from the global path")
+        save(axes, plot)
     return comparison
 
 
 if __name__ == "__main__":
-    comparison = main(plot=True)
+    comparison = main(picture("double_pendulum.png"))
     print(comparison)
     print(f"parted at t = {comparison.parting_time:g} s")

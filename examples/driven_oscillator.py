@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from show import picture, save
 
 import casadi_galerkin as cg
 
@@ -33,21 +34,27 @@ def response(t: np.ndarray) -> np.ndarray:
     return RESPONSE * np.cos(FREQUENCY * t - phase)
 
 
-def main(plot: bool = False) -> tuple[cg.Trajectory, cg.Geometry]:
-    """Step from rest into the response; returns the path and its geometry."""
+def main(plot: str | None = None) -> tuple[cg.Trajectory, cg.Geometry]:
+    """Step from rest into the response; returns the path and its geometry.  With `plot`, a file's name, draw it."""
     problem = cg.InitialProblem(lagrangian, (0, DURATION), position=[2.0], velocity=[0.0], force=force)
     path = cg.solve(problem, cg.Galerkin(degree=6), INTERVALS)
     if plot:
-        import matplotlib.pyplot as plt
-
-        times = np.linspace(0, DURATION, 1000)
-        path.plot().plot(times, response(times), "k:")
-        plt.show()
+        draw(path, plot)
     return path, cg.geometry(problem, path)
 
 
+def draw(path: cg.Trajectory, name: str) -> None:
+    """Draw the motion and the response that it settles into."""
+    axes = path.plot()
+    times = np.linspace(0, DURATION, 1000)
+    axes.plot(times, response(times), "k:", label="response")
+    axes.set_title("A damped and driven oscillator settles into its response")
+    axes.legend()
+    save(axes, name)
+
+
 if __name__ == "__main__":
-    path, measured = main(plot=True)
+    path, measured = main(picture("driven_oscillator.png"))
     print(path)
     print(f"determinant of a step: {measured.determinants[0]:.12g}, e^(-c h) = {np.exp(-DAMPING * 0.5):.12g}")
     print(f"from the response at the end: {abs(path.x[0, -1] - response(path.t[-1])):.1e}")

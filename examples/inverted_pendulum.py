@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from show import picture, save
 
 import casadi_galerkin as cg
 
@@ -26,8 +27,11 @@ def exact(t: np.ndarray, horizon: float) -> np.ndarray:
     return (np.exp(-t) + np.exp(t - horizon)) / (1 + np.exp(-horizon))
 
 
-def main(plot: bool = False) -> dict[int, tuple[cg.Comparison, float]]:
-    """By horizon, the comparison and the largest error of the global path relative to the path's size 1."""
+def main(plot: str | None = None) -> dict[int, tuple[cg.Comparison, float]]:
+    """By horizon, the comparison and the largest error of the global path relative to the path's size 1.
+
+    With `plot`, the name of a file, draw the comparison at horizon 40.
+    """
     results = {}
     for horizon in HORIZONS:
         problem = cg.BoundaryProblem(lagrangian, (0, horizon), start=[1], end=[1])
@@ -35,14 +39,13 @@ def main(plot: bool = False) -> dict[int, tuple[cg.Comparison, float]]:
         path = comparison.global_path
         results[horizon] = comparison, float(np.max(np.abs(path.x[0] - exact(path.t, horizon))))
     if plot:
-        import matplotlib.pyplot as plt
-
-        results[40][0].plot()
-        plt.show()
+        axes = results[40][0].plot(time="t in units of the pendulum's own time")
+        axes.set_title("A balanced pendulum: the start's last digit grows with exp(t)")
+        save(axes, plot)
     return results
 
 
 if __name__ == "__main__":
-    for comparison, error in main(plot=True).values():
+    for comparison, error in main(picture("inverted_pendulum.png")).values():
         print(comparison)
         print(f"  error of the global path: {error:.1e}\n")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
@@ -27,26 +28,25 @@ def rotation(x: ca.SX) -> list[ca.SX]:
     return [-x[1], x[0]]
 
 
-def main(plot: bool = False) -> tuple[cg.Trajectory, cg.Geometry]:
-    """Step through all revolutions from the perihelion; returns the path and what it conserves."""
+def main(plot: str | None = None) -> tuple[cg.Trajectory, cg.Geometry]:
+    """Step through all revolutions from the perihelion; returns the path and what it conserves.
+
+    With `plot`, the name of a file, draw the error of the energy.
+    """
     perihelion = SEMI_MAJOR_AXIS * (1 - ECCENTRICITY)
     speed = np.sqrt(GM * (2 / perihelion - 1 / SEMI_MAJOR_AXIS))
     problem = cg.InitialProblem(lagrangian, (0, REVOLUTIONS * PERIOD), position=[perihelion, 0], velocity=[0, speed])
     path = cg.solve(problem, cg.Galerkin(degree=8), intervals=REVOLUTIONS * STEPS_A_REVOLUTION)
     conserved = cg.geometry(problem, path, symmetry=rotation)
     if plot:
-        import matplotlib.pyplot as plt
-
-        axes = plt.subplots()[1]
+        axes = canvas("1000 revolutions of Mercury", "t in years", "relative error of the energy")
         axes.plot(path.t, path.energy / path.energy[0] - 1, ".", markersize=1)
-        axes.set_xlabel("years")
-        axes.set_ylabel("relative energy error")
-        plt.show()
+        save(axes, plot)
     return path, conserved
 
 
 if __name__ == "__main__":
-    path, conserved = main(plot=True)
+    path, conserved = main(picture("kepler_revolutions.png"))
     print(path)
     print(conserved)
     print(

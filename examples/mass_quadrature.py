@@ -46,11 +46,13 @@ def main(plot=None):
     trades = {name: cg.trade(problem, methods, INTERVALS) for name, problem in PROBLEMS.items()}
     if plot:
         rows = trades["mass 1 + x²"].rows
-        axes = canvas("Mass 1 + x²: one quadrature point more", "intervals", "error at the joints")
+        axes = canvas("Mass 1 + x²: one quadrature point more", "intervals", "error at the joints", (8.0, 4.0))
         for method in methods:
             chosen = [row for row in rows if row.method == method]
             axes.loglog([row.intervals for row in chosen], [row.joint_error for row in chosen], "o-", label=str(method))
-        axes.legend(fontsize="small")
+        axes.set_xticks(INTERVALS, [str(number) for number in INTERVALS])
+        axes.minorticks_off()
+        axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
         save(axes, plot)
     return {name: gains(measured) for name, measured in trades.items()}
 

@@ -61,6 +61,11 @@ def test_labels_that_are_not_one_a_component_are_refused(labels):
         planar().solve().plot(labels=labels)
 
 
+def test_long_labels_are_broken_between_components_only():
+    labels = ["upper arm in rad", "forearm in rad"]
+    assert planar().solve().plot(labels=labels).get_ylabel() == "upper arm in rad,\nforearm in rad"
+
+
 @pytest.fixture
 def driven():
     """A mass in the plane, pushed by two controls."""

@@ -1,32 +1,40 @@
 """The stepwise scenes run and show what they say."""
 
-import importlib.util
+import importlib
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
-def scene(name):
-    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+@pytest.fixture
+def scene(monkeypatch):
+    mpl.use("Agg")
+    monkeypatch.syspath_prepend(EXAMPLES)
+    return importlib.import_module
 
 
-def test_mercury_is_back_at_its_perihelion_after_1000_revolutions():
-    path, conserved = scene("kepler_revolutions").main()
+@pytest.fixture
+def picture(tmp_path):
+    """Name of a file that must be a picture in the end."""
+    yield str(tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_mercury_is_back_at_its_perihelion_after_1000_revolutions(scene, picture):
+    path, conserved = scene("kepler_revolutions").main(picture)
     assert np.linalg.norm(path.x[:, -1] - path.x[:, 0]) < 1e-9
     assert conserved.energy_error < 1e-12 * abs(path.energy[0])
     np.testing.assert_allclose(conserved.momentum_map, conserved.momentum_map[0], rtol=1e-12)
     assert np.max(conserved.symplecticity_defects) <= 1e-12
 
 
-def test_chaos_parts_the_double_pendulum_from_its_global_path():
+def test_chaos_parts_the_double_pendulum_from_its_global_path(scene, picture):
     module = scene("double_pendulum")
-    comparison = module.main()
+    comparison = module.main(picture)
     path = comparison.global_path
     assert np.ptp(path.energy) < 1e-7 * abs(path.energy[0])
     assert path.x[:, -1].tolist() == np.round(path.x[:, -1], 2).tolist()
@@ -37,16 +45,16 @@ def test_chaos_parts_the_double_pendulum_from_its_global_path():
     assert comparison.condition_stepwise > 1e14
 
 
-def test_the_balanced_pendulum_keeps_its_digits_only_globally():
-    for horizon, (comparison, error) in scene("inverted_pendulum").main().items():
+def test_the_balanced_pendulum_keeps_its_digits_only_globally(scene, picture):
+    for horizon, (comparison, error) in scene("inverted_pendulum").main(picture).items():
         assert error <= 1e-12
         assert np.log(comparison.condition_stepwise) == pytest.approx(horizon, abs=1e-3)
         assert (comparison.shooting.failure is None) == (horizon <= 20)
 
 
-def test_the_driven_oscillator_settles_into_its_response():
+def test_the_driven_oscillator_settles_into_its_response(scene, picture):
     module = scene("driven_oscillator")
-    path, measured = module.main()
+    path, measured = module.main(picture)
     late = path.t > 70
     np.testing.assert_allclose(path.x[0, late], module.response(path.t[late]), rtol=0, atol=1e-7)  # e^{-70 c/2}
     np.testing.assert_allclose(measured.determinants, np.exp(-module.DAMPING * 0.5), rtol=1e-10)
