@@ -12,11 +12,12 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.algebra import algebra
 from casadi_galerkin.calculus import Galerkin
-from casadi_galerkin.functional import Functional
+from casadi_galerkin.functional import Evaluation, Functional
 from casadi_galerkin.operators import Layout
 from casadi_galerkin.problems import BoundaryProblem
-from casadi_galerkin.system import System, algebra
+from casadi_galerkin.system import EPS, TINY, System
 
 
 class ActionGraph:
@@ -27,7 +28,7 @@ class ActionGraph:
     problem : BoundaryProblem
     method : Galerkin
     mesh : (N + 1,), joints; only their number enters the graph
-    jit : whether gradient and Hessian are compiled in C
+    evaluation : of gradient and Hessian at the points, as for `Functional`
 
     Attributes
     ----------
@@ -36,24 +37,24 @@ class ActionGraph:
     build_seconds : float
     """
 
-    def __init__(self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, jit: bool = False) -> None:
+    def __init__(
+        self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, evaluation: Evaluation = "batched"
+    ) -> None:
         began = time.perf_counter()
         self.problem, self.method, self.mesh = problem, method, mesh
         fixed_start, fixed_end = (
             tuple(i for i, value in enumerate(end) if value is not None) for end in (problem.start, problem.end)
         )
         self.layout = Layout(method, len(mesh) - 1, problem.dimension, fixed_start, fixed_end, problem.periodic)
-        self._functional = Functional(problem.lagrangian, self.layout, jit)
+        self._functional = Functional(problem.lagrangian, self.layout, evaluation)
         sizes = {"unknowns": self.layout.free, "start": len(fixed_start), "end": len(fixed_end), "mesh": len(mesh)}
         if problem.parameters is not None:
             sizes["parameters"] = len(problem.parameters)
         self._symbols = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
         self._u = ca.vertcat(*(self._symbols[name] for name in ("unknowns", "start", "end")))
         self._at = (self._u, self._symbols["mesh"], self._symbols.get("parameters"))
-        self._local, total = self._functional.gradient(*self._at)
-        self._total = total[: self.layout.free]
         kinetic = self._functional.pointwise.kinetic
-        self.system = System(self._build, algebra(*self._functional.assembly_key), kinetic)
+        self.system = System(self._build, algebra(*self._functional.pattern_key), kinetic)
         self.build_seconds = time.perf_counter() - began
 
     def _build(self, name: str) -> ca.Function:
@@ -73,12 +74,12 @@ class ActionGraph:
     @cached_property
     def action(self) -> ca.Function:
         """S of (unknowns, start, end, mesh[, parameters])."""
-        return self._function("action", self._action)
+        return self._function("action", self._first[0])
 
     @cached_property
     def gradient(self) -> ca.Function:
         """∇S by the unknowns."""
-        return self._function("gradient", self._total)
+        return self._function("gradient", self._first[2])
 
     @cached_property
     def hessian(self) -> ca.Function:
@@ -91,17 +92,23 @@ class ActionGraph:
         return self._function("derivatives", *self._functional.derivatives(*self._at), results=["matrix", "gradient"])
 
     @cached_property
-    def terms(self) -> ca.Function:
-        """Sizes of the terms that ∇S sums."""
-        return self._function("terms", self._functional.gradient_terms(*self._at)[: self.layout.free])
-
-    @cached_property
     def curvature(self) -> ca.Function:
         """Second variation along one more input, a direction, and the sum of the sizes of its terms."""
         direction = ca.MX.sym("direction", self.layout.free)
         given = ca.MX.zeros(self.layout.size - self.layout.free, 1)
         terms = self._functional.curvature(*self._at, ca.vertcat(direction, given))
         return self._function("curvature", *terms, extra=(direction,))
+
+    @cached_property
+    def floor(self) -> ca.Function:
+        """Roundoff floor of every entry of ∇S, as `system.floor` of the sizes along the path."""
+        numbering = self.layout.numbering
+        component = np.zeros(self.layout.size, dtype=np.int64)
+        component[numbering] = np.arange(self.problem.dimension)
+        scale = ca.vertcat(*(ca.norm_inf(self._u[column.tolist()]) for column in numbering.T))
+        sizes = ca.vec(scale.get_nz(False, component[: self.layout.free].tolist()))
+        spread = ca.mtimes(ca.fabs(self._functional.hessian(*self._at)), sizes)
+        return self._function("floor", ca.fmax(EPS * (self._first[3] + spread), TINY))
 
     @cached_property
     def inertial(self) -> ca.Function:
@@ -115,21 +122,28 @@ class ActionGraph:
         """Derivative of ∇S along one more input, a direction of the parameters."""
         parameters = self._symbols["parameters"]
         direction = ca.MX.sym("direction", parameters.shape[0])
-        return self._function("sensitivity", ca.jtimes(self._total, parameters, direction), extra=(direction,))
+        return self._function("sensitivity", ca.jtimes(self._first[2], parameters, direction), extra=(direction,))
 
     @cached_property
     def timing(self) -> ca.Function:
         """∂S/∂t_i and ∂²S/∂t_i∂t_j by the joints, at fixed node values: the first are the jumps of the energy."""
-        hessian, gradient = ca.hessian(self._action, self._symbols["mesh"])
+        hessian, gradient = ca.hessian(self._first[0], self._symbols["mesh"])
         return self._function("timing", gradient, hessian)
 
     @cached_property
-    def _action(self) -> ca.MX:
-        return self._functional.action(*self._at)
+    def summary(self) -> ca.Function:
+        """S; momenta (d, N + 1) at all joints; ∇S; sizes of the terms that ∇S sums.
+
+        The first momentum is -∂S/∂x_0, the others are ∂S_k/∂x_{k+1} of interval k.
+        """
+        action, local, total, terms = self._first
+        d = self.problem.dimension
+        momenta = ca.horzcat(-local[:d, 0], ca.reshape(local[:, -1], d, self.layout.intervals))
+        return self._function(
+            "summary", action, momenta, total, terms, results=["action", "momentum", "gradient", "terms"]
+        )
 
     @cached_property
-    def summary(self) -> ca.Function:
-        """S, and momenta (d, N + 1) at all joints: the first -∂S/∂x_0, then ∂S_k/∂x_{k+1} of interval k."""
-        d, local = self.problem.dimension, self._local
-        momenta = ca.horzcat(-local[:d, 0], ca.reshape(local[:, -1], d, self.layout.intervals))
-        return self._function("summary", self._action, momenta, results=["action", "momentum"])
+    def _first(self) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
+        action, local, total, terms = self._functional.first(*self._at)
+        return action, local, total[: self.layout.free], terms[: self.layout.free]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,16 +14,18 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.action_graph import ActionGraph
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial
 from casadi_galerkin.engines import Solution, SolveFailure, rootfinder
+from casadi_galerkin.functional import Evaluation
 from casadi_galerkin.guesses import Guess, given_values, mesh_of
 from casadi_galerkin.operators import embedding
 from casadi_galerkin.plotting import plot_pattern
 from casadi_galerkin.problems import BoundaryProblem, components, numbers
-from casadi_galerkin.system import SINGULAR, Data, Evaluator, System, negative_eigenvalues, second_variation
+from casadi_galerkin.system import SINGULAR, Data, System, negative_eigenvalues, second_variation
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+REGULAR = 1e-9  # `Solution.regularity` above which the second variation need not be looked at
 Engine = Callable[[System, np.ndarray, Data, int], Solution]
 
 
@@ -46,7 +48,7 @@ class Transcription(ActionGraph):
     problem : BoundaryProblem
     method : Galerkin
     mesh : (N + 1,), the joints used unless others are given to `solve`
-    jit : whether gradient and Hessian are compiled in C
+    evaluation : of gradient and Hessian at the points, as for `Functional`
 
     Attributes
     ----------
@@ -59,10 +61,6 @@ class Transcription(ActionGraph):
     @cached_property
     def _calculus(self) -> DiscreteCalculus:
         return DiscreteCalculus(self.method, self.mesh)
-
-    @cached_property
-    def _summary(self) -> Evaluator:
-        return Evaluator(self.summary)
 
     def _values(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) in the order of time."""
@@ -148,7 +146,7 @@ class Transcription(ActionGraph):
         with self.system.algebra.lock:
             for _ in range(2):
                 (gradient,) = self.system.evaluate("derivatives", unknowns, *data)
-                steps.append(self.system.solved("direction", gradient)[0])
+                steps.extend(self.system.solve(gradient))
                 unknowns = unknowns + steps[-1]
         return [calculus.emb(self.change(step)) for step in steps]
 
@@ -190,55 +188,54 @@ class Transcription(ActionGraph):
         """Node values (N m + 1, d) of a guess, bent to meet the fixed ends by adding a straight line."""
         times, d = calculus.node_times, self.problem.dimension
         values = np.zeros((len(times), d)) if guess is None else given_values(guess, calculus, d).T
-        numbering, fixed = self.layout.numbering, np.concatenate((np.zeros(self.layout.free), *data[:2]))
-        miss = np.where(numbering[[0, -1]] >= self.layout.free, fixed[numbering[[0, -1]]] - values[[0, -1]], np.nan)
-        miss = np.where(np.isnan(miss), miss[::-1], miss)  # a free end takes over what the other one is moved by
-        part = ((times - times[0]) / (times[-1] - times[0]))[:, None]
-        miss = np.where(np.isnan(miss), 0.0, miss)
-        bent = values + (1 - part) * miss[0] + part * miss[1]
-        if not np.all(np.isfinite(bent)):
-            i = int(np.argmax(~np.isfinite(bent).all(axis=1)))
-            raise ValueError(f"the guess must be finite, got {bent[i]} at t = {times[i]}")
-        return np.asarray(bent)
+        if not np.all(np.isfinite(values)):
+            i = int(np.argmax(~np.isfinite(values).all(axis=1)))
+            raise ValueError(f"the guess must be finite, got {values[i]} at t = {times[i]}")
+        entries = self.layout.numbering[[0, -1]]
+        fixed = entries >= self.layout.free
+        miss = np.where(fixed, np.concatenate((np.zeros(self.layout.free), *data[:2]))[entries] - values[[0, -1]], 0.0)
+        miss = np.where(fixed, miss, miss[::-1])  # a free end takes over what the other one is moved by
+        part = (times - times[0]) / (times[-1] - times[0])
+        return np.asarray(values + miss[0] + np.multiply.outer(part, miss[1] - miss[0]))
 
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
-        system, unknowns, data = self.system, point.solution.unknowns, point.data
-        (action,), momenta = self._summary(unknowns, *data)
-        if not np.isfinite(action):
+        solution, data = point.solution, point.data
+        if not np.isfinite(solution.action):
+            place = self._not_finite(solution.unknowns, data)
             raise ConvergenceError(
-                f"no path was found: the equations have a solution, but on it {self._not_finite(unknowns, data)}. "
+                f"no path was found: the equations have a solution, but on it {place}. "
                 "Try a guess that stays where the Lagrangian is defined",
                 point.path,
-                point.solution.residual,
-                point.solution.iterations,
+                solution.residual,
+                solution.iterations,
             )
-        with system.algebra.lock:
-            quotient = second_variation(system, unknowns, data)
-            index = negative_eigenvalues(system, unknowns, data)
-        if quotient < SINGULAR:
-            raise ConjugatePointError(
-                f"the second variation of the action vanishes (relative size {quotient:.0e}): the ends are conjugate "
-                "points, or a family of paths joins them. Move an end, change the time span, or fix a component "
-                "that a symmetry leaves free",
-                point.path,
-                point.solution.residual,
-                point.solution.iterations,
-            )
+        if not solution.regularity > REGULAR:
+            with self.system.algebra.lock:
+                quotient = second_variation(self.system, solution.unknowns, data)
+            if quotient < SINGULAR:
+                raise ConjugatePointError(
+                    f"the second variation of the action vanishes (relative size {quotient:.0e}): the ends are "
+                    "conjugate points, or a family of paths joins them. Move an end, change the time span, or fix a "
+                    "component that a symmetry leaves free",
+                    point.path,
+                    solution.residual,
+                    solution.iterations,
+                )
         return Trajectory(
             t=point.path.mesh,
             x=point.path.values[:, :: self.method.degree].copy(),
-            momentum=momenta.reshape(self.problem.dimension, -1, order="F"),
+            momentum=solution.momentum.reshape(self.problem.dimension, -1, order="F"),
             path=point.path,
-            action=float(action),
-            morse_index=index,
-            iterations=point.solution.iterations,
-            residual=point.solution.residual,
-            solver=point.solution.report,
+            action=solution.action,
+            iterations=solution.iterations,
+            residual=solution.residual,
+            solver=solution.report,
             build_seconds=self.build_seconds,
             solve_seconds=solve_seconds,
             method=self.method,
             problem=self._solved(data),
+            count_negative=partial(negative_eigenvalues, self.system, solution.unknowns, data),
         )
 
     def _solved(self, data: Data) -> BoundaryProblem:
@@ -262,7 +259,7 @@ class Transcription(ActionGraph):
         times, steps, x, slope = at
         for k in np.argsort(times[0], kind="stable"):
             point = (*(a[:, k] for a in at), *parameters)
-            results = [pointwise.value(*point), *pointwise.gradient(*point)]
+            results = pointwise.first(*point)
             if not all(np.all(np.isfinite(np.array(result))) for result in results):
                 v = slope[:, k] / steps[0, k]
                 return f"the Lagrangian is not finite at t = {times[0, k]:.6g}, where x = {x[:, k]} and v = {v}"
@@ -270,10 +267,10 @@ class Transcription(ActionGraph):
 
     def _error(self, failure: SolveFailure, calculus: DiscreteCalculus, data: Data) -> ConvergenceError:
         """Say what happened, where in time, how far it got, and what to try."""
-        unknowns, system = failure.unknowns, self.system
+        unknowns = failure.unknowns
         path = calculus.emb(self._values(unknowns, data).T)
-        (g,) = system.evaluate("derivatives", unknowns, *data)
-        residual = system.ratios(g, unknowns, data)
+        g, floor = (np.array(f.call([unknowns, *data])[0]).ravel() for f in (self.gradient, self.floor))
+        residual = np.abs(g) / floor
         worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
         when = calculus.node_times[np.argmax((self.layout.numbering == worst).any(axis=1))]
         place = f"the largest residual is at t = {when:.6g}"
@@ -315,8 +312,19 @@ def transcribe(
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     jit : compile gradient and Hessian in C: 0.3 s each, then 2 to 6 times faster at the points; needs a C compiler
     """
+    return transcribed(problem, method, intervals, mesh, "compiled" if jit else "batched")
+
+
+def transcribed(
+    problem: BoundaryProblem,
+    method: Galerkin,
+    intervals: int | None,
+    mesh: ArrayLike | None,
+    evaluation: Evaluation,
+) -> Transcription:
+    """`transcribe`, with the way that the Lagrangian is evaluated at the points, as for `Functional`."""
     if not isinstance(problem, BoundaryProblem):
         raise TypeError(f"problem must be a BoundaryProblem, got {type(problem).__name__}")
     if not isinstance(method, Galerkin):
         raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
-    return Transcription(problem, method, mesh_of(problem.t_span, intervals, mesh), jit)
+    return Transcription(problem, method, mesh_of(problem.t_span, intervals, mesh), evaluation)

@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary import CriticalPoint, Transcription, transcribe
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial
-from casadi_galerkin.engines import Solution
+from casadi_galerkin.engines import Solution, verified
 from casadi_galerkin.guesses import Guess
 from casadi_galerkin.problems import BoundaryProblem, numbers
-from casadi_galerkin.system import ROUNDOFF, Data
+from casadi_galerkin.system import Data, joined
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
 FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.5, 1e-9  # of the arc length, in which the path counts by its size
@@ -140,26 +140,35 @@ class Walk:
         """The system's other inputs at a point z."""
         return self.transcription.data(self.transcription.mesh, parameters=self.parameters(z).tolist())
 
-    def directions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """∇S, the Newton step at fixed s, and how ξ follows s."""
+    def directions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The Newton step at fixed s, and how ξ follows s."""
         unknowns, data = z[:-1], self.data(z)
         (rate,) = self.system.evaluate("sensitivity", unknowns, *data, self.direction)
         with self.system.algebra.lock:
             (g,) = self.system.evaluate("derivatives", unknowns, *data)
-            newton, follow = (self.system.solved("direction", rhs)[0] for rhs in (g, rate))
-        return g, newton, follow
+            newton, follow = self.system.solve(g, rate)
+        return newton, follow
+
+    def verified(self, z: np.ndarray, iterations: int) -> Solution | None:
+        """A point as a solution, if its residuals are at their roundoff floors."""
+        unknowns, data = z[:-1], self.data(z)
+        with self.system.algebra.lock:
+            self.system.evaluate("derivatives", unknowns, *data)
+            probe = self.system.algebra.probe(joined(unknowns, data))
+            (soft,) = self.system.solve(probe)
+            return verified(self.system, unknowns, data, probe, soft, iterations, "continuation")
 
     def tangent(self, z: np.ndarray, forward: np.ndarray) -> np.ndarray:
         """Unit tangent at a point of the branch, on the side of `forward`."""
-        direction = np.append(self.directions(z)[2], 1.0)
+        direction = np.append(self.directions(z)[1], 1.0)
         length = np.sqrt(direction**2 @ self.weights)
         return np.asarray(direction * np.copysign(1 / length, (direction * forward) @ self.weights))
 
-    def corrected(self, z: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, float, int] | None:
-        """Newton's method within the plane through z across `normal`: point, residual and iterations; None if lost."""
+    def corrected(self, z: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, Solution] | None:
+        """Newton's method within the plane through z across `normal`: point and solution; None if lost."""
         start, normal = z, normal * self.weights
         for iteration in range(1, MANY + 1):
-            g, newton, follow = self.directions(z)
+            newton, follow = self.directions(z)
             ds = -(normal[:-1] @ newton + normal @ (z - start)) / (normal[:-1] @ follow + normal[-1])
             step = np.append(newton + ds * follow, ds)
             z = z + step
@@ -167,10 +176,9 @@ class Walk:
             if not np.isfinite(length) or length > LONGEST_STEP:
                 return None
             if length < CLOSE:
-                g = self.directions(z)[0]
-                residual = float(self.system.ratios(g, z[:-1], self.data(z)).max(initial=0.0))
-                if residual <= ROUNDOFF:
-                    return z, residual, iteration
+                solution = self.verified(z, iteration)
+                if solution is not None:
+                    return z, solution
         return None
 
     def path(self, z: np.ndarray) -> PiecewisePolynomial:
@@ -222,13 +230,12 @@ class Walk:
             answer = self.corrected(predicted, normal)
             try:
                 if answer is not None:
-                    z, residual, iterations = answer
+                    z, solution = answer
                     if predicted[-1] == end and normal is not point.tangent:
                         z[-1] = end
-                    solution = Solution(z[:-1], iterations, residual, "continuation")
                     found = CriticalPoint(solution, self.data(z), self.path(z))
                     trajectory = self.transcription.trajectory(found, 0.0)
-                    longer = min(LONGER * step, LONGEST_STEP) if iterations <= FEW else step
+                    longer = min(LONGER * step, LONGEST_STEP) if solution.iterations <= FEW else step
                     return Point(z, self.tangent(z, point.tangent), trajectory), longer
             except ConjugatePointError:
                 pass  # it landed on a fold

@@ -182,7 +182,6 @@ class ControlTranscription:
             momentum=self._momenta(report.rows[:d], report.rows[d : 2 * d]),
             path=calculus.emb(values["path"].T),
             action=self._action(report.z, values),
-            morse_index=None,
             iterations=optimum.iterations,
             residual=float(np.max(relative) / EPS),
             solver=f"IPOPT ({optimum.status})",

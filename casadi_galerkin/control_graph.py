@@ -26,6 +26,8 @@ from casadi_galerkin.control_layout import ControlLayout
 from casadi_galerkin.control_place import places
 from casadi_galerkin.control_problem import ControlProblem
 
+RESTING = 1e-13  # terms of motion below this part of what cancels in them are its roundoff
+
 Vector: TypeAlias = Any  # MX in the graph, DM where the same is evaluated in numbers
 
 
@@ -36,7 +38,7 @@ class Report:
     Attributes
     ----------
     cost : f
-    equations, terms : G, and the sizes of the terms it sums
+    equations, terms : G, and the sizes of the terms it compares
     slopes : (N r,), derivative of every point's Lagrangian by its share of the duration
     z, rows : (rows, N r), what is known at the quadrature points, and e there
     """
@@ -83,11 +85,26 @@ class ControlGraph:
 
     def _sizes(self, first: np.ndarray) -> np.ndarray:
         """Largest sum of terms of an equation of motion at a guess, one a component; 1 where that says nothing."""
-        rows = self._stack(self._evaluate("equations", self._embedded(ca.DM(first))))
-        terms = np.array(ca.mtimes(ca.fabs(self.layout.test.T), ca.fabs(rows)))
+        at = self._embedded(ca.DM(first))
+        terms = self._terms(self.layout.test, at, self._evaluate("equations", at), first)
         d = self.layout.dimension
         sizes = np.max(terms[: self.layout.nodes * d].reshape(-1, d), axis=0)
         return np.asarray(np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0))
+
+    def _terms(self, test: ca.DM, at: list[ca.DM], rows: list[ca.DM], everything: np.ndarray) -> np.ndarray:
+        """Sizes |Θ| |e| of the terms of the equations; |Θ| |∇e| |A| |ξ| for a component that stands still.
+
+        There the first are roundoff of slopes, and say nothing; the second are what cancels in the slopes.
+        """
+        blocks = self._blocks([p.jacobian_pattern for p in self.places], self._evaluate("jacobian", at))
+        spread = ca.mtimes(ca.fabs(blocks), ca.mtimes(ca.fabs(self.layout.differentiated), np.abs(everything)))
+        weights, shape = ca.fabs(test.T), (self.layout.nodes, self.layout.dimension)
+        terms, cancelled = (np.array(ca.mtimes(weights, part)).ravel() for part in (ca.fabs(self._stack(rows)), spread))
+        motion = np.prod(shape)
+        moving, still = terms[:motion].reshape(shape), cancelled[:motion].reshape(shape)
+        resting = np.max(moving, axis=0) <= RESTING * np.max(still, axis=0)
+        terms[:motion] = np.where(resting & np.all(np.isfinite(still), axis=0), still, moving).ravel()
+        return np.asarray(terms)
 
     def _embedded(self, everything: Vector) -> list[Vector]:
         """What is known at all kinds of places, A ξ, as one matrix (rows, count) each."""
@@ -111,10 +128,11 @@ class ControlGraph:
         """Evaluate one pointwise Function at all kinds of places."""
         return [getattr(place, name)(*given) for place, *given in zip(self.places, *arguments, strict=True)]
 
-    def _blocks(self, patterns: list[ca.Sparsity], entries: list[ca.MX]) -> ca.MX:
+    def _blocks(self, patterns: list[ca.Sparsity], entries: list[Vector]) -> Vector:
         """blockdiag(·) over all places, from the nonzeros of the blocks."""
         blocks = [p for pattern, place in zip(patterns, self.places, strict=True) for p in [pattern] * place.count]
-        return ca.MX(ca.diagcat(*blocks), self._stack(entries))
+        stacked = self._stack(entries)
+        return type(stacked)(ca.diagcat(*blocks), stacked)
 
     def _name(self, name: str, outputs: list[ca.MX], *extra: ca.MX) -> ca.Function:
         return ca.Function(name, [self.unknowns, self.data, *extra], outputs)
@@ -151,12 +169,12 @@ class ControlGraph:
 
     def report(self, unknowns: np.ndarray, data: np.ndarray, multipliers: np.ndarray | None = None) -> Report:
         """Evaluate all that is told of a point, in numbers; without λ its `slopes` are those of the cost."""
-        at = self._embedded(ca.DM(np.concatenate((unknowns, data))))
+        everything = np.concatenate((unknowns, data))
+        at = self._embedded(ca.DM(everything))
         rows = self._evaluate("equations", at)
         given = np.zeros(self.equations.numel()) if multipliers is None else multipliers
         weights, by_rows = self._multiplied(ca.DM(1), ca.DM(given))
         slopes = self.places[0].derivative(self.layout.point_rows - 1)(at[0], weights[0], by_rows[0])
-        test, stacked = self.test.T, self._stack(rows)
-        equations, terms = ca.mtimes(test, stacked), ca.mtimes(ca.fabs(test), ca.fabs(stacked))
-        flat = [np.array(array).ravel() for array in (equations, terms, slopes)]
-        return Report(float(self._cost(at)), flat[0], flat[1], flat[2], np.array(at[0]), np.array(rows[0]))
+        equations, slopes = (np.array(a).ravel() for a in (ca.mtimes(self.test.T, self._stack(rows)), slopes))
+        terms = self._terms(self.test, at, rows, everything)
+        return Report(float(self._cost(at)), equations, terms, slopes, np.array(at[0]), np.array(rows[0]))

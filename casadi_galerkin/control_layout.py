@@ -181,12 +181,17 @@ class ControlLayout:
         ]
 
     @cached_property
-    def derivative(self) -> ca.DM:
-        """Ê: differentiated rows of all points and of the ends x unknowns."""
+    def differentiated(self) -> ca.DM:
+        """Rows of A that are differentiated by, of all points and of the ends x ξ."""
         inner, ends = self.active(2 * self.dimension + self.controls), self.active(4 * self.dimension)
         starts = self.point_rows * np.arange(self.points)[:, None]
         rows = np.append((starts + inner).ravel(), self.points * self.point_rows + ends)
-        return self.matrix[rows.tolist(), : self.unknowns]
+        return self.matrix[rows.tolist(), :]
+
+    @cached_property
+    def derivative(self) -> ca.DM:
+        """Ê: the same by unknowns only."""
+        return self.differentiated[:, : self.unknowns]
 
     @cached_property
     def test(self) -> ca.DM:

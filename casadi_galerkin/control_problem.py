@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.problems import Traceable, components, numbers, time_span, trace, trace_lagrangian
+from casadi_galerkin.quadrature import real_array
 
 Limit: TypeAlias = float | Sequence[float]
 Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
@@ -25,18 +26,19 @@ def bounds(name: str, value: tuple[Limit, Limit] | None, size: int) -> Bounds:
     """Check a pair (lo, hi), each a scalar or `size` numbers; infinite where there is none."""
     if value is None:
         return (-np.inf,) * size, (np.inf,) * size
-    if isinstance(value, (str, bytes)) or not hasattr(value, "__len__") or len(value) != 2:
+    if not isinstance(value, (tuple, list, np.ndarray)) or len(value) != 2:
         raise TypeError(f"{name} must be a pair (lo, hi), got {value!r}")
     sides = []
-    for side, given in zip(("lo", "hi"), value, strict=True):
+    for side, given, never in zip(("lo", "hi"), value, (np.inf, -np.inf), strict=True):
+        expected = f"the {side} of {name} must be a number or {size} numbers, {-never} where there is none"
         try:
-            array = np.asarray(given, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise TypeError(f"the {side} of {name} must be a number or {size} numbers, got {given!r}") from error
+            array = real_array(name, given)
+        except TypeError as error:
+            raise TypeError(f"{expected}, got {given!r}") from error
         if array.shape not in ((), (size,)):
-            raise ValueError(f"the {side} of {name} must be a number or {size} numbers, got shape {array.shape}")
-        if np.any(np.isnan(array)):
-            raise ValueError(f"the {side} of {name} must not be NaN, got {given!r}")
+            raise ValueError(f"{expected}, got shape {array.shape}")
+        if np.any(np.isnan(array) | (array == never)):
+            raise ValueError(f"the {side} of {name} must not be NaN, nor {never}, got {given!r}")
         sides.append(np.broadcast_to(array, (size,)))
     low, high = sides
     if np.any(low > high):
@@ -118,6 +120,7 @@ class ControlProblem:
         given = None if parameters is None else numbers("parameters", parameters)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         sizes = {"t": 1, "x": d, "v": d, "u": count} | ({} if given is None else {"p": len(given)})
+        at_the_end = {name: size for name, size in sizes.items() if name != "u"}
         values: dict[str, Any] = {
             "lagrangian": trace_lagrangian(lagrangian, d, given),
             "t_span": time_span(t_span),
@@ -125,7 +128,7 @@ class ControlProblem:
             "force": _force(force, sizes, d),
             "running_cost": trace("running_cost", running_cost, sizes, 1),
             "controls": count,
-            "terminal_cost": _terminal_cost(terminal_cost, sizes),
+            "terminal_cost": None if terminal_cost is None else trace("terminal_cost", terminal_cost, at_the_end, 1),
             "control_bounds": bounds("control_bounds", control_bounds, count),
             "position_bounds": bounds("position_bounds", position_bounds, d),
             "path_constraint": _path_constraint(path_constraint, sizes),
@@ -136,6 +139,7 @@ class ControlProblem:
         for name, value in values.items():
             object.__setattr__(self, name, value)
         self._check_controls()
+        self._check_parameters()
         self._check_ends()
         self._check_guesses()
 
@@ -158,13 +162,29 @@ class ControlProblem:
         if unused:
             raise ValueError(f"the control u[{min(unused)}] occurs in no force, cost or constraint")
 
+    def _check_parameters(self) -> None:
+        """Refuse a free parameter that nothing depends on, for the same reason."""
+        users = [self.lagrangian, self.force, self.running_cost, self.terminal_cost, *(self.path_constraint or ())[:1]]
+        used = {i for f in users if f is not None for i in f.sparsity_jac(f.n_in() - 1, 0).T.row()}
+        for i, (low, high) in enumerate(zip(*(self.parameter_bounds or ((), ())), strict=True)):
+            if low < high and i not in used:
+                raise ValueError(f"the free parameter p[{i}] occurs in no lagrangian, force, cost or constraint")
+
     def _check_ends(self) -> None:
         low, high = self.position_bounds
-        for name in ("start", "end"):
-            for i, value in enumerate(getattr(self, name)):
-                if value is not None and not low[i] <= value <= high[i]:
+        for name, direction in (("start", 1), ("end", -1)):
+            velocities = getattr(self, f"{name}_velocity")
+            for i, (value, velocity) in enumerate(zip(getattr(self, name), velocities, strict=True)):
+                if value is None:
+                    continue
+                if not low[i] <= value <= high[i]:
                     raise ValueError(f"{name}[{i}] = {value} lies outside its position_bounds [{low[i]}, {high[i]}]")
-
+                moving = 0.0 if velocity is None else direction * velocity
+                if (value == low[i] and moving < 0) or (value == high[i] and moving > 0):
+                    raise ValueError(
+                        f"{name}[{i}] = {value} lies on its position_bounds [{low[i]}, {high[i]}], and "
+                        f"{name}_velocity[{i}] = {velocity} puts the path outside beside it"
+                    )
         if self.duration_bounds is None and self.parameter_bounds is None:
             self._check_constraint("start", self.t_span[0])
             self._check_constraint("end", self.t_span[1])
@@ -189,12 +209,10 @@ class ControlProblem:
             (low, high), duration = self.duration_bounds, self.t_span[1] - self.t_span[0]
             if not low <= duration <= high:
                 raise ValueError(f"duration_bounds ({low}, {high}) must hold the guess, t_span lasts {duration}")
-        if self.parameter_bounds is not None and self.parameters is not None:
-            for i, (low, value, high) in enumerate(
-                zip(self.parameter_bounds[0], self.parameters, self.parameter_bounds[1], strict=True)
-            ):
-                if not low <= value <= high:
-                    raise ValueError(f"parameters[{i}] = {value} lies outside its bounds [{low}, {high}]")
+        sides = self.parameter_bounds or ((), ())
+        for i, (low, value, high) in enumerate(zip(sides[0], self.parameters or (), sides[1], strict=False)):
+            if not low <= value <= high:
+                raise ValueError(f"parameters[{i}] = {value} lies outside its bounds [{low}, {high}]")
 
 
 def _control_count(controls: int) -> int:
@@ -220,12 +238,6 @@ def _parameter_bounds(given: tuple[Limit, Limit] | None, parameters: tuple[float
     if parameters is None:
         raise ValueError("parameter_bounds need parameters, which are the guess")
     return bounds("parameter_bounds", given, len(parameters))
-
-
-def _terminal_cost(terminal_cost: Traceable | None, sizes: dict[str, int]) -> ca.Function | None:
-    if terminal_cost is None:
-        return None
-    return trace("terminal_cost", terminal_cost, {name: size for name, size in sizes.items() if name != "u"}, 1)
 
 
 def _force(force: Traceable, sizes: dict[str, int], dimension: int) -> ca.Function:

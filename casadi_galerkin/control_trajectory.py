@@ -21,6 +21,8 @@ from casadi_galerkin.trajectory import Trajectory
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+SHOWN_OVERSHOOT = 1e-3  # of the bounds' width; less is no reason for another mesh
+
 
 class ControlPath:
     """Controls between their values at the quadrature points: degree r - 1 an interval, free to jump at joints.
@@ -134,7 +136,8 @@ class ControlTrajectory(Trajectory):
     def control_overshoot(self) -> np.ndarray:
         """Largest excess of the controls over their bounds between the points, over the bounds' width; (N,).
 
-        It is large where a control jumps inside an interval (bang-bang) and asks for a joint at the jump.
+        It is large where a control jumps inside an interval (bang-bang) and asks for a joint at the jump; the summary
+        shows it where it is.
         """
         low, high = (np.array(side)[:, None] for side in self.problem.control_bounds)
         width = np.where(np.isfinite(high - low) & (high > low), high - low, 1.0)
@@ -205,7 +208,20 @@ class ControlTrajectory(Trajectory):
                 f"  method      {self.method}",
                 f"  cost        {self.cost:.12g}",
                 f"  Hamiltonian {self.hamiltonian[0]:.9g} at the start, varies by {np.ptp(self.hamiltonian):.1e}",
+                *self._between_points(),
                 f"  solver      {self.solver}, {self.iterations} iterations, violation {self.violation:.1e}",
                 f"  seconds     {self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve",
             ]
         )
+
+    def _between_points(self) -> list[str]:
+        """Lines on what the points do not see: the defect, and an overshoot of the controls if there is one."""
+        lines = [f"  defect      {self._worst(self.dynamics_defect)}, of the largest momentum"]
+        if np.max(self.control_overshoot) > SHOWN_OVERSHOOT:
+            lines.append(f"  overshoot   {self._worst(self.control_overshoot)}, of the bounds' width")
+        return lines
+
+    def _worst(self, values: np.ndarray) -> str:
+        """Largest of one value an interval, and where."""
+        i = int(np.argmax(values))
+        return f"{values[i]:.1e} between the points of [{self.t[i]:.4g}, {self.t[i + 1]:.4g}]"

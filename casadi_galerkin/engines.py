@@ -18,14 +18,28 @@ the terms it sums and of what the rounding of the unknowns themselves does to it
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.system import LOCAL, ROUNDOFF, SINGULAR, Data, System, negative_eigenvalues, second_variation
+from casadi_galerkin.algebra import LOCAL
+from casadi_galerkin.system import (
+    EPS,
+    ROUNDOFF,
+    SINGULAR,
+    Data,
+    System,
+    floor,
+    joined,
+    negative_eigenvalues,
+    second_variation,
+)
 
 NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
+SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if the next one is so much shorter
+STRONG_CONTRACTION = 0.1  # the same for a long first step: from a straight line, all steps are long
 SMALLEST_DAMPING = 1e-7
 RESCUE = 100  # iterations IPOPT gets after Newton's method; rescues were measured to take 4 to 40
 NEARLY = 1e-9  # residual over the sizes of its terms from which two Newton steps reach roundoff
@@ -49,12 +63,18 @@ class Solution:
     iterations : Newton (and IPOPT) iterations together
     residual : largest residual over its own roundoff floor
     report : what was used to find it
+    action, momentum : S, and the momenta at the joints, component fastest
+    regularity : second variation along a direction that leans to the softest one, over a bound of its terms in the
+        assembled Hessian: far from zero only where that is regular, but near zero also on a fine mesh
     """
 
     unknowns: np.ndarray
     iterations: int
     residual: float
     report: str
+    action: float
+    momentum: np.ndarray
+    regularity: float
 
 
 def rootfinder(system: System, guess: np.ndarray, data: Data, verbose: int = 0) -> Solution:
@@ -102,72 +122,128 @@ def minimizer(system: System, guess: np.ndarray, data: Data, verbose: int = 0) -
     return solution
 
 
+@dataclass(frozen=True)
+class Iterate:
+    """A point with its Newton step, found with the Hessian that is left in `System.algebra`.
+
+    Attributes
+    ----------
+    unknowns, gradient, step : ξ, ∇S, -∇²S⁻¹ ∇S
+    soft : solution for the right-hand side `Algebra.probe`, which leans to the softest direction
+    sizes : what the unknowns are measured by
+    norm : largest step relative to them; NaN where the step is not finite
+    """
+
+    unknowns: np.ndarray
+    gradient: np.ndarray
+    step: np.ndarray
+    soft: np.ndarray
+    sizes: np.ndarray
+    norm: float
+
+
 def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limit: int = 200) -> Solution:
-    """Newton's method with natural monotonicity line search; arguments as `rootfinder`, at most `limit` iterations."""
-    x, damping, before = guess, 1.0, None
+    """Newton's method with natural monotonicity line search; arguments as `rootfinder`, at most `limit` iterations.
+
+    A short full step is accepted at once if the next one is much shorter, which needs no solution beyond the next
+    iteration's own.  Where steps are long or shrink by less, full ones were measured to jump to other paths.
+    """
+    probe = system.algebra.probe(joined(guess, data))
+    at, damping = _iterate(system, guess, probe, data), 1.0
+    if not np.isfinite(at.gradient).all():
+        raise SolveFailure("the gradient of the action is not finite at the guess", guess, 0)
+    last = math.sqrt(at.norm)  # the first step is taken for one of quadratic convergence
     for iteration in range(1, limit + 1):
-        (g,) = system.evaluate("derivatives", x, *data)
-        step, sizes, (norm,), _ = system.solved("descent", g, x, *data[:2])
-        if iteration == 1 and not np.isfinite(g).all():
-            raise SolveFailure("the gradient of the action is not finite at the guess", x, 0)
-        if not np.isfinite(step).all():
+        if not math.isfinite(at.norm):
             finite = bool(np.isfinite(system.algebra.matrix).all())
-            raise SolveFailure("the Hessian of the action is singular", x, iteration, singular=finite)
-        if before is not None:
-            damping = min(1.0, damping * float(system.algebra.evaluate("forecast", None, *before, step, sizes)[0][0]))
-        x, g, simplified, damping = _line_search(system, x, step, sizes, norm, data, damping, iteration)
-        before = (step, simplified) if simplified is not None else None
+            raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=finite)
+        # Only where the step is small: at 1e5 intervals the residual is at roundoff while the path is off by 1e-9.
+        if at.norm < NEAR and (at.norm**3 <= EPS * last**2 or at.norm >= last / 2):
+            solution = verified(system, at.unknowns + at.step, data, probe, at.soft, iteration, "Newton")
+            if solution is not None:
+                return solution
+        last, trial, forecast = at.norm, None, 1.0
+        short = last < SHORT
+        if damping == 1.0 and (short or iteration == 1):
+            trial = _iterate(system, at.unknowns + at.step, probe, data)
+            contracts = trial.norm <= last * (CONTRACTION if short else STRONG_CONTRACTION)
+            if not (contracts or (last < LOCAL and math.isfinite(trial.norm))):
+                trial = None
+                system.evaluate("derivatives", at.unknowns, *data)  # the Hessian that the step belongs to
+        if trial is None:
+            x, simplified, damping = _line_search(system, at, damping, data, iteration)
+            trial = _iterate(system, x, probe, data)
+            forecast = min(1.0, damping * _forecast(at.step, simplified, trial))
         if verbose > 1:
-            print(f"  {iteration:4d}   step {norm:9.2e}   damping {damping:7.1e}")
-        # Only after the step: at 1e5 intervals the residual is at roundoff while the path is still off by 1e-9.
-        if norm < NEAR and (residual := system.ratios(g, x, data).max(initial=0.0)) <= ROUNDOFF:
-            return _polished(system, x, g, float(residual), data, iteration)
-    raise SolveFailure(f"no convergence in {limit} iterations, last relative step {norm:.1e}", x, limit)
+            print(f"  {iteration:4d}   step {last:9.2e}   damping {damping:7.1e}")
+        at, damping = trial, forecast
+    raise SolveFailure(f"no convergence in {limit} iterations, last relative step {at.norm:.1e}", at.unknowns, limit)
+
+
+def _iterate(system: System, x: np.ndarray, probe: np.ndarray, data: Data) -> Iterate:
+    (g,) = system.evaluate("derivatives", x, *data)
+    step, soft = system.solve(g, probe)
+    sizes = system.algebra.sizes(joined(x, data), step)
+    return Iterate(x, g, step, soft, sizes, _size(step / sizes))
+
+
+def _size(vector: np.ndarray) -> float:
+    return float(np.abs(vector).max(initial=0.0))
+
+
+def _forecast(step: np.ndarray, simplified: np.ndarray, now: Iterate) -> float:
+    """Factor on the last damping (Deuflhard, eq. 3.47)."""
+    before, after, bend = (_size(y / now.sizes) for y in (step, simplified, simplified - now.step))
+    return before * after / max(bend * now.norm, 1e-300)
 
 
 def _line_search(
-    system: System,
-    x: np.ndarray,
-    step: np.ndarray,
-    sizes: np.ndarray,
-    norm: float,
-    data: Data,
-    damping: float,
-    iteration: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, float]:
-    """Shorten the step until the next one, with the same matrix, is shorter: new x, gradient, that step, damping."""
+    system: System, at: Iterate, damping: float, data: Data, iteration: int
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Shorten the step until the next one, with the same matrix, is shorter: new x, that step, damping."""
     while damping >= SMALLEST_DAMPING:
-        trial = x + damping * step
-        (g,) = system.evaluate("gradient", trial, *data)
-        if not np.isfinite(g).all():
+        trial = at.unknowns + damping * at.step
+        gradient = system.evaluate("summary", trial, *data)[2]
+        if not np.isfinite(gradient).all():
             damping /= 2
             continue
-        if damping == 1.0 and norm < LOCAL:
-            return trial, g, None, damping
-        simplified, (shrunk,), (bend,), _ = system.solved("trial", g, step, sizes, np.array([damping]))
-        if shrunk <= (1 - damping / 4) * norm and np.isfinite(simplified).all():
-            return trial, g, simplified, damping
-        damping = min(damping / 2, norm * damping**2 / (2 * max(bend, 1e-300)))
-    if second_variation(system, x, data) < SINGULAR:
-        raise SolveFailure("the Hessian of the action is singular", x, iteration, singular=True)
-    raise SolveFailure("the line search found no step that leads on", x, iteration)
+        (simplified,) = system.solve(gradient)
+        if _size(simplified / at.sizes) <= (1 - damping / 4) * at.norm:
+            return trial, simplified, damping
+        bend = _size((simplified - (1 - damping) * at.step) / at.sizes)
+        damping = min(damping / 2, at.norm * damping**2 / (2 * max(bend, 1e-300)))
+    if second_variation(system, at.unknowns, data) < SINGULAR:
+        raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=True)
+    raise SolveFailure("the line search found no step that leads on", at.unknowns, iteration)
 
 
-def _polished(
-    system: System,
-    x: np.ndarray,
-    g: np.ndarray,
-    residual: float,
-    data: Data,
-    iterations: int,
-) -> Solution:
-    """Take one more step with the last matrix if it does not hurt, and report."""
-    trial = x + system.solved("direction", g)[0]
-    (g,) = system.evaluate("gradient", trial, *data)
-    after = float(system.ratios(g, trial, data).max(initial=0.0))
-    if after <= residual:
-        x, residual = trial, after
-    return Solution(x, iterations, residual, "Newton")
+def verified(
+    system: System, x: np.ndarray, data: Data, probe: np.ndarray, soft: np.ndarray, iterations: int, report: str
+) -> Solution | None:
+    """Judge the residuals at x by their roundoff floors, with the Hessian as last evaluated: a solution, or None.
+
+    Parameters
+    ----------
+    probe, soft : `Algebra.probe` as a right-hand side and the solution for it
+    iterations, report : of how x was found
+    """
+    (action,), momentum, gradient, terms = system.evaluate("summary", x, *data)
+    algebra = system.algebra
+    scale = algebra.expanded(algebra.scale(joined(x, data)))
+    spread = algebra.spread(scale)
+    residual = _size(gradient / floor(terms, spread))
+    if not residual <= ROUNDOFF:
+        return None
+    return Solution(x, iterations, residual, report, float(action), momentum, _regularity(soft, probe, scale, spread))
+
+
+def _regularity(soft: np.ndarray, probe: np.ndarray, scale: np.ndarray, spread: np.ndarray) -> float:
+    """yᵀ∇²S y over a bound of |y|ᵀ|∇²S||y|, for y = `soft`; 0 where they cannot be compared."""
+    if len(soft) == 0:
+        return math.inf  # nothing can vary
+    peak = _size(soft / scale) if scale.all() else 0.0
+    bound = float(scale @ spread)
+    return abs(float((soft / peak) @ (probe / peak))) / bound if peak > 0 and bound > 0 else 0.0
 
 
 def _interior_point(
@@ -193,7 +269,7 @@ def _interior_point(
         singular = failure.singular and bool(stats["success"])
         raise SolveFailure(f"{name} stopped with '{status}'", x, iterations, singular) from None
     total = iterations + polished.iterations
-    return Solution(polished.unknowns, total, polished.residual, f"{name}, then Newton")
+    return replace(polished, iterations=total, report=f"{name}, then Newton")
 
 
 def _nlpsol(system: System, minimize: bool, verbose: int, limit: int) -> ca.Function:

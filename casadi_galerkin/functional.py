@@ -17,69 +17,80 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from typing import Literal
 
 import casadi as ca
 
 from casadi_galerkin.operators import LAYOUTS_KEPT, Layout, assembly, embedding, integration, summation
 
 BATCH, BATCH_INSTRUCTIONS = 16, 2000  # points that one call evaluates, and instructions that it may have
+MANY = 2000  # points from which batches pay within one solve: to join points takes 0.8 ms, a call 0.2 us
+
+Evaluation = Literal["single", "batched", "compiled"]
 
 
-@dataclass(frozen=True)
 class Pointwise:
     """The pulled-back integrand L̂(t, h, x, x'[, p]) at one point, with its derivatives, as SX Functions.
 
+    Parameters
+    ----------
+    integrand : Function (t, x, v[, p]) -> scalar
+
     Attributes
     ----------
-    value : L̂
-    gradient : ∂L̂/∂x and ∂L̂/∂x'
-    derivatives : the gradient, and second derivatives in the order of `blocks`, each the column of its entries in
-        `pattern`; together, because a call costs as much as evaluating a small Lagrangian
-    curvature : with z = (y, y') as a further input, zᵀ∇²L̂ z and |z|ᵀ|∇²L̂||z|
     pattern : Sparsity (d, d), symmetric, that holds every second-derivative block
     blocks : which of (0, 0), (0, 1), (1, 0), (1, 1) are not structurally zero; 0 stands for x and 1 for x'
     kinetic : whether no ∂²L̂/∂x'_i² is structurally zero
     """
 
-    value: ca.Function
-    gradient: ca.Function
-    derivatives: ca.Function
-    curvature: ca.Function
-    pattern: ca.Sparsity
-    blocks: tuple[tuple[int, int], ...]
-    kinetic: bool
+    def __init__(self, integrand: ca.Function) -> None:
+        t, h = ca.SX.sym("t"), ca.SX.sym("h")
+        d = integrand.size1_in(1)
+        x, slope = ca.SX.sym("x", d), ca.SX.sym("slope", d)
+        parameters = [ca.SX.sym("p", integrand.size1_in(3))] if integrand.n_in() == 4 else []
+        self._inputs = [t, h, x, slope, *parameters]
+        self._value = h * integrand(t, x, slope / h, *parameters)
+        self._hessian, gradient = ca.hessian(self._value, ca.vertcat(x, slope))
+        part = (slice(0, d), slice(d, 2 * d))
+        self._gradient = [ca.densify(gradient[rows]) for rows in part]
+        self._cells = {(i, j): self._hessian[part[i], part[j]] for i in (0, 1) for j in (0, 1)}
+        self.blocks = tuple(key for key, cell in self._cells.items() if cell.nnz())
+        self.pattern = ca.Sparsity.diag(d)  # the matrix must have a diagonal even where L ignores a component
+        for key in self.blocks:
+            sparsity = self._cells[key].sparsity()
+            self.pattern = self.pattern + sparsity + sparsity.T
+        kinetic = self._cells[1, 1].sparsity()
+        self.kinetic = all(kinetic.has_nz(i, i) for i in range(d))
+
+    @cached_property
+    def first(self) -> ca.Function:
+        """L̂, ∂L̂/∂x and ∂L̂/∂x'."""
+        return ca.Function("first", self._inputs, [self._value, *self._gradient])
+
+    @cached_property
+    def derivatives(self) -> ca.Function:
+        """The gradient, and second derivatives in the order of `blocks`, each the column of its entries in `pattern`.
+
+        Together, because a call costs as much as evaluating a small Lagrangian.
+        """
+        columns = [ca.vertcat(*ca.project(self._cells[key], self.pattern).nonzeros()) for key in self.blocks]
+        # common subexpressions cost more to find than they save, but for the Hessian: a tenth of its instructions
+        return ca.Function("derivatives", self._inputs, [*self._gradient, *columns], {"cse": True})
+
+    @cached_property
+    def curvature(self) -> ca.Function:
+        """With z = (y, y') as a further input, zᵀ∇²L̂ z and |z|ᵀ|∇²L̂||z|."""
+        z = ca.SX.sym("z", self._hessian.shape[0])
+        size = ca.fabs(z)
+        terms = [ca.bilin(self._hessian, z, z), ca.bilin(ca.fabs(self._hessian), size, size)]
+        return ca.Function("curvature", [*self._inputs, z], terms)
 
 
 @lru_cache(LAYOUTS_KEPT)
 def pointwise(integrand: ca.Function) -> Pointwise:
-    """Derive the pointwise Functions of an integrand f(t, x, v[, p]) -> scalar; the last ones are kept."""
-    t, h = ca.SX.sym("t"), ca.SX.sym("h")
-    d = integrand.size1_in(1)
-    x, slope, z = ca.SX.sym("x", d), ca.SX.sym("slope", d), ca.SX.sym("z", 2 * d)
-    parameters = [ca.SX.sym("p", integrand.size1_in(3))] if integrand.n_in() == 4 else []
-    value = h * integrand(t, x, slope / h, *parameters)
-    hessian, gradient = ca.hessian(value, ca.vertcat(x, slope))
-    part = (slice(0, d), slice(d, 2 * d))
-    cells = {(i, j): hessian[part[i], part[j]] for i in (0, 1) for j in (0, 1)}
-    blocks = tuple(key for key, cell in cells.items() if cell.nnz())
-    pattern = ca.Sparsity.diag(d)  # the diagonal of the matrix must exist even where L ignores a component
-    for cell in cells.values():
-        pattern = pattern + cell.sparsity() + cell.sparsity().T
-    columns = [ca.vertcat(*ca.project(cells[key], pattern).nonzeros()) for key in blocks]
-    size = ca.fabs(z)
-    inputs, parts = [t, h, x, slope, *parameters], [ca.densify(gradient[part[i]]) for i in (0, 1)]
-    return Pointwise(
-        ca.Function("value", inputs, [value]),
-        ca.Function("gradient", inputs, parts),
-        # common subexpressions cost more to find than they save, but for the Hessian: a tenth of its instructions
-        ca.Function("derivatives", inputs, [*parts, *columns], {"cse": True}),
-        ca.Function("curvature", [*inputs, z], [ca.bilin(hessian, z, z), ca.bilin(ca.fabs(hessian), size, size)]),
-        pattern,
-        blocks,
-        all(cells[1, 1].sparsity().has_nz(i, i) for i in range(d)),
-    )
+    """Derive the pointwise Functions of an integrand; the last ones are kept."""
+    return Pointwise(integrand)
 
 
 @lru_cache(4 * LAYOUTS_KEPT)
@@ -97,15 +108,20 @@ def batched(f: ca.Function, count: int, shared: tuple[int, ...]) -> tuple[ca.Fun
     return joined.expand(), size
 
 
+def compiler() -> str:
+    """Path of the C compiler."""
+    path = shutil.which("gcc") or shutil.which("cc")
+    if path is None:
+        raise ValueError("jit=True needs a C compiler, gcc or cc, on the path; none was found")
+    return path
+
+
 @lru_cache(LAYOUTS_KEPT)
 def compiled(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Function:
     """Map a pointwise Function over `count` points and compile the loop in C: 0.3 s, then 2 to 6 times faster."""
-    compiler = shutil.which("gcc") or shutil.which("cc")
-    if compiler is None:
-        raise ValueError("jit=True needs a C compiler, gcc or cc, on the path; none was found")
     inputs = [ca.MX.sym(f.name_in(i), f.size1_in(i), 1 if i in shared else count) for i in range(f.n_in())]
     mapped = f.map(f.name(), "serial", count, list(shared), []) if shared else f.map(count)
-    flags = {"compiler": compiler, "flags": ["-O3", "-march=native"], "directory": tempfile.gettempdir() + os.sep}
+    flags = {"compiler": compiler(), "flags": ["-O3", "-march=native"], "directory": tempfile.gettempdir() + os.sep}
     return ca.Function(f.name(), inputs, mapped.call(inputs), {"jit": True, "compiler": "shell", "jit_options": flags})
 
 
@@ -116,14 +132,19 @@ class Functional:
     ----------
     integrand : Function (t, x, v[, p]) -> scalar
     layout : Layout
-    jit : whether gradient and Hessian are compiled in C
+    evaluation : how gradient and Hessian are evaluated at the points: "single", quick to build; "batched", several
+        in a call; or "compiled" in C
     """
 
-    def __init__(self, integrand: ca.Function, layout: Layout, jit: bool = False) -> None:
-        self.pointwise, self.layout, self.jit = pointwise(integrand), layout, jit
+    def __init__(self, integrand: ca.Function, layout: Layout, evaluation: Evaluation = "batched") -> None:
+        if evaluation == "compiled":
+            compiler()  # a missing one is reported before anything is built
+        elif layout.points >= MANY:
+            evaluation = "batched"
+        self.pointwise, self.layout, self.evaluation = pointwise(integrand), layout, evaluation
         pattern = self.pointwise.pattern
         self._points: tuple[ca.MX, ca.MX, list[ca.MX]] | None = None
-        self.assembly_key = (layout, tuple(pattern.colind()), tuple(pattern.row()), self.pointwise.blocks)
+        self.pattern_key = (layout, tuple(pattern.colind()), tuple(pattern.row()))
 
     def _embedded(self, u: ca.MX, mesh: ca.MX) -> list[ca.MX]:
         """Points for u and mesh, the same expressions when asked again for the same ones."""
@@ -136,36 +157,30 @@ class Functional:
     ) -> list[ca.MX]:
         """Evaluate a pointwise Function at all quadrature points; outputs (n, N r)."""
         shared, given = ((), []) if parameters is None else ((len(at),), [parameters])
-        if batch and self.jit:
+        if batch and self.evaluation == "compiled":
             return list(compiled(f, self.layout.points, shared).call([*at, *given]))
-        f, size = batched(f, self.layout.points, shared) if batch else (f, 1)
+        f, size = batched(f, self.layout.points, shared) if batch and self.evaluation == "batched" else (f, 1)
         calls = self.layout.points // size
         mapped = f.map(f.name(), "serial", calls, list(shared), []) if shared else f.map(calls)
         return list(mapped.call([*at, *given, *extra]))
 
-    def action(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> ca.MX:
-        """S: scalar."""
-        at = self._embedded(u, mesh)
-        return summation(self.layout)(*self._map(self.pointwise.value, at, parameters))
+    def first(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
+        """S; ∇S of each interval's action by its own node values (d N, m + 1), and of S by u; sizes of its terms.
 
-    def gradient(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> tuple[ca.MX, ca.MX]:
-        """∇S: of each interval's action by its own node values (d N, m + 1), and of S by u."""
+        The roundoff of a sum is a few eps of the sum of the sizes of its terms.
+        """
         at = self._embedded(u, mesh)
-        local, total = integration(self.layout).call(self._map(self.pointwise.gradient, at, parameters, batch=True))
-        return local, total
-
-    def gradient_terms(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> ca.MX:
-        """Sum of the sizes of the terms of ∇S; their roundoff is a few eps of this."""
-        at = self._embedded(u, mesh)
-        sizes = [ca.fabs(values) for values in self._map(self.pointwise.gradient, at, parameters)]
-        return integration(self.layout, absolute=True).call(sizes)[1]
+        values, *slopes = self._map(self.pointwise.first, at, parameters, batch=True)
+        local, total = integration(self.layout).call(slopes)
+        terms = integration(self.layout, absolute=True).call([ca.fabs(slope) for slope in slopes])[1]
+        return summation(self.layout).call([values])[0], local, total, terms
 
     def derivatives(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None) -> tuple[ca.MX, ca.MX]:
         """∇²S and ∇S with respect to the free values ξ, in one go through the points."""
         at = self._embedded(u, mesh)
         by_x, by_slope, *values = self._map(self.pointwise.derivatives, at, parameters, batch=True)
         total = integration(self.layout).call([by_x, by_slope])[1]
-        return assembly(*self.assembly_key)(*values), total[: self.layout.free]
+        return assembly(*self.pattern_key, self.pointwise.blocks).call(values)[0], total[: self.layout.free]
 
     def hessian(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None, inertia: ca.MX | None = None) -> ca.MX:
         """∇²S with respect to the free values ξ: sparse, symmetric, both halves stored.
@@ -180,11 +195,12 @@ class Functional:
             values = [
                 inertia * value if block == (1, 1) else value for block, value in zip(blocks, values, strict=True)
             ]
-        return assembly(*self.assembly_key)(*values)
+        return assembly(*self.pattern_key, self.pointwise.blocks).call(values)[0]
 
     def curvature(self, u: ca.MX, mesh: ca.MX, parameters: ca.MX | None, direction: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Second variation yᵀ∇²S y along y = `direction`, and the same with every term taken positive."""
         at = self._embedded(u, mesh)
         y, slope = embedding(self.layout).call([direction, mesh])[2:]
         signed, positive = self._map(self.pointwise.curvature, at, parameters, ca.vertcat(y, slope))
-        return summation(self.layout)(signed), summation(self.layout)(positive)
+        signed, positive = (summation(self.layout).call([values])[0] for values in (signed, positive))
+        return signed, positive

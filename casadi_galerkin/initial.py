@@ -150,7 +150,6 @@ def trajectory(
         momentum=roll.p,
         path=path_of(roll, stepper, len(roll.mesh) - 1),
         action=float(roll.action.sum()),
-        morse_index=None,
         iterations=iterations,
         residual=float(roll.residual.max()),
         solver=solver,

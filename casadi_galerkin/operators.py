@@ -178,17 +178,44 @@ def assembly(
     inputs = [ca.MX.sym(f"block{i}{j}", len(row), layout.points) for i, j in blocks]
     stacked = ca.horzcat(*(ca.reshape(values, len(row) * n, -1) for values in inputs))
     entries = ca.vec(_times(stacked, products))  # node pair slowest, then interval, then entry of the pattern
+    pattern = hessian_pattern(layout, colind, row)
+    values = entries.get_nz(False, pattern.first.tolist())
+    for positions, places in pattern.others:  # in the joints; in place, where sums of matrices would copy all of them
+        where = places.tolist()
+        values.nz[where] = values.nz[where] + entries.nz[positions.tolist()]
+    matrix = ca.MX(pattern.sparsity, values)
+    return ca.Function("assembly", inputs, [matrix], [f"block{i}{j}" for i, j in blocks], ["hessian"])
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Where the entries of ∇²S come from.
+
+    Attributes
+    ----------
+    sparsity : Sparsity, square and symmetric
+    starts, rows : the same as arrays: first entry of each column and their number, row of each entry
+    first : position among the entries of all intervals of the one that starts each sum
+    others : (positions, places) of those that are added to it, in rounds
+    """
+
+    sparsity: ca.Sparsity
+    starts: np.ndarray
+    rows: np.ndarray
+    first: np.ndarray
+    others: list[tuple[np.ndarray, np.ndarray]]
+
+
+@lru_cache(LAYOUTS_KEPT)
+def hessian_pattern(layout: Layout, colind: tuple[int, ...], row: tuple[int, ...]) -> Pattern:
+    """Pattern of Eᵀ blockdiag(·) E; each block has the pattern (colind, row), symmetric, with its diagonal."""
     position, target = _hessian_entries(layout, np.array(colind), np.array(row))
     (first, targets), *others = _contributions(target)
     columns, rows = np.divmod(targets, layout.free)
     starts = np.searchsorted(columns, np.arange(layout.free + 1))
     sparsity = ca.Sparsity(layout.free, layout.free, starts.tolist(), rows.tolist())
-    values = entries.get_nz(False, position[first].tolist())
-    for chosen, repeated in others:  # in the joints; added in place, where sums of matrices would copy all of them
-        places = np.searchsorted(targets, repeated).tolist()
-        values.nz[places] = values.nz[places] + entries.nz[position[chosen].tolist()]
-    matrix = ca.MX(sparsity, values)
-    return ca.Function("assembly", inputs, [matrix], [f"block{i}{j}" for i, j in blocks], ["hessian"])
+    rounds = [(position[chosen], np.searchsorted(targets, repeated)) for chosen, repeated in others]
+    return Pattern(sparsity, starts, rows, position[first], rounds)
 
 
 def _hessian_entries(layout: Layout, colind: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

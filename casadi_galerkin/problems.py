@@ -62,7 +62,7 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
             "Write it with CasADi's functions, such as casadi.cos, not with math or NumPy ones"
         ) from error
     if isinstance(value, (list, tuple)) and rows != 1:
-        value = ca.vertcat(*value)
+        value = _column(name, value)
     if not isinstance(value, (ca.SX, ca.DM, int, float)) or isinstance(value, bool):
         raise TypeError(f"{name} must return a CasADi expression, got {type(value).__name__}: {value!r}")
     value = ca.SX(value)
@@ -79,6 +79,13 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
             "Write it with CasADi's functions, such as casadi.cos, not with math or NumPy ones"
         )
     return traced
+
+
+def _column(name: str, values: Sequence[Any]) -> Any:
+    try:
+        return ca.vertcat(*values)
+    except NotImplementedError as error:
+        raise TypeError(f"{name} must return one CasADi expression a component, got {values!r}") from error
 
 
 def _is_constant(function: ca.Function, instruction: int) -> bool:

@@ -13,6 +13,7 @@ softest variation, not that of its cause.  A new mesh therefore spreads what is 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -34,12 +35,14 @@ from casadi_galerkin.adaptivity import (
 from casadi_galerkin.boundary import CriticalPoint, Engine, Transcription
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial
 from casadi_galerkin.engines import newton, rootfinder
+from casadi_galerkin.functional import Evaluation
 from casadi_galerkin.guesses import Guess, mesh_of
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.relaxation import relaxed
 from casadi_galerkin.trajectory import ConvergenceError, Trajectory
 
 FIRST_INTERVALS = 8
+PATIENCE = 2  # meshes on which a first path may be lost before another is looked for; a false one was seen to creep
 ITERATIONS = 40  # of Newton's method from an earlier path; where it took more it was measured to wander
 RELAXATION_DEGREE, RELAXATION_INTERVALS, RELAXATION_TOLERANCE = 6, 40, 1e-5
 LEAPS = 0.02, 0.1  # of a relaxation: short ones stay on their side of a singularity, long ones arrive
@@ -88,13 +91,13 @@ class Refinement:
         self.problem, self.tol, self.limits, self.verbose = problem, tol, limits, verbose
         self.method, self.fixed = method or of_degree(degree_for(tol)), method is not None
         self._transcriptions: dict[tuple[int, int], Transcription] = {}
-        self.began, self.iterations = time.perf_counter(), 0
+        self.began, self.iterations, self.patience = time.perf_counter(), 0, math.inf
 
-    def transcription(self, method: Galerkin, mesh: np.ndarray) -> Transcription:
+    def transcription(self, method: Galerkin, mesh: np.ndarray, evaluation: Evaluation = "single") -> Transcription:
         """The graph for this degree and number of intervals, built when first asked for."""
         key = (method.degree, len(mesh))
         if key not in self._transcriptions:
-            self._transcriptions[key] = Transcription(self.problem, method, mesh)
+            self._transcriptions[key] = Transcription(self.problem, method, mesh, evaluation)
         return self._transcriptions[key]
 
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: Engine) -> CriticalPoint:
@@ -124,7 +127,9 @@ class Refinement:
     def starts(self, mesh: np.ndarray, guess: Guess | None, solver: Engine) -> Iterator[Callable[[], CriticalPoint]]:
         """Ways to a first path: Newton's method on the coarse mesh, relaxation, then whatever `solver` tries."""
         if solver is rootfinder:
+            self.patience = PATIENCE
             yield lambda: self.solve(self.method, mesh, guess, newton)
+            self.patience = math.inf
             count = max(RELAXATION_INTERVALS + 1, len(mesh))
             joints = np.interp(np.linspace(0, 1, count), np.linspace(0, 1, len(mesh)), mesh)
             for leap in LEAPS:
@@ -133,7 +138,7 @@ class Refinement:
 
     def relaxed(self, mesh: np.ndarray, guess: Guess | None, leap: float) -> CriticalPoint:
         """Relax a guess until Newton's method takes over."""
-        transcribed = partial(self.transcription, of_degree(RELAXATION_DEGREE))
+        transcribed = partial(self.transcription, of_degree(RELAXATION_DEGREE), evaluation="batched")
         path = transcribed(mesh).drawn(guess, mesh)
         path = relaxed(transcribed, path, RELAXATION_TOLERANCE, leap, self.limits.levels, self.late)
         return self.solve(of_degree(RELAXATION_DEGREE), path.mesh, path, following)
@@ -161,8 +166,8 @@ class Refinement:
             try:
                 return self.solve(method, mesh, point.path, following)
             except ConvergenceError:
-                finest = np.sqrt(finest)
-                if finest < SMALLEST_SPLIT:
+                finest, self.patience = np.sqrt(finest), self.patience - 1
+                if finest < SMALLEST_SPLIT or self.patience < 0:
                     raise
 
     def error(self, path: PiecewisePolynomial) -> float:

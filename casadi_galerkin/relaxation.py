@@ -19,6 +19,7 @@ import numpy as np
 from casadi_galerkin.adaptivity import equidistributed, truncation
 from casadi_galerkin.boundary import Transcription
 from casadi_galerkin.calculus import PiecewisePolynomial
+from casadi_galerkin.system import joined
 from casadi_galerkin.trajectory import ConvergenceError
 
 STEPS = 3  # between two meshes
@@ -128,8 +129,8 @@ class Relaxation:
         while self.inertia <= MOST:
             with system.algebra.lock:
                 system.evaluate("inertial", *arguments, np.array([1.0 + self.inertia]))
-                step = system.solved("direction", g)[0]
-                self.step = float(system.algebra.evaluate("length", None, step, *arguments[:3])[0][0])
+                (step,) = system.solve(g)
+                self.step = float(np.max(np.abs(step) / system.algebra.sizes(joined(arguments[0], arguments[1:]))))
             promised = -float(g @ step)
             if np.isfinite(self.step) and self.step <= self.leap and promised >= 0:
                 if promised <= RELAXED * abs(self._action):

@@ -82,11 +82,10 @@ def solution_function(
     point = transcription.critical_point(guess=guess)
     transcription.trajectory(point, 0.0)  # refuses a singular Hessian
     system, layout, unknowns = transcription.system, transcription.layout, point.solution.unknowns
-    with system.algebra.lock:
-        system.evaluate("derivatives", unknowns, *point.data)
-        weights = EPS * system.ratios(np.ones(layout.free), unknowns, point.data)
-    names = [name for name in ("start", "end", "parameters") if name in system.build("gradient").name_in()]
-    data = {name: system.build("gradient").mx_in(name) for name in names}
+    floor = transcription.floor
+    weights = EPS / np.array(floor.call([unknowns, *point.data])[0]).ravel()
+    names = [name for name in ("start", "end", "parameters") if name in floor.name_in()]
+    data = {name: floor.mx_in(name) for name in names}
     joints = {"mesh": ca.DM(point.data[2])}
     nodes = ca.MX.sym("guess", problem.dimension, layout.numbering.shape[0])
     root = embeddable(system, weights)(guess=ca.vec(nodes)[_places(layout).tolist()], **joints, **data)["unknowns"]
@@ -108,13 +107,11 @@ def _places(layout: Layout) -> np.ndarray:
 
 def _check(transcription: Transcription) -> ca.Function:
     """(unknowns, *data) -> whether all residuals are within `ROUNDOFF` of their floor; without derivatives."""
-    system = transcription.system
-    symbols = system.build("gradient").mx_in()
-    names = [system.build("gradient").name_in(i) for i in range(len(symbols))]
-    matrix, gradient = system.build("derivatives").call(symbols)
-    ratios = ca.Function("ratios", *system.algebra.ratios())
-    worst = ca.norm_inf(ratios(matrix, gradient, system.build("terms")(*symbols), *symbols[:3]))
-    passed = ca.logic_and(worst <= ROUNDOFF, ca.norm_1(gradient) < np.inf)  # a maximum may lose a NaN, a sum does not
+    gradient, floor = transcription.gradient, transcription.floor
+    symbols, names = gradient.mx_in(), [gradient.name_in(i) for i in range(gradient.n_in())]
+    (residual,), (least,) = gradient.call(symbols), floor.call(symbols)
+    worst = ca.norm_inf(residual / least)
+    passed = ca.logic_and(worst <= ROUNDOFF, ca.norm_1(residual) < np.inf)  # a maximum may lose a NaN, a sum does not
     return ca.Function("check", symbols, [passed], names, ["verified"], {"is_diff_out": [False]})
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -103,12 +102,12 @@ class Shooting:
 
 def chain(jacobians: np.ndarray) -> np.ndarray:
     """Products of the steps' Jacobians (N, n, n) up to every joint; (N + 1, n, n), the first the identity."""
-    count, n, _ = jacobians.shape
-    step, product = ca.MX.sym("step", n, n), ca.MX.sym("product", n, n)
-    multiply = ca.Function("multiply", [product, step], [step @ product]).mapaccum("chain", count, 1)
-    columns = jacobians.transpose(1, 0, 2).reshape(n, count * n)
-    products = np.array(multiply(np.eye(n), columns)).reshape(n, count, n).transpose(1, 0, 2)
-    return np.concatenate((np.eye(n)[None], products))
+    products = np.empty((len(jacobians) + 1, *jacobians.shape[1:]))
+    products[0] = np.eye(len(products[0]))
+    with np.errstate(over="ignore", invalid="ignore"):  # the growth may leave the range of doubles
+        for step, before, after in zip(jacobians, products, products[1:], strict=False):
+            np.matmul(step, before, out=after)
+    return products
 
 
 def shoot(

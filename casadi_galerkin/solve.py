@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary import Engine, transcribe
+from casadi_galerkin.boundary import Engine, transcribed
 from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.control import transcribe_control
 from casadi_galerkin.control_problem import ControlProblem
@@ -60,6 +60,7 @@ def solve(
     >>> float(path.path(0.5)[0].round(6))
     0.569747
     """
+    _check_limits(limits)
     if isinstance(problem, ControlProblem):
         if solver not in (rootfinder, ipopt):
             raise ValueError(f"a ControlProblem is solved by ipopt, got the solver {solver!r}")
@@ -79,7 +80,13 @@ def solve(
         raise ValueError("limits stop a refinement: give tol with them")
     if method is None:
         raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
-    return transcribe(problem, method, intervals, mesh=mesh).solve(guess=guess, solver=solver, verbose=verbose)
+    transcription = transcribed(problem, method, intervals, mesh, "single")
+    return transcription.solve(guess=guess, solver=solver, verbose=verbose)
+
+
+def _check_limits(limits: Limits | None) -> None:
+    if limits is not None and not isinstance(limits, Limits):
+        raise TypeError(f"limits must be Limits, such as Limits(intervals=500), got {limits!r}")
 
 
 def _solve_control(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -41,6 +41,10 @@ class ConjugatePointError(ConvergenceError):
     """The Hessian of the action is singular: the ends are conjugate, or a family of paths joins them."""
 
 
+def _known(index: int | None) -> int | None:
+    return index
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """A critical point of the discrete action.
@@ -52,8 +56,6 @@ class Trajectory:
     momentum : (d, N + 1), by the discrete Legendre transform p_0 = -∂S/∂x_0, ..., p_N = ∂S/∂x_N; order 2m
     path : callable, ``path(t)`` -> (d,) + t.shape, ``path(t, 1)`` its derivative
     action : value of the discrete action
-    morse_index : number of negative eigenvalues of its Hessian, 0 for a local minimum; None for steps, and where the
-        kinetic energy is indefinite by structure, so that there is no finite index
     iterations : of the solver
     residual : largest residual over its own roundoff floor
     solver : what found it
@@ -61,6 +63,7 @@ class Trajectory:
     method : Galerkin
     problem : what was solved, with the ends, parameters and times that it was solved for
     error_estimate : estimated relative error of the path between the joints; only with a tolerance
+    count_negative : finds `morse_index`
     """
 
     t: np.ndarray
@@ -68,7 +71,6 @@ class Trajectory:
     momentum: np.ndarray
     path: PiecewisePolynomial
     action: float
-    morse_index: int | None
     iterations: int
     residual: float
     solver: str
@@ -77,6 +79,19 @@ class Trajectory:
     method: Galerkin
     problem: Problem
     error_estimate: float | None = None
+    count_negative: Callable[[], int | None] = field(default=partial(_known, None), repr=False)
+
+    @cached_property
+    def morse_index(self) -> int | None:
+        """Number of negative eigenvalues of the action's Hessian, 0 for a local minimum; found when first asked for.
+
+        None for steps, and where the kinetic energy is indefinite by structure, so that there is no finite index.
+        """
+        return self.count_negative()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: all but the graph that the Morse index is counted with."""
+        return {**self.__dict__, "count_negative": partial(_known, self.morse_index)}
 
     @property
     def lagrangian(self) -> ca.Function:

@@ -5,7 +5,7 @@ x = sinh((1 - t)/√ε) / sinh(1/√ε).
 """
 
 import numpy as np
-from show import canvas, picture, save
+from show import canvas, dense, picture, save
 
 import casadi_galerkin as cg
 
@@ -43,5 +43,5 @@ def draw(path, name):
 if __name__ == "__main__":
     answer = main(picture("boundary_layer.png"))
     print(answer)
-    times = np.concatenate([a + np.linspace(0, 1, 20) * (b - a) for a, b in zip(answer.t, answer.t[1:], strict=False)])
+    times = dense(answer)
     print(f"  error        {np.max(np.abs(answer.path(times)[0] - exact(times))):.1e}")

@@ -1,6 +1,8 @@
-"""A cart swings its pole up in two seconds with the least effort ∫u² dt (M. Kelly, SIAM Review 59, 2017).
+"""A cart swings its pole up in two seconds with little effort ∫u² dt (M. Kelly, SIAM Review 59, 2017).
 
-x[0] is the cart's position, x[1] the pole's angle from below; the force acts on the cart only.
+x[0] is the cart's position, x[1] the pole's angle from below; the force acts on the cart only.  From the straight line
+an optimiser finds the swing-up of that paper, back once and over.  It is a local optimum: a guess that goes another way
+leads to one that swings once more and costs less.  All work of the force ends up in the pole's height, 2 m g l.
 """
 
 import casadi as ca
@@ -39,6 +41,18 @@ def problem():
     )
 
 
+def once_more(t):
+    """Guess: the cart goes evenly, and the pole lags behind at first."""
+    part = np.pi * t / DURATION
+    return [DISTANCE * t / DURATION, part - np.sin(part)]
+
+
+def work(path):
+    """Work of the force on the cart, ∫u dx, by quadrature where the controls are given."""
+    weights = np.outer(np.diff(path.t), path.method.quadrature.weights).ravel()
+    return weights @ (path.control.values[0] * path.path(path.control.times, 1)[0])
+
+
 def main(plot=None):
     """Solve from a straight line."""
     path = cg.solve(problem(), cg.Galerkin(degree=4), intervals=20)
@@ -55,5 +69,10 @@ def main(plot=None):
 
 
 if __name__ == "__main__":
-    print(main(picture("cart_pole.png")))
-    print(f"  to 1e-8     {cg.solve(problem(), tol=1e-8).cost:.9f}, on a mesh of its own choice")
+    first = main(picture("cart_pole.png"))
+    print(first)
+    print(f"  work        {work(first):.6f} J, exact {2 * POLE * GRAVITY * LENGTH} J")
+    print("To 1e-8, on meshes of their own choice:")
+    for name, guess in (("from the straight line", None), ("from another guess", once_more)):
+        best = cg.solve(problem(), tol=1e-8, guess=guess)
+        print(f"  {name:23} cost {best.cost:.9f}, work {work(best):.9f} J")

@@ -1,7 +1,8 @@
 """A soap film between two rings of radius 1, near the distance at which it tears.
 
 Two catenoids x = c cosh(t/c) with c cosh(h/c) = 1 span the rings at t = -h and h; the wide one is stable, the narrow
-one is not.  At h = 0.66274 they become one, and beyond there is none.
+one is not.  At h = 0.66274 they become one, and beyond there is none.  Either area is π c (2 h + c sinh(2 h/c)); two
+discs of radius 1 have less, 2π, so the wide film is a local minimum only.
 """
 
 import casadi as ca
@@ -56,4 +57,7 @@ def draw(films, name):
 
 if __name__ == "__main__":
     for answer in main(picture("catenoid.png")):
-        print(f"area {2 * np.pi * answer.action:.12f}, narrowest radius {answer.path(0.0)[0]:.12f}\n{answer}")
+        c = answer.path(0.0)[0]
+        print(f"narrowest radius c = {c:.12f}, c cosh(h/c) = {c * np.cosh(HALF_DISTANCE / c):.12f}, exact 1")
+        exact = np.pi * c * (2 * HALF_DISTANCE + c * np.sinh(2 * HALF_DISTANCE / c))
+        print(f"area {2 * np.pi * answer.action:.12f}, of the catenoid of this c {exact:.12f}\n{answer}")

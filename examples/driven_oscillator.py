@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from show import picture, save
+from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
 STIFFNESS, DAMPING = 4.0, 0.5  # ω₀² and c, for a mass of 1
 DRIVE, FREQUENCY = 1.0, 1.5  # A and ω
 DURATION, INTERVALS = 80.0, 160
+STEP = DURATION / INTERVALS
 RESPONSE = DRIVE / np.hypot(STIFFNESS - FREQUENCY**2, DAMPING * FREQUENCY)
 
 
@@ -35,7 +36,7 @@ def response(t: np.ndarray) -> np.ndarray:
 
 
 def main(plot: str | None = None) -> tuple[cg.Trajectory, cg.Geometry]:
-    """Step from rest into the response; returns the path and its geometry.  With `plot`, a file's name, draw it."""
+    """Step from x = 2 at rest into the response; returns the path and its geometry."""
     problem = cg.InitialProblem(lagrangian, (0, DURATION), position=[2.0], velocity=[0.0], force=force)
     path = cg.solve(problem, cg.Galerkin(degree=6), INTERVALS)
     if plot:
@@ -44,11 +45,11 @@ def main(plot: str | None = None) -> tuple[cg.Trajectory, cg.Geometry]:
 
 
 def draw(path: cg.Trajectory, name: str) -> None:
-    """Draw the motion and the response that it settles into."""
-    axes = path.plot()
-    times = np.linspace(0, DURATION, 1000)
+    """Draw the motion over the response that it settles into."""
+    axes = canvas("A damped and driven oscillator", "t", "x", (7.0, 3.6))
+    times = np.linspace(0, DURATION / 2, 1000)
+    axes.plot(times, path.path(times)[0], label="from x = 2 at rest")
     axes.plot(times, response(times), "k:", label="response")
-    axes.set_title("A damped and driven oscillator settles into its response")
     axes.legend()
     save(axes, name)
 
@@ -56,5 +57,8 @@ def draw(path: cg.Trajectory, name: str) -> None:
 if __name__ == "__main__":
     path, measured = main(picture("driven_oscillator.png"))
     print(path)
-    print(f"determinant of a step: {measured.determinants[0]:.12g}, e^(-c h) = {np.exp(-DAMPING * 0.5):.12g}")
-    print(f"from the response at the end: {abs(path.x[0, -1] - response(path.t[-1])):.1e}")
+    print(f"determinant of a step: {measured.determinants[0]:.12g}, e^(-c h) = {np.exp(-DAMPING * STEP):.12g}")
+    left, shrunk = abs(path.x[0, -1] - response(path.t[-1])), np.exp(-DAMPING * DURATION / 2)
+    print(
+        f"from the response at the end: {left:.1e}; what the start adds has shrunk to e^(-c T / 2) = {shrunk:.1e} of it"
+    )

@@ -8,8 +8,8 @@ and R from their middle to body 3.  Two families of paths remain, by rotation an
 by two components of the start that are 0: then all bodies are on the x axis at time 0.  Fixed components allow a kink
 in their momenta there; that energy and angular momentum are conserved along the rest of the loop leaves none.
 
-Another orbit has an action that differs by 1e-7 only, and from many guesses it is found instead.  It is no figure eight
-on which all bodies follow one another, and its Morse index is 3 in place of 2.
+Another orbit has an action that differs by 1e-7 of it only, and from many guesses it is found instead.  It is no
+figure eight on which all bodies follow one another, and its Morse index is 3 in place of 2.
 """
 
 import casadi as ca

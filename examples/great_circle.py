@@ -30,6 +30,14 @@ def arc(path):
     return np.sqrt(2 * path.action)
 
 
+def haversine():
+    """The same by the haversine formula."""
+    (latitude, longitude), (other, east) = NEW_YORK, LONDON
+    chord = np.sin((other - latitude) / 2) ** 2
+    chord += np.cos(latitude) * np.cos(other) * np.sin((east - longitude) / 2) ** 2
+    return 2 * np.arcsin(np.sqrt(chord))
+
+
 def draw(path, name):
     """Draw latitude over longitude, beside the straight line of the map."""
     axes = canvas("New York to London", "longitude in degrees", "latitude in degrees", (6.0, 3.6))
@@ -44,4 +52,4 @@ def draw(path, name):
 if __name__ == "__main__":
     answer = main(picture("great_circle.png"))
     print(answer)
-    print(f"  length      {arc(answer):.15f} rad, {RADIUS * arc(answer):.3f} km")
+    print(f"  length      {arc(answer):.15f} rad, exact {haversine():.15f}; {RADIUS * arc(answer):.3f} km")

@@ -1,7 +1,9 @@
 """A spacecraft spirals from a circular orbit to one of twice the radius with the least ∫|u|²/2 dt.
 
 Polar coordinates x = (r, θ), unit gravitational parameter; u holds radial and tangential thrust acceleration, the
-latter with lever arm r.  The angle of arrival is free.
+latter with lever arm r.  The angle of arrival is free.  The best thrust is Lawden's primer vector, here -(λ_r, r λ_θ).
+Over many revolutions it would be constant and tangential, and change the circular speed evenly from 1 to 1/√2 (T. N.
+Edelbaum, 1961); over the two of this transfer the cost is 3 % above that.
 """
 
 import numpy as np
@@ -11,6 +13,7 @@ import casadi_galerkin as cg
 from casadi_galerkin.plotting import COLORS
 
 RADIUS, DURATION = 2.0, 20.0
+SLOW_SPIRAL = (1 - RADIUS**-0.5) ** 2 / (2 * DURATION)  # ∫|u|²/2 dt of Edelbaum's thrust
 
 
 def lagrangian(t, x, v):
@@ -70,4 +73,10 @@ def draw(path, name):
 
 
 if __name__ == "__main__":
-    print(main(picture("low_thrust.png")))
+    answer = main(picture("low_thrust.png"))
+    print(answer)
+    print(f"  a slow spiral's cost {SLOW_SPIRAL:.9f}, {answer.x[1, -1] / (2 * np.pi):.3f} revolutions here")
+    times = answer.control.times
+    primer = -answer.costate(times) * np.stack((np.ones_like(times), answer.path(times)[0]))
+    print(f"  thrust of up to {np.max(np.abs(primer)):.4f}, and the primer vector: differ by", end=" ")
+    print(f"{np.max(np.abs(answer.control.values - primer)):.1e}")

@@ -7,7 +7,7 @@ shows the way round.
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
+from show import canvas, dense, picture, save
 
 import casadi_galerkin as cg
 from casadi_galerkin.plotting import COLORS
@@ -40,8 +40,7 @@ def main(plot=None):
 def draw(path, name):
     """Draw the orbit near the sun, joints as dots."""
     axes = canvas("Near-collision, eccentricity 0.99", "x in semi-axes", "y in semi-axes", (6.0, 3.2))
-    times = np.concatenate([a + np.linspace(0, 1, 20) * (b - a) for a, b in zip(path.t, path.t[1:], strict=False)])
-    axes.plot(*path.path(times))
+    axes.plot(*path.path(dense(path)))
     axes.plot(*path.x, ".", label="joints")
     axes.plot(0, 0, "o", color=COLORS[4], label="sun")
     axes.legend()

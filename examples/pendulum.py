@@ -23,6 +23,8 @@ def swinging(amplitude, periods):
     return lambda t: [ANGLE * t / DURATION + amplitude * np.sin(2 * np.pi * periods * t / DURATION)]
 
 
+# velocities at the start by shooting in higher precision, by Morse index
+KNOWN = {0: 1.9995687170165, 1: 1.8318277309911, 2: 1.3287479250456}
 # one half oscillation that goes nearly over the top, one whole one, and the straight line
 GUESSES = (swinging(3.0, 0.5), swinging(2.0, 1.0), None)
 
@@ -51,4 +53,4 @@ def draw(paths, name):
 
 if __name__ == "__main__":
     for index, path in sorted(main(picture("pendulum.png")).items()):
-        print(f"Morse index {index}: starts with velocity {path.velocity[0, 0]:.13f}\n{path}")
+        print(f"Morse index {index}: starts with velocity {path.velocity[0, 0]:.13f}, known {KNOWN[index]}\n{path}")

@@ -82,6 +82,13 @@ def main(plot=None, executor=None):
     return transfers, cost
 
 
+def hohmann():
+    """Cost in km/s of Hohmann's half ellipse between circles of the same axes, without the orbits' eccentricity."""
+    radii = np.array([INNER["axis"], OUTER["axis"]])
+    changes = np.sqrt(MU * (2 / radii - 2 / np.sum(radii))) - np.sqrt(MU / radii)
+    return KILOMETRES_A_SECOND * np.sum(np.abs(changes))
+
+
 def draw(cost, name):
     """Draw lines of equal cost over launch date and flight time, and the cheapest transfer."""
     axes = canvas("Porkchop plot of 2,500 transfers", "launch date in years", "flight time in years", (6.4, 4.6))
@@ -114,3 +121,4 @@ if __name__ == "__main__":
     print(transfers)
     i, j = np.unravel_index(np.nanargmin(cost), cost.shape)
     print(f"cheapest: {cost[i, j]:.3f} km/s, launch {LAUNCHES[i]:.3f}, flight {FLIGHTS[j]:.3f} years")
+    print(f"Hohmann's transfer between circles of the same axes: {hohmann():.3f} km/s")

@@ -369,6 +369,16 @@ def test_dynamics_defect_is_of_the_order_of_the_degree():
     assert np.log2(defect[0].max() / defect[1].max()) == pytest.approx(3, abs=0.4)
 
 
+def test_summary_tells_where_the_points_do_not_see_a_jump():
+    seen, unseen = (str(cg.solve(minimum_time(), cg.Galerkin(2), n)).splitlines() for n in (4, 5))
+    assert [sum("defect" in line for line in lines) for lines in (seen, unseen)] == [1, 1]
+    assert not any("overshoot" in line for line in seen)
+    path = cg.solve(minimum_time(), cg.Galerkin(2), 5)
+    where = f"[{path.t[2]:.4g}, {path.t[3]:.4g}]"  # the middle interval, which holds the jump
+    assert any(line.startswith("  overshoot") and where in line for line in unseen)
+    assert any(line.startswith(f"  defect      {path.dynamics_defect[2]:.1e}") and where in line for line in unseen)
+
+
 def test_graded_mesh_is_kept():
     mesh = np.array([0.0, 0.1, 0.4, 1.0])
     path = cg.solve(double_integrator(), cg.Galerkin(3), mesh=mesh)

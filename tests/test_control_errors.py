@@ -13,6 +13,30 @@ BADLY_STATED = {
     "bounds that are no pair": ({"control_bounds": 3}, TypeError, "must be a pair"),
     "bounds that are no numbers": ({"control_bounds": ("a", 1)}, TypeError, "lo of control_bounds"),
     "bounds with NaN": ({"control_bounds": (np.nan, 1)}, ValueError, "must not be NaN"),
+    "bounds with None": ({"control_bounds": (None, 1)}, TypeError, "lo of control_bounds .* -inf where there is none"),
+    "bounds in words": ({"control_bounds": ("-1", "1")}, TypeError, "lo of control_bounds .* got '-1'"),
+    "bounds without an order": ({"control_bounds": {0, 1}}, TypeError, r"must be a pair \(lo, hi\), got {0, 1}"),
+    "bounds that are truths": ({"control_bounds": (False, True)}, TypeError, "must be a number .* got False"),
+    "nothing above": ({"control_bounds": (np.inf, np.inf)}, ValueError, "lo of control_bounds must not be .* got inf"),
+    "nothing below": ({"position_bounds": (-np.inf, [-np.inf])}, ValueError, "hi of position_bounds must not be"),
+    "constraint of no value": (
+        {"path_constraint": (lambda t, x, v, u: u, np.inf, np.inf)},
+        ValueError,
+        "lo of path_constraint must not be NaN, nor inf",
+    ),
+    "start that leaves its bounds": (
+        {"start_velocity": [-1.0], "position_bounds": (0, 1)},
+        ValueError,
+        r"start\[0\] = 0.0 lies on its position_bounds \[0.0, 1.0\], and start_velocity\[0\] = -1.0",
+    ),
+    "end that comes from outside": (
+        {"end_velocity": [-1.0], "position_bounds": (0, 1)},
+        ValueError,
+        r"end\[0\] = 1.0 lies on its position_bounds",
+    ),
+    "nested forces": ({"force": lambda t, x, v, u: [[u[0]]]}, TypeError, "force must return one CasADi expression a"),
+    "force as a number": ({"force": 3.0}, TypeError, "force must be a callable"),
+    "terminal cost of controls": ({"terminal_cost": lambda t, x, v, u: u}, TypeError, "terminal_cost failed when"),
     "end outside": ({"position_bounds": (-1, 0.5)}, ValueError, r"end\[0\] = 1.0 lies outside"),
     "start outside": ({"position_bounds": (0.5, 2)}, ValueError, r"start\[0\] = 0.0 lies outside"),
     "end outside the path": (
@@ -59,6 +83,106 @@ def test_parameter_guess_outside_its_bounds_is_refused():
             parameters=[3],
             parameter_bounds=(0, 1),
         )
+
+
+def test_free_parameter_that_nothing_depends_on_is_refused():
+    fields = {
+        "lagrangian": lambda t, x, v, p: v[0] ** 2 / 2,
+        "force": lambda t, x, v, u, p: u * p[0],
+        "running_cost": lambda t, x, v, u, p: u[0] ** 2 / 2,
+        "parameters": [1.0, 2.0],
+    }
+    with pytest.raises(ValueError, match=r"free parameter p\[1\] occurs in no"):
+        double_integrator(**fields, parameter_bounds=(0, 5))
+    assert double_integrator(**fields, parameter_bounds=([0, 2], [5, 2])).parameters == (1.0, 2.0)
+    assert double_integrator(**fields).parameters == (1.0, 2.0)
+
+
+def test_limits_of_another_kind_are_refused():
+    with pytest.raises(TypeError, match=r"limits must be Limits.* got 3"):
+        cg.solve(double_integrator(), tol=1e-3, limits=3)
+
+
+def _mass(**changes):
+    return double_integrator(
+        **{
+            "lagrangian": lambda t, x, v, p: p[0] * v[0] ** 2 / 2,
+            "force": lambda t, x, v, u, p: u,
+            "running_cost": lambda t, x, v, u, p: u[0] ** 2 / 2,
+            "parameters": [1.0],
+        }
+        | changes
+    )
+
+
+FAR = (-9.0, 9.0)
+ODD = {  # problem, degree, intervals, exact cost
+    "one interval": (lambda: double_integrator(), 3, 1, 6.0),
+    "nothing given at the ends": (
+        lambda: double_integrator(start=[None], end=[None], start_velocity=[None], end_velocity=[None]),
+        3,
+        10,
+        0.0,
+    ),
+    "already there": (lambda: double_integrator(start=[None]), 3, 10, 0.0),
+    "already there, far from zero": (lambda: double_integrator(start=[None], end=[1e9]), 3, 10, 0.0),
+    "rest at zero": (lambda: double_integrator(end=[0.0]), 3, 10, 0.0),
+    "fixed controls": (lambda: double_integrator(control_bounds=(1, 1), end=[None], end_velocity=[None]), 3, 10, 0.5),
+    "no path constraint in one": (lambda: double_integrator(path_constraint=(lambda t, x, v, u: [], 0, 1)), 3, 10, 6.0),
+    "constraint without bounds": (
+        lambda: double_integrator(path_constraint=(lambda t, x, v, u: x[0], -np.inf, np.inf)),
+        3,
+        10,
+        6.0,
+    ),
+    "cost of nothing": (lambda: double_integrator(running_cost=lambda t, x, v, u: 0), 3, 10, 0.0),
+    "cost of time only": (lambda: double_integrator(running_cost=lambda t, x, v, u: t), 3, 10, 0.5),
+    "cost at the end only": (
+        lambda: double_integrator(
+            running_cost=lambda t, x, v, u: 0,
+            terminal_cost=lambda t, x, v: (x[0] - 2) ** 2,
+            end=[None],
+            end_velocity=[None],
+            control_bounds=(-1, 1),
+        ),
+        3,
+        10,
+        2.25,  # full thrust all the way to 1/2
+    ),
+    "duration free within one value": (lambda: double_integrator(duration_bounds=(1, 1)), 3, 10, 6.0),
+    "duration free without a bound": (
+        lambda: double_integrator(duration_bounds=(0.1, np.inf), running_cost=lambda t, x, v, u: u[0] ** 2 / 2 + 1),
+        3,
+        10,
+        4 / 3 * 18**0.25,  # 6/T³ + T at T⁴ = 18
+    ),
+    "parameter only": (
+        lambda: _mass(
+            force=lambda t, x, v, u, p: p[0] + u[0],
+            lagrangian=lambda t, x, v, p: v[0] ** 2 / 2,
+            running_cost=lambda t, x, v, u, p: x[0] ** 2,
+            control_bounds=(0, 0),
+            end_velocity=[None],
+            parameter_bounds=FAR,
+        ),
+        3,
+        10,
+        0.2,  # p = 2, ∫t⁴ dt
+    ),
+    "lightest mass": (lambda: _mass(parameter_bounds=(0.5, 2)), 3, 10, 1.5),
+    "late": (lambda: double_integrator(t_span=(1e6, 1e6 + 1)), 3, 10, 6.0),
+    "long": (lambda: double_integrator(t_span=(0, 1e8)), 3, 10, 6e-24),
+    "wide": (lambda: double_integrator(end=[1e12]), 3, 10, 6e24),
+}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_odd_but_legal_problem_has_its_exact_cost(name):
+    make, degree, intervals, cost = ODD[name]
+    path = cg.solve(make(), cg.Galerkin(degree), intervals)
+    assert path.cost == pytest.approx(cost, rel=1e-8, abs=1e-12 if cost == 0 else 0)  # late: t keeps 10 digits of h
+    assert path.violation <= 1e-8
+    assert "cost" in str(path)
 
 
 NOT_FINITE = {

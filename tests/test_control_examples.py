@@ -36,6 +36,33 @@ def test_cart_pole_costs_what_kelly_found(scene):
     assert scene("cart_pole").main().cost == pytest.approx(58.80767, abs=1e-3)
 
 
+def test_cart_pole_has_a_cheaper_swing_up_and_both_do_the_work_of_lifting(scene):
+    module = scene("cart_pole")
+    lifted = 2 * module.POLE * module.GRAVITY * module.LENGTH
+    first, other = (cg.solve(module.problem(), cg.Galerkin(10), 30, guess=g) for g in (None, module.once_more))
+    assert first.cost == pytest.approx(58.807667459, abs=1e-8)  # published to fewer digits
+    assert other.cost < first.cost - 0.8
+
+    def rates(y, u):
+        s, c, m, l = np.sin(y[1]), np.cos(y[1]), module.POLE, module.LENGTH  # noqa: E741
+        mass = np.array([[module.CART + m, m * l * c], [m * l * c, m * l**2]])
+        load = [u[0] + m * l * s * y[3] ** 2, -m * module.GRAVITY * l * s]
+        return np.concatenate((y[2:], np.linalg.solve(mass, load)))
+
+    for path in (first, other):
+        assert module.work(path) == pytest.approx(lifted, rel=1e-9)
+        np.testing.assert_allclose(flown(rates, path, [0, 0, 0, 0]), [1, np.pi, 0, 0], rtol=0, atol=1e-7)
+
+
+def test_thrust_is_the_primer_vector_and_costs_little_more_than_a_slow_spiral(scene):
+    module = scene("low_thrust")
+    path = module.main()
+    times = path.control.times
+    primer = -path.costate(times) * np.stack((np.ones_like(times), path.path(times)[0]))
+    np.testing.assert_allclose(path.control.values, primer, rtol=0, atol=1e-10)  # IPOPT's tolerance
+    assert 1.02 < path.cost / module.SLOW_SPIRAL < 1.05
+
+
 def test_minimum_time_is_two(scene):
     assert scene("minimum_time").main().t[-1] == pytest.approx(2, abs=1e-9)
 
@@ -76,6 +103,7 @@ def test_arm_driven_by_its_torques_stands_upright_within_the_torque_limit(scene)
     np.testing.assert_allclose(flown(rates, path, [0, 0, 0, 0]), [np.pi, np.pi, 0, 0], rtol=0, atol=5e-3)
     assert np.all(np.max(np.abs(path.control.values), axis=1) < [module.SHOULDER, module.ELBOW])
     finer = cg.solve(module.problem(), cg.Galerkin(degree=8), intervals=30)
+    assert module.work(finer) == pytest.approx(4 * module.GRAVITY, rel=1e-7)
     assert path.cost == pytest.approx(finer.cost, rel=1e-5)
     np.testing.assert_allclose(flown(rates, finer, [0, 0, 0, 0]), [np.pi, np.pi, 0, 0], rtol=0, atol=1e-6)
 

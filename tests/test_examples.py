@@ -122,6 +122,22 @@ def test_work_precision_has_the_orders_of_its_methods(scene):
         assert errors[high, 20] < 1e-4 * errors[low, 20]
 
 
+def test_shooting_has_the_errors_of_the_global_solve_until_growth_takes_its_digits(scene, tmp_path):
+    target = tmp_path / "picture.png"
+    measured = scene("global_against_shooting").main(str(target))
+    errors = {name: np.array([[r.joint_error for r in rows] for rows in ways]) for name, ways in measured.items()}
+    np.testing.assert_allclose(*errors["Kepler arc"], rtol=0, atol=ROUNDOFF)  # the same discrete equations
+    for name in errors:
+        assert np.all(np.diff(errors[name][0]) < 0)
+        assert errors[name][0, -1] < 1e-12
+    # rounding the start moves the end by up to e^15 eps = 7e-10; how much of that happens is chance
+    lost = errors["balanced for 15"][1, 2:] / (np.finfo(float).eps * np.exp(15))
+    assert np.all((lost > 1e-3) & (lost < 10))
+    for row in measured["balanced for 40"][1]:
+        assert "the end is missed by" in row.failure
+    assert target.read_bytes().startswith(b"\x89PNG")
+
+
 @pytest.mark.parametrize(
     "name",
     [

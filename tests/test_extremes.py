@@ -136,7 +136,7 @@ def test_nearer_collision_is_right_or_called_singular(extremes, distance):
         error = extremes.collision(distance)
     except cg.ConjugatePointError:
         return
-    assert error < 1e-9
+    assert error < 1e-8  # as at 1e-4: Newton's steps end in noise of this size
 
 
 @pytest.mark.parametrize("gap", [1e-2, 1e-4, 1e-6])
