@@ -105,10 +105,17 @@ class Comparison:
         lines += [f"  {attempt.failure}" for attempt in (self.stepped, self.shooting) if attempt.failure]
         return "\n".join(lines)
 
-    def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the gaps over time, logarithmic; returns the Matplotlib axes."""
-        gaps = {"stepped from the global start": self.stepped.gap, "shooting": self.shooting.gap}
-        return plot_gaps(self.global_path.t, gaps, axes)
+    def plot(self, axes: Axes | None = None, time: str = "t") -> Axes:
+        """Draw the gaps over time, logarithmic; returns the Matplotlib axes.
+
+        Parameters
+        ----------
+        axes : Matplotlib axes to draw into; default a new figure
+        time : name of the time with its unit, such as "t in s"
+        """
+        ways = {"stepped from the global start": self.stepped, "shooting": self.shooting}
+        gaps = {name + (" (failed)" if way.path is None else ""): way.gap for name, way in ways.items()}
+        return plot_gaps(self.global_path.t, gaps, axes, time)
 
 
 def compare(

@@ -159,7 +159,14 @@ class ControlTrajectory(Trajectory):
         values = motion(times[None, :], self.path(times), self.path(times, 1), self.control(times))
         return np.array(values[0]), np.array(values[1])
 
-    def plot(self, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t") -> Axes:
+    def plot(
+        self,
+        axes: Axes | None = None,
+        labels: Sequence[str] | None = None,
+        time: str = "t",
+        control_labels: Sequence[str] | None = None,
+        costate_labels: Sequence[str] | None = None,
+    ) -> Axes:
         """Draw positions, controls with their bounds, and the costate, one above the other.
 
         Parameters
@@ -167,6 +174,8 @@ class ControlTrajectory(Trajectory):
         axes : Matplotlib axes for the positions; controls and costate are then left out
         labels : d names of the positions with units
         time : name of the time with its unit
+        control_labels : n names of the controls with units
+        costate_labels : d names of the costate with units: those of the cost over those of the momenta
 
         Returns
         -------
@@ -182,10 +191,10 @@ class ControlTrajectory(Trajectory):
         lines = np.full((len(self.control.values), len(broken)), np.nan)
         lines[:, np.isfinite(broken)] = self.control(times.ravel())
         limits = np.array(self.problem.control_bounds)
-        plot_controls(broken, lines, self.control.times, self.control.values, limits, middle)
-        plot_path(times.ravel(), self.costate(times.ravel()), self.t, self.costate(self.t), bottom, time=time, name="λ")
-        for axes in (top, middle):
-            axes.set_xlabel("")
+        plot_controls(broken, lines, self.control.times, self.control.values, limits, middle, control_labels)
+        times = times.ravel()
+        plot_path(times, self.costate(times), self.t, self.costate(self.t), bottom, costate_labels, time, "λ")
+        top.set_xlabel("")
         top.set_title(f"Degree {self.method.degree} on {len(self.t) - 1} intervals: cost {self.cost:.6g}")
         return top
 

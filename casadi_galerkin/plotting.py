@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,8 +16,7 @@ if TYPE_CHECKING:
 # M. Okabe and K. Ito's palette, told apart by colour-blind readers
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 DOTS = 200  # joints beyond which their dots would hide the line
-
-
+WIDTH = 30  # characters that fit beside the lowest panel
 FRAMES_A_SECOND = 25
 
 
@@ -54,20 +54,28 @@ def plot_path(
     -------
     the Matplotlib axes
     """
-    if labels is not None and (isinstance(labels, str) or len(labels) != len(values)):
-        raise ValueError(f"labels must be {len(values)} name(s), one a component, got {labels!r}")
+    names, heading = _named(name, len(values), labels)
     axes = axes_or_new(axes)
-    names = [f"{name}[{i}]" for i in range(len(values))] if labels is None else labels
     for i, (line, dots) in enumerate(zip(values, joint_values, strict=True)):
         color = COLORS[i % len(COLORS)]
         axes.plot(times, line, color=color, label=names[i])
         if len(joints) <= DOTS:
             axes.plot(joints, dots, ".", color=color)
-    axes.set_xlabel(time)
-    axes.set_ylabel(names[0] if len(values) == 1 else name)
+    axes.set(xlabel=time, ylabel=heading)
     if 1 < len(values) <= len(COLORS):
         axes.legend()
     return axes
+
+
+def _named(name: str, count: int, labels: Sequence[str] | None) -> tuple[Sequence[str], str]:
+    """Names of the components, and what stands at their axis."""
+    if labels is None:
+        names = [f"{name}[{i}]" for i in range(count)]
+        return names, names[0] if count == 1 else name
+    if isinstance(labels, str) or len(labels) != count:
+        raise ValueError(f"labels of {name} must be {count} name(s), one a component, got {labels!r}")
+    unbroken = ", ".join(label.replace(" ", "\N{NO-BREAK SPACE}") for label in labels)
+    return labels, fill(unbroken, WIDTH).replace("\N{NO-BREAK SPACE}", " ")
 
 
 def panels(count: int) -> list[Axes]:
@@ -78,7 +86,13 @@ def panels(count: int) -> list[Axes]:
 
 
 def plot_controls(
-    times: np.ndarray, values: np.ndarray, points: np.ndarray, point_values: np.ndarray, bounds: np.ndarray, axes: Axes
+    times: np.ndarray,
+    values: np.ndarray,
+    points: np.ndarray,
+    point_values: np.ndarray,
+    bounds: np.ndarray,
+    axes: Axes,
+    labels: Sequence[str] | None = None,
 ) -> Axes:
     """Draw controls over time, quadrature points as dots where there are at most `DOTS`, finite bounds as dashed lines.
 
@@ -88,23 +102,24 @@ def plot_controls(
     points, point_values : (M,) and (n, M)
     bounds : (2, n), lower and upper
     axes : Matplotlib axes to draw into
+    labels : n names with units, such as "force in N"; default u with an index
     """
+    names, heading = _named("u", len(values), labels)
     for i, (line, dots) in enumerate(zip(values, point_values, strict=True)):
         color = COLORS[i % len(COLORS)]
-        axes.plot(times, line, color=color, label=f"u[{i}]")
+        axes.plot(times, line, color=color, label=names[i])
         if len(points) <= DOTS:
             axes.plot(points, dots, ".", markersize=3, color=color)
         for bound in bounds[:, i]:
             if np.isfinite(bound):
                 axes.axhline(bound, color=color, linestyle="--", linewidth=0.8)
-    axes.set_xlabel("t")
-    axes.set_ylabel("u")
+    axes.set_ylabel(heading)
     if 1 < len(values) <= len(COLORS):
         axes.legend()
     return axes
 
 
-def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None = None) -> Axes:
+def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None = None, time: str = "t") -> Axes:
     """Draw how far paths are from a reference over time, on a logarithmic scale.
 
     Parameters
@@ -112,6 +127,7 @@ def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None 
     times : (N + 1,)
     gaps : (N + 1,) by name; values that are zero or not finite are left out
     axes : Matplotlib axes to draw into; default a new figure
+    time : name of the time with its unit
 
     Returns
     -------
@@ -122,7 +138,7 @@ def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None 
         shown = np.isfinite(gap) & (gap > 0)
         axes.plot(times[shown], gap[shown], ".-", color=color, label=name)
     axes.set_yscale("log")
-    axes.set_xlabel("t")
+    axes.set_xlabel(time)
     axes.set_ylabel("relative gap to the global path")
     axes.legend()
     return axes
@@ -160,10 +176,13 @@ def plot_pattern(rows: np.ndarray, columns: np.ndarray, size: int, axes: Axes | 
     return axes
 
 
-def animate_linkage(times: np.ndarray, points: np.ndarray, interval: float, axes: Axes | None = None) -> FuncAnimation:
+def animate_linkage(
+    times: np.ndarray, points: np.ndarray, interval: float, axes: Axes | None = None, unit: str = ""
+) -> FuncAnimation:
     """Move a chain of bars through points (n, 2, K), one frame every `interval` seconds; the last point leaves a trail.
 
-    The axes are scaled to hold all of it; an animation runs only as long as a reference to it is kept.
+    The title is the time in the unit given.  The axes are scaled to hold all of it; an animation runs only as long as a
+    reference to it is kept.
     """
     from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
@@ -180,7 +199,7 @@ def animate_linkage(times: np.ndarray, points: np.ndarray, interval: float, axes
     def frame(k: int) -> tuple[Artist, ...]:
         bars.set_data(points[:, 0, k], points[:, 1, k])
         trail.set_data(points[-1, 0, : k + 1], points[-1, 1, : k + 1])
-        clock.set_text(f"t = {times[k]:.{digits}f}")
+        clock.set_text(f"t = {times[k]:.{digits}f} {unit}".rstrip())
         return bars, trail, clock
 
     figure = axes.figure
@@ -205,7 +224,7 @@ def plot_work_precision(
     -------
     the Matplotlib axes
     """
-    axes = axes_or_new(axes)
+    axes = axes_or_new(axes, (9.0, 4.0))
     for i, (label, (seconds, errors)) in enumerate(lines.items()):
         drawn = np.maximum(errors, floor / 3)  # an error of zero has no place on a logarithmic axis
         axes.loglog(seconds, drawn, "o-", color=COLORS[i % len(COLORS)], markersize=4, label=label)
@@ -222,5 +241,5 @@ def plot_work_precision(
     )
     axes.set_xlabel("seconds of a warm solve")
     axes.set_ylabel("largest relative error of the path")
-    axes.legend(fontsize="small", loc="upper right")
+    axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))  # beside the lines
     return axes

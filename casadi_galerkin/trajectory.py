@@ -162,6 +162,7 @@ class Trajectory:
         points: Callable[[np.ndarray], ArrayLike],
         axes: Axes | None = None,
         seconds: float | None = None,
+        unit: str = "",
     ) -> FuncAnimation:
         """Move a planar mechanism along the path; returns Matplotlib's FuncAnimation, to show or to save.
 
@@ -170,6 +171,7 @@ class Trajectory:
         points : x (d, K) -> (n, 2, K), places in the plane of the n ends of a chain of bars, fixed ones included
         axes : Matplotlib axes to draw into, labelled by their owner; default a new figure
         seconds : how long it runs; default the duration of the path, taken as seconds
+        unit : of the time shown in the title
         """
         duration = float(self.t[-1] - self.t[0]) if seconds is None else seconds
         count = max(2, round(FRAMES_A_SECOND * duration))
@@ -177,7 +179,7 @@ class Trajectory:
         places = np.asarray(points(self.path(times)), dtype=float)
         if places.ndim != 3 or places.shape[1:] != (2, count):
             raise ValueError(f"points must return an array of shape (n, 2, {count}), got {places.shape}")
-        return animate_linkage(times, places, duration / count, axes)
+        return animate_linkage(times, places, duration / count, axes, unit)
 
     def _fine(self) -> np.ndarray:
         """Times that make a smooth line; all joints among them."""

@@ -2,7 +2,7 @@
 
 L = √((1 + v²)/(2x)) is time per horizontal length t, for unit gravity and depth x below the point where the bead was
 at rest.  There, at x = 0, L is singular; between two later points the problem is regular.  The cycloid
-t = θ - sin θ, x = 1 - cos θ is run through in the time θ.
+t = θ - sin θ, x = 1 - cos θ is run through in the time θ; a point on the rim of a rolling wheel of radius 1 draws it.
 """
 
 import casadi as ca
@@ -36,7 +36,13 @@ def main(plot=None):
 
 def draw(path, name):
     """Draw depth downwards, on the whole cycloid."""
-    axes = canvas("The curve of fastest descent", "horizontal position", "depth", (6.0, 3.8), aspect="equal")
+    axes = canvas(
+        "The curve of fastest descent",
+        "horizontal place, in radii of the wheel",
+        "depth, in radii of the wheel",
+        (6.0, 3.8),
+        aspect="equal",
+    )
     axes.plot(*cycloid(np.linspace(0, np.pi, 200)), color="0.8", label="cycloid")
     times = np.linspace(path.t[0], path.t[-1], 300)
     (line,) = axes.plot(times, path.path(times)[0], label=f"path found, takes {path.action:.6f}")

@@ -11,13 +11,13 @@ from show import picture, save
 
 import casadi_galerkin as cg
 
-CART, POLE, LENGTH, GRAVITY = 1.0, 0.3, 0.5, 9.81
-DURATION, DISTANCE = 2.0, 1.0
-FORCE, TRACK = 20.0, 2.0
+CART, POLE, LENGTH, GRAVITY = 1.0, 0.3, 0.5, 9.81  # kg, kg, m, m/s²
+DURATION, DISTANCE = 2.0, 1.0  # s, m
+FORCE, TRACK = 20.0, 2.0  # N, m
 
 
 def lagrangian(t, x, v):
-    """Kinetic minus potential energy of cart and pole."""
+    """Kinetic minus potential energy of cart and pole, J."""
     kinetic = (
         (CART + POLE) * v[0] ** 2 / 2 + POLE * LENGTH * v[0] * v[1] * ca.cos(x[1]) + POLE * (LENGTH * v[1]) ** 2 / 2
     )
@@ -57,7 +57,12 @@ def main(plot=None):
     """Solve from a straight line."""
     path = cg.solve(problem(), cg.Galerkin(degree=4), intervals=20)
     if plot:
-        axes = path.plot()
+        axes = path.plot(
+            labels=["cart in m", "pole in rad"],
+            time="t in s",
+            control_labels=["force in N"],
+            costate_labels=["λ[0] in N", "λ[1] in N/m"],
+        )
         axes.set_title("Cart-pole swing-up")
         save(axes, plot)
     return path

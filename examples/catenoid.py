@@ -36,7 +36,13 @@ def main(plot=None):
 
 def draw(films, name):
     """Draw both films, mirrored at the axis."""
-    axes = canvas("Two soap films between the same rings", "along the axis", "radius", (5.0, 4.6), aspect="equal")
+    axes = canvas(
+        "Two soap films between the same rings",
+        "place on the axis, in radii of the rings",
+        "radius, in radii of the rings",
+        (6.0, 4.6),
+        aspect="equal",
+    )
     times = np.linspace(-HALF_DISTANCE, HALF_DISTANCE, 200)
     for film in films:
         radius = film.path(times)[0]

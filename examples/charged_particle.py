@@ -36,7 +36,9 @@ def main(plot=None):
 
 def draw(path, name):
     """Draw the path in its plane."""
-    axes = canvas(f"A charge at {SPEED:g} c in a magnetic field", "x", "y", (4.6, 4.5), aspect="equal")
+    axes = canvas(
+        f"A charge at {SPEED:g} c in a magnetic field", "x in mc/(qB)", "y in mc/(qB)", (4.6, 4.5), aspect="equal"
+    )
     (line,) = axes.plot(*path.path(np.linspace(0, DURATION, 300)))
     axes.plot(*path.x, ".", color=line.get_color())
     for place, text in ((path.x[:, 0], "start"), (path.x[:, -1], "end")):

@@ -29,14 +29,17 @@ def rotation(x: ca.SX) -> list[ca.SX]:
 
 
 def main(plot: str | None = None) -> tuple[cg.Trajectory, cg.Geometry]:
-    """Step through all revolutions from the perihelion; returns the path and what it conserves."""
+    """Step through all revolutions from the perihelion; returns the path and what it conserves.
+
+    With `plot`, the name of a file, draw the error of the energy.
+    """
     perihelion = SEMI_MAJOR_AXIS * (1 - ECCENTRICITY)
     speed = np.sqrt(GM * (2 / perihelion - 1 / SEMI_MAJOR_AXIS))
     problem = cg.InitialProblem(lagrangian, (0, REVOLUTIONS * PERIOD), position=[perihelion, 0], velocity=[0, speed])
     path = cg.solve(problem, cg.Galerkin(degree=8), intervals=REVOLUTIONS * STEPS_A_REVOLUTION)
     conserved = cg.geometry(problem, path, symmetry=rotation)
     if plot:
-        axes = canvas("Mercury for 1000 revolutions, step by step", "years", "relative energy error")
+        axes = canvas("1000 revolutions of Mercury", "t in years", "relative error of the energy")
         axes.plot(path.t, path.energy / path.energy[0] - 1, ".", markersize=1)
         save(axes, plot)
     return path, conserved

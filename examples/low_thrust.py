@@ -52,7 +52,13 @@ def main(plot=None):
 
 def draw(path, name):
     """Draw the spiral with thrust arrows."""
-    axes = canvas("Low-thrust transfer", "x", "y", (5.5, 5.5), aspect="equal")
+    axes = canvas(
+        "Low-thrust transfer",
+        "x in radii of the first orbit",
+        "y in radii of the first orbit",
+        (5.5, 5.5),
+        aspect="equal",
+    )
     circle = np.linspace(0, 2 * np.pi, 200)
     for radius in (1.0, RADIUS):
         axes.plot(radius * np.cos(circle), radius * np.sin(circle), color="0.8")

@@ -51,7 +51,7 @@ def draw(swing, path, name):
     figure.savefig(name, dpi=100)
     figure, axes = plt.subplots(figsize=(4.0, 4.0), layout="constrained")
     axes.set(xlabel="x in m", ylabel="y in m")
-    path.animate(places, axes, seconds=2 * DURATION).save(name.with_suffix(".gif"), writer="pillow", dpi=60)
+    path.animate(places, axes, seconds=2 * DURATION, unit="s").save(name.with_suffix(".gif"), writer="pillow", dpi=50)
     plt.close("all")
     print(f"pictures written to {name} and {name.with_suffix('.gif')}")
 

@@ -10,6 +10,7 @@ import numpy as np
 from show import canvas, dense, picture, save
 
 import casadi_galerkin as cg
+from casadi_galerkin.plotting import COLORS
 
 ECCENTRICITY, ANOMALY = 0.99, 2.0
 HALF = ANOMALY - ECCENTRICITY * np.sin(ANOMALY)  # half of the time of flight, by Kepler's equation
@@ -38,10 +39,10 @@ def main(plot=None):
 
 def draw(path, name):
     """Draw the orbit near the sun, joints as dots."""
-    axes = canvas("Near-collision, eccentricity 0.99", "x", "y", (6.0, 3.2))
+    axes = canvas("Near-collision, eccentricity 0.99", "x in semi-axes", "y in semi-axes", (6.0, 3.2))
     axes.plot(*path.path(dense(path)))
     axes.plot(*path.x, ".", label="joints")
-    axes.plot(0, 0, "o", color="orange", label="sun")
+    axes.plot(0, 0, "o", color=COLORS[4], label="sun")
     axes.legend()
     save(axes, name)
 

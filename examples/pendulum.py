@@ -14,7 +14,7 @@ DURATION, ANGLE = 10.0, 1.0
 
 
 def lagrangian(t, x, v):
-    """Kinetic minus potential energy for unit mass, length and gravity; x[0] is the angle from below."""
+    """Kinetic minus potential energy over m l², for a length at which g/l = 1/s²; x[0] is the angle from below."""
     return v[0] ** 2 / 2 + ca.cos(x[0])
 
 

@@ -111,7 +111,7 @@ def on_dask(plot):
     """The same on a local cluster of Dask: one thread a process."""
     from dask.distributed import Client
 
-    with Client(n_workers=2, threads_per_worker=1, dashboard_address=None) as client:
+    with Client(n_workers=2, threads_per_worker=1, dashboard_address="localhost:0") as client:
         return main(plot, client.get_executor())
 
 

@@ -11,7 +11,7 @@ from show import picture, save
 
 import casadi_galerkin as cg
 
-GRAVITY, DURATION = 9.81, 1.5
+GRAVITY, DURATION = 9.81, 1.5  # m/s², s
 SHOULDER, ELBOW = 18.0, 8.0  # N m; held out straight, the arm weighs on the shoulder with 19.6 N m
 
 
@@ -48,7 +48,12 @@ def main(plot=None):
     """Solve from a straight line."""
     path = cg.solve(problem(), cg.Galerkin(degree=4), intervals=20)
     if plot:
-        axes = path.plot()
+        axes = path.plot(
+            labels=["upper arm in rad", "forearm in rad"],
+            time="t in s",
+            control_labels=["shoulder in N m", "elbow in N m"],
+            costate_labels=["λ[0] in N m", "λ[1] in N m"],
+        )
         axes.set_title("Two-link arm")
         save(axes, plot)
     return path

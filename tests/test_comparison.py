@@ -119,6 +119,8 @@ def test_the_plot_shows_the_gap(forty):
     (line,) = [line for line in axes.lines if line.get_label().startswith("stepped")]
     assert axes.get_yscale() == "log"
     assert line.get_ydata()[-1] == forty.stepped.gap[-1]
+    names = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert names == ["stepped from the global start", "shooting (failed)"]
     assert forty.plot(axes) is axes
     mpl.pyplot.close("all")
 

@@ -411,7 +411,7 @@ def test_summary_and_plot(capsys):
     path = cg.transcribe_control(minimum_time(), cg.Galerkin(2), 4).solve(verbose=1)
     assert "cost        2" in capsys.readouterr().out
     axes = path.plot()
-    assert [a.get_ylabel() for a in axes.figure.axes] == ["x[0]", "u", "λ[0]"]
+    assert [a.get_ylabel() for a in axes.figure.axes] == ["x[0]", "u[0]", "λ[0]"]
     assert path.plot(axes) is axes
     plt.close("all")
 

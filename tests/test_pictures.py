@@ -42,6 +42,7 @@ def test_path_is_drawn_with_names_units_and_joints():
         "t in s",
         ["width in m", "height in m"],
     )
+    assert axes.get_ylabel() == "width in m, height in m"
     lines = axes.get_lines()
     for i in (0, 1):
         np.testing.assert_array_equal(lines[2 * i].get_ydata(), path.path(lines[2 * i].get_xdata())[i])
@@ -56,8 +57,50 @@ def test_one_component_names_its_axis():
 
 @pytest.mark.parametrize("labels", [["one"], ["one", "two", "three"], "xy"])
 def test_labels_that_are_not_one_a_component_are_refused(labels):
-    with pytest.raises(ValueError, match=r"labels must be 2 name\(s\), one a component, got"):
+    with pytest.raises(ValueError, match=r"labels of x must be 2 name\(s\), one a component, got"):
         planar().solve().plot(labels=labels)
+
+
+def test_long_labels_are_broken_between_components_only():
+    labels = ["upper arm in rad", "forearm in rad"]
+    assert planar().solve().plot(labels=labels).get_ylabel() == "upper arm in rad,\nforearm in rad"
+
+
+@pytest.fixture
+def driven():
+    """A mass in the plane, pushed by two controls."""
+    problem = cg.ControlProblem(
+        lambda t, x, v: ca.dot(v, v) / 2,
+        (0.0, 1.0),
+        start=[0.0, 0.0],
+        end=[1.0, 0.5],
+        start_velocity=[0.0, 0.0],
+        end_velocity=[0.0, 0.0],
+        force=lambda t, x, v, u: u,
+        running_cost=lambda t, x, v, u: ca.dot(u, u) / 2,
+        controls=2,
+    )
+    return cg.solve(problem, cg.Galerkin(3), 2)
+
+
+def test_controls_and_costate_carry_names_and_units_too(driven):
+    names = [[f"{what} {axis} in {unit}" for axis in "xy"] for what, unit in (("to", "m"), ("push", "N"), ("λ", "N"))]
+    top = driven.plot(labels=names[0], time="t in s", control_labels=names[1], costate_labels=names[2])
+    panels = top.figure.axes
+    assert [[text.get_text() for text in axes.get_legend().get_texts()] for axes in panels] == names
+    assert [axes.get_ylabel() for axes in panels] == [", ".join(pair) for pair in names]
+    assert [axes.get_xlabel() for axes in panels] == ["", "", "t in s"]
+
+
+@pytest.mark.parametrize(("which", "name"), [("labels", "x"), ("control_labels", "u"), ("costate_labels", "λ")])
+def test_labels_of_controls_and_costate_that_do_not_fit_are_refused(driven, which, name):
+    with pytest.raises(ValueError, match=rf"labels of {name} must be 2 name\(s\), one a component, got \['one'\]"):
+        driven.plot(**{which: ["one"]})
+
+
+def test_a_comparison_names_its_time():
+    compared = cg.compare(planar().problem, cg.Galerkin(3), 5)
+    assert compared.plot(time="t in s").get_xlabel() == "t in s"
 
 
 # phase space
@@ -142,9 +185,10 @@ def test_animation_takes_the_duration_of_the_path_and_the_axes_given(tmp_path):
 
     figure, axes = plt.subplots()
     axes.set_xlabel("x in m")
-    movie = planar().solve().animate(rods, axes)
+    movie = planar().solve().animate(rods, axes, unit="ms")
     movie.save(tmp_path / "movie.gif", writer="pillow", dpi=20)
     assert movie._fig is figure
+    assert axes.get_title() == "t = 1.00 ms"
     assert axes.get_xlabel() == "x in m"
     assert len(axes.get_lines()[0].get_xdata()) == 25
 

@@ -202,7 +202,7 @@ def test_a_worker_builds_one_graph_for_all_its_chunks(monkeypatch):
 def test_dasks_local_cluster_gives_the_same(serial):
     distributed = pytest.importorskip("distributed")
     cluster = distributed.LocalCluster(
-        n_workers=2, threads_per_worker=2, processes=True, dashboard_address=None, silence_logs=50
+        n_workers=2, threads_per_worker=2, processes=True, dashboard_address="localhost:0", silence_logs=50
     )
     with cluster, distributed.Client(cluster) as client:
         identical(cg.sweep(bratu(), VARIATIONS, METHOD, INTERVALS, executor=client.get_executor()), serial)

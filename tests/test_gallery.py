@@ -1,0 +1,39 @@
+"""The gallery of the README holds every scene, drawn small."""
+
+import importlib
+import re
+from pathlib import Path
+
+import matplotlib as mpl
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PICTURES = ROOT / "examples" / "pictures"
+BYTES = 60_000  # of one picture, so that the whole page stays below a megabyte or two
+
+
+@pytest.fixture
+def gallery(monkeypatch):
+    mpl.use("Agg")
+    monkeypatch.syspath_prepend(ROOT / "examples")
+    return importlib.import_module("gallery")
+
+
+def test_every_scene_has_its_picture_and_its_words_in_the_manual(gallery):
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    table = text[text.index("## Gallery") : text.index("## Where things are")]
+    shown = re.findall(r"!\[(\w+)\]\(examples/pictures/\1\.png\) \[`\1\.py`\]\(examples/\1\.py\): \S", table)
+    assert sorted(shown) == gallery.SCENES
+
+
+def test_pictures_are_those_of_scenes_and_small(gallery):
+    assert sorted(file.stem for file in PICTURES.glob("*.png")) == gallery.SCENES
+    assert {file.name for file in PICTURES.iterdir() if file.stat().st_size > BYTES} == set()
+
+
+def test_the_gallery_draws_a_scene_in_few_colours(gallery, tmp_path, capsys):
+    from PIL import Image
+
+    with Image.open(gallery.draw("great_circle", tmp_path)) as picture:
+        assert (picture.format, picture.mode) == ("PNG", "P")
+    assert "great_circle.png" in capsys.readouterr().out
