@@ -6,7 +6,7 @@ All are Functions of (unknowns, start, end, mesh[, parameters]); `start` and `en
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import casadi as ca
@@ -48,14 +48,27 @@ class ActionGraph:
         layout = Layout(method, len(mesh) - 1, problem.dimension, fixed_start, fixed_end, problem.periodic)
         self._functional = Functional(problem.lagrangian, layout, evaluation)
         self.layout, self._symbols = self._functional.layout, self._functional.symbols
-        kinetic = self._functional.pointwise.kinetic
-        self.system = System(self._build, algebra(*self._functional.pattern_key), kinetic)
+        pointwise = self._functional.pointwise
+        self.system = System(
+            self._build,
+            self._mapped,
+            algebra(*self._functional.pattern_key),
+            pointwise.blocks,
+            pointwise.kinetic,
+        )
         self.build_seconds = time.perf_counter() - began
 
     def _build(self, name: str) -> ca.Function:
         """One of the Functions below; what is built only now counts as building too."""
+        return self._timed(lambda: getattr(self, name))
+
+    def _mapped(self, name: str) -> ca.Function:
+        """A pointwise Function over all points."""
+        return self._timed(lambda: self._functional.mapped(name))
+
+    def _timed(self, build: Callable[[], ca.Function]) -> ca.Function:
         began = time.perf_counter()
-        function: ca.Function = getattr(self, name)
+        function = build()
         self.build_seconds += time.perf_counter() - began
         return function
 
@@ -104,13 +117,6 @@ class ActionGraph:
         terms = self._functional.first()[3]
         spread = ca.mtimes(ca.fabs(self._functional.hessian()), sizes)
         return self._function("floor", ca.fmax(EPS * (terms + spread), TINY))
-
-    @cached_property
-    def inertial(self) -> ca.Function:
-        """∇²S with one more input, a factor on ∂²L/∂v²."""
-        inertia = ca.MX.sym("inertia")
-        matrix = self._functional.hessian(inertia)
-        return self._function("inertial", matrix, extra=(inertia,), results=["matrix"])
 
     @cached_property
     def sensitivity(self) -> ca.Function:

@@ -58,11 +58,11 @@ class Pointwise:
         d = integrand.size1_in(1)
         x, slope = ca.SX.sym("x", d), ca.SX.sym("slope", d)
         parameters = [ca.SX.sym("p", integrand.size1_in(3))] if integrand.n_in() == 4 else []
-        self._inputs = [t, h, x, slope, *parameters]
+        self._inputs = {"t": t, "h": h, "x": x, "slope": slope} | ({"p": parameters[0]} if parameters else {})
         self._value = h * integrand(t, x, slope / h, *parameters)
         self._hessian, gradient = ca.hessian(self._value, ca.vertcat(x, slope))
         part = (slice(0, d), slice(d, 2 * d))
-        self._gradient = [ca.densify(gradient[rows]) for rows in part]
+        self._slopes = {name: ca.densify(gradient[rows]) for name, rows in zip(("fx", "fv"), part, strict=True)}
         self._cells = {(i, j): self._hessian[part[i], part[j]] for i in (0, 1) for j in (0, 1)}
         self.blocks = tuple(key for key, cell in self._cells.items() if cell.nnz())
         self.pattern = ca.Sparsity.diag(d)  # the matrix must have a diagonal even where L ignores a component
@@ -75,7 +75,7 @@ class Pointwise:
     @cached_property
     def first(self) -> ca.Function:
         """L̂, ∂L̂/∂x and ∂L̂/∂x'."""
-        return ca.Function("first", self._inputs, [self._value, *self._gradient])
+        return self._function("first", {"f": self._value, **self._slopes})
 
     @cached_property
     def derivatives(self) -> ca.Function:
@@ -83,9 +83,9 @@ class Pointwise:
 
         Together, because a call costs as much as evaluating a small Lagrangian.
         """
-        columns = [ca.project(self._cells[key], self.pattern).nz[:] for key in self.blocks]
+        columns = {f"block{i}{j}": ca.project(self._cells[i, j], self.pattern).nz[:] for i, j in self.blocks}
         # common subexpressions cost more to find than they save, but for the Hessian: a tenth of its instructions
-        return ca.Function("derivatives", self._inputs, [*self._gradient, *columns], {"cse": True})
+        return self._function("derivatives", {**self._slopes, **columns}, {"cse": True})
 
     @cached_property
     def curvature(self) -> ca.Function:
@@ -93,7 +93,13 @@ class Pointwise:
         z = ca.SX.sym("z", self._hessian.shape[0])
         size = ca.fabs(z)
         terms = [ca.bilin(self._hessian, z, z), ca.bilin(ca.fabs(self._hessian), size, size)]
-        return ca.Function("curvature", [*self._inputs, z], terms)
+        return ca.Function("curvature", [*self._inputs.values(), z], terms)
+
+    def _function(self, name: str, outputs: dict[str, ca.SX], options: dict[str, bool] | None = None) -> ca.Function:
+        inputs = self._inputs
+        return ca.Function(
+            name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs), options or {}
+        )
 
 
 @lru_cache(LAYOUTS_KEPT)
@@ -131,7 +137,10 @@ def compiled(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Function
     inputs = [ca.MX.sym(f.name_in(i), f.size1_in(i), 1 if i in shared else count) for i in range(f.n_in())]
     mapped = f.map(f.name(), "serial", count, list(shared), []) if shared else f.map(count)
     flags = {"compiler": compiler(), "flags": ["-O3", "-march=native"], "directory": tempfile.gettempdir() + os.sep}
-    return ca.Function(f.name(), inputs, mapped.call(inputs), {"jit": True, "compiler": "shell", "jit_options": flags})
+    names = f.name_in(), f.name_out()
+    return ca.Function(
+        f.name(), inputs, mapped.call(inputs), *names, {"jit": True, "compiler": "shell", "jit_options": flags}
+    )
 
 
 class Functional:
@@ -163,54 +172,49 @@ class Functional:
         pattern = self.pointwise.pattern
         self.pattern_key = (path.layout, tuple(pattern.colind()), tuple(pattern.row()))
 
-    def _map(self, f: ca.Function, *extra: ca.MX, batch: bool = True) -> list[ca.MX]:
-        """Evaluate a pointwise Function at all quadrature points; outputs (n, N r)."""
-        at, count = list(self._points), self.layout.points
-        shared = (len(at),) if "parameters" in self.symbols else ()
-        at += [self.symbols["parameters"] for _ in shared]
-        if batch and self.evaluation == "compiled":
-            return list(compiled(f, count, shared).call(at))
-        f, size = batched(f, count, shared) if batch and self.evaluation == "batched" else (f, 1)
-        mapped = f.map(f.name(), "serial", count // size, list(shared), []) if shared else f.map(count // size)
-        return list(mapped.call([*at, *extra]))
+    def mapped(self, name: str) -> ca.Function:
+        """A pointwise Function, "first" or "derivatives", over all quadrature points."""
+        f: ca.Function = getattr(self.pointwise, name)
+        shared, count = (4,) if "parameters" in self.symbols else (), self.layout.points
+        if self.evaluation == "compiled":
+            return compiled(f, count, shared)
+        f, size = batched(f, count, shared) if self.evaluation == "batched" else (f, 1)
+        return f.map(f.name(), "serial", count // size, list(shared), []) if shared else f.map(count // size)
+
+    def _at_points(self, name: str) -> list[ca.MX]:
+        given = [self.symbols[name] for name in ("parameters",) if name in self.symbols]
+        return list(self.mapped(name).call([*self._points, *given]))
 
     def action(self) -> ca.MX:
         """S: scalar."""
-        return summation(self.layout)(self._map(self.pointwise.first)[0])
+        return summation(self.layout)(self._at_points("first")[0])
 
     def gradient(self) -> ca.MX:
         """∇S with respect to the free values ξ."""
-        return integration(self.layout)(*self._map(self.pointwise.first)[1:])
+        return integration(self.layout)(*self._at_points("first")[1:])
 
     def first(self) -> list[ca.MX]:
         """S, momenta at the joints, ∇S with respect to the free values ξ, and sizes of the terms that it sums."""
-        return list(first_variation(self.layout).call(self._map(self.pointwise.first)))
+        return list(first_variation(self.layout).call(self._at_points("first")))
 
     def derivatives(self) -> tuple[ca.MX, ca.MX]:
         """∇²S and ∇S with respect to the free values ξ, in one go through the points."""
-        by_x, by_slope, *values = self._map(self.pointwise.derivatives)
+        by_x, by_slope, *values = self._at_points("derivatives")
         return self._assembled(values), integration(self.layout).call([by_x, by_slope])[0]
 
-    def hessian(self, inertia: ca.MX | None = None) -> ca.MX:
-        """∇²S with respect to the free values ξ: sparse, symmetric, both halves stored.
-
-        With `inertia`, the block ∂²L/∂v² is multiplied by it: large values make the matrix positive definite where
-        the kinetic energy is.
-        """
-        values = self._map(self.pointwise.derivatives)[2:]
-        if inertia is not None:
-            blocks = self.pointwise.blocks
-            values = [
-                inertia * value if block == (1, 1) else value for block, value in zip(blocks, values, strict=True)
-            ]
-        return self._assembled(values)
+    def hessian(self) -> ca.MX:
+        """∇²S with respect to the free values ξ: sparse, symmetric, both halves stored."""
+        return self._assembled(self._at_points("derivatives")[2:])
 
     def _assembled(self, values: list[ca.MX]) -> ca.MX:
         return assembly(*self.pattern_key, self.pointwise.blocks).call(values)[0]
 
     def curvature(self, direction: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Second variation yᵀ∇²S y along y = `direction`, and the same with every term taken positive."""
-        given = ca.MX.zeros(self.layout.size - self.layout.free, 1)
-        y, slope = embedding(self.layout).call([ca.vertcat(direction, given), self.symbols["mesh"]])[2:]
-        signed, positive = self._map(self.pointwise.curvature, ca.vertcat(y, slope), batch=False)
+        fixed = ca.MX.zeros(self.layout.size - self.layout.free, 1)
+        y, slope = embedding(self.layout).call([ca.vertcat(direction, fixed), self.symbols["mesh"]])[2:]
+        given = [self.symbols[name] for name in ("parameters",) if name in self.symbols]
+        f, shared = self.pointwise.curvature, [4] if given else []
+        mapped = f.map(f.name(), "serial", self.layout.points, shared, [])
+        signed, positive = mapped.call([*self._points, *given, ca.vertcat(y, slope)])
         return summation(self.layout)(signed), summation(self.layout)(positive)

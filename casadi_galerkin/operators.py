@@ -183,7 +183,7 @@ def _slopes(layout: Layout) -> list[ca.MX]:
 def integration(layout: Layout) -> ca.Function:
     """Eᵀ: values fx, fv (d, N r) that multiply x and x' -> their sum by unknown."""
     inputs = _slopes(layout)
-    return ca.Function("integration", inputs, [_integrated(layout, *inputs)[1]], ["fx", "fv"], ["total"])
+    return ca.Function("integration", inputs, [_integrated(layout, *inputs)[1]], ["fx", "fv"], ["gradient"])
 
 
 def _summed(layout: Layout, f: ca.MX) -> ca.MX:
@@ -195,7 +195,7 @@ def _summed(layout: Layout, f: ca.MX) -> ca.MX:
 def summation(layout: Layout) -> ca.Function:
     """∫ f Δ_w t on the reference interval, summed: values (1, N r), step included -> scalar."""
     f = ca.MX.sym("f", 1, layout.points)
-    return ca.Function("summation", [f], [_summed(layout, f)], ["f"], ["integral"])
+    return ca.Function("summation", [f], [_summed(layout, f)], ["f"], ["action"])
 
 
 @lru_cache(LAYOUTS_KEPT)
@@ -245,7 +245,7 @@ def assembly(
         where = places.tolist()
         values.nz[where] = values.nz[where] + entries.nz[positions.tolist()]
     matrix = ca.MX(pattern.sparsity, values)
-    return ca.Function("assembly", inputs, [matrix], [f"block{i}{j}" for i, j in blocks], ["hessian"])
+    return ca.Function("assembly", inputs, [matrix], [f"block{i}{j}" for i, j in blocks], ["matrix"])
 
 
 @dataclass(frozen=True)

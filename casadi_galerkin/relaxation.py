@@ -125,10 +125,10 @@ class Relaxation:
     def advance(self) -> bool:
         """Take one step in x; False where it promises nothing."""
         system, arguments = self.transcription.system, self.arguments(self.path)
-        (g,) = system.evaluate("gradient", *arguments)
         while self.inertia <= MOST:
             with system.algebra.lock:
-                system.evaluate("inertial", *arguments, np.array([1.0 + self.inertia]))
+                (g,) = system.evaluate("derivatives", *arguments)
+                system.add_inertia(1.0 + self.inertia)
                 (step,) = system.solve(g)
                 self.step = float(np.max(np.abs(step) / system.algebra.sizes(joined(arguments[0], arguments[1:]))))
             promised = -float(g @ step)

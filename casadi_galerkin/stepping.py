@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.algebra import Evaluator
 from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.interval import TAYLOR, interval, newton_iteration, slope_basis
+from casadi_galerkin.stages import Evaluator
 from casadi_galerkin.system import ROUNDOFF
 
 PIECE = 64  # intervals rolled without Python; longer pieces were not faster, and took longer to build

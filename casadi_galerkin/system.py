@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.algebra import Algebra, Evaluator
+from casadi_galerkin.algebra import Algebra
+from casadi_galerkin.stages import Chain, Evaluator
 
 EPS = float(np.finfo(float).eps)
 TINY = float(np.finfo(float).tiny)
@@ -17,39 +18,77 @@ ROUNDOFF = 50.0  # accepted residual over its roundoff floor; correct solutions 
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
 
 Data = tuple[np.ndarray, ...]
+STAGED = {
+    "action": ("action",),
+    "gradient": ("gradient",),
+    "derivatives": ("gradient",),
+    "summary": ("action", "momentum", "gradient", "terms"),
+}
 
 
 @dataclass(frozen=True)
 class System:
-    """Stationarity conditions of a discrete action as CasADi Functions of (ξ, *data), data being (start, end, ...).
+    """Stationarity conditions of a discrete action, evaluated at (ξ, *data), data being (start, end, mesh, ...).
 
     Attributes
     ----------
-    build : name -> Function; called when the Function is first needed, since building costs more than evaluating.
-        The names are
-
-        - action : -> S
-        - gradient : -> ∇S by ξ
-        - hessian : -> ∇²S by ξ, sparse and symmetric
-        - derivatives : -> both; by `evaluate`, only ∇S is returned and ∇²S is left in `algebra.matrix`
-        - summary : -> S, momenta at the joints, ∇S, and the sizes of the terms that ∇S sums
-        - curvature : with a direction y as last input -> yᵀ∇²S y, and the same with every term positive
-        - inertial : with a factor on ∂²L/∂v² as last input -> ∇²S, left in `algebra.matrix`
+    build : name -> Function of (ξ, *data), for those that take further inputs and for other solvers; called when the
+        Function is first needed, since building costs more than evaluating
+    mapped : name -> pointwise Function over all points, "first" or "derivatives"
     algebra : Algebra
+    blocks : which second-derivative blocks the pointwise Function has
     pivots : whether LDLᵀ without pivoting can work: False where ∂²L/∂v_i² is structurally zero for some i
     """
 
     build: Callable[[str], ca.Function]
+    mapped: Callable[[str], ca.Function]
     algebra: Algebra
+    blocks: tuple[tuple[int, int], ...]
     pivots: bool = True
     _evaluators: dict[str, Evaluator] = field(default_factory=dict, repr=False, compare=False)
+    _chains: dict[str, Chain] = field(default_factory=dict, repr=False, compare=False)
     _solvers: dict[tuple[bool, int, int], ca.Function] = field(default_factory=dict, repr=False, compare=False)
 
     def evaluate(self, name: str, *arguments: np.ndarray) -> list[np.ndarray]:
-        """Evaluate one of the Functions by name on NumPy arrays."""
+        """Evaluate at (ξ, *data), with a further argument for Functions of `build` that take one.
+
+        By stages, embed, evaluate pointwise and integrate, are evaluated
+
+        - action : -> S
+        - gradient : -> ∇S by ξ
+        - derivatives : -> ∇S; ∇²S is left in `algebra.matrix`
+        - summary : -> S, momenta at the joints, ∇S, and the sizes of the terms that ∇S sums
+        """
+        if name in STAGED:
+            with self.algebra.lock:
+                return self._chain(name)(*arguments)
         if name not in self._evaluators:
-            self._evaluators[name] = Evaluator(self.build(name), self.algebra.matrix)
+            self._evaluators[name] = Evaluator(self.build(name))
         return self._evaluators[name](*arguments)
+
+    def _chain(self, name: str) -> Chain:
+        if name not in self._chains:
+            workspace, of_points = self.algebra.workspace, "derivatives" if name == "derivatives" else "first"
+            if of_points not in self._evaluators:
+                self._evaluators[of_points] = workspace.stage(self.mapped(of_points))
+            last = {
+                "action": [workspace.sum()],
+                "gradient": [workspace.integrate()],
+                "derivatives": [workspace.integrate(), workspace.assemble(self.blocks)],
+                "summary": [workspace.vary()],
+            }[name]
+            self._chains[name] = Chain(workspace, self._evaluators[of_points], last, STAGED[name])
+        return self._chains[name]
+
+    def add_inertia(self, factor: float) -> None:
+        """Multiply ∂²L/∂v² by a factor, in the Hessian as last evaluated.
+
+        A large one makes the Hessian positive definite where the kinetic energy is.
+        """
+        workspace = self.algebra.workspace
+        if (1, 1) in self.blocks:
+            workspace.arrays["block11"] *= factor
+        workspace.assemble(self.blocks)()
 
     def solve(self, *rhs: np.ndarray) -> list[np.ndarray]:
         """Solutions of ∇²S y = -b; not finite where the Hessian is singular to the last digit."""

@@ -1,7 +1,7 @@
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.algebra import Evaluator
+from casadi_galerkin.stages import Evaluator
 
 
 def test_an_evaluation_that_aborts_gives_nan_not_the_answer_before_it():

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 import casadi_galerkin as cg
-from casadi_galerkin import algebra, operators
+from casadi_galerkin import algebra, operators, stages
 
 ECCENTRICITY, START = 0.6, (0.4, 0.0)  # from the pericentre, unit semi-major axis
 SMALL, REPEATS = 20, 15  # intervals of the small problem, runs of which the best counts
@@ -28,13 +28,13 @@ class Ledger:
 
     def __init__(self):
         self.seconds = 0.0
-        build = algebra.Evaluator.__init__
+        build = stages.Evaluator.__init__
 
         def timed_evaluator(evaluator, *arguments):
             build(evaluator, *arguments)
             evaluator._run = self.timed(evaluator._run)
 
-        algebra.Evaluator.__init__ = timed_evaluator
+        stages.Evaluator.__init__ = timed_evaluator
         for name in ("nfact", "neig"):
             setattr(ca.Linsol, name, self.timed(getattr(ca.Linsol, name)))
         call = ca.Function.call

@@ -15,9 +15,9 @@ import numpy as np
 from scipy.linalg import lapack
 
 import casadi_galerkin as cg
-from casadi_galerkin.algebra import Evaluator
 from casadi_galerkin.functional import compiled
 from casadi_galerkin.operators import embedding
+from casadi_galerkin.stages import Evaluator
 
 SIZES, DEGREES = (100, 1000, 10_000), (2, 4, 8)
 FASTEST_OF, SECONDS = 30, 0.3  # runs of which the fastest counts, fewer where they take so long

@@ -1,0 +1,129 @@
+"""Functions called on NumPy arrays without conversion, one after the other: embed, evaluate pointwise, integrate.
+
+A call of a CasADi Function from Python costs about as much as evaluating a small problem, and joining Functions into
+one graph costs as much as twenty.  So the Newton iteration calls them one by one through buffers, and what one of
+them writes is where the next one reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.operators import Layout, assembly, embedding, first_variation, integration, summation
+
+
+class Evaluator:
+    """Calls a Function on NumPy arrays: nonzeros in, nonzeros out.
+
+    Parameters
+    ----------
+    function : Function
+    bound : arrays for inputs and outputs by name; what is bound is neither passed nor returned
+    """
+
+    def __init__(self, function: ca.Function, bound: Mapping[str, np.ndarray] | None = None) -> None:
+        self._function = function  # the buffer does not keep it alive
+        self._buffer, self._run = function.buffer()
+        names = (function.name_in(), function.name_out())
+        sizes = (function.nnz_in, function.nnz_out)
+        own: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+        for side, bind in enumerate((self._buffer.set_arg, self._buffer.set_res)):
+            for i, name in enumerate(names[side]):
+                array: Any = None if bound is None else bound.get(name)
+                if array is None:
+                    array = np.zeros(sizes[side](i))
+                    own[side].append(array)
+                bind(i, memoryview(array))
+        self._inputs, self._outputs = own
+
+    def __call__(self, *arguments: np.ndarray) -> list[np.ndarray]:
+        """Evaluate; the returned arrays are copies."""
+        for target, argument in zip(self._inputs, arguments, strict=True):
+            target[:] = argument
+        self._run()
+        if self._buffer.ret():  # aborted, as CasADi's QR does on a small pivot: the arrays hold an earlier answer
+            return [np.full_like(array, np.nan) for array in self._outputs]
+        return [array.copy() for array in self._outputs]
+
+
+class Workspace:
+    """The arrays of one layout that stages hand on by name, for all Lagrangians; one thread at a time.
+
+    Parameters
+    ----------
+    layout : Layout
+    colind, row : pattern of the second-derivative blocks, as for `assembly`
+    """
+
+    def __init__(self, layout: Layout, colind: tuple[int, ...], row: tuple[int, ...]) -> None:
+        self._layout, self._pattern = layout, (colind, row)
+        self.arrays: dict[str, np.ndarray] = {}
+        self._kept: dict[object, Evaluator] = {}
+
+    def stage(self, function: ca.Function) -> Evaluator:
+        """Bind inputs and outputs of a Function to the arrays of their names, but parameters p, which are passed."""
+        for names, size in ((function.name_in(), function.nnz_in), (function.name_out(), function.nnz_out)):
+            for i, name in enumerate(names):
+                if name not in self.arrays and name != "p":
+                    self.arrays[name] = np.zeros(size(i))
+        return Evaluator(function, self.arrays)
+
+    def _keep(self, key: object, build: Callable[[], ca.Function]) -> Evaluator:
+        if key not in self._kept:
+            self._kept[key] = self.stage(build())
+        return self._kept[key]
+
+    def embed(self) -> Evaluator:
+        """(u, mesh) -> (t, h, x, slope)."""
+        return self._keep("embed", lambda: embedding(self._layout))
+
+    def integrate(self) -> Evaluator:
+        """(fx, fv) -> gradient."""
+        return self._keep("integrate", lambda: integration(self._layout))
+
+    def sum(self) -> Evaluator:
+        """F -> action."""
+        return self._keep("sum", lambda: summation(self._layout))
+
+    def vary(self) -> Evaluator:
+        """(f, fx, fv) -> (action, momentum, gradient, terms)."""
+        return self._keep("vary", lambda: first_variation(self._layout))
+
+    def assemble(self, blocks: tuple[tuple[int, int], ...]) -> Evaluator:
+        """(block00, ...) -> matrix."""
+        return self._keep(blocks, lambda: assembly(self._layout, *self._pattern, blocks))
+
+
+class Chain:
+    """Embed, evaluate pointwise, and what follows: from (ξ, start, end, mesh[, p]) to the arrays of some names.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    points : pointwise Function over all points
+    following : stages after it
+    outputs : names of what is returned
+    """
+
+    def __init__(
+        self, workspace: Workspace, points: Evaluator, following: list[Evaluator], outputs: tuple[str, ...]
+    ) -> None:
+        self._embed, self._points, self._following = workspace.embed(), points, following
+        self._u, self._mesh = workspace.arrays["u"], workspace.arrays["mesh"]
+        self._outputs = [workspace.arrays[name] for name in outputs]
+
+    def __call__(
+        self, unknowns: np.ndarray, start: np.ndarray, end: np.ndarray, mesh: np.ndarray, *parameters: np.ndarray
+    ) -> list[np.ndarray]:
+        """Evaluate; the returned arrays are copies."""
+        np.concatenate((unknowns, start, end), out=self._u)
+        self._mesh[:] = mesh
+        self._embed()
+        self._points(*parameters)
+        for stage in self._following:
+            stage()
+        return [array.copy() for array in self._outputs]
