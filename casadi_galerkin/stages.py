@@ -23,11 +23,16 @@ class Evaluator:
     ----------
     function : Function
     bound : arrays for inputs and outputs by name; what is bound is neither passed nor returned
+
+    Attributes
+    ----------
+    inputs, outputs : arrays of what is not bound
+    run : evaluates from and to all arrays, without a look at whether it was aborted
     """
 
     def __init__(self, function: ca.Function, bound: Mapping[str, np.ndarray] | None = None) -> None:
         self._function = function  # the buffer does not keep it alive
-        self._buffer, self._run = function.buffer()
+        self._buffer, self.run = function.buffer()
         names = (function.name_in(), function.name_out())
         sizes = (function.nnz_in, function.nnz_out)
         own: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
@@ -38,16 +43,16 @@ class Evaluator:
                     array = np.zeros(sizes[side](i))
                     own[side].append(array)
                 bind(i, memoryview(array))
-        self._inputs, self._outputs = own
+        self.inputs, self.outputs = own
 
     def __call__(self, *arguments: np.ndarray) -> list[np.ndarray]:
         """Evaluate; the returned arrays are copies."""
-        for target, argument in zip(self._inputs, arguments, strict=True):
+        for target, argument in zip(self.inputs, arguments, strict=True):
             target[:] = argument
-        self._run()
+        self.run()
         if self._buffer.ret():  # aborted, as CasADi's QR does on a small pivot: the arrays hold an earlier answer
-            return [np.full_like(array, np.nan) for array in self._outputs]
-        return [array.copy() for array in self._outputs]
+            return [np.full_like(array, np.nan) for array in self.outputs]
+        return [array.copy() for array in self.outputs]
 
 
 class Workspace:
@@ -112,7 +117,8 @@ class Chain:
     def __init__(
         self, workspace: Workspace, points: Evaluator, following: list[Evaluator], outputs: tuple[str, ...]
     ) -> None:
-        self._embed, self._points, self._following = workspace.embed(), points, following
+        self._parameters, self._runs = points.inputs, [stage.run for stage in (workspace.embed(), points, *following)]
+        self._stages = [points, *following]  # keeps what runs alive
         self._u, self._mesh = workspace.arrays["u"], workspace.arrays["mesh"]
         self._outputs = [workspace.arrays[name] for name in outputs]
 
@@ -122,8 +128,8 @@ class Chain:
         """Evaluate; the returned arrays are copies."""
         np.concatenate((unknowns, start, end), out=self._u)
         self._mesh[:] = mesh
-        self._embed()
-        self._points(*parameters)
-        for stage in self._following:
-            stage()
+        for target, values in zip(self._parameters, parameters, strict=True):
+            target[:] = values
+        for run in self._runs:
+            run()
         return [array.copy() for array in self._outputs]

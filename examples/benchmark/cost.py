@@ -32,7 +32,7 @@ class Ledger:
 
         def timed_evaluator(evaluator, *arguments):
             build(evaluator, *arguments)
-            evaluator._run = self.timed(evaluator._run)
+            evaluator.run = self.timed(evaluator.run)
 
         stages.Evaluator.__init__ = timed_evaluator
         for name in ("nfact", "neig"):
