@@ -2,7 +2,7 @@
 
 Peers, each at its own best discretisation for each error:
 
-* this package: `Transcription.solve`, verification, momenta and Morse index included;
+* this package: `Transcription.solve`, verification and momenta included;
 * hand-written CasADi: Gauss collocation of the first-order system y = (x, v) with all stage values as unknowns, as a
   skilled user writes it: a pointwise map, or its expansion to scalars; sparse exact Jacobian; Newton's rootfinder with
   a sparse linear solver, stopped at a tenth of the error asked for.  The best of its variants counts;
@@ -12,10 +12,11 @@ All start from the same guess, and the first two from the same family of meshes.
 and at the joints (the collocation's from its polynomials), relative to the largest component, against a closed form or
 a solution that is finer by several digits.  Times are medians of warm solves, in turns.  Building is not counted.
 
-Run it alone on a quiet machine; it takes a few minutes.
+Run it alone on a quiet machine; it takes a few minutes.  Given the name of a file, it draws the table into it.
 """
 
 import platform
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -400,6 +401,12 @@ def best(case, exact, error, cells):
     return [1e3 * value for value in row], (cells[chosen], peer, tolerance)
 
 
+def described(mine, peer, tolerance):
+    """Discretisations in words: degree and intervals, the variant by hand, SciPy's tolerance."""
+    hand = "by hand fails" if peer is None else f"by hand {peer[0][0]} x {peer[0][1]}, {peer[1]}, {peer[2]}"
+    return f"{mine[0]} x {mine[1]}; {hand}; " + ("SciPy fails" if tolerance is None else f"tol {tolerance:.0e}")
+
+
 def main():
     """Measure all; returns {(case, error): milliseconds of this package, hand-written CasADi, SciPy}."""
     figures = {}
@@ -414,8 +421,33 @@ def main():
             figures[case.name, error], chosen = best(case, exact, error, found[error])
             mine, hand, bvp = figures[case.name, error]
             times = f"{mine:10.2f} {hand:10.2f} {bvp:10.2f} {hand / mine:10.2f}"
-            print(f"{case.name:24} {error:6.0e} {times}   {chosen}", flush=True)
+            print(f"{case.name:24} {error:6.0e} {times}   {described(*chosen)}", flush=True)
     return figures
+
+
+def draw(figures, name):
+    """Draw the table: one panel a problem, time over error, on logarithmic axes."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    from casadi_galerkin.plotting import COLORS
+
+    names = list(dict.fromkeys(problem for problem, _ in figures))
+    figure, panels = plt.subplots(1, len(names), figsize=(2.2 * len(names), 2.8), sharey=True, layout="constrained")
+    for panel, problem in zip(panels, names, strict=True):
+        reached = [error for error in ERRORS if (problem, error) in figures]
+        times = np.array([figures[problem, error] for error in reached])
+        for column, (peer, marker) in enumerate((("this", "o"), ("by hand", "s"), ("solve_bvp", "^"))):
+            panel.loglog(reached, times[:, column], marker=marker, color=COLORS[column], label=peer)
+        panel.set(title=problem, xlabel="error of x", xticks=ERRORS)
+        panel.title.set_fontsize(9)
+        panel.invert_xaxis()
+    panels[0].set_ylabel("solve alone in ms")
+    panels[0].legend(fontsize=8)
+    figure.savefig(name, dpi=90)
+    print(f"picture written to {name}")
 
 
 if __name__ == "__main__":
@@ -423,6 +455,8 @@ if __name__ == "__main__":
     print(f"{date.today()}, Python {platform.python_version()}, {versions}, {platform.machine()}")
     print(f"{'milliseconds':24} {'error':>6} {'this':>10} {'by hand':>10} {'solve_bvp':>10} {'by hand/this':>10}")
     results = main()
+    if len(sys.argv) > 1:
+        draw(results, sys.argv[1])
     for error in ERRORS:
         ratios = [row[1] / row[0] for (_, e), row in results.items() if e == error and np.isfinite(row[1])]
         print(f"median of by hand / this at {error:g}: {np.median(ratios):.2f} over {len(ratios)} problems")
