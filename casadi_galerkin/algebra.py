@@ -90,8 +90,8 @@ class Algebra:
         return self.expanded(scale)
 
     def probe(self, u: np.ndarray) -> np.ndarray:
-        """A right-hand side of the path's size without symmetry: its solution leans to the softest direction."""
-        return np.asarray(self._probe * self.sizes(u))
+        """A right-hand side without symmetry, in the units of ∇S: its solution leans to the softest direction."""
+        return np.asarray(self._probe / self.sizes(u))
 
     def spread(self, change: np.ndarray) -> np.ndarray:
         """|∇²S||y|, the largest change of the gradient for a change of these sizes."""

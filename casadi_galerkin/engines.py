@@ -29,12 +29,14 @@ from casadi_galerkin.system import (
     EPS,
     ROUNDOFF,
     SINGULAR,
+    TINY,
     Data,
     System,
     floor,
     joined,
     negative_eigenvalues,
     second_variation,
+    softest,
 )
 
 NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
@@ -42,6 +44,7 @@ SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if 
 STRONG_CONTRACTION = 0.1  # the same for a long first step: from a straight line, all steps are long
 SMALLEST_DAMPING = 1e-7
 RESCUE = 100  # iterations IPOPT gets after Newton's method; rescues were measured to take 4 to 40
+DRIFT = 1e3  # largest relative change of the Hessian over that of the path; near-collisions were measured at 1e2
 NEARLY = 1e-9  # residual over the sizes of its terms from which two Newton steps reach roundoff
 
 
@@ -64,8 +67,8 @@ class Solution:
     residual : largest residual over its own roundoff floor
     report : what was used to find it
     action, momentum : S, and the momenta at the joints, component fastest
-    regularity : second variation along a direction that leans to the softest one, over a bound of its terms in the
-        assembled Hessian: far from zero only where that is regular, but near zero also on a fine mesh
+    regularity : lower bound of the second variation along a direction that leans to the softest one, over a bound of
+        its terms in the assembled Hessian: far above zero only where that is regular, but not always there
     """
 
     unknowns: np.ndarray
@@ -157,9 +160,10 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
         if not math.isfinite(at.norm):
             finite = bool(np.isfinite(system.algebra.matrix).all())
             raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=finite)
-        # Only where the step is small: at 1e5 intervals the residual is at roundoff while the path is off by 1e-9.
-        if at.norm < NEAR and (at.norm**3 <= EPS * last**2 or at.norm >= last / 2):
-            solution = verified(system, at.unknowns + at.step, data, probe, at.soft, iteration, "Newton")
+        end = _end(system, at, last, data)
+        if end is not None:
+            moved = _size((end - at.unknowns) / at.sizes)
+            solution = verified(system, end, data, probe, at.soft, moved, iteration, "Newton")
             if solution is not None:
                 return solution
         last, trial, forecast = at.norm, None, 1.0
@@ -178,6 +182,23 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
             print(f"  {iteration:4d}   step {last:9.2e}   damping {damping:7.1e}")
         at, damping = trial, forecast
     raise SolveFailure(f"no convergence in {limit} iterations, last relative step {at.norm:.1e}", at.unknowns, limit)
+
+
+def _end(system: System, at: Iterate, last: float, data: Data) -> np.ndarray | None:
+    """Where Newton's method may end: with a step after which the next is below roundoff, or that is roundoff itself.
+
+    The residuals alone do not tell: at 1e5 intervals they are at roundoff while the path is off by 1e-9.
+    """
+    if at.norm < NEAR:
+        return at.unknowns + at.step if at.norm**3 <= EPS * last**2 or at.norm >= last / 2 else None
+    if not (last < LOCAL and last <= at.norm):
+        return None
+    # A nearly singular Hessian makes steps of this length out of roundoff: right but for the softest direction.
+    soft, quotient = softest(system, at.unknowns, data)
+    if quotient > max(SINGULAR, EPS / at.norm):
+        return None
+    soft, step = soft / at.sizes, at.step / at.sizes
+    return np.asarray(at.unknowns + at.sizes * (step - soft * ((soft @ step) / max(soft @ soft, TINY))))
 
 
 def _iterate(system: System, x: np.ndarray, probe: np.ndarray, data: Data) -> Iterate:
@@ -218,31 +239,40 @@ def _line_search(
 
 
 def verified(
-    system: System, x: np.ndarray, data: Data, probe: np.ndarray, soft: np.ndarray, iterations: int, report: str
+    system: System,
+    x: np.ndarray,
+    data: Data,
+    probe: np.ndarray,
+    soft: np.ndarray,
+    moved: float,
+    iterations: int,
+    report: str,
 ) -> Solution | None:
     """Judge the residuals at x by their roundoff floors, with the Hessian as last evaluated: a solution, or None.
 
     Parameters
     ----------
     probe, soft : `Algebra.probe` as a right-hand side and the solution for it
+    moved : relative length of the step to x from where the Hessian was evaluated
     iterations, report : of how x was found
     """
     (action,), momentum, gradient, terms = system.evaluate("summary", x, *data)
     algebra = system.algebra
-    scale = algebra.expanded(algebra.scale(joined(x, data)))
+    largest = algebra.scale(joined(x, data))
+    scale = algebra.expanded(largest)
     spread = algebra.spread(scale)
     residual = _size(gradient / floor(terms, spread))
     if not residual <= ROUNDOFF:
         return None
-    return Solution(x, iterations, residual, report, float(action), momentum, _regularity(soft, probe, scale, spread))
+    # A component's only unknown has but one term in the Hessian, which cannot tell whether it is small.
+    comparable = len(x) > len(largest) and bool(largest.all())
+    regularity = _quotient(soft, probe, scale, spread) - DRIFT * moved if comparable else 0.0
+    return Solution(x, iterations, residual, report, float(action), momentum, regularity)
 
 
-def _regularity(soft: np.ndarray, probe: np.ndarray, scale: np.ndarray, spread: np.ndarray) -> float:
-    """yᵀ∇²S y over a bound of |y|ᵀ|∇²S||y|, for y = `soft`; 0 where they cannot be compared."""
-    if len(soft) == 0:
-        return math.inf  # nothing can vary
-    peak = _size(soft / scale) if scale.all() else 0.0
-    bound = float(scale @ spread)
+def _quotient(soft: np.ndarray, probe: np.ndarray, scale: np.ndarray, spread: np.ndarray) -> float:
+    """yᵀ∇²S y over a bound of |y|ᵀ|∇²S||y|, for y = `soft`."""
+    peak, bound = _size(soft / scale), float(scale @ spread)
     return abs(float((soft / peak) @ (probe / peak))) / bound if peak > 0 and bound > 0 else 0.0
 
 

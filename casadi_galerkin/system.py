@@ -105,21 +105,33 @@ def joined(unknowns: np.ndarray, data: Data) -> np.ndarray:
     return np.concatenate((unknowns, *data[:2]))
 
 
-def second_variation(system: System, unknowns: np.ndarray, data: Data) -> float:
-    """Smallest second variation relative to the sizes of its terms; 0 at a conjugate point.
+def softest(system: System, unknowns: np.ndarray, data: Data) -> tuple[np.ndarray, float]:
+    """Direction of the smallest second variation relative to the sizes of its terms, and that; 0 at a conjugate point.
 
-    Three inverse iterations find the direction y, the pointwise sums give its quotient
-    yᵀ∇²S y / Σ |z|ᵀ|∇²L̂||z|, which does not depend on scales or on the mesh.
+    Three inverse iterations, weighted by the sizes of the Hessian's rows, find the direction y; the pointwise sums
+    give its quotient yᵀ∇²S y / Σ |z|ᵀ|∇²L̂||z|, which does not depend on scales or on the mesh.  The Hessian at
+    `unknowns` is left in `System.algebra`.
     """
     if len(unknowns) == 0:
-        return np.inf  # nothing can vary
+        return unknowns, np.inf  # nothing can vary
     system.evaluate("derivatives", unknowns, *data)
-    y = system.algebra.probe(joined(unknowns, data))
+    u = joined(unknowns, data)
+    sizes, rhs = system.algebra.sizes(u), system.algebra.probe(u)
+    weights = system.algebra.spread(sizes) / sizes
+    y = np.zeros(len(unknowns))
     for _ in range(3):
-        (y,) = system.solve(y)
-        y = y / np.max(np.abs(y))
+        (solved,) = system.solve(rhs)
+        if not np.isfinite(solved).all():
+            return y, 0.0  # singular to the last digit
+        y = solved / np.max(np.abs(solved / sizes))
+        rhs = weights * y
     signed, positive = (float(value[0]) for value in system.evaluate("curvature", unknowns, *data, y))
-    return abs(signed) / positive if math.isfinite(signed) and 0 < positive < math.inf else 0.0
+    return y, abs(signed) / positive if math.isfinite(signed) and 0 < positive < math.inf else 0.0
+
+
+def second_variation(system: System, unknowns: np.ndarray, data: Data) -> float:
+    """Smallest second variation relative to the sizes of its terms, as `softest` finds it."""
+    return softest(system, unknowns, data)[1]
 
 
 def negative_eigenvalues(system: System, unknowns: np.ndarray, data: Data) -> int | None:

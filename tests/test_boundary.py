@@ -350,6 +350,78 @@ def test_coarse_methods_are_singular_at_a_conjugate_point_of_their_own(degree, i
         cg.solve(cg.BoundaryProblem(oscillator, (0, low), [0.0], [1.0]), cg.Galerkin(degree), intervals=intervals)
 
 
+@pytest.mark.parametrize(
+    ("degree", "intervals", "scale", "mass"),
+    [
+        (4, 40, 1e-6, 1e12),
+        (8, 10, 1e-4, 1e8),
+        (4, 40, 1e4, 1.0),
+        (4, 40, 1e9, 1.0),
+        (4, 40, 1.0, 1e-7),
+    ],
+)
+def test_a_family_of_paths_is_named_whatever_else_moves_and_in_whatever_unit(degree, intervals, scale, mass):
+    """One component swings half a period; the steps along the family are roundoff that does not shrink."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 + mass * (v[1] ** 2 - x[1] ** 2) / 2,
+        (0, np.pi),
+        [1.0, 0.5 * scale],
+        [2.0, -0.5 * scale],
+    )
+    with pytest.raises(cg.ConjugatePointError, match="the second variation of the action vanishes"):
+        cg.solve(problem, cg.Galerkin(degree), intervals=intervals)
+
+
+@pytest.mark.parametrize(("degree", "intervals"), [(8, 100), (4, 100), (12, 10)])
+def test_a_curved_family_of_paths_is_named(degree, intervals):
+    """Circular orbits of one period: each step along the family leaves it by the step's square."""
+    w = 2 * np.pi / 5
+
+    def orbit(t):
+        return [w * np.cos(w * t), w * np.sin(w * t)]
+
+    free = [None, None]
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - ca.dot(x, x) ** 2 / 4, (0, 5), free, free, periodic=True
+    )
+    with pytest.raises(cg.ConjugatePointError, match="the second variation of the action vanishes") as caught:
+        cg.solve(problem, cg.Galerkin(degree), intervals=intervals, guess=orbit)
+    assert caught.value.residual < 5
+
+
+def test_a_single_unknown_with_a_vanishing_second_derivative_is_named():
+    problem = cg.BoundaryProblem(oscillator, (0, 2 * np.sqrt(2)), [0.5], [-0.5])
+    with pytest.raises(cg.ConjugatePointError):
+        cg.solve(problem, cg.Galerkin(1, quadrature=cg.trapezoid()), intervals=2)
+
+
+@pytest.mark.parametrize("miss", [0.0, 1e-9, 3e-9])
+def test_a_hessian_that_is_singular_on_the_path_but_not_beside_it_is_named(miss):
+    """The difference of the components is zero on the path; its Hessian is singular for one stiffness, by bisection."""
+
+    def lagrangian(t, u, v, p):
+        x, y = (u[0] + u[1]) / 2, (u[0] - u[1]) / 2
+        return (v[0] ** 2 + v[1] ** 2) / 4 - x**4 / 4 - p[0] * x**2 * y**2 / 2
+
+    problem = cg.BoundaryProblem(lagrangian, (0, 1), [0.5, 0.5], [1.0, 1.0], parameters=[0.0])
+    tr = cg.transcribe(problem, cg.Galerkin(3), 1)
+    values = tr.solve().path.values
+    unknowns = tr.unknowns(values.T)
+
+    def positive(stiffness):
+        hessian = np.array(ca.DM(tr.hessian(unknowns, *tr.data(tr.mesh, parameters=[stiffness]))))
+        return np.linalg.eigvalsh(hessian[::2, ::2] - hessian[::2, 1::2])[0] > 0
+
+    low, high = 5.0, 30.0
+    assert positive(low)
+    assert not positive(high)
+    while low < (low + high) / 2 < high:
+        middle = (low + high) / 2
+        low, high = (middle, high) if positive(middle) else (low, middle)
+    with pytest.raises(cg.ConjugatePointError):
+        tr.solve(parameters=[low], guess=values + miss * np.array([0, 1, 1, 0]))
+
+
 def test_a_component_that_a_symmetry_leaves_free_is_named():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [None], [None])
     with pytest.raises(cg.ConjugatePointError, match=r"family of paths|symmetry leaves"):
