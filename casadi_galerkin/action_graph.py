@@ -32,6 +32,7 @@ class ActionGraph:
 
     Attributes
     ----------
+    functional : Functional, the expressions behind the Functions below
     layout : Layout, which unknown is which value of the path
     system : the Functions below as the engines take them
     build_seconds : float
@@ -46,13 +47,13 @@ class ActionGraph:
             tuple(i for i, value in enumerate(end) if value is not None) for end in (problem.start, problem.end)
         )
         layout = Layout(method, len(mesh) - 1, problem.dimension, fixed_start, fixed_end, problem.periodic)
-        self._functional = Functional(problem.lagrangian, layout, evaluation)
-        self.layout, self._symbols = self._functional.layout, self._functional.symbols
-        pointwise = self._functional.pointwise
+        self.functional = Functional(problem.lagrangian, layout, evaluation)
+        self.layout, self._symbols = self.functional.layout, self.functional.symbols
+        pointwise = self.functional.pointwise
         self.system = System(
             self._build,
             self._mapped,
-            algebra(*self._functional.pattern_key),
+            algebra(*self.functional.pattern_key),
             pointwise.blocks,
             pointwise.kinetic,
         )
@@ -64,7 +65,7 @@ class ActionGraph:
 
     def _mapped(self, name: str) -> ca.Function:
         """A pointwise Function over all points."""
-        return self._timed(lambda: self._functional.mapped(name))
+        return self._timed(lambda: self.functional.mapped(name))
 
     def _timed(self, build: Callable[[], ca.Function]) -> ca.Function:
         began = time.perf_counter()
@@ -82,28 +83,28 @@ class ActionGraph:
     @cached_property
     def action(self) -> ca.Function:
         """S of (unknowns, start, end, mesh[, parameters])."""
-        return self._function("action", self._functional.action())
+        return self._function("action", self.functional.action())
 
     @cached_property
     def gradient(self) -> ca.Function:
         """∇S by the unknowns."""
-        return self._function("gradient", self._functional.gradient())
+        return self._function("gradient", self.functional.gradient())
 
     @cached_property
     def hessian(self) -> ca.Function:
         """∇²S by the unknowns, sparse."""
-        return self._function("hessian", self._functional.hessian())
+        return self._function("hessian", self.functional.hessian())
 
     @cached_property
     def derivatives(self) -> ca.Function:
         """∇²S and ∇S together."""
-        return self._function("derivatives", *self._functional.derivatives(), results=["matrix", "gradient"])
+        return self._function("derivatives", *self.functional.derivatives(), results=["matrix", "gradient"])
 
     @cached_property
     def curvature(self) -> ca.Function:
         """Second variation along one more input, a direction, and the sum of the sizes of its terms."""
         direction = ca.MX.sym("direction", self.layout.free)
-        terms = self._functional.curvature(direction)
+        terms = self.functional.curvature(direction)
         return self._function("curvature", *terms, extra=(direction,))
 
     @cached_property
@@ -112,10 +113,10 @@ class ActionGraph:
         numbering = self.layout.numbering
         component = np.zeros(self.layout.size, dtype=np.int64)
         component[numbering] = np.arange(self.problem.dimension)
-        scale = ca.vertcat(*(ca.norm_inf(self._functional.u[column.tolist()]) for column in numbering.T))
+        scale = ca.vertcat(*(ca.norm_inf(self.functional.u[column.tolist()]) for column in numbering.T))
         sizes = ca.vec(scale.get_nz(False, component[: self.layout.free].tolist()))
-        terms = self._functional.first()[3]
-        spread = ca.mtimes(ca.fabs(self._functional.hessian()), sizes)
+        terms = self.functional.first()[3]
+        spread = ca.mtimes(ca.fabs(self.functional.hessian()), sizes)
         return self._function("floor", ca.fmax(EPS * (terms + spread), TINY))
 
     @cached_property
@@ -124,13 +125,13 @@ class ActionGraph:
         parameters = self._symbols["parameters"]
         direction = ca.MX.sym("direction", parameters.shape[0])
         return self._function(
-            "sensitivity", ca.jtimes(self._functional.gradient(), parameters, direction), extra=(direction,)
+            "sensitivity", ca.jtimes(self.functional.gradient(), parameters, direction), extra=(direction,)
         )
 
     @cached_property
     def timing(self) -> ca.Function:
         """∂S/∂t_i and ∂²S/∂t_i∂t_j by the joints, at fixed node values: the first are the jumps of the energy."""
-        hessian, gradient = ca.hessian(self._functional.action(), self._symbols["mesh"])
+        hessian, gradient = ca.hessian(self.functional.action(), self._symbols["mesh"])
         return self._function("timing", gradient, hessian)
 
     @cached_property
@@ -139,5 +140,5 @@ class ActionGraph:
 
         The first momentum is -∂S/∂x_0, the others are ∂S_k/∂x_{k+1} of interval k.
         """
-        outputs = self._functional.first()
+        outputs = self.functional.first()
         return self._function("summary", *outputs, results=["action", "momentum", "gradient", "terms"])

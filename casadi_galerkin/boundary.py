@@ -13,14 +13,14 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.action_graph import ActionGraph
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial
+from casadi_galerkin.diagnosis import conjugate, explained, refuse_undefined
 from casadi_galerkin.engines import Solution, SolveFailure, rootfinder
 from casadi_galerkin.functional import Evaluation
 from casadi_galerkin.guesses import Guess, given_values, mesh_of
-from casadi_galerkin.operators import embedding
 from casadi_galerkin.plotting import plot_pattern
 from casadi_galerkin.problems import BoundaryProblem, components, numbers
 from casadi_galerkin.system import SINGULAR, Data, System, negative_eigenvalues, second_variation
-from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
+from casadi_galerkin.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -127,7 +127,8 @@ class Transcription(ActionGraph):
             try:
                 solution = solver(self.system, first, data, verbose)
             except SolveFailure as failure:
-                raise self._error(failure, calculus, data) from None
+                path = calculus.emb(self._values(failure.unknowns, data).T)
+                raise explained(self, failure, path, data) from None
         return CriticalPoint(solution, data, calculus.emb(self._values(solution.unknowns, data).T))
 
     def drawn(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:
@@ -201,27 +202,12 @@ class Transcription(ActionGraph):
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
         solution, data = point.solution, point.data
-        if not np.isfinite(solution.action):
-            place = self._not_finite(solution.unknowns, data)
-            raise ConvergenceError(
-                f"no path was found: the equations have a solution, but on it {place}. "
-                "Try a guess that stays where the Lagrangian is defined",
-                point.path,
-                solution.residual,
-                solution.iterations,
-            )
+        refuse_undefined(self, solution, point.path, data)
         if not solution.regularity > REGULAR:
             with self.system.algebra.lock:
                 quotient = second_variation(self.system, solution.unknowns, data)
             if quotient < SINGULAR:
-                raise ConjugatePointError(
-                    f"the second variation of the action vanishes (relative size {quotient:.0e}): the ends are "
-                    "conjugate points, or a family of paths joins them. Move an end, change the time span, or fix a "
-                    "component that a symmetry leaves free",
-                    point.path,
-                    solution.residual,
-                    solution.iterations,
-                )
+                raise conjugate(solution, point.path, quotient)
         return Trajectory(
             t=point.path.mesh,
             x=point.path.values[:, :: self.method.degree].copy(),
@@ -251,47 +237,6 @@ class Transcription(ActionGraph):
         """Draw the sparsity pattern of the Hessian, a chain of blocks; returns the Matplotlib axes."""
         rows, columns = (np.array(index) for index in self.hessian.sparsity_out(0).get_triplet())
         return plot_pattern(rows, columns, self.layout.free, axes)
-
-    def _not_finite(self, unknowns: np.ndarray, data: Data) -> str:
-        """Say at which time the Lagrangian or its derivatives first are not finite."""
-        pointwise, parameters = self._functional.pointwise, data[3:]
-        at = [np.array(a) for a in embedding(self.layout)(np.concatenate((unknowns, *data[:2])), data[2])]
-        times, steps, x, slope = at
-        for k in np.argsort(times[0], kind="stable"):
-            point = (*(a[:, k] for a in at), *parameters)
-            results = pointwise.first(*point)
-            if not all(np.all(np.isfinite(np.array(result))) for result in results):
-                v = slope[:, k] / steps[0, k]
-                return f"the Lagrangian is not finite at t = {times[0, k]:.6g}, where x = {x[:, k]} and v = {v}"
-        return "the Lagrangian overflows"
-
-    def _error(self, failure: SolveFailure, calculus: DiscreteCalculus, data: Data) -> ConvergenceError:
-        """Say what happened, where in time, how far it got, and what to try."""
-        unknowns = failure.unknowns
-        path = calculus.emb(self._values(unknowns, data).T)
-        g, floor = (np.array(f.call([unknowns, *data])[0]).ravel() for f in (self.gradient, self.floor))
-        residual = np.abs(g) / floor
-        worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
-        when = calculus.node_times[np.argmax((self.layout.numbering == worst).any(axis=1))]
-        place = f"the largest residual is at t = {when:.6g}"
-        if not np.all(np.isfinite(g)):
-            place = self._not_finite(unknowns, data)
-        where = f"after {failure.iterations} iterations; {place}"
-        if failure.singular:
-            return ConjugatePointError(
-                f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free: "
-                "move an end, change the time span, or fix that component",
-                path,
-                float(residual[worst]),
-                failure.iterations,
-            )
-        return ConvergenceError(
-            f"no path was found: {failure} ({where}). Try a guess nearer to the path, more intervals, "
-            "or a shorter time span; there may be no path between these ends",
-            path,
-            float(residual[worst]),
-            failure.iterations,
-        )
 
 
 def transcribe(

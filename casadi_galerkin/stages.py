@@ -91,7 +91,7 @@ class Workspace:
         return self._keep("integrate", lambda: integration(self._layout))
 
     def sum(self) -> Evaluator:
-        """F -> action."""
+        """Values f -> action."""
         return self._keep("sum", lambda: summation(self._layout))
 
     def vary(self) -> Evaluator:

@@ -88,7 +88,7 @@ def banded(transcription, unknowns, data):
 
 def points(transcription, unknowns, data):
     """Milliseconds of both derivatives at all points, compiled in C."""
-    functional = transcription._functional
+    functional = transcription.functional
     at = embedding(functional.layout)(np.concatenate((unknowns, *data[:2])), data[2])
     loop = Evaluator(compiled(functional.pointwise.derivatives, functional.layout.points, ()))
     given = [np.array(a).ravel(order="F") for a in at]

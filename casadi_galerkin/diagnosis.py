@@ -1,0 +1,79 @@
+"""Why a boundary problem was not solved: what happened, where in time, how far it got, and what to try."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from casadi_galerkin.action_graph import ActionGraph
+from casadi_galerkin.calculus import DiscreteCalculus, PiecewisePolynomial
+from casadi_galerkin.engines import Solution, SolveFailure
+from casadi_galerkin.operators import embedding
+from casadi_galerkin.system import Data, joined
+from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError
+
+
+def not_finite(graph: ActionGraph, unknowns: np.ndarray, data: Data) -> str:
+    """Say at which time the Lagrangian or its derivatives first are not finite."""
+    pointwise, parameters = graph.functional.pointwise, data[3:]
+    at = [np.array(a) for a in embedding(graph.layout)(joined(unknowns, data), data[2])]
+    times, steps, x, slope = at
+    for k in np.argsort(times[0], kind="stable"):
+        results = pointwise.first(*(a[:, k] for a in at), *parameters)
+        if not all(np.all(np.isfinite(np.array(result))) for result in results):
+            v = slope[:, k] / steps[0, k]
+            return f"the Lagrangian is not finite at t = {times[0, k]:.6g}, where x = {x[:, k]} and v = {v}"
+    return "the Lagrangian overflows"
+
+
+def refuse_undefined(graph: ActionGraph, solution: Solution, path: PiecewisePolynomial, data: Data) -> None:
+    """Raise if the action is not finite on a path that solves the equations."""
+    if np.isfinite(solution.action):
+        return
+    place = not_finite(graph, solution.unknowns, data)
+    raise ConvergenceError(
+        f"no path was found: the equations have a solution, but on it {place}. "
+        "Try a guess that stays where the Lagrangian is defined",
+        path,
+        solution.residual,
+        solution.iterations,
+    )
+
+
+def conjugate(solution: Solution, path: PiecewisePolynomial, quotient: float) -> ConjugatePointError:
+    """Report that the second variation vanishes at a path that was found."""
+    return ConjugatePointError(
+        f"the second variation of the action vanishes (relative size {quotient:.0e}): the ends are conjugate points, "
+        "or a family of paths joins them. Move an end, change the time span, or fix a component that a symmetry leaves "
+        "free",
+        path,
+        solution.residual,
+        solution.iterations,
+    )
+
+
+def explained(graph: ActionGraph, failure: SolveFailure, path: PiecewisePolynomial, data: Data) -> ConvergenceError:
+    """Report what an engine failed at; `path` is its last iterate."""
+    unknowns, times = failure.unknowns, DiscreteCalculus(graph.method, data[2]).node_times
+    g, floor = (np.array(f.call([unknowns, *data])[0]).ravel() for f in (graph.gradient, graph.floor))
+    residual = np.abs(g) / floor
+    worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
+    when = times[np.argmax((graph.layout.numbering == worst).any(axis=1))]
+    place = f"the largest residual is at t = {when:.6g}"
+    if not np.all(np.isfinite(g)):
+        place = not_finite(graph, unknowns, data)
+    where = f"after {failure.iterations} iterations; {place}"
+    if failure.singular:
+        return ConjugatePointError(
+            f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free: "
+            "move an end, change the time span, or fix that component",
+            path,
+            float(residual[worst]),
+            failure.iterations,
+        )
+    return ConvergenceError(
+        f"no path was found: {failure} ({where}). Try a guess nearer to the path, more intervals, "
+        "or a shorter time span; there may be no path between these ends",
+        path,
+        float(residual[worst]),
+        failure.iterations,
+    )
