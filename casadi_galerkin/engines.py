@@ -165,6 +165,7 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
             moved = _size((end - at.unknowns) / at.sizes)
             solution = verified(system, end, data, probe, at.soft, moved, iteration, "Newton")
             if solution is not None:
+                _report(iteration, at.norm, damping, verbose)
                 return solution
         last, trial, forecast = at.norm, None, 1.0
         short = last < SHORT
@@ -178,10 +179,14 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
             x, simplified, damping = _line_search(system, at, damping, data, iteration)
             trial = _iterate(system, x, probe, data)
             forecast = min(1.0, damping * _forecast(at.step, simplified, trial))
-        if verbose > 1:
-            print(f"  {iteration:4d}   step {last:9.2e}   damping {damping:7.1e}")
+        _report(iteration, last, damping, verbose)
         at, damping = trial, forecast
     raise SolveFailure(f"no convergence in {limit} iterations, last relative step {at.norm:.1e}", at.unknowns, limit)
+
+
+def _report(iteration: int, norm: float, damping: float, verbose: int) -> None:
+    if verbose > 1:
+        print(f"  {iteration:4d}   step {norm:9.2e}   damping {damping:7.1e}")
 
 
 def _end(system: System, at: Iterate, last: float, data: Data) -> np.ndarray | None:
