@@ -44,7 +44,7 @@ SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if 
 STRONG_CONTRACTION = 0.1  # the same for a long first step: from a straight line, all steps are long
 SMALLEST_DAMPING = 1e-7
 RESCUE = 100  # iterations IPOPT gets after Newton's method; rescues were measured to take 4 to 40
-DRIFT = 1e3  # largest relative change of the Hessian over that of the path; near-collisions were measured at 1e2
+DRIFT = 1e3  # assumed bound of the Hessian's relative change over the path's; 1 of 30 random solves then looks closer
 NEARLY = 1e-9  # residual over the sizes of its terms from which two Newton steps reach roundoff
 
 
@@ -165,6 +165,7 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
             moved = _size((end - at.unknowns) / at.sizes)
             solution = verified(system, end, data, probe, at.soft, moved, iteration, "Newton")
             if solution is not None:
+                _report(iteration, at.norm, damping, verbose)
                 return solution
         last, trial, forecast = at.norm, None, 1.0
         short = last < SHORT
@@ -178,19 +179,25 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
             x, simplified, damping = _line_search(system, at, damping, data, iteration)
             trial = _iterate(system, x, probe, data)
             forecast = min(1.0, damping * _forecast(at.step, simplified, trial))
-        if verbose > 1:
-            print(f"  {iteration:4d}   step {last:9.2e}   damping {damping:7.1e}")
+        _report(iteration, last, damping, verbose)
         at, damping = trial, forecast
     raise SolveFailure(f"no convergence in {limit} iterations, last relative step {at.norm:.1e}", at.unknowns, limit)
+
+
+def _report(iteration: int, norm: float, damping: float, verbose: int) -> None:
+    if verbose > 1:
+        print(f"  {iteration:4d}   step {norm:9.2e}   damping {damping:7.1e}")
 
 
 def _end(system: System, at: Iterate, last: float, data: Data) -> np.ndarray | None:
     """Where Newton's method may end: with a step after which the next is below roundoff, or that is roundoff itself.
 
-    The residuals alone do not tell: at 1e5 intervals they are at roundoff while the path is off by 1e-9.
+    The residuals alone do not tell: at 1e5 intervals they are at roundoff while the path is off by 1e-9.  Nor do the
+    last two steps where they are of different components: the next one is taken for no less than this one's square.
     """
     if at.norm < NEAR:
-        return at.unknowns + at.step if at.norm**3 <= EPS * last**2 or at.norm >= last / 2 else None
+        shrinks = at.norm**2 <= EPS and at.norm**3 <= EPS * last**2
+        return at.unknowns + at.step if shrinks or at.norm >= last / 2 else None
     if not (last < LOCAL and last <= at.norm):
         return None
     # A nearly singular Hessian makes steps of this length out of roundoff: right but for the softest direction.

@@ -306,6 +306,20 @@ def test_large_swings_are_rescued_and_the_report_says_so(T, end):
     assert path.residual <= 50
 
 
+def test_one_component_does_not_end_the_iterations_of_another():
+    """A first step that corrects a linear component by much says nothing about a nonlinear one."""
+
+    def lagrangian(t, x, v):
+        return ca.dot(v, v) / 2 - x[0] ** 2 / 2 + ca.exp(3 * x[1])
+
+    tr = cg.transcribe(cg.BoundaryProblem(lagrangian, (0, 1), [1.0, 0.0], [2.0, 0.5]), cg.Galerkin(6), 20)
+    path = tr.solve()
+    s = np.linspace(0, np.pi, path.path.values.shape[1])
+    miss = np.array([0.28 * np.sin(s), 1e-3 * np.sin(2 * s)])
+    again = tr.solve(guess=path.path.values + miss)
+    assert np.max(np.abs(again.path.values - path.path.values)) < 1e-14
+
+
 # conjugate points and problems without a path
 
 
@@ -486,9 +500,9 @@ def test_failure_prints_nothing(capfd):
 
 
 def test_verbose_prints_iterations_and_summary(capfd):
-    solve(BY_NAME["short pendulum"], verbose=2)
+    path = solve(BY_NAME["short pendulum"], verbose=2)
     out = capfd.readouterr().out
-    assert "damping" in out
+    assert out.count("damping") == path.iterations
     assert "Trajectory of 1 component" in out
 
 
