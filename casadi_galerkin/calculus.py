@@ -200,24 +200,36 @@ class DiscreteCalculus:
     Attributes
     ----------
     mesh : (N + 1,), the time scale T
-    node_times : (N m + 1,), joints and control points in the order of time
-    quadrature_times : (N r,), interval by interval
-    weights : (N r,), ω = h_i w_k, so that ``weights @ f`` is ∫_a^b f Δ_w t
     """
 
     def __init__(self, method: Galerkin, mesh: ArrayLike) -> None:
         self.method, self.mesh = method, time_scale(mesh)
-        self._element, steps = method.element, np.diff(self.mesh)[:, None]
-        inner = self.mesh[:-1, None] + steps * self._element.nodes[:-1]
-        self.node_times = np.append(inner.ravel(), self.mesh[-1])
-        self.quadrature_times = (self.mesh[:-1, None] + steps * self._element.points).ravel()
-        self.weights = (steps * self._element.weights).ravel()
+        self._element, self._nodes = method.element, (len(self.mesh) - 1) * method.degree + 1
+
+    def _times(self, parts: np.ndarray) -> np.ndarray:
+        """Times at these parts of every interval."""
+        return np.asarray((self.mesh[:-1, None] + np.diff(self.mesh)[:, None] * parts).ravel())
+
+    @cached_property
+    def node_times(self) -> np.ndarray:
+        """Joints and control points in the order of time; (N m + 1,)."""
+        return np.append(self._times(self._element.nodes[:-1]), self.mesh[-1])
+
+    @cached_property
+    def quadrature_times(self) -> np.ndarray:
+        """Quadrature points, interval by interval; (N r,)."""
+        return self._times(self._element.points)
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """ω = h_i w_k, so that ``weights @ f`` is ∫_a^b f Δ_w t; (N r,)."""
+        return np.outer(np.diff(self.mesh), self._element.weights).ravel()
 
     def emb(self, values: ArrayLike) -> PiecewisePolynomial:
         """Embedding emb_m: node values X̄ of shape (d, N m + 1) to the path x̄ (paper, section 2)."""
         array = real_array("node values", values)
-        if array.ndim != 2 or array.shape[1] != len(self.node_times):
-            raise ValueError(f"node values must have the shape (d, {len(self.node_times)}), got {array.shape}")
+        if array.ndim != 2 or array.shape[1] != self._nodes:
+            raise ValueError(f"node values must have the shape (d, {self._nodes}), got {array.shape}")
         return PiecewisePolynomial(self.mesh, self._element.nodes, array)
 
     def delta(self, values: ArrayLike) -> np.ndarray:

@@ -61,9 +61,10 @@ class Pointwise:
         self._inputs = {"t": t, "h": h, "x": x, "slope": slope} | ({"p": parameters[0]} if parameters else {})
         self._value = h * integrand(t, x, slope / h, *parameters)
         self._hessian, gradient = ca.hessian(self._value, ca.vertcat(x, slope))
-        part = (slice(0, d), slice(d, 2 * d))
-        self._slopes = {name: ca.densify(gradient[rows]) for name, rows in zip(("fx", "fv"), part, strict=True)}
-        self._cells = {(i, j): self._hessian[part[i], part[j]] for i in (0, 1) for j in (0, 1)}
+        ends = [0, d, 2 * d]
+        self._slopes = dict(zip(("fx", "fv"), ca.vertsplit(ca.densify(gradient), ends), strict=True))
+        rows = ca.blocksplit(self._hessian, ends, ends)
+        self._cells = {(i, j): cell for i, row in enumerate(rows) for j, cell in enumerate(row)}
         self.blocks = tuple(key for key, cell in self._cells.items() if cell.nnz())
         self.pattern = ca.Sparsity.diag(d)  # the matrix must have a diagonal even where L ignores a component
         for key in self.blocks:
