@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus import ZERO
 from casadi_galerkin.operators import LAYOUTS_KEPT, Layout, Pattern, hessian_pattern
 
 LOCAL = 1e-3  # part of a right-hand side that a solution may miss; below such a step, no line search is needed
@@ -112,7 +113,7 @@ class Algebra:
         if step is not None:
             np.maximum(largest[: len(step)], np.abs(step), out=largest[: len(step)])
         scale = self.scale(largest)
-        scale[scale == 0] = 1.0
+        scale[scale < ZERO] = 1.0
         return self.expanded(scale)
 
     def probe(self, u: np.ndarray) -> np.ndarray:
