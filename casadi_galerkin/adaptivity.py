@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.polynomial import legendre
 
-from casadi_galerkin.calculus import Galerkin, PiecewisePolynomial
+from casadi_galerkin.calculus import ZERO, Galerkin, PiecewisePolynomial
 from casadi_galerkin.nodes import lagrange_values
 
 FINEST = 32.0  # an interval is split into at most this many at once
@@ -49,7 +49,7 @@ def _to_samples(nodes: tuple[float, ...]) -> np.ndarray:
 def sizes(path: PiecewisePolynomial) -> np.ndarray:
     """Largest value of each component, (d,), to which errors are relative; 1 for a component that is zero."""
     largest = np.max(np.abs(path.values), axis=1)
-    return np.where(largest > 0, largest, 1.0)
+    return np.where(largest >= ZERO, largest, 1.0)
 
 
 def truncation(path: PiecewisePolynomial) -> np.ndarray:

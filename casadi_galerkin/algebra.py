@@ -12,6 +12,7 @@ from functools import cached_property, lru_cache
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus import ZERO
 from casadi_galerkin.operators import LAYOUTS_KEPT, Layout, hessian_pattern
 from casadi_galerkin.stages import Evaluator, Workspace
 
@@ -86,7 +87,7 @@ class Algebra:
         if step is not None:
             np.maximum(largest[: len(step)], np.abs(step), out=largest[: len(step)])
         scale = self.scale(largest)
-        scale[scale == 0] = 1.0
+        scale[scale < ZERO] = 1.0
         return self.expanded(scale)
 
     def probe(self, u: np.ndarray) -> np.ndarray:

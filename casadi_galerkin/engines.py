@@ -25,6 +25,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.algebra import LOCAL
+from casadi_galerkin.calculus import ZERO
 from casadi_galerkin.system import (
     EPS,
     ROUNDOFF,
@@ -272,7 +273,7 @@ def verified(
     if not residual <= ROUNDOFF:
         return None
     # A component's only unknown has but one term in the Hessian, which cannot tell whether it is small.
-    comparable = len(x) > len(largest) and bool(largest.all())
+    comparable = len(x) > len(largest) and float(largest.min()) >= ZERO
     regularity = _quotient(soft, probe, scale, spread) - DRIFT * moved if comparable else 0.0
     return Solution(x, iterations, residual, report, float(action), momentum, regularity)
 

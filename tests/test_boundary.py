@@ -320,6 +320,20 @@ def test_one_component_does_not_end_the_iterations_of_another():
     assert np.max(np.abs(again.path.values - path.path.values)) < 1e-14
 
 
+def test_components_that_vanish_along_a_periodic_path_are_found_from_afar():
+    """Newton's steps shrink them below the least number there is; they are then zero, whatever the last step's size."""
+
+    def lagrangian(t, x, v):
+        square = ca.dot(x, x)
+        return ca.dot(v, v) / 2 * (1 + square) + 300 * square / 2 + ca.sumsqr(x**2) + 0.8 * ca.sin(2 * t) * x[0]
+
+    free = [None] * 4
+    problem = cg.BoundaryProblem(lagrangian, (0, 2 * np.pi), free, free, periodic=True)
+    path = cg.solve(problem, cg.Galerkin(8), intervals=8, guess=lambda t: np.sin(t / 2 * np.arange(1, 5)))
+    assert np.max(np.abs(path.x[1:])) < 1e-100
+    assert path.morse_index == 0
+
+
 # conjugate points and problems without a path
 
 
