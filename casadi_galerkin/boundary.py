@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.action_graph import ActionGraph
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial
 from casadi_galerkin.diagnosis import conjugate, explained, refuse_undefined
-from casadi_galerkin.engines import Solution, SolveFailure, rootfinder
+from casadi_galerkin.engines import rootfinder
 from casadi_galerkin.functional import Evaluation
 from casadi_galerkin.guesses import Guess, given_values, mesh_of
+from casadi_galerkin.newton import Solution, SolveFailure
 from casadi_galerkin.plotting import plot_pattern
 from casadi_galerkin.problems import BoundaryProblem, components, numbers
 from casadi_galerkin.system import SINGULAR, Data, System, negative_eigenvalues, second_variation

@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary import CriticalPoint, Transcription, transcribe
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial
-from casadi_galerkin.engines import Solution, verified
 from casadi_galerkin.guesses import Guess
+from casadi_galerkin.newton import Solution, verified
 from casadi_galerkin.problems import BoundaryProblem, numbers
 from casadi_galerkin.system import Data, joined
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory

@@ -6,7 +6,7 @@ import numpy as np
 
 from casadi_galerkin.action_graph import ActionGraph
 from casadi_galerkin.calculus import DiscreteCalculus, PiecewisePolynomial
-from casadi_galerkin.engines import Solution, SolveFailure
+from casadi_galerkin.newton import Solution, SolveFailure
 from casadi_galerkin.operators import embedding
 from casadi_galerkin.system import Data, joined
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus import Galerkin
-from casadi_galerkin.engines import SMALLEST_DAMPING
 from casadi_galerkin.guesses import mesh_of
 from casadi_galerkin.initial import legendre_transform, trajectory
+from casadi_galerkin.newton import SMALLEST_DAMPING
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.stepping import Roll, Stepper, with_parameters
 from casadi_galerkin.system import EPS, ROUNDOFF

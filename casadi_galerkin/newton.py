@@ -1,0 +1,227 @@
+"""Newton's method with a line search that does not see the scaling of equations or unknowns.
+
+The natural monotonicity test: P. Deuflhard, "Newton Methods for Nonlinear Problems", 2004, algorithm NLEQ-ERR.
+
+A solution is accepted if every residual is within `ROUNDOFF` times its own roundoff floor, eps times the sizes of
+the terms it sums and of what the rounding of the unknowns themselves does to it, |H||ξ|.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadi_galerkin.algebra import LOCAL
+from casadi_galerkin.calculus import ZERO
+from casadi_galerkin.system import EPS, ROUNDOFF, SINGULAR, TINY, Data, System, floor, joined, second_variation, softest
+
+NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
+SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if the next one is so much shorter
+STRONG_CONTRACTION = 0.1  # the same for a long first step: from a straight line, all steps are long
+SMALLEST_DAMPING = 1e-7
+DRIFT = 1e3  # assumed bound of the Hessian's relative change over the path's; 1 of 30 random solves then looks closer
+
+
+class SolveFailure(Exception):
+    """An engine's own report that it stopped; carries the last iterate."""
+
+    def __init__(self, reason: str, unknowns: np.ndarray, iterations: int, singular: bool = False) -> None:
+        super().__init__(reason)
+        self.unknowns, self.iterations, self.singular = unknowns, iterations, singular
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A verified critical point.
+
+    Attributes
+    ----------
+    unknowns : ξ
+    iterations : Newton (and IPOPT) iterations together
+    residual : largest residual over its own roundoff floor
+    report : what was used to find it
+    action, momentum : S, and the momenta at the joints, component fastest
+    regularity : lower bound of the second variation along a direction that leans to the softest one, over a bound of
+        its terms in the assembled Hessian: far above zero only where that is regular, but not always there
+    """
+
+    unknowns: np.ndarray
+    iterations: int
+    residual: float
+    report: str
+    action: float
+    momentum: np.ndarray
+    regularity: float
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """A point with its Newton step, found with the Hessian that is left in `System.algebra`.
+
+    Attributes
+    ----------
+    unknowns, gradient, step : ξ, ∇S, -∇²S⁻¹ ∇S
+    soft : solution for the right-hand side `Algebra.probe`, which leans to the softest direction
+    sizes : what the unknowns are measured by
+    norm : largest step relative to them; NaN where the step is not finite
+    """
+
+    unknowns: np.ndarray
+    gradient: np.ndarray
+    step: np.ndarray
+    soft: np.ndarray
+    sizes: np.ndarray
+    norm: float
+
+
+def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limit: int = 200) -> Solution:
+    """Newton's method with natural monotonicity line search.
+
+    A short full step is accepted at once if the next one is much shorter, which needs no solution beyond the next
+    iteration's own.  Where steps are long or shrink by less, full ones were measured to jump to other paths.
+
+    Parameters
+    ----------
+    system : System
+    guess : first iterate ξ
+    data : values of the other inputs of the system's Functions
+    verbose : 2 prints a line an iteration
+    limit : most iterations
+
+    Raises
+    ------
+    SolveFailure
+        if it does not come to a point that can be verified
+    """
+    probe = system.algebra.probe(joined(guess, data))
+    at, damping = _iterate(system, guess, probe, data), 1.0
+    if not np.isfinite(at.gradient).all():
+        raise SolveFailure("the gradient of the action is not finite at the guess", guess, 0)
+    last = math.sqrt(at.norm)  # the first step is taken for one of quadratic convergence
+    for iteration in range(1, limit + 1):
+        if not math.isfinite(at.norm):
+            finite = bool(np.isfinite(system.algebra.matrix).all())
+            raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=finite)
+        end = _end(system, at, last, data)
+        if end is not None:
+            moved = _size((end - at.unknowns) / at.sizes)
+            solution = verified(system, end, data, probe, at.soft, moved, iteration, "Newton")
+            if solution is not None:
+                _report(iteration, at.norm, damping, verbose)
+                return solution
+        last, trial, forecast = at.norm, None, 1.0
+        short = last < SHORT
+        if damping == 1.0 and (short or iteration == 1):
+            trial = _iterate(system, at.unknowns + at.step, probe, data)
+            contracts = trial.norm <= last * (CONTRACTION if short else STRONG_CONTRACTION)
+            if not (contracts or (last < LOCAL and math.isfinite(trial.norm))):
+                trial = None
+                system.evaluate("derivatives", at.unknowns, *data)  # the Hessian that the step belongs to
+        if trial is None:
+            x, simplified, damping = _line_search(system, at, damping, data, iteration)
+            trial = _iterate(system, x, probe, data)
+            forecast = min(1.0, damping * _forecast(at.step, simplified, trial))
+        _report(iteration, last, damping, verbose)
+        at, damping = trial, forecast
+    raise SolveFailure(f"no convergence in {limit} iterations, last relative step {at.norm:.1e}", at.unknowns, limit)
+
+
+def _report(iteration: int, norm: float, damping: float, verbose: int) -> None:
+    if verbose > 1:
+        print(f"  {iteration:4d}   step {norm:9.2e}   damping {damping:7.1e}")
+
+
+def _end(system: System, at: Iterate, last: float, data: Data) -> np.ndarray | None:
+    """Where Newton's method may end: with a step after which the next is below roundoff, or that is roundoff itself.
+
+    The residuals alone do not tell: at 1e5 intervals they are at roundoff while the path is off by 1e-9.  Nor do the
+    last two steps where they are of different components: the next one is taken for no less than this one's square.
+    """
+    if at.norm < NEAR:
+        shrinks = at.norm**2 <= EPS and at.norm**3 <= EPS * last**2
+        return at.unknowns + at.step if shrinks or at.norm >= last / 2 else None
+    if not (last < LOCAL and last <= at.norm):
+        return None
+    # A nearly singular Hessian makes steps of this length out of roundoff: right but for the softest direction.
+    soft, quotient = softest(system, at.unknowns, data)
+    if quotient > max(SINGULAR, EPS / at.norm):
+        return None
+    soft, step = soft / at.sizes, at.step / at.sizes
+    return np.asarray(at.unknowns + at.sizes * (step - soft * ((soft @ step) / max(soft @ soft, TINY))))
+
+
+def _iterate(system: System, x: np.ndarray, probe: np.ndarray, data: Data) -> Iterate:
+    (g,) = system.evaluate("derivatives", x, *data)
+    step, soft = system.solve(g, probe)
+    sizes = system.algebra.sizes(joined(x, data), step)
+    return Iterate(x, g, step, soft, sizes, _size(step / sizes))
+
+
+def _size(vector: np.ndarray) -> float:
+    return float(np.abs(vector).max(initial=0.0))
+
+
+def _forecast(step: np.ndarray, simplified: np.ndarray, now: Iterate) -> float:
+    """Factor on the last damping (Deuflhard, eq. 3.47)."""
+    before, after, bend = (_size(y / now.sizes) for y in (step, simplified, simplified - now.step))
+    return before * after / max(bend * now.norm, 1e-300)
+
+
+def _line_search(
+    system: System, at: Iterate, damping: float, data: Data, iteration: int
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Shorten the step until the next one, with the same matrix, is shorter: new x, that step, damping."""
+    while damping >= SMALLEST_DAMPING:
+        trial = at.unknowns + damping * at.step
+        gradient = system.evaluate("summary", trial, *data)[2]
+        if not np.isfinite(gradient).all():
+            damping /= 2
+            continue
+        (simplified,) = system.solve(gradient)
+        if _size(simplified / at.sizes) <= (1 - damping / 4) * at.norm:
+            return trial, simplified, damping
+        bend = _size((simplified - (1 - damping) * at.step) / at.sizes)
+        damping = min(damping / 2, at.norm * damping**2 / (2 * max(bend, 1e-300)))
+    if second_variation(system, at.unknowns, data) < SINGULAR:
+        raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=True)
+    raise SolveFailure("the line search found no step that leads on", at.unknowns, iteration)
+
+
+def verified(
+    system: System,
+    x: np.ndarray,
+    data: Data,
+    probe: np.ndarray,
+    soft: np.ndarray,
+    moved: float,
+    iterations: int,
+    report: str,
+) -> Solution | None:
+    """Judge the residuals at x by their roundoff floors, with the Hessian as last evaluated: a solution, or None.
+
+    Parameters
+    ----------
+    probe, soft : `Algebra.probe` as a right-hand side and the solution for it
+    moved : relative length of the step to x from where the Hessian was evaluated
+    iterations, report : of how x was found
+    """
+    (action,), momentum, gradient, terms = system.evaluate("summary", x, *data)
+    algebra = system.algebra
+    largest = algebra.scale(joined(x, data))
+    scale = algebra.expanded(largest)
+    spread = algebra.spread(scale)
+    residual = _size(gradient / floor(terms, spread))
+    if not residual <= ROUNDOFF:
+        return None
+    # A component's only unknown has but one term in the Hessian, which cannot tell whether it is small.
+    comparable = len(x) > len(largest) and float(largest.min()) >= ZERO
+    regularity = _quotient(soft, probe, scale, spread) - DRIFT * moved if comparable else 0.0
+    return Solution(x, iterations, residual, report, float(action), momentum, regularity)
+
+
+def _quotient(soft: np.ndarray, probe: np.ndarray, scale: np.ndarray, spread: np.ndarray) -> float:
+    """yᵀ∇²S y over a bound of |y|ᵀ|∇²S||y|, for y = `soft`."""
+    peak, bound = _size(soft / scale), float(scale @ spread)
+    return abs(float((soft / peak) @ (probe / peak))) / bound if peak > 0 and bound > 0 else 0.0
