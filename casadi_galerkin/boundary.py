@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -209,6 +209,7 @@ class Transcription(ActionGraph):
                 quotient = second_variation(self.system, solution.unknowns, data)
             if quotient < SINGULAR:
                 raise conjugate(solution, point.path, quotient)
+        problem = self._solved(data)
         return Trajectory(
             t=point.path.mesh,
             x=point.path.values[:, :: self.method.degree].copy(),
@@ -221,8 +222,8 @@ class Transcription(ActionGraph):
             build_seconds=self.build_seconds,
             solve_seconds=solve_seconds,
             method=self.method,
-            problem=self._solved(data),
-            count_negative=partial(negative_eigenvalues, self.system, solution.unknowns, data),
+            problem=problem,
+            count_negative=MorseIndex(self, problem, point.path),
         )
 
     def _solved(self, data: Data) -> BoundaryProblem:
@@ -238,6 +239,31 @@ class Transcription(ActionGraph):
         """Draw the sparsity pattern of the Hessian, a chain of blocks; returns the Matplotlib axes."""
         rows, columns = (np.array(index) for index in self.hessian.sparsity_out(0).get_triplet())
         return plot_pattern(rows, columns, self.layout.free, axes)
+
+
+class MorseIndex:
+    """Counts the negative eigenvalues of a path's Hessian; pickled without the graph, which is then built again.
+
+    Parameters
+    ----------
+    transcription : Transcription that found the path
+    problem : BoundaryProblem, with the ends and parameters that it was found for
+    path : PiecewisePolynomial
+    """
+
+    def __init__(self, transcription: Transcription, problem: BoundaryProblem, path: PiecewisePolynomial) -> None:
+        self._transcription: Transcription | None = transcription
+        self._problem, self._method, self._path = problem, transcription.method, path
+
+    def __call__(self) -> int | None:
+        """Number of negative eigenvalues, or None where there is no finite one."""
+        problem, mesh = self._problem, self._path.mesh
+        graph = self._transcription or transcribed(problem, self._method, None, mesh, "single")
+        data = graph.data(mesh, problem.start, problem.end, problem.parameters)
+        return negative_eigenvalues(graph.system, graph.unknowns(self._path.values.T), data)
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "_transcription": None}
 
 
 def transcribe(

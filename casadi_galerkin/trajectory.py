@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -88,10 +88,6 @@ class Trajectory:
         None for steps, and where the kinetic energy is indefinite by structure, so that there is no finite index.
         """
         return self.count_negative()
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What is pickled: all but the graph that the Morse index is counted with."""
-        return {**self.__dict__, "count_negative": partial(_known, self.morse_index)}
 
     @property
     def lagrangian(self) -> ca.Function:
