@@ -111,10 +111,8 @@ class ActionGraph:
     def floor(self) -> ca.Function:
         """Roundoff floor of every entry of ∇S, as `system.floor` of the sizes along the path."""
         numbering = self.layout.numbering
-        component = np.zeros(self.layout.size, dtype=np.int64)
-        component[numbering] = np.arange(self.problem.dimension)
         scale = ca.vertcat(*(ca.norm_inf(self.functional.u[column.tolist()]) for column in numbering.T))
-        sizes = ca.vec(scale.get_nz(False, component[: self.layout.free].tolist()))
+        sizes = ca.vec(scale.get_nz(False, self.layout.component[: self.layout.free].tolist()))
         terms = self.functional.first()[3]
         spread = ca.mtimes(ca.fabs(self.functional.hessian()), sizes)
         return self._function("floor", ca.fmax(EPS * (terms + spread), TINY))

@@ -37,9 +37,7 @@ class Algebra:
         self._by_component = np.ascontiguousarray(numbering.T)
         self.matrix = self.workspace.arrays["matrix"] = np.zeros(self.pattern.sparsity.nnz())
         self.lock = threading.RLock()
-        component = np.zeros(numbering.size, dtype=np.int64)
-        component[numbering] = np.arange(numbering.shape[1])
-        self._component = component[: layout.free]
+        self._component = layout.component[: layout.free]
         self._probe = np.cos(1.0 + np.arange(len(self._component)))
         self._solvers: dict[tuple[str, int], Evaluator] = {}
 
@@ -79,7 +77,7 @@ class Algebra:
 
     def expanded(self, scale: np.ndarray) -> np.ndarray:
         """One value a component -> one an unknown."""
-        return scale[self._component]
+        return np.asarray(scale[self._component])
 
     def sizes(self, u: np.ndarray, step: np.ndarray | None = None) -> np.ndarray:
         """What each unknown is measured by: the size of its component in the path (and in a step), one for zero."""

@@ -20,7 +20,7 @@ from casadi_galerkin.guesses import Guess, given_values, mesh_of
 from casadi_galerkin.newton import Solution, SolveFailure
 from casadi_galerkin.plotting import plot_pattern
 from casadi_galerkin.problems import BoundaryProblem, components, numbers
-from casadi_galerkin.system import SINGULAR, Data, System, negative_eigenvalues, second_variation
+from casadi_galerkin.system import SINGULAR, Data, System, joined, negative_eigenvalues, second_variation
 from casadi_galerkin.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -63,9 +63,9 @@ class Transcription(ActionGraph):
     def _calculus(self) -> DiscreteCalculus:
         return DiscreteCalculus(self.method, self.mesh)
 
-    def _values(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
+    def values(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) in the order of time."""
-        return np.asarray(np.concatenate((unknowns, *data[:2]))[self.layout.numbering])
+        return np.asarray(joined(unknowns, data)[self.layout.numbering])
 
     def solve(
         self,
@@ -128,9 +128,9 @@ class Transcription(ActionGraph):
             try:
                 solution = solver(self.system, first, data, verbose)
             except SolveFailure as failure:
-                path = calculus.emb(self._values(failure.unknowns, data).T)
+                path = calculus.emb(self.values(failure.unknowns, data).T)
                 raise explained(self, failure, path, data) from None
-        return CriticalPoint(solution, data, calculus.emb(self._values(solution.unknowns, data).T))
+        return CriticalPoint(solution, data, calculus.emb(self.values(solution.unknowns, data).T))
 
     def drawn(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:
         """Put a guess on a mesh, bent to meet the ends."""
@@ -195,7 +195,7 @@ class Transcription(ActionGraph):
             raise ValueError(f"the guess must be finite, got {values[i]} at t = {times[i]}")
         entries = self.layout.numbering[[0, -1]]
         fixed = entries >= self.layout.free
-        miss = np.where(fixed, np.concatenate((np.zeros(self.layout.free), *data[:2]))[entries] - values[[0, -1]], 0.0)
+        miss = np.where(fixed, joined(np.zeros(self.layout.free), data)[entries] - values[[0, -1]], 0.0)
         miss = np.where(fixed, miss, miss[::-1])  # a free end takes over what the other one is moved by
         part = (times - times[0]) / (times[-1] - times[0])
         return np.asarray(values + miss[0] + np.multiply.outer(part, miss[1] - miss[0]))

@@ -184,7 +184,7 @@ class Walk:
     def path(self, z: np.ndarray) -> PiecewisePolynomial:
         """The path that a point stands for."""
         unknowns, calculus = z[:-1], DiscreteCalculus(self.transcription.method, self.transcription.mesh)
-        return calculus.emb(np.concatenate((unknowns, *self.data(z)[:2]))[self.transcription.layout.numbering].T)
+        return calculus.emb(self.transcription.values(unknowns, self.data(z)).T)
 
     def run(self, guess: Guess | None) -> Branch:
         """Walk until the target, or the start, is met."""

@@ -109,6 +109,11 @@ def pointwise(integrand: ca.Function) -> Pointwise:
     return Pointwise(integrand)
 
 
+def _over(f: ca.Function, count: int, shared: tuple[int, ...], how: str = "serial") -> ca.Function:
+    """Map a Function over points; inputs in `shared` are the same at all of them, and cost a wrapper."""
+    return f.map(f.name(), how, count, list(shared), []) if shared else f.map(count, how)
+
+
 @lru_cache(4 * LAYOUTS_KEPT)
 def batched(f: ca.Function, count: int, shared: tuple[int, ...]) -> tuple[ca.Function, int]:
     """Join a pointwise Function with itself at several points, for at most `count` points that these divide.
@@ -120,8 +125,7 @@ def batched(f: ca.Function, count: int, shared: tuple[int, ...]) -> tuple[ca.Fun
     size = max(k for k in range(1, most + 1) if count % k == 0)
     if size == 1:
         return f, 1
-    joined = f.map(f.name(), "unroll", size, list(shared), []) if shared else f.map(size, "unroll")
-    return joined.expand(), size
+    return _over(f, size, shared, "unroll").expand(), size
 
 
 def compiler() -> str:
@@ -136,12 +140,10 @@ def compiler() -> str:
 def compiled(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Function:
     """Map a pointwise Function over `count` points and compile the loop in C: 0.3 s, then 2 to 6 times faster."""
     inputs = [ca.MX.sym(f.name_in(i), f.size1_in(i), 1 if i in shared else count) for i in range(f.n_in())]
-    mapped = f.map(f.name(), "serial", count, list(shared), []) if shared else f.map(count)
     flags = {"compiler": compiler(), "flags": ["-O3", "-march=native"], "directory": tempfile.gettempdir() + os.sep}
-    names = f.name_in(), f.name_out()
-    return ca.Function(
-        f.name(), inputs, mapped.call(inputs), *names, {"jit": True, "compiler": "shell", "jit_options": flags}
-    )
+    options = {"jit": True, "compiler": "shell", "jit_options": flags}
+    outputs = _over(f, count, shared).call(inputs)
+    return ca.Function(f.name(), inputs, outputs, f.name_in(), f.name_out(), options)
 
 
 class Functional:
@@ -167,24 +169,26 @@ class Functional:
             evaluation = "batched"
         path = embedded(layout)
         self.pointwise, self.layout, self.evaluation = pointwise(integrand), path.layout, evaluation
-        self.symbols, self.u, self._points = dict(path.symbols), path.u, path.points
+        self.symbols, self.u, self._at = dict(path.symbols), path.u, list(path.points)
+        self._shared: tuple[int, ...] = ()
         if integrand.n_in() == 4:
             self.symbols["parameters"] = ca.MX.sym("parameters", integrand.size1_in(3))
+            self._shared = (len(self._at),)
+            self._at.append(self.symbols["parameters"])
         pattern = self.pointwise.pattern
         self.pattern_key = (path.layout, tuple(pattern.colind()), tuple(pattern.row()))
 
     def mapped(self, name: str) -> ca.Function:
         """A pointwise Function, "first" or "derivatives", over all quadrature points."""
         f: ca.Function = getattr(self.pointwise, name)
-        shared, count = (4,) if "parameters" in self.symbols else (), self.layout.points
+        shared, count = self._shared, self.layout.points
         if self.evaluation == "compiled":
             return compiled(f, count, shared)
         f, size = batched(f, count, shared) if self.evaluation == "batched" else (f, 1)
-        return f.map(f.name(), "serial", count // size, list(shared), []) if shared else f.map(count // size)
+        return _over(f, count // size, shared)
 
     def _at_points(self, name: str) -> list[ca.MX]:
-        given = [self.symbols[name] for name in ("parameters",) if name in self.symbols]
-        return list(self.mapped(name).call([*self._points, *given]))
+        return list(self.mapped(name).call(self._at))
 
     def action(self) -> ca.MX:
         """S: scalar."""
@@ -214,8 +218,6 @@ class Functional:
         """Second variation yᵀ∇²S y along y = `direction`, and the same with every term taken positive."""
         fixed = ca.MX.zeros(self.layout.size - self.layout.free, 1)
         y, slope = embedding(self.layout).call([ca.vertcat(direction, fixed), self.symbols["mesh"]])[2:]
-        given = [self.symbols[name] for name in ("parameters",) if name in self.symbols]
-        f, shared = self.pointwise.curvature, [4] if given else []
-        mapped = f.map(f.name(), "serial", self.layout.points, shared, [])
-        signed, positive = mapped.call([*self._points, *given, ca.vertcat(y, slope)])
+        mapped = _over(self.pointwise.curvature, self.layout.points, self._shared)
+        signed, positive = mapped.call([*self._at, ca.vertcat(y, slope)])
         return summation(self.layout)(signed), summation(self.layout)(positive)

@@ -67,6 +67,13 @@ class Layout:
             nodes[-1, list(self.fixed_end)] = self.free + len(starts) + np.arange(len(self.fixed_end))
         return nodes
 
+    @cached_property
+    def component(self) -> np.ndarray:
+        """Component of the path that every entry of u is a value of; (size,)."""
+        component = np.zeros(self.size, dtype=np.int64)
+        component[self.numbering] = np.arange(self.dimension)
+        return component
+
     @property
     def free(self) -> int:
         """Number of unknowns, the length of ξ."""
