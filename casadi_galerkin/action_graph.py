@@ -17,7 +17,7 @@ from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.functional import Evaluation, Functional
 from casadi_galerkin.operators import Layout
 from casadi_galerkin.problems import BoundaryProblem
-from casadi_galerkin.system import EPS, TINY, System
+from casadi_galerkin.system import System
 
 
 class ActionGraph:
@@ -56,6 +56,7 @@ class ActionGraph:
             algebra(*self.functional.pattern_key),
             pointwise.blocks,
             pointwise.kinetic,
+            evaluation != "single",
         )
         self.build_seconds = time.perf_counter() - began
 
@@ -109,13 +110,11 @@ class ActionGraph:
 
     @cached_property
     def floor(self) -> ca.Function:
-        """Roundoff floor of every entry of ∇S, as `system.floor` of the sizes along the path."""
-        numbering = self.layout.numbering
-        scale = ca.vertcat(*(ca.norm_inf(self.functional.u[column.tolist()]) for column in numbering.T))
-        sizes = ca.vec(scale.get_nz(False, self.layout.component[: self.layout.free].tolist()))
+        """Roundoff floor of every entry of ∇S, as `Algebra.floor`."""
         terms = self.functional.first()[3]
-        spread = ca.mtimes(ca.fabs(self.functional.hessian()), sizes)
-        return self._function("floor", ca.fmax(EPS * (terms + spread), TINY))
+        return self._function(
+            "floor", self.system.algebra.floor(self.functional.hessian(), self.functional.u, terms)[0]
+        )
 
     @cached_property
     def sensitivity(self) -> ca.Function:

@@ -1,60 +1,79 @@
-"""The linear algebra of Newton's method on NumPy arrays: what depends on the Hessian's sparsity, but not on L.
+"""The linear algebra of Newton's method: what depends on the Hessian's sparsity, but not on L.
 
-The Hessian is never copied, at degree 30 that would take longer than all else that is done in Python, and only solving
-with it is left to CasADi.
+It is CasADi's, called on NumPy arrays.  The Hessian is never copied: at degree 30 that would take longer than all that
+is done in Python.
 """
 
 from __future__ import annotations
 
+import math
 import threading
-from functools import cached_property, lru_cache
+from collections.abc import Callable
+from functools import cached_property, lru_cache, partial
 
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus import ZERO
+from casadi_galerkin.calculus import EPS, TINY, ZERO
 from casadi_galerkin.operators import LAYOUTS_KEPT, Layout, hessian_pattern
 from casadi_galerkin.stages import Evaluator, Workspace
 
 LOCAL = 1e-3  # part of a right-hand side that a solution may miss; below such a step, no line search is needed
+METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 times faster than QR, which is for where it fails
 
 
 class Algebra:
-    """Solutions with ∇²S, and the sizes that unknowns are measured by.
+    """Solutions with ∇²S, the sizes that unknowns are measured by, and the roundoff floors of ∇S.
 
-    It is kept for all Lagrangians of a layout, with the Hessian in `matrix` as `System.evaluate` left it there, so
-    whoever works with it holds `lock`.
+    It is kept for all Lagrangians of a layout, with u, the gradient and the Hessian as `System.evaluate` left them in
+    its workspace, so whoever works with it holds `lock`.
 
     Parameters
     ----------
     layout : Layout
     colind, row : pattern of the second-derivative blocks, as for `hessian_pattern`
+
+    Attributes
+    ----------
+    matrix : nonzeros of ∇²S
     """
 
     def __init__(self, layout: Layout, colind: tuple[int, ...], row: tuple[int, ...]) -> None:
-        self.pattern, self.workspace = hessian_pattern(layout, colind, row), Workspace(layout, colind, row)
-        numbering = layout.numbering[: layout.size // layout.dimension]
-        self._by_component = np.ascontiguousarray(numbering.T)
+        self.layout, self.pattern = layout, hessian_pattern(layout, colind, row)
+        self.workspace = Workspace(layout, colind, row)
         self.matrix = self.workspace.arrays["matrix"] = np.zeros(self.pattern.sparsity.nnz())
         self.lock = threading.RLock()
-        self._component = layout.component[: layout.free]
-        self._probe = np.cos(1.0 + np.arange(len(self._component)))
-        self._solvers: dict[tuple[str, int], Evaluator] = {}
+        self._probe = np.cos(1.0 + np.arange(layout.free))
+        self._evaluators: dict[object, Evaluator] = {}
+
+    def _symbols(self, *names: str) -> dict[str, ca.MX]:
+        """The Hessian, the vector u, or one value an unknown."""
+        shapes = {"matrix": (self.pattern.sparsity,), "u": (self.layout.size,), "values": (self.layout.size,)}
+        return {name: ca.MX.sym(name, *shapes.get(name, (self.layout.free,))) for name in names}
+
+    def _evaluator(self, key: object, build: Callable[[], ca.Function]) -> Evaluator:
+        """A Function on the workspace's arrays, where it has arrays of these names; built when first needed."""
+        if key not in self._evaluators:
+            self._evaluators[key] = Evaluator(build(), self.workspace.arrays)
+        return self._evaluators[key]
+
+    def _function(self, name: str, inputs: dict[str, ca.MX], outputs: dict[str, ca.MX]) -> ca.Function:
+        return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))
 
     @cached_property
     def factors(self) -> ca.Linsol:
-        """LDLᵀ without pivoting, its symbolic part done once.  Measured 4 times faster than QR."""
+        """LDLᵀ without pivoting, its symbolic part done once."""
         return ca.Linsol("ldl", "ldl", self.pattern.sparsity)
 
-    def _solver(self, name: str, columns: int) -> Evaluator:
-        """(∇²S, B) -> solution of ∇²S Y = -B, and the excess of its defect over a small part of B."""
-        if (name, columns) not in self._solvers:
-            matrix, rhs = ca.MX.sym("matrix", self.pattern.sparsity), ca.MX.sym("rhs", len(self._probe), columns)
-            y = -(self.factors.solve(matrix, rhs) if name == "ldl" else ca.solve(matrix, rhs, name))
-            excess = ca.norm_1(ca.vec(ca.mac(matrix, y, rhs))) - LOCAL * ca.norm_1(ca.vec(rhs))  # sums keep a NaN
-            function = ca.Function("solve", [matrix, rhs], [y, excess], ["matrix", "rhs"], ["y", "excess"])
-            self._solvers[name, columns] = Evaluator(function, {"matrix": self.matrix})
-        return self._solvers[name, columns]
+    def _solution(self, name: str, matrix: ca.MX, rhs: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """Solution of ∇²S Y = -B, and the excess of its defect over a small part of B."""
+        y = -(self.factors.solve(matrix, rhs) if name == "ldl" else ca.solve(matrix, rhs, name))
+        return y, ca.norm_1(ca.vec(ca.mac(matrix, y, rhs))) - LOCAL * ca.norm_1(ca.vec(rhs))  # sums keep a NaN
+
+    def _solutions(self, name: str, columns: int) -> ca.Function:
+        inputs = self._symbols("matrix") | {"rhs": ca.MX.sym("rhs", self.layout.free, columns)}
+        y, excess = self._solution(name, *inputs.values())
+        return self._function("solutions", inputs, {"y": y, "excess": excess})
 
     def solve(self, *rhs: np.ndarray, pivots: bool = True) -> list[np.ndarray]:
         """Solutions of ∇²S y = -b for right-hand sides b: by LDLᵀ, then by QR where that fails.
@@ -62,8 +81,9 @@ class Algebra:
         They are not finite where the Hessian is singular to the last digit.  Without `pivots`, LDLᵀ is not tried.
         """
         flat = np.concatenate(rhs)
-        for name in ("ldl", "qr") if pivots else ("qr",):
-            y, excess = self._solver(name, len(rhs))(flat)
+        for name in METHODS if pivots else METHODS[1:]:
+            columns = len(rhs)
+            y, excess = self._evaluator((name, columns), partial(self._solutions, name, columns))(flat)
             if excess[0] <= 0:
                 break
         else:
@@ -71,22 +91,53 @@ class Algebra:
                 y[:] = np.nan
         return list(y.reshape(len(rhs), -1))
 
-    def scale(self, u: np.ndarray) -> np.ndarray:
-        """Largest size of each component along the path, (d,)."""
-        return np.asarray(np.abs(u)[self._by_component].max(axis=1))
+    def _step(self, name: str) -> ca.Function:
+        inputs = self._symbols("matrix", "gradient", "u", "probe")
+        matrix, gradient, u, probe = inputs.values()
+        both, excess = self._solution(name, matrix, ca.horzcat(gradient, probe))
+        step, soft = ca.horzsplit(both)
+        sizes = self.measure(u, step)
+        outputs = {"step": step, "soft": soft, "sizes": sizes, "norm": ca.norm_inf(step / sizes), "excess": excess}
+        return self._function("step", inputs, outputs)
 
-    def expanded(self, scale: np.ndarray) -> np.ndarray:
+    def newton_step(self, probe: np.ndarray, pivots: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+        """The Newton step where the derivatives were last evaluated, solved for as by `solve`.
+
+        Returns
+        -------
+        step, solution for the right-hand side `probe`, what the unknowns are measured by, and the largest step relative
+        to that, NaN where the step is not finite
+        """
+        for name in METHODS if pivots else METHODS[1:]:
+            step, soft, sizes, norm, excess = self._evaluator(name, partial(self._step, name))(probe)
+            if excess[0] <= 0:
+                return step, soft, sizes, float(norm[0])
+        solved = math.isfinite(excess[0]) and np.any(step)
+        return step, soft, sizes, float(norm[0]) if solved else math.nan
+
+    @cached_property
+    def largest(self) -> ca.Function:
+        """U -> the largest size of each component along the path, (d,)."""
+        inputs = self._symbols("values")
+        numbering = self.layout.numbering[: self.layout.size // self.layout.dimension]
+        values = ca.reshape(inputs["values"].get_nz(False, numbering.T.ravel().tolist()), numbering.shape)
+        return self._function("largest", inputs, {"scale": ca.vertcat(*map(ca.norm_inf, ca.horzsplit(values)))})
+
+    def _expanded(self, scale: ca.MX) -> ca.MX:
         """One value a component -> one an unknown."""
-        return np.asarray(scale[self._component])
+        return ca.vec(scale.get_nz(False, self.layout.component[: self.layout.free].tolist()))
 
-    def sizes(self, u: np.ndarray, step: np.ndarray | None = None) -> np.ndarray:
-        """What each unknown is measured by: the size of its component in the path (and in a step), one for zero."""
-        largest = np.abs(u)
-        if step is not None:
-            np.maximum(largest[: len(step)], np.abs(step), out=largest[: len(step)])
-        scale = self.scale(largest)
-        scale[scale < ZERO] = 1.0
-        return self.expanded(scale)
+    @cached_property
+    def measure(self) -> ca.Function:
+        """(u, step) -> what each unknown is measured by: the size of its component in both, one for zero."""
+        inputs = self._symbols("values", "step")
+        free, given = ca.vertsplit(inputs["values"], [0, self.layout.free, self.layout.size])
+        scale = self.largest(ca.vertcat(ca.fmax(ca.fabs(free), ca.fabs(inputs["step"])), given))
+        return self._function("measure", inputs, {"sizes": self._expanded(ca.if_else(scale < ZERO, 1.0, scale))})
+
+    def sizes(self, u: np.ndarray) -> np.ndarray:
+        """What each unknown is measured by: the size of its component in the path, one for zero."""
+        return self._evaluator("sizes", lambda: self.measure)(u, np.zeros(self.layout.free))[0]
 
     def probe(self, u: np.ndarray) -> np.ndarray:
         """A right-hand side without symmetry, in the units of ∇S: its solution leans to the softest direction."""
@@ -94,9 +145,41 @@ class Algebra:
 
     def spread(self, change: np.ndarray) -> np.ndarray:
         """|∇²S||y|, the largest change of the gradient for a change of these sizes."""
-        terms = np.abs(self.matrix)
-        terms *= np.abs(change)[self.pattern.rows]
-        return np.asarray(np.add.reduceat(terms, self.pattern.starts[:-1])) if len(terms) else np.zeros(0)
+        return self._evaluator("spread", self._spread)(change)[0]
+
+    def _spread(self) -> ca.Function:
+        inputs = self._symbols("matrix", "change")
+        return self._function("spread", inputs, {"spread": ca.mtimes(*map(ca.fabs, inputs.values()))})
+
+    @cached_property
+    def floor(self) -> ca.Function:
+        """(∇²S, u, sizes of the terms of ∇S) -> roundoff floor of ∇S: eps times those and |∇²S||ξ|; |ξ|; |∇²S||ξ|.
+
+        |ξ| stands for the size of each unknown's component along the path: the rounding of ξ itself counts.
+        """
+        inputs = self._symbols("matrix", "u", "terms")
+        matrix, u, terms = inputs.values()
+        scale = self._expanded(self.largest(u))
+        spread = ca.mtimes(ca.fabs(matrix), scale)
+        outputs = {"floor": ca.fmax(EPS * (terms + spread), TINY), "scale": scale, "spread": spread}
+        return self._function("floor", inputs, outputs)
+
+    def judgement(self, soft: np.ndarray) -> tuple[np.ndarray, float]:
+        """Roundoff floor of ∇S; yᵀ∇²S y for y = `soft` over a bound of |y|ᵀ|∇²S||y|, 0 where they tell nothing.
+
+        A component's only unknown has but one term in the Hessian, which cannot tell whether it is small.
+        """
+        floor, quotient, smallest = self._evaluator("judgement", self._judgement)(soft)
+        comparable = self.layout.free > self.layout.dimension and smallest[0] >= ZERO and math.isfinite(quotient[0])
+        return floor, float(quotient[0]) if comparable else 0.0
+
+    def _judgement(self) -> ca.Function:
+        inputs = self._symbols("matrix", "u", "terms", "soft")
+        matrix, u, terms, y = inputs.values()
+        floor, scale, spread = self.floor(matrix, u, terms)
+        y = y / ca.norm_inf(y / scale)
+        quotient = ca.fabs(ca.bilin(matrix, y, y)) / ca.dot(scale, spread)
+        return self._function("judgement", inputs, {"floor": floor, "quotient": quotient, "smallest": ca.mmin(scale)})
 
 
 @lru_cache(LAYOUTS_KEPT)

@@ -27,6 +27,8 @@ from casadi_galerkin.quadrature import Quadrature, gauss, real_array
 
 LEBESGUE_WARNING = 50.0  # equispaced points pass it at degree 11; Lobatto points stay below 5 at degree 100
 
+EPS = float(np.finfo(float).eps)
+TINY = float(np.finfo(float).tiny)
 ZERO = 1e-150  # size below which a component counts as zero everywhere: its square, an energy, underflows
 
 

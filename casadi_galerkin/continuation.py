@@ -156,7 +156,7 @@ class Walk:
             self.system.evaluate("derivatives", unknowns, *data)
             probe = self.system.algebra.probe(joined(unknowns, data))
             (soft,) = self.system.solve(probe)
-            return verified(self.system, unknowns, data, probe, soft, 0.0, iterations, "continuation")
+            return verified(self.system, unknowns, data, soft, iterations, "continuation")
 
     def tangent(self, z: np.ndarray, forward: np.ndarray) -> np.ndarray:
         """Unit tangent at a point of the branch, on the side of `forward`."""

@@ -80,13 +80,13 @@ class Pointwise:
 
     @cached_property
     def derivatives(self) -> ca.Function:
-        """The gradient, and second derivatives in the order of `blocks`, each the column of its entries in `pattern`.
+        """What `first` has, and second derivatives in the order of `blocks`, columns of their entries in `pattern`.
 
         Together, because a call costs as much as evaluating a small Lagrangian.
         """
         columns = {f"block{i}{j}": ca.project(self._cells[i, j], self.pattern).nz[:] for i, j in self.blocks}
         # common subexpressions cost more to find than they save, but for the Hessian: a tenth of its instructions
-        return self._function("derivatives", {**self._slopes, **columns}, {"cse": True})
+        return self._function("derivatives", {"f": self._value, **self._slopes, **columns}, {"cse": True})
 
     @cached_property
     def curvature(self) -> ca.Function:
@@ -204,12 +204,12 @@ class Functional:
 
     def derivatives(self) -> tuple[ca.MX, ca.MX]:
         """∇²S and ∇S with respect to the free values ξ, in one go through the points."""
-        by_x, by_slope, *values = self._at_points("derivatives")
+        _, by_x, by_slope, *values = self._at_points("derivatives")
         return self._assembled(values), integration(self.layout).call([by_x, by_slope])[0]
 
     def hessian(self) -> ca.MX:
         """∇²S with respect to the free values ξ: sparse, symmetric, both halves stored."""
-        return self._assembled(self._at_points("derivatives")[2:])
+        return self._assembled(self._at_points("derivatives")[3:])
 
     def _assembled(self, values: list[ca.MX]) -> ca.MX:
         return assembly(*self.pattern_key, self.pointwise.blocks).call(values)[0]

@@ -7,10 +7,10 @@ import time
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus import Galerkin, PiecewisePolynomial
+from casadi_galerkin.calculus import EPS, Galerkin, PiecewisePolynomial
 from casadi_galerkin.problems import BoundaryProblem, InitialProblem
 from casadi_galerkin.stepping import Roll, Stepper, with_parameters
-from casadi_galerkin.system import EPS, ROUNDOFF
+from casadi_galerkin.system import ROUNDOFF
 from casadi_galerkin.trajectory import ConvergenceError, Trajectory
 
 DEGENERATE = 1e-13  # reciprocal condition of the scaled mass matrix below which no velocity belongs to a momentum

@@ -22,10 +22,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus import Galerkin
+from casadi_galerkin.calculus import EPS, TINY, Galerkin
 from casadi_galerkin.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.quadrature import gauss
-from casadi_galerkin.system import EPS
 
 DOUBLINGS = 4  # of Newton's iterations, to at most 16; 1 to 8 were measured, the most at the largest steps
 # a relative Newton step that is not worth taking; the estimate of the next one was measured up to 60 times too small
@@ -34,7 +33,6 @@ SMALLEST_STEP = 0.01 * EPS
 NO_CUTOFF = {"eps": 0.0}
 NEAR = 1e-8  # relative Newton step below which only rounding keeps the next one from being far smaller
 TAYLOR = 2  # terms of the velocity carried on as prediction; with 3 and more, large steps reached other solutions
-TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True)

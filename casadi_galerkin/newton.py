@@ -14,14 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadi_galerkin.algebra import LOCAL
-from casadi_galerkin.calculus import ZERO
-from casadi_galerkin.system import EPS, ROUNDOFF, SINGULAR, TINY, Data, System, floor, joined, second_variation, softest
+from casadi_galerkin.calculus import EPS, TINY
+from casadi_galerkin.system import ROUNDOFF, SINGULAR, Data, System, joined, second_variation, softest
 
 NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
 SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if the next one is so much shorter
 STRONG_CONTRACTION = 0.1  # the same for a long first step: from a straight line, all steps are long
 SMALLEST_DAMPING = 1e-7
-DRIFT = 1e3  # assumed bound of the Hessian's relative change over the path's; 1 of 30 random solves then looks closer
 
 
 class SolveFailure(Exception):
@@ -43,8 +42,8 @@ class Solution:
     residual : largest residual over its own roundoff floor
     report : what was used to find it
     action, momentum : S, and the momenta at the joints, component fastest
-    regularity : lower bound of the second variation along a direction that leans to the softest one, over a bound of
-        its terms in the assembled Hessian: far above zero only where that is regular, but not always there
+    regularity : second variation along a direction that leans to the softest one, over a bound of its terms in the
+        assembled Hessian: far above zero only where that is regular, but not always there
     """
 
     unknowns: np.ndarray
@@ -62,7 +61,8 @@ class Iterate:
 
     Attributes
     ----------
-    unknowns, gradient, step : ξ, ∇S, -∇²S⁻¹ ∇S
+    unknowns, gradient : ξ, ∇S
+    step : -∇²S⁻¹ ∇S
     soft : solution for the right-hand side `Algebra.probe`, which leans to the softest direction
     sizes : what the unknowns are measured by
     norm : largest step relative to them; NaN where the step is not finite
@@ -106,11 +106,11 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
             raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=finite)
         end = _end(system, at, last, data)
         if end is not None:
-            moved = _size((end - at.unknowns) / at.sizes)
-            solution = verified(system, end, data, probe, at.soft, moved, iteration, "Newton")
+            solution = verified(system, end, data, at.soft, iteration, "Newton")
             if solution is not None:
                 _report(iteration, at.norm, damping, verbose)
                 return solution
+            system.evaluate("derivatives", at.unknowns, *data)  # the Hessian that the step belongs to
         last, trial, forecast = at.norm, None, 1.0
         short = last < SHORT
         if damping == 1.0 and (short or iteration == 1):
@@ -118,7 +118,7 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
             contracts = trial.norm <= last * (CONTRACTION if short else STRONG_CONTRACTION)
             if not (contracts or (last < LOCAL and math.isfinite(trial.norm))):
                 trial = None
-                system.evaluate("derivatives", at.unknowns, *data)  # the Hessian that the step belongs to
+                system.evaluate("derivatives", at.unknowns, *data)
         if trial is None:
             x, simplified, damping = _line_search(system, at, damping, data, iteration)
             trial = _iterate(system, x, probe, data)
@@ -153,10 +153,8 @@ def _end(system: System, at: Iterate, last: float, data: Data) -> np.ndarray | N
 
 
 def _iterate(system: System, x: np.ndarray, probe: np.ndarray, data: Data) -> Iterate:
-    (g,) = system.evaluate("derivatives", x, *data)
-    step, soft = system.solve(g, probe)
-    sizes = system.algebra.sizes(joined(x, data), step)
-    return Iterate(x, g, step, soft, sizes, _size(step / sizes))
+    (gradient,) = system.evaluate("derivatives", x, *data)
+    return Iterate(x, gradient, *system.newton_step(probe))
 
 
 def _size(vector: np.ndarray) -> float:
@@ -175,7 +173,7 @@ def _line_search(
     """Shorten the step until the next one, with the same matrix, is shorter: new x, that step, damping."""
     while damping >= SMALLEST_DAMPING:
         trial = at.unknowns + damping * at.step
-        gradient = system.evaluate("summary", trial, *data)[2]
+        (gradient,) = system.evaluate("gradient", trial, *data)
         if not np.isfinite(gradient).all():
             damping /= 2
             continue
@@ -190,38 +188,18 @@ def _line_search(
 
 
 def verified(
-    system: System,
-    x: np.ndarray,
-    data: Data,
-    probe: np.ndarray,
-    soft: np.ndarray,
-    moved: float,
-    iterations: int,
-    report: str,
+    system: System, x: np.ndarray, data: Data, soft: np.ndarray, iterations: int, report: str
 ) -> Solution | None:
-    """Judge the residuals at x by their roundoff floors, with the Hessian as last evaluated: a solution, or None.
+    """Judge the residuals at x by their roundoff floors: a solution, or None.  The Hessian is evaluated at x.
 
     Parameters
     ----------
-    probe, soft : `Algebra.probe` as a right-hand side and the solution for it
-    moved : relative length of the step to x from where the Hessian was evaluated
+    soft : solution for the right-hand side `Algebra.probe` with the Hessian at x or at the iterate before it
     iterations, report : of how x was found
     """
-    (action,), momentum, gradient, terms = system.evaluate("summary", x, *data)
-    algebra = system.algebra
-    largest = algebra.scale(joined(x, data))
-    scale = algebra.expanded(largest)
-    spread = algebra.spread(scale)
-    residual = _size(gradient / floor(terms, spread))
+    (action,), momentum, gradient = system.evaluate("summary", x, *data)
+    floor, regularity = system.algebra.judgement(soft)
+    residual = _size(gradient / floor)
     if not residual <= ROUNDOFF:
         return None
-    # A component's only unknown has but one term in the Hessian, which cannot tell whether it is small.
-    comparable = len(x) > len(largest) and float(largest.min()) >= ZERO
-    regularity = _quotient(soft, probe, scale, spread) - DRIFT * moved if comparable else 0.0
     return Solution(x, iterations, residual, report, float(action), momentum, regularity)
-
-
-def _quotient(soft: np.ndarray, probe: np.ndarray, scale: np.ndarray, spread: np.ndarray) -> float:
-    """yᵀ∇²S y over a bound of |y|ᵀ|∇²S||y|, for y = `soft`."""
-    peak, bound = _size(soft / scale), float(scale @ spread)
-    return abs(float((soft / peak) @ (probe / peak))) / bound if peak > 0 and bound > 0 else 0.0

@@ -16,13 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus import Galerkin
+from casadi_galerkin.calculus import EPS, Galerkin
 from casadi_galerkin.guesses import mesh_of
 from casadi_galerkin.initial import legendre_transform, trajectory
 from casadi_galerkin.newton import SMALLEST_DAMPING
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.stepping import Roll, Stepper, with_parameters
-from casadi_galerkin.system import EPS, ROUNDOFF
+from casadi_galerkin.system import ROUNDOFF
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
 ITERATIONS = 50
