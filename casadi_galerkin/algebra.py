@@ -42,8 +42,8 @@ class Algebra:
         self.layout, self.pattern = layout, hessian_pattern(layout, colind, row)
         self.workspace = Workspace(layout, colind, row)
         self.matrix = self.workspace.arrays["matrix"] = np.zeros(self.pattern.sparsity.nnz())
+        self._probe = self.workspace.arrays["probe"] = np.cos(1.0 + np.arange(layout.free))
         self.lock = threading.RLock()
-        self._probe = np.cos(1.0 + np.arange(layout.free))
         self._evaluators: dict[object, Evaluator] = {}
 
     def _symbols(self, *names: str) -> dict[str, ca.MX]:
@@ -94,22 +94,23 @@ class Algebra:
     def _step(self, name: str) -> ca.Function:
         inputs = self._symbols("matrix", "gradient", "u", "probe")
         matrix, gradient, u, probe = inputs.values()
+        probe = probe / self.measure(u, 0)
         both, excess = self._solution(name, matrix, ca.horzcat(gradient, probe))
         step, soft = ca.horzsplit(both)
         sizes = self.measure(u, step)
         outputs = {"step": step, "soft": soft, "sizes": sizes, "norm": ca.norm_inf(step / sizes), "excess": excess}
         return self._function("step", inputs, outputs)
 
-    def newton_step(self, probe: np.ndarray, pivots: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    def newton_step(self, pivots: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """The Newton step where the derivatives were last evaluated, solved for as by `solve`.
 
         Returns
         -------
-        step, solution for the right-hand side `probe`, what the unknowns are measured by, and the largest step relative
-        to that, NaN where the step is not finite
+        step, solution for the right-hand side of `probe`, what the unknowns are measured by, and the largest step
+        relative to that, NaN where the step is not finite
         """
         for name in METHODS if pivots else METHODS[1:]:
-            step, soft, sizes, norm, excess = self._evaluator(name, partial(self._step, name))(probe)
+            step, soft, sizes, norm, excess = self._evaluator(name, partial(self._step, name))()
             if excess[0] <= 0:
                 return step, soft, sizes, float(norm[0])
         solved = math.isfinite(excess[0]) and np.any(step)

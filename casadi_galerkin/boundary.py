@@ -167,10 +167,11 @@ class Transcription(ActionGraph):
         """Values of all inputs of the graph but the unknowns; the problem's unless others are given."""
         data = []
         for name, given in (("start", start), ("end", end)):
-            of_problem = getattr(self.problem, name)
-            values = of_problem if given is None else components(name, given, self.problem.dimension)
-            if [value is None for value in values] != [value is None for value in of_problem]:
-                raise ValueError(f"{name} must have None where the problem has it, {of_problem}, got {values}")
+            of_problem = values = getattr(self.problem, name)
+            if given is not None:
+                values = components(name, given, self.problem.dimension)
+                if [value is None for value in values] != [value is None for value in of_problem]:
+                    raise ValueError(f"{name} must have None where the problem has it, {of_problem}, got {values}")
             data.append(np.array([value for value in values if value is not None]))
         data.append(joints)
         if self.problem.parameters is not None:
@@ -182,23 +183,29 @@ class Transcription(ActionGraph):
 
     def unknowns(self, values: np.ndarray) -> np.ndarray:
         """Free values out of node values (N m + 1, d)."""
-        u = np.zeros(self.layout.size)
-        u[self.layout.numbering[::-1]] = values[::-1]  # the first joint of a periodic path is written last
-        return u[: self.layout.free]
+        return np.asarray(values.ravel()[self.layout.place])
+
+    @cached_property
+    def _fixed(self) -> tuple[np.ndarray, np.ndarray]:
+        """Which components are given at both ends, (2, d), and where among the data; the others behind them."""
+        given = self.layout.numbering[[0, -1]] - self.layout.free
+        fixed = given >= 0
+        return fixed, np.where(fixed, given, self.layout.size - self.layout.free)
 
     def _guess(self, guess: Guess | None, calculus: DiscreteCalculus, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) of a guess, bent to meet the fixed ends by adding a straight line."""
-        times, d = calculus.node_times, self.problem.dimension
-        values = np.zeros((len(times), d)) if guess is None else given_values(guess, calculus, d).T
-        if not np.all(np.isfinite(values)):
-            i = int(np.argmax(~np.isfinite(values).all(axis=1)))
-            raise ValueError(f"the guess must be finite, got {values[i]} at t = {times[i]}")
-        entries = self.layout.numbering[[0, -1]]
-        fixed = entries >= self.layout.free
-        miss = np.where(fixed, joined(np.zeros(self.layout.free), data)[entries] - values[[0, -1]], 0.0)
+        times, (fixed, places) = calculus.node_times, self._fixed
+        miss = np.concatenate((*data[:2], (0.0,)))[places]
+        if guess is not None:
+            values = given_values(guess, calculus, self.problem.dimension).T
+            if not np.all(np.isfinite(values)):
+                i = int(np.argmax(~np.isfinite(values).all(axis=1)))
+                raise ValueError(f"the guess must be finite, got {values[i]} at t = {times[i]}")
+            miss = np.where(fixed, miss - values[[0, -1]], 0.0)
         miss = np.where(fixed, miss, miss[::-1])  # a free end takes over what the other one is moved by
         part = (times - times[0]) / (times[-1] - times[0])
-        return np.asarray(values + miss[0] + np.multiply.outer(part, miss[1] - miss[0]))
+        line = miss[0] + np.multiply.outer(part, miss[1] - miss[0])
+        return np.asarray(line if guess is None else values + line)
 
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""

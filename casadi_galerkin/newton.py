@@ -15,7 +15,7 @@ import numpy as np
 
 from casadi_galerkin.algebra import LOCAL
 from casadi_galerkin.calculus import EPS, TINY
-from casadi_galerkin.system import ROUNDOFF, SINGULAR, Data, System, joined, second_variation, softest
+from casadi_galerkin.system import ROUNDOFF, SINGULAR, Data, System, second_variation, softest
 
 NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
 SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if the next one is so much shorter
@@ -95,8 +95,7 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
     SolveFailure
         if it does not come to a point that can be verified
     """
-    probe = system.algebra.probe(joined(guess, data))
-    at, damping = _iterate(system, guess, probe, data), 1.0
+    at, damping = _iterate(system, guess, data), 1.0
     if not np.isfinite(at.gradient).all():
         raise SolveFailure("the gradient of the action is not finite at the guess", guess, 0)
     last = math.sqrt(at.norm)  # the first step is taken for one of quadratic convergence
@@ -114,14 +113,14 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
         last, trial, forecast = at.norm, None, 1.0
         short = last < SHORT
         if damping == 1.0 and (short or iteration == 1):
-            trial = _iterate(system, at.unknowns + at.step, probe, data)
+            trial = _iterate(system, at.unknowns + at.step, data)
             contracts = trial.norm <= last * (CONTRACTION if short else STRONG_CONTRACTION)
             if not (contracts or (last < LOCAL and math.isfinite(trial.norm))):
                 trial = None
                 system.evaluate("derivatives", at.unknowns, *data)
         if trial is None:
             x, simplified, damping = _line_search(system, at, damping, data, iteration)
-            trial = _iterate(system, x, probe, data)
+            trial = _iterate(system, x, data)
             forecast = min(1.0, damping * _forecast(at.step, simplified, trial))
         _report(iteration, last, damping, verbose)
         at, damping = trial, forecast
@@ -152,9 +151,9 @@ def _end(system: System, at: Iterate, last: float, data: Data) -> np.ndarray | N
     return np.asarray(at.unknowns + at.sizes * (step - soft * ((soft @ step) / max(soft @ soft, TINY))))
 
 
-def _iterate(system: System, x: np.ndarray, probe: np.ndarray, data: Data) -> Iterate:
+def _iterate(system: System, x: np.ndarray, data: Data) -> Iterate:
     (gradient,) = system.evaluate("derivatives", x, *data)
-    return Iterate(x, gradient, *system.newton_step(probe))
+    return Iterate(x, gradient, *system.newton_step())
 
 
 def _size(vector: np.ndarray) -> float:

@@ -74,7 +74,14 @@ class Layout:
         component[self.numbering] = np.arange(self.dimension)
         return component
 
-    @property
+    @cached_property
+    def place(self) -> np.ndarray:
+        """Where every unknown stands among the node values, component fastest; (free,)."""
+        place = np.zeros(self.size, dtype=np.int64)
+        place[self.numbering.ravel()[::-1]] = np.arange(self.numbering.size)[::-1]  # of a periodic joint the first
+        return place[: self.free]
+
+    @cached_property
     def free(self) -> int:
         """Number of unknowns, the length of ξ."""
         joints = self.intervals * self.method.degree + (0 if self.periodic else 1)

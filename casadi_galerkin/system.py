@@ -96,9 +96,9 @@ class System:
         """Solutions of ∇²S y = -b; not finite where the Hessian is singular to the last digit."""
         return self.algebra.solve(*rhs, pivots=self.pivots)
 
-    def newton_step(self, probe: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    def newton_step(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """The Newton step where "derivatives" were last evaluated, as by `Algebra.newton_step`."""
-        return self.algebra.newton_step(probe, pivots=self.pivots)
+        return self.algebra.newton_step(self.pivots)
 
 
 def joined(unknowns: np.ndarray, data: Data) -> np.ndarray:
