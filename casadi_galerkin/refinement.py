@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.adaptivity import (
     FEWER,
+    FEWEST,
     FINEST,
     degree_for,
     equidistributed,
@@ -42,7 +43,7 @@ from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.relaxation import relaxed
 from casadi_galerkin.trajectory import ConvergenceError, Trajectory
 
-FIRST_INTERVALS = 8
+FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
 PATIENCE = 2  # meshes on which a first path may be lost before another is looked for; a false one was seen to creep
 ITERATIONS = 40  # of Newton's method from an earlier path; where it took more it was measured to wander
 RELAXATION_DEGREE, RELAXATION_INTERVALS, RELAXATION_TOLERANCE = 6, 40, 1e-5
@@ -268,5 +269,7 @@ def solve_to_tolerance(
 ) -> Trajectory:
     """Solve a boundary problem to a tolerance; see `solve` for the arguments."""
     check_tolerance(tol)
-    joints = mesh_of(problem.t_span, FIRST_INTERVALS if intervals is None and mesh is None else intervals, mesh)
-    return Refinement(problem, tol, method, limits, verbose).run(joints, guess, solver)
+    refinement = Refinement(problem, tol, method, limits, verbose)
+    if intervals is None and mesh is None:
+        intervals = max(FEWEST, math.ceil(FIRST_NODES / refinement.method.degree))
+    return refinement.run(mesh_of(problem.t_span, intervals, mesh), guess, solver)
