@@ -127,9 +127,8 @@ class ActionGraph:
 
     @cached_property
     def timing(self) -> ca.Function:
-        """∂S/∂t_i and ∂²S/∂t_i∂t_j by the joints, at fixed node values: the first are the jumps of the energy."""
-        hessian, gradient = ca.hessian(self.functional.action(), self._symbols["mesh"])
-        return self._function("timing", gradient, hessian)
+        """∂S/∂t_i, ∂²S/∂t_i² and ∂²S/∂t_i∂t_{i+1} at fixed node values: the first are the jumps of the energy."""
+        return self._function("timing", *self.functional.timing())
 
     @cached_property
     def summary(self) -> ca.Function:

@@ -21,6 +21,7 @@ from functools import cached_property, lru_cache
 from typing import Literal
 
 import casadi as ca
+import numpy as np
 
 from casadi_galerkin.operators import (
     LAYOUTS_KEPT,
@@ -95,6 +96,13 @@ class Pointwise:
         size = ca.fabs(z)
         terms = [ca.bilin(self._hessian, z, z), ca.bilin(ca.fabs(self._hessian), size, size)]
         return ca.Function("curvature", [*self._inputs.values(), z], terms)
+
+    @cached_property
+    def timing(self) -> ca.Function:
+        """First and second derivatives of L̂ by t and h, at fixed x and x': by t, by h, by tt, th and hh."""
+        hessian, gradient = ca.hessian(self._value, ca.vertcat(self._inputs["t"], self._inputs["h"]))
+        entries = (gradient[0], gradient[1], hessian[0, 0], hessian[0, 1], hessian[1, 1])
+        return ca.Function("timing", list(self._inputs.values()), [ca.densify(entry) for entry in entries])
 
     def _function(self, name: str, outputs: dict[str, ca.SX], options: dict[str, bool] | None = None) -> ca.Function:
         inputs = self._inputs
@@ -213,6 +221,23 @@ class Functional:
 
     def _assembled(self, values: list[ca.MX]) -> ca.MX:
         return assembly(*self.pattern_key, self.pointwise.blocks).call(values)[0]
+
+    def timing(self) -> tuple[ca.MX, ca.MX, ca.MX]:
+        """∂S/∂t_i, ∂²S/∂t_i² and ∂²S/∂t_i∂t_{i+1} by the joints, at fixed node values.
+
+        With the parts s of an interval from a to b, t = (1 - s) a + s b and h = b - a.
+        """
+        mapped = _over(self.pointwise.timing, self.layout.points, self._shared).call(self._at)
+        by = ca.horzcat(*(ca.reshape(value, self.layout.intervals, -1) for value in mapped))
+        w, s = self.layout.method.element.weights, self.layout.method.element.points
+        zero, late, early = 0 * w, w * s, w * (1 - s)
+        by_t, by_h = [early, late, zero, zero, zero], [-w, w, zero, zero, zero]
+        by_tt = [zero, zero, early * (1 - s), early * s, late * s]
+        by_th, by_hh = [zero, zero, -2 * early, w - 2 * late, 2 * late], [zero, zero, w, -w, w]
+        sums = ca.mtimes(by, ca.DM(np.hstack([by_t, by_h, by_tt, by_th, by_hh]).T))
+        first, second, first_twice, both, second_twice = ca.horzsplit(sums)
+        slope, curvature = ca.vertcat(first, 0) + ca.vertcat(0, second), ca.vertcat(first_twice, 0)
+        return slope, curvature + ca.vertcat(0, second_twice), both
 
     def curvature(self, direction: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Second variation yᵀ∇²S y along y = `direction`, and the same with every term taken positive."""

@@ -173,13 +173,16 @@ def carried(path: PiecewisePolynomial, change: np.ndarray) -> PiecewisePolynomia
     return PiecewisePolynomial(path.mesh + shift, path.nodes, path.values + change + along * velocity)
 
 
-def retimed(path: PiecewisePolynomial, slope: np.ndarray, curvature: np.ndarray) -> PiecewisePolynomial:
+def retimed(
+    path: PiecewisePolynomial, slope: np.ndarray, diagonal: np.ndarray, beside: np.ndarray
+) -> PiecewisePolynomial:
     """Newton step of the inner joints at fixed node values.
 
-    `slope` (N + 1,) and `curvature`, a tridiagonal matrix by columns, are the action's derivatives by all joints.
+    `slope` (N + 1,), and `diagonal` (N + 1,) and `beside` (N,) of a tridiagonal matrix, are the action's derivatives by
+    all joints.
     """
     shift = np.zeros(len(slope))
-    pivots, rhs, upper = curvature[0::3].tolist(), (-slope).tolist(), curvature[2::3].tolist()
+    pivots, rhs, upper = diagonal.tolist(), (-slope).tolist(), beside.tolist()
     for i in range(2, len(shift) - 1):  # symmetric elimination without the ends; faster here than a dense solve
         factor = upper[i - 1] / pivots[i - 1]
         pivots[i] -= factor * upper[i - 1]
