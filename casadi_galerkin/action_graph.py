@@ -56,7 +56,7 @@ class ActionGraph:
             algebra(*self.functional.pattern_key),
             pointwise.blocks,
             pointwise.kinetic,
-            evaluation != "single",
+            evaluation == "single",
         )
         self.build_seconds = time.perf_counter() - began
 

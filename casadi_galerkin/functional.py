@@ -81,13 +81,20 @@ class Pointwise:
 
     @cached_property
     def derivatives(self) -> ca.Function:
-        """What `first` has, and second derivatives in the order of `blocks`, columns of their entries in `pattern`.
+        """The gradient, and second derivatives in the order of `blocks`, each the column of its entries in `pattern`.
 
         Together, because a call costs as much as evaluating a small Lagrangian.
         """
-        columns = {f"block{i}{j}": ca.project(self._cells[i, j], self.pattern).nz[:] for i, j in self.blocks}
-        # common subexpressions cost more to find than they save, but for the Hessian: a tenth of its instructions
-        return self._function("derivatives", {"f": self._value, **self._slopes, **columns}, {"cse": True})
+        return self._function("derivatives", {**self._slopes, **self._columns}, {"cse": True})
+
+    @cached_property
+    def whole(self) -> ca.Function:
+        """L̂ and what `derivatives` has: for one solve, building one Function more costs more than evaluating L̂."""
+        return self._function("whole", {"f": self._value, **self._slopes, **self._columns}, {"cse": True})
+
+    @property
+    def _columns(self) -> dict[str, ca.SX]:
+        return {f"block{i}{j}": ca.project(self._cells[i, j], self.pattern).nz[:] for i, j in self.blocks}
 
     @cached_property
     def curvature(self) -> ca.Function:
@@ -105,7 +112,7 @@ class Pointwise:
         return ca.Function("timing", list(self._inputs.values()), [ca.densify(entry) for entry in entries])
 
     def _function(self, name: str, outputs: dict[str, ca.SX], options: dict[str, bool] | None = None) -> ca.Function:
-        inputs = self._inputs
+        inputs = self._inputs  # common subexpressions cost more to find than they save, but for the Hessian: a tenth
         return ca.Function(
             name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs), options or {}
         )
@@ -187,7 +194,7 @@ class Functional:
         self.pattern_key = (path.layout, tuple(pattern.colind()), tuple(pattern.row()))
 
     def mapped(self, name: str) -> ca.Function:
-        """A pointwise Function, "first" or "derivatives", over all quadrature points."""
+        """A pointwise Function, "first", "derivatives" or "whole", over all quadrature points."""
         f: ca.Function = getattr(self.pointwise, name)
         shared, count = self._shared, self.layout.points
         if self.evaluation == "compiled":
@@ -212,12 +219,12 @@ class Functional:
 
     def derivatives(self) -> tuple[ca.MX, ca.MX]:
         """∇²S and ∇S with respect to the free values ξ, in one go through the points."""
-        _, by_x, by_slope, *values = self._at_points("derivatives")
+        by_x, by_slope, *values = self._at_points("derivatives")
         return self._assembled(values), integration(self.layout).call([by_x, by_slope])[0]
 
     def hessian(self) -> ca.MX:
         """∇²S with respect to the free values ξ: sparse, symmetric, both halves stored."""
-        return self._assembled(self._at_points("derivatives")[3:])
+        return self._assembled(self._at_points("derivatives")[2:])
 
     def _assembled(self, values: list[ca.MX]) -> ca.MX:
         return assembly(*self.pattern_key, self.pointwise.blocks).call(values)[0]

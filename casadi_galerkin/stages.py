@@ -109,16 +109,17 @@ class Chain:
     Parameters
     ----------
     workspace : Workspace
-    points : pointwise Function over all points
+    points : pointwise Functions over all points
     following : stages after it
     outputs : names of what is returned
     """
 
     def __init__(
-        self, workspace: Workspace, points: Evaluator, following: list[Evaluator], outputs: tuple[str, ...]
+        self, workspace: Workspace, points: list[Evaluator], following: list[Evaluator], outputs: tuple[str, ...]
     ) -> None:
-        self._parameters, self._runs = points.inputs, [stage.run for stage in (workspace.embed(), points, *following)]
-        self._stages = [points, *following]  # keeps what runs alive
+        self._stages = [workspace.embed(), *points, *following]
+        self._runs = [stage.run for stage in self._stages]
+        self._parameters = [stage.inputs for stage in points]
         self._u, self._mesh = workspace.arrays["u"], workspace.arrays["mesh"]
         self._outputs = [workspace.arrays[name] for name in outputs]
 
@@ -128,8 +129,9 @@ class Chain:
         """Evaluate; the returned arrays are copies."""
         np.concatenate((unknowns, start, end), out=self._u)
         self._mesh[:] = mesh
-        for target, values in zip(self._parameters, parameters, strict=True):
-            target[:] = values
+        for targets in self._parameters:
+            for target, values in zip(targets, parameters, strict=True):
+                target[:] = values
         for run in self._runs:
             run()
         return [array.copy() for array in self._outputs]

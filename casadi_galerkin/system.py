@@ -22,6 +22,12 @@ STAGED = {
     "derivatives": ("gradient",),
     "summary": ("action", "momentum", "gradient"),
 }
+POINTWISE = {
+    "action": ("first",),
+    "gradient": ("first",),
+    "derivatives": ("derivatives",),
+    "summary": ("first", "derivatives"),
+}
 
 
 @dataclass(frozen=True)
@@ -32,12 +38,11 @@ class System:
     ----------
     build : name -> Function of (ξ, *data), for those that take further inputs and for other solvers; called when the
         Function is first needed, since building costs more than evaluating
-    mapped : name -> pointwise Function over all points, "first" or "derivatives"
+    mapped : name -> pointwise Function over all points, "first", "derivatives" or "whole"
     algebra : Algebra
     blocks : which second-derivative blocks the pointwise Function has
     pivots : whether LDLᵀ without pivoting can work: False where ∂²L/∂v_i² is structurally zero for some i
-    cheaper_first : whether action and gradient are evaluated without second derivatives: a Function of their own, which
-        costs 0.4 ms to build
+    once : whether so little is solved that only the pointwise Function "whole" is built, which does for all
     """
 
     build: Callable[[str], ca.Function]
@@ -45,7 +50,7 @@ class System:
     algebra: Algebra
     blocks: tuple[tuple[int, int], ...]
     pivots: bool = True
-    cheaper_first: bool = True
+    once: bool = False
     _evaluators: dict[str, Evaluator] = field(default_factory=dict, repr=False, compare=False)
     _chains: dict[str, Chain] = field(default_factory=dict, repr=False, compare=False)
     _solvers: dict[tuple[bool, int, int], ca.Function] = field(default_factory=dict, repr=False, compare=False)
@@ -70,16 +75,17 @@ class System:
     def _chain(self, name: str) -> Chain:
         if name not in self._chains:
             workspace = self.algebra.workspace
-            of_points = "first" if self.cheaper_first and name in ("action", "gradient") else "derivatives"
-            if of_points not in self._evaluators:
-                self._evaluators[of_points] = workspace.stage(self.mapped(of_points))
+            points = ("whole",) if self.once else POINTWISE[name]
+            for needed in points:
+                if needed not in self._evaluators:
+                    self._evaluators[needed] = workspace.stage(self.mapped(needed))
             last = {
                 "action": [workspace.sum()],
                 "gradient": [workspace.integrate()],
                 "derivatives": [workspace.integrate(), workspace.assemble(self.blocks)],
                 "summary": [workspace.vary(), workspace.assemble(self.blocks)],
             }[name]
-            self._chains[name] = Chain(workspace, self._evaluators[of_points], last, STAGED[name])
+            self._chains[name] = Chain(workspace, [self._evaluators[key] for key in points], last, STAGED[name])
         return self._chains[name]
 
     def add_inertia(self, factor: float) -> None:
