@@ -20,7 +20,7 @@ from casadi_galerkin.operators import embedding
 from casadi_galerkin.stages import Evaluator
 
 SIZES, DEGREES = (100, 1000, 10_000), (2, 4, 8)
-FASTEST_OF, SECONDS = 30, 0.3  # runs of which the fastest counts, fewer where they take so long
+TURNS, SECONDS = 5, 0.3  # in which all are timed one after the other, and what one takes at least in all of them
 
 
 def pendulum():
@@ -45,30 +45,32 @@ def chain(masses=6):
     return cg.BoundaryProblem(lagrangian, (0.0, 2.0), [0.0] * masses, [1.0] * masses)
 
 
-def fastest(call):
-    """Least milliseconds of a callable."""
-    call()
-    runs, began = [], time.perf_counter()
-    while len(runs) < 3 or (len(runs) < FASTEST_OF and time.perf_counter() - began < SECONDS):
-        start = time.perf_counter()
-        call()
-        runs.append(time.perf_counter() - start)
-    return 1e3 * min(runs)
+def fastest(*calls):
+    """Least milliseconds of each of some callables, timed in turns because a machine's speed drifts."""
+    least = [np.inf] * len(calls)
+    for _ in range(TURNS):
+        for i, call in enumerate(calls):
+            began = time.perf_counter()
+            while time.perf_counter() - began < SECONDS / TURNS:
+                start = time.perf_counter()
+                call()
+                least[i] = min(least[i], time.perf_counter() - start)
+    return 1e3 * np.array(least)
 
 
 def iteration(transcription, unknowns, data):
-    """Milliseconds of derivatives and solution."""
+    """A callable: derivatives and solution."""
     system = transcription.system
 
     def once():
         (gradient,) = system.evaluate("derivatives", unknowns, *data)
         system.solve(gradient)
 
-    return fastest(once)
+    return once
 
 
 def banded(transcription, unknowns, data):
-    """Milliseconds of LAPACK's factorisation and solution; copies of the inputs, which it overwrites, taken off."""
+    """A callable: LAPACK's factorisation and solution; and one that copies the inputs, which the first overwrites."""
     matrix = transcription.hessian.call([unknowns, *data])[0]
     columns, rows = (np.array(index) for index in reversed(matrix.sparsity().get_triplet()))
     entries, n = np.array(matrix.nonzeros()), matrix.size1()
@@ -78,21 +80,19 @@ def banded(transcription, unknowns, data):
     lower[(rows - columns)[below], columns[below]] = entries[below]
     right = np.ones((n, 1), order="F")
     if lapack.dpbsv(lower, right, lower=1)[2] == 0:
-        whole = fastest(lambda: lapack.dpbsv(lower, right, lower=1))
-        return whole - fastest(lambda: (lower.copy(order="F"), right.copy(order="F")))
+        return lambda: lapack.dpbsv(lower, right, lower=1), lambda: (lower.copy(order="F"), right.copy(order="F"))
     full = np.zeros((3 * width + 1, n), order="F")
     full[2 * width + rows - columns, columns] = entries
-    whole = fastest(lambda: lapack.dgbsv(width, width, full, right))
-    return whole - fastest(lambda: (full.copy(order="F"), right.copy(order="F")))
+    return lambda: lapack.dgbsv(width, width, full, right), lambda: (full.copy(order="F"), right.copy(order="F"))
 
 
 def points(transcription, unknowns, data):
-    """Milliseconds of both derivatives at all points, compiled in C."""
+    """A callable: both derivatives at all points, compiled in C."""
     functional = transcription.functional
     at = embedding(functional.layout)(np.concatenate((unknowns, *data[:2])), data[2])
     loop = Evaluator(compiled(functional.pointwise.derivatives, functional.layout.points, ()))
     given = [np.array(a).ravel(order="F") for a in at]
-    return fastest(lambda: loop(*given))
+    return lambda: loop(*given)
 
 
 def main(sizes=SIZES):
@@ -105,7 +105,10 @@ def main(sizes=SIZES):
                 plain, fast = (cg.transcribe(problem, cg.Galerkin(degree), intervals, jit=jit) for jit in (False, True))
                 point = plain.critical_point()
                 at = point.solution.unknowns, point.data
-                times = [iteration(plain, *at), iteration(fast, *at), points(plain, *at), banded(plain, *at)]
+                *times, copies = fastest(
+                    iteration(plain, *at), iteration(fast, *at), points(plain, *at), *banded(plain, *at)
+                )
+                times[3] -= copies
                 limit = times[2] + times[3]
                 ratios[problem.dimension, degree, intervals] = times[0] / limit, times[1] / limit
                 row = "".join(f"{value:10.3f}" for value in times)
