@@ -52,9 +52,15 @@ class Algebra:
         return {name: ca.MX.sym(name, *shapes.get(name, (self.layout.free,))) for name in names}
 
     def _evaluator(self, key: object, build: Callable[[], ca.Function]) -> Evaluator:
-        """A Function on the workspace's arrays, where it has arrays of these names; built when first needed."""
+        """A Function, built when first needed, that takes all but the Hessian as arguments."""
         if key not in self._evaluators:
-            self._evaluators[key] = Evaluator(build(), self.workspace.arrays)
+            self._evaluators[key] = Evaluator(build(), {"matrix": self.matrix})
+        return self._evaluators[key]
+
+    def _stage(self, key: object, build: Callable[[], ca.Function]) -> Evaluator:
+        """A Function, built when first needed, with all inputs and outputs in the workspace's arrays."""
+        if key not in self._evaluators:
+            self._evaluators[key] = self.workspace.stage(build())
         return self._evaluators[key]
 
     def _function(self, name: str, inputs: dict[str, ca.MX], outputs: dict[str, ca.MX]) -> ca.Function:
@@ -101,24 +107,26 @@ class Algebra:
         outputs = {"step": step, "soft": soft, "sizes": sizes, "norm": ca.norm_inf(step / sizes), "excess": excess}
         return self._function("step", inputs, outputs)
 
-    def newton_step(self, pivots: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        """The Newton step where the derivatives were last evaluated, solved for as by `solve`.
+    def step(self, name: str = "ldl") -> Evaluator:
+        """(matrix, gradient, u) -> (step, soft, sizes, norm, excess).
 
-        Returns
-        -------
-        step, solution for the right-hand side of `probe`, what the unknowns are measured by, and the largest step
-        relative to that, NaN where the step is not finite
+        The Newton step, the solution for the right-hand side of `probe`, which leans to the softest direction, what the
+        unknowns are measured by, the largest step relative to that, and the excess of the defects.
         """
-        for name in METHODS if pivots else METHODS[1:]:
-            step, soft, sizes, norm, excess = self._evaluator(name, partial(self._step, name))()
-            if excess[0] <= 0:
-                return step, soft, sizes, float(norm[0])
-        solved = math.isfinite(excess[0]) and np.any(step)
-        return step, soft, sizes, float(norm[0]) if solved else math.nan
+        return self._stage(name, partial(self._step, name))
+
+    def step_by_qr(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Step, sizes and norm where the derivatives were last evaluated; the norm is NaN where there is no step."""
+        solver = self.step("qr")
+        step, sizes, norm, excess = (self.workspace.arrays[name] for name in ("step", "sizes", "norm", "excess"))
+        norm[:] = excess[:] = np.nan  # what stays where CasADi's QR gives up
+        solver.run()
+        solved = excess[0] <= 0 or (math.isfinite(excess[0]) and bool(np.any(step)))
+        return step.copy(), sizes.copy(), float(norm[0]) if solved else math.nan
 
     @cached_property
     def largest(self) -> ca.Function:
-        """U -> the largest size of each component along the path, (d,)."""
+        """Largest size of each component along a path, from its vector u; (d,)."""
         inputs = self._symbols("values")
         numbering = self.layout.numbering[: self.layout.size // self.layout.dimension]
         values = ca.reshape(inputs["values"].get_nz(False, numbering.T.ravel().tolist()), numbering.shape)
@@ -165,22 +173,22 @@ class Algebra:
         outputs = {"floor": ca.fmax(EPS * (terms + spread), TINY), "scale": scale, "spread": spread}
         return self._function("floor", inputs, outputs)
 
-    def judgement(self, soft: np.ndarray) -> tuple[np.ndarray, float]:
-        """Roundoff floor of ∇S; yᵀ∇²S y for y = `soft` over a bound of |y|ᵀ|∇²S||y|, 0 where they tell nothing.
+    def judge(self) -> Evaluator:
+        """(matrix, u, terms, soft) -> (floor, regularity).
 
-        A component's only unknown has but one term in the Hessian, which cannot tell whether it is small.
+        The roundoff floor of ∇S, and yᵀ∇²S y for y = `soft` over a bound of |y|ᵀ|∇²S||y|.  Zero or NaN tells nothing: a
+        component's only unknown has but one term in the Hessian, which cannot tell whether it is small.
         """
-        floor, quotient, smallest = self._evaluator("judgement", self._judgement)(soft)
-        comparable = self.layout.free > self.layout.dimension and smallest[0] >= ZERO and math.isfinite(quotient[0])
-        return floor, float(quotient[0]) if comparable else 0.0
+        return self._stage("judge", self._judge)
 
-    def _judgement(self) -> ca.Function:
+    def _judge(self) -> ca.Function:
         inputs = self._symbols("matrix", "u", "terms", "soft")
         matrix, u, terms, y = inputs.values()
         floor, scale, spread = self.floor(matrix, u, terms)
         y = y / ca.norm_inf(y / scale)
         quotient = ca.fabs(ca.bilin(matrix, y, y)) / ca.dot(scale, spread)
-        return self._function("judgement", inputs, {"floor": floor, "quotient": quotient, "smallest": ca.mmin(scale)})
+        comparable = ca.mmin(scale) >= ZERO if self.layout.free > self.layout.dimension else ca.MX(0)
+        return self._function("judge", inputs, {"floor": floor, "regularity": ca.if_else(comparable, quotient, 0)})
 
 
 @lru_cache(LAYOUTS_KEPT)

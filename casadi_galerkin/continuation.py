@@ -23,7 +23,7 @@ from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolyno
 from casadi_galerkin.guesses import Guess
 from casadi_galerkin.newton import Solution, verified
 from casadi_galerkin.problems import BoundaryProblem, numbers
-from casadi_galerkin.system import Data, joined
+from casadi_galerkin.system import Data
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
 FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.5, 1e-9  # of the arc length, in which the path counts by its size
@@ -153,10 +153,8 @@ class Walk:
         """A point as a solution, if its residuals are at their roundoff floors."""
         unknowns, data = z[:-1], self.data(z)
         with self.system.algebra.lock:
-            self.system.evaluate("derivatives", unknowns, *data)
-            probe = self.system.algebra.probe(joined(unknowns, data))
-            (soft,) = self.system.solve(probe)
-            return verified(self.system, unknowns, data, soft, iterations, "continuation")
+            self.system.iterate(unknowns, *data)
+            return verified(self.system, unknowns, data, iterations, "continuation")
 
     def tangent(self, z: np.ndarray, forward: np.ndarray) -> np.ndarray:
         """Unit tangent at a point of the branch, on the side of `forward`."""

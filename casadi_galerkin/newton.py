@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,7 +44,7 @@ class Solution:
     report : what was used to find it
     action, momentum : S, and the momenta at the joints, component fastest
     regularity : second variation along a direction that leans to the softest one, over a bound of its terms in the
-        assembled Hessian: far above zero only where that is regular, but not always there
+        assembled Hessian: far above zero only where that is regular; may be zero or NaN even there
     """
 
     unknowns: np.ndarray
@@ -55,15 +56,13 @@ class Solution:
     regularity: float
 
 
-@dataclass(frozen=True)
-class Iterate:
+class Iterate(NamedTuple):
     """A point with its Newton step, found with the Hessian that is left in `System.algebra`.
 
     Attributes
     ----------
     unknowns, gradient : ξ, ∇S
     step : -∇²S⁻¹ ∇S
-    soft : solution for the right-hand side `Algebra.probe`, which leans to the softest direction
     sizes : what the unknowns are measured by
     norm : largest step relative to them; NaN where the step is not finite
     """
@@ -71,7 +70,6 @@ class Iterate:
     unknowns: np.ndarray
     gradient: np.ndarray
     step: np.ndarray
-    soft: np.ndarray
     sizes: np.ndarray
     norm: float
 
@@ -105,7 +103,7 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
             raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=finite)
         end = _end(system, at, last, data)
         if end is not None:
-            solution = verified(system, end, data, at.soft, iteration, "Newton")
+            solution = verified(system, end, data, iteration, "Newton")
             if solution is not None:
                 _report(iteration, at.norm, damping, verbose)
                 return solution
@@ -152,8 +150,7 @@ def _end(system: System, at: Iterate, last: float, data: Data) -> np.ndarray | N
 
 
 def _iterate(system: System, x: np.ndarray, data: Data) -> Iterate:
-    (gradient,) = system.evaluate("derivatives", x, *data)
-    return Iterate(x, gradient, *system.newton_step())
+    return Iterate(x, *system.iterate(x, *data))
 
 
 def _size(vector: np.ndarray) -> float:
@@ -186,19 +183,13 @@ def _line_search(
     raise SolveFailure("the line search found no step that leads on", at.unknowns, iteration)
 
 
-def verified(
-    system: System, x: np.ndarray, data: Data, soft: np.ndarray, iterations: int, report: str
-) -> Solution | None:
+def verified(system: System, x: np.ndarray, data: Data, iterations: int, report: str) -> Solution | None:
     """Judge the residuals at x by their roundoff floors: a solution, or None.  The Hessian is evaluated at x.
 
-    Parameters
-    ----------
-    soft : solution for the right-hand side `Algebra.probe` with the Hessian at x or at the iterate before it
-    iterations, report : of how x was found
+    Its softest direction is taken from the last `System.iterate`, at x or at the iterate before it.
     """
-    (action,), momentum, gradient = system.evaluate("summary", x, *data)
-    floor, regularity = system.algebra.judgement(soft)
+    (action,), momentum, gradient, floor, (regularity,) = system.evaluate("judged", x, *data)
     residual = _size(gradient / floor)
     if not residual <= ROUNDOFF:
         return None
-    return Solution(x, iterations, residual, report, float(action), momentum, regularity)
+    return Solution(x, iterations, residual, report, float(action), momentum, float(regularity))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -16,17 +17,16 @@ ROUNDOFF = 50.0  # accepted residual over its roundoff floor; correct solutions 
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
 
 Data = tuple[np.ndarray, ...]
-STAGED = {
-    "action": ("action",),
-    "gradient": ("gradient",),
-    "derivatives": ("gradient",),
-    "summary": ("action", "momentum", "gradient"),
-}
-POINTWISE = {
-    "action": ("first",),
-    "gradient": ("first",),
-    "derivatives": ("derivatives",),
-    "summary": ("first", "derivatives"),
+STAGED = {  # name -> pointwise Functions, what follows them, names of the results
+    "action": (("first",), ("sum",), ("action",)),
+    "gradient": (("first",), ("integrate",), ("gradient",)),
+    "derivatives": (("derivatives",), ("integrate", "assemble"), ("gradient",)),
+    "newton": (("derivatives",), ("integrate", "assemble", "step"), ("gradient", "step", "sizes", "norm", "excess")),
+    "judged": (
+        ("first", "derivatives"),
+        ("vary", "assemble", "judge"),
+        ("action", "momentum", "gradient", "floor", "regularity"),
+    ),
 }
 
 
@@ -63,7 +63,9 @@ class System:
         - action : -> S
         - gradient : -> ∇S by ξ
         - derivatives : -> ∇S; ∇²S is left in `algebra.matrix`
-        - summary : -> S, momenta at the joints, ∇S; ∇²S and the sizes of the terms that ∇S sums are left as well
+        - newton : -> ∇S, and what `Algebra.step` gives but for the soft direction, which is left as ∇²S is
+        - judged : -> S, momenta at the joints, ∇S, and what `Algebra.judge` gives with the soft direction of the last
+          step; ∇²S is left as well
         """
         if name in STAGED:
             with self.algebra.lock:
@@ -74,19 +76,36 @@ class System:
 
     def _chain(self, name: str) -> Chain:
         if name not in self._chains:
-            workspace = self.algebra.workspace
-            points = ("whole",) if self.once else POINTWISE[name]
+            workspace, (points, following, results) = self.algebra.workspace, STAGED[name]
+            points = ("whole",) if self.once else points
             for needed in points:
                 if needed not in self._evaluators:
                     self._evaluators[needed] = workspace.stage(self.mapped(needed))
-            last = {
-                "action": [workspace.sum()],
-                "gradient": [workspace.integrate()],
-                "derivatives": [workspace.integrate(), workspace.assemble(self.blocks)],
-                "summary": [workspace.vary(), workspace.assemble(self.blocks)],
-            }[name]
-            self._chains[name] = Chain(workspace, [self._evaluators[key] for key in points], last, STAGED[name])
+            stages: dict[str, Callable[[], Evaluator]] = {
+                "sum": workspace.sum,
+                "integrate": workspace.integrate,
+                "vary": workspace.vary,
+                "assemble": partial(workspace.assemble, self.blocks),
+                "step": self.algebra.step,
+                "judge": self.algebra.judge,
+            }
+            at_points, after = [self._evaluators[key] for key in points], [stages[key]() for key in following]
+            self._chains[name] = Chain(workspace, at_points, after, results)
         return self._chains[name]
+
+    def iterate(self, unknowns: np.ndarray, *data: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+        """∇S, the Newton step, what the unknowns are measured by, and the largest step relative to that.
+
+        The step is found as by `Algebra.solve`; its norm is NaN where the Hessian is singular to the last digit.
+        """
+        with self.algebra.lock:
+            if self.pivots:
+                gradient, step, sizes, norm, excess = self._chain("newton")(unknowns, *data)
+                if excess[0] <= 0:
+                    return gradient, step, sizes, float(norm[0])
+            else:
+                (gradient,) = self._chain("derivatives")(unknowns, *data)
+            return gradient, *self.algebra.step_by_qr()
 
     def add_inertia(self, factor: float) -> None:
         """Multiply ∂²L/∂v² by a factor, in the Hessian as last evaluated.
@@ -101,10 +120,6 @@ class System:
     def solve(self, *rhs: np.ndarray) -> list[np.ndarray]:
         """Solutions of ∇²S y = -b; not finite where the Hessian is singular to the last digit."""
         return self.algebra.solve(*rhs, pivots=self.pivots)
-
-    def newton_step(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        """The Newton step where "derivatives" were last evaluated, as by `Algebra.newton_step`."""
-        return self.algebra.newton_step(self.pivots)
 
 
 def joined(unknowns: np.ndarray, data: Data) -> np.ndarray:
