@@ -19,6 +19,7 @@ from casadi_galerkin.operators import LAYOUTS_KEPT, Layout, hessian_pattern
 from casadi_galerkin.stages import Evaluator, Workspace
 
 LOCAL = 1e-3  # part of a right-hand side that a solution may miss; below such a step, no line search is needed
+FOUND = {"step": ("step", "norm"), "search": ("simplified", "length", "bend")}  # steps of stages, and their measures
 METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 times faster than QR, which is for where it fails
 
 
@@ -107,22 +108,42 @@ class Algebra:
         outputs = {"step": step, "soft": soft, "sizes": sizes, "norm": ca.norm_inf(step / sizes), "excess": excess}
         return self._function("step", inputs, outputs)
 
+    def _search(self, name: str) -> ca.Function:
+        inputs = self._symbols("matrix", "gradient", "whole", "measured_by") | {"damping": ca.MX.sym("damping")}
+        matrix, gradient, whole, measured_by, damping = inputs.values()
+        y, excess = self._solution(name, matrix, gradient)
+        bend = ca.norm_inf((y - (1 - damping) * whole) / measured_by)
+        outputs = {"simplified": y, "length": ca.norm_inf(y / measured_by), "bend": bend, "excess": excess}
+        return self._function("search", inputs, outputs)
+
     def step(self, name: str = "ldl") -> Evaluator:
         """(matrix, gradient, u) -> (step, soft, sizes, norm, excess).
 
         The Newton step, the solution for the right-hand side of `probe`, which leans to the softest direction, what the
         unknowns are measured by, the largest step relative to that, and the excess of the defects.
         """
-        return self._stage(name, partial(self._step, name))
+        return self._stage(("step", name), partial(self._step, name))
 
-    def step_by_qr(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Step, sizes and norm where the derivatives were last evaluated; the norm is NaN where there is no step."""
-        solver = self.step("qr")
-        step, sizes, norm, excess = (self.workspace.arrays[name] for name in ("step", "sizes", "norm", "excess"))
-        norm[:] = excess[:] = np.nan  # what stays where CasADi's QR gives up
-        solver.run()
-        solved = excess[0] <= 0 or (math.isfinite(excess[0]) and bool(np.any(step)))
-        return step.copy(), sizes.copy(), float(norm[0]) if solved else math.nan
+    def search(self, name: str = "ldl") -> Evaluator:
+        """(matrix, gradient, whole, measured_by, damping) -> (simplified, length, bend, excess).
+
+        The step that follows a damped part of a whole one with the same matrix, its length, how far it is from the rest
+        of the whole step, both as the largest relative to `measured_by`, and the excess of the defect.
+        """
+        return self._stage(("search", name), partial(self._search, name))
+
+    def by_qr(self, stage: str) -> None:
+        """Repeat the stage "step" or "search" by QR; its measures become NaN where there is no step."""
+        solver = {"step": self.step, "search": self.search}[stage]("qr")
+        step, *measures = (self.workspace.arrays[name] for name in FOUND[stage])
+        excess = self.workspace.arrays["excess"]
+        for array in (*measures, excess):
+            array[:] = np.nan  # what stays where CasADi's QR gives up
+        if np.isfinite(self.workspace.arrays["gradient"]).all():
+            solver.run()
+        if not (excess[0] <= 0 or (math.isfinite(excess[0]) and np.any(step))):
+            for array in measures:
+                array[:] = np.nan
 
     @cached_property
     def largest(self) -> ca.Function:

@@ -153,7 +153,7 @@ class Walk:
         """A point as a solution, if its residuals are at their roundoff floors."""
         unknowns, data = z[:-1], self.data(z)
         with self.system.algebra.lock:
-            self.system.iterate(unknowns, *data)
+            self.system.iterate(unknowns, data)
             return verified(self.system, unknowns, data, iterations, "continuation")
 
     def tangent(self, z: np.ndarray, forward: np.ndarray) -> np.ndarray:

@@ -150,7 +150,7 @@ def _end(system: System, at: Iterate, last: float, data: Data) -> np.ndarray | N
 
 
 def _iterate(system: System, x: np.ndarray, data: Data) -> Iterate:
-    return Iterate(x, *system.iterate(x, *data))
+    return Iterate(x, *system.iterate(x, data))
 
 
 def _size(vector: np.ndarray) -> float:
@@ -159,8 +159,8 @@ def _size(vector: np.ndarray) -> float:
 
 def _forecast(step: np.ndarray, simplified: np.ndarray, now: Iterate) -> float:
     """Factor on the last damping (Deuflhard, eq. 3.47)."""
-    before, after, bend = (_size(y / now.sizes) for y in (step, simplified, simplified - now.step))
-    return before * after / max(bend * now.norm, 1e-300)
+    before, after, bend = np.abs(np.array((step, simplified, simplified - now.step)) / now.sizes).max(axis=1).tolist()
+    return float(before * after / max(bend * now.norm, 1e-300))
 
 
 def _line_search(
@@ -169,15 +169,10 @@ def _line_search(
     """Shorten the step until the next one, with the same matrix, is shorter: new x, that step, damping."""
     while damping >= SMALLEST_DAMPING:
         trial = at.unknowns + damping * at.step
-        (gradient,) = system.evaluate("gradient", trial, *data)
-        if not np.isfinite(gradient).all():
-            damping /= 2
-            continue
-        (simplified,) = system.solve(gradient)
-        if _size(simplified / at.sizes) <= (1 - damping / 4) * at.norm:
+        simplified, length, bend = system.search(trial, data, at.step, at.sizes, damping)
+        if length <= (1 - damping / 4) * at.norm:
             return trial, simplified, damping
-        bend = _size((simplified - (1 - damping) * at.step) / at.sizes)
-        damping = min(damping / 2, at.norm * damping**2 / (2 * max(bend, 1e-300)))
+        damping = min(damping / 2, at.norm * damping**2 / (2 * max(bend, 1e-300)))  # half where it is not a number
     if second_variation(system, at.unknowns, data) < SINGULAR:
         raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=True)
     raise SolveFailure("the line search found no step that leads on", at.unknowns, iteration)

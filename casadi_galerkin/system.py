@@ -21,7 +21,8 @@ STAGED = {  # name -> pointwise Functions, what follows them, names of the resul
     "action": (("first",), ("sum",), ("action",)),
     "gradient": (("first",), ("integrate",), ("gradient",)),
     "derivatives": (("derivatives",), ("integrate", "assemble"), ("gradient",)),
-    "newton": (("derivatives",), ("integrate", "assemble", "step"), ("gradient", "step", "sizes", "norm", "excess")),
+    "newton": (("derivatives",), ("integrate", "assemble", "step"), ("excess", "gradient", "step", "sizes", "norm")),
+    "search": (("first",), ("integrate", "search"), ("excess", "simplified", "length", "bend")),
     "judged": (
         ("first", "derivatives"),
         ("vary", "assemble", "judge"),
@@ -63,7 +64,6 @@ class System:
         - action : -> S
         - gradient : -> ∇S by ξ
         - derivatives : -> ∇S; ∇²S is left in `algebra.matrix`
-        - newton : -> ∇S, and what `Algebra.step` gives but for the soft direction, which is left as ∇²S is
         - judged : -> S, momenta at the joints, ∇S, and what `Algebra.judge` gives with the soft direction of the last
           step; ∇²S is left as well
         """
@@ -87,25 +87,46 @@ class System:
                 "vary": workspace.vary,
                 "assemble": partial(workspace.assemble, self.blocks),
                 "step": self.algebra.step,
+                "search": self.algebra.search,
                 "judge": self.algebra.judge,
             }
             at_points, after = [self._evaluators[key] for key in points], [stages[key]() for key in following]
             self._chains[name] = Chain(workspace, at_points, after, results)
         return self._chains[name]
 
-    def iterate(self, unknowns: np.ndarray, *data: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    def iterate(self, unknowns: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """∇S, the Newton step, what the unknowns are measured by, and the largest step relative to that.
 
-        The step is found as by `Algebra.solve`; its norm is NaN where the Hessian is singular to the last digit.
+        The step is found as by `solve`; its norm is NaN where the Hessian is singular to the last digit.  ∇²S is left.
+        """
+        gradient, step, sizes, norm = self._found("newton", "derivatives", "step", unknowns, data)
+        return gradient, step, sizes, float(norm[0])
+
+    def search(
+        self, unknowns: np.ndarray, data: Data, step: np.ndarray, sizes: np.ndarray, damping: float
+    ) -> tuple[np.ndarray, float, float]:
+        """The step that follows a damped part of `step` with the same matrix, and the measures of `Algebra.search`.
+
+        They are NaN where the gradient is not finite, or the Hessian is singular to the last digit.
         """
         with self.algebra.lock:
+            self.algebra.search()
+            arrays = self.algebra.workspace.arrays
+            arrays["whole"][:], arrays["measured_by"][:], arrays["damping"][:] = step, sizes, damping
+            simplified, length, bend = self._found("search", "gradient", "search", unknowns, data)
+        return simplified, float(length[0]), float(bend[0])
+
+    def _found(self, name: str, without: str, stage: str, unknowns: np.ndarray, data: Data) -> list[np.ndarray]:
+        """Results of a chain that ends with a stage by LDLᵀ, or after the one `without` it by QR where that fails."""
+        with self.algebra.lock:
             if self.pivots:
-                gradient, step, sizes, norm, excess = self._chain("newton")(unknowns, *data)
+                excess, *results = self._chain(name)(unknowns, *data)
                 if excess[0] <= 0:
-                    return gradient, step, sizes, float(norm[0])
+                    return results
             else:
-                (gradient,) = self._chain("derivatives")(unknowns, *data)
-            return gradient, *self.algebra.step_by_qr()
+                self._chain(without)(unknowns, *data)
+            self.algebra.by_qr(stage)
+            return [self.algebra.workspace.arrays[key].copy() for key in STAGED[name][2][1:]]
 
     def add_inertia(self, factor: float) -> None:
         """Multiply ∂²L/∂v² by a factor, in the Hessian as last evaluated.
