@@ -72,15 +72,19 @@ class Algebra:
         """LDLᵀ without pivoting, its symbolic part done once."""
         return ca.Linsol("ldl", "ldl", self.pattern.sparsity)
 
-    def _solution(self, name: str, matrix: ca.MX, rhs: ca.MX) -> tuple[ca.MX, ca.MX]:
-        """Solution of ∇²S Y = -B, and the excess of its defect over a small part of B."""
-        y = -(self.factors.solve(matrix, rhs) if name == "ldl" else ca.solve(matrix, rhs, name))
-        return y, ca.norm_1(ca.vec(ca.mac(matrix, y, rhs))) - LOCAL * ca.norm_1(ca.vec(rhs))  # sums keep a NaN
+    def _solution(self, name: str, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
+        """Solution of ∇²S Y = -B."""
+        return -(self.factors.solve(matrix, rhs) if name == "ldl" else ca.solve(matrix, rhs, name))
+
+    def _excess(self, matrix: ca.MX, y: ca.MX, rhs: ca.MX) -> ca.MX:
+        """Excess of the defect of a solution over a small part of the right-hand side."""
+        return ca.norm_1(ca.vec(ca.mac(matrix, y, rhs))) - LOCAL * ca.norm_1(ca.vec(rhs))  # sums keep a NaN
 
     def _solutions(self, name: str, columns: int) -> ca.Function:
         inputs = self._symbols("matrix") | {"rhs": ca.MX.sym("rhs", self.layout.free, columns)}
-        y, excess = self._solution(name, *inputs.values())
-        return self._function("solutions", inputs, {"y": y, "excess": excess})
+        matrix, rhs = inputs.values()
+        y = self._solution(name, matrix, rhs)
+        return self._function("solutions", inputs, {"y": y, "excess": self._excess(matrix, y, rhs)})
 
     def solve(self, *rhs: np.ndarray, pivots: bool = True) -> list[np.ndarray]:
         """Solutions of ∇²S y = -b for right-hand sides b: by LDLᵀ, then by QR where that fails.
@@ -102,25 +106,24 @@ class Algebra:
         inputs = self._symbols("matrix", "gradient", "u", "probe")
         matrix, gradient, u, probe = inputs.values()
         probe = probe / self.measure(u, 0)
-        both, excess = self._solution(name, matrix, ca.horzcat(gradient, probe))
-        step, soft = ca.horzsplit(both)
+        step, soft = ca.horzsplit(self._solution(name, matrix, ca.horzcat(gradient, probe)))
         sizes = self.measure(u, step)
-        outputs = {"step": step, "soft": soft, "sizes": sizes, "norm": ca.norm_inf(step / sizes), "excess": excess}
-        return self._function("step", inputs, outputs)
+        outputs = {"step": step, "soft": soft, "sizes": sizes, "norm": ca.norm_inf(step / sizes)}
+        return self._function("step", inputs, outputs | {"excess": self._excess(matrix, step, gradient)})
 
     def _search(self, name: str) -> ca.Function:
         inputs = self._symbols("matrix", "gradient", "whole", "measured_by") | {"damping": ca.MX.sym("damping")}
         matrix, gradient, whole, measured_by, damping = inputs.values()
-        y, excess = self._solution(name, matrix, gradient)
+        y = self._solution(name, matrix, gradient)
         bend = ca.norm_inf((y - (1 - damping) * whole) / measured_by)
-        outputs = {"simplified": y, "length": ca.norm_inf(y / measured_by), "bend": bend, "excess": excess}
-        return self._function("search", inputs, outputs)
+        outputs = {"simplified": y, "length": ca.norm_inf(y / measured_by), "bend": bend}
+        return self._function("search", inputs, outputs | {"excess": self._excess(matrix, y, gradient)})
 
     def step(self, name: str = "ldl") -> Evaluator:
         """(matrix, gradient, u) -> (step, soft, sizes, norm, excess).
 
         The Newton step, the solution for the right-hand side of `probe`, which leans to the softest direction, what the
-        unknowns are measured by, the largest step relative to that, and the excess of the defects.
+        unknowns are measured by, the largest step relative to that, and the excess of its defect.
         """
         return self._stage(("step", name), partial(self._step, name))
 
