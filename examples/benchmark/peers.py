@@ -183,12 +183,11 @@ CASES = (kepler, double_pendulum, layer, troesch, chain)
 
 
 def timed(calls):
-    """Median seconds of each of several callables, called in turns."""
+    """Median seconds of each of several callables, called in turns: twice, the second one timed, so that all are warm."""
     seconds = [[] for _ in calls]
-    for call in calls:
-        call()
     for _ in range(REPEATS):
         for call, spent in zip(calls, seconds, strict=True):
+            call()
             began = time.perf_counter()
             call()
             spent.append(time.perf_counter() - began)
