@@ -183,7 +183,7 @@ CASES = (kepler, double_pendulum, layer, troesch, chain)
 
 
 def timed(calls):
-    """Median seconds of each of several callables, called in turns: twice, the second one timed, so that all are warm."""
+    """Median seconds of each of several callables, called twice in turns: timed is the second call, which is warm."""
     seconds = [[] for _ in calls]
     for _ in range(REPEATS):
         for call, spent in zip(calls, seconds, strict=True):
