@@ -48,7 +48,7 @@ class ActionGraph:
         )
         layout = Layout(method, len(mesh) - 1, problem.dimension, fixed_start, fixed_end, problem.periodic)
         self.functional = Functional(problem.lagrangian, layout, evaluation)
-        self.layout, self._symbols = self.functional.layout, self.functional.symbols
+        self.layout = self.functional.layout
         pointwise = self.functional.pointwise
         self.system = System(
             self._build,
@@ -77,9 +77,10 @@ class ActionGraph:
     def _function(
         self, name: str, *outputs: ca.MX, extra: tuple[ca.MX, ...] = (), results: Sequence[str] | None = None
     ) -> ca.Function:
-        names = list(self._symbols) + [f"extra{i}" for i in range(len(extra))]
+        symbols = self.functional.symbols
+        names = list(symbols) + [f"extra{i}" for i in range(len(extra))]
         results = results or ([name] if len(outputs) == 1 else [f"{name}{i}" for i in range(len(outputs))])
-        return ca.Function(name, [*self._symbols.values(), *extra], list(outputs), names, results)
+        return ca.Function(name, [*symbols.values(), *extra], list(outputs), names, results)
 
     @cached_property
     def action(self) -> ca.Function:
@@ -119,7 +120,7 @@ class ActionGraph:
     @cached_property
     def sensitivity(self) -> ca.Function:
         """Derivative of ∇S along one more input, a direction of the parameters."""
-        parameters = self._symbols["parameters"]
+        parameters = self.functional.symbols["parameters"]
         direction = ca.MX.sym("direction", parameters.shape[0])
         return self._function(
             "sensitivity", ca.jtimes(self.functional.gradient(), parameters, direction), extra=(direction,)

@@ -7,7 +7,7 @@ import numpy as np
 from casadi_galerkin.action_graph import ActionGraph
 from casadi_galerkin.calculus import DiscreteCalculus, PiecewisePolynomial
 from casadi_galerkin.newton import Solution, SolveFailure
-from casadi_galerkin.operators import embedding
+from casadi_galerkin.operators import clock, embedding
 from casadi_galerkin.system import Data, joined
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError
 
@@ -15,13 +15,13 @@ from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError
 def not_finite(graph: ActionGraph, unknowns: np.ndarray, data: Data) -> str:
     """Say at which time the Lagrangian or its derivatives first are not finite."""
     pointwise, parameters = graph.functional.pointwise, data[3:]
-    at = [np.array(a) for a in embedding(graph.layout)(joined(unknowns, data), data[2])]
-    times, steps, x, slope = at
-    for k in np.argsort(times[0], kind="stable"):
-        results = pointwise.first(*(a[:, k] for a in at), *parameters)
+    times, steps = clock(graph.layout, data[2])
+    x, slope = (np.array(a) for a in embedding(graph.layout)(joined(unknowns, data)))
+    for k in np.argsort(times, kind="stable"):
+        results = pointwise.first(times[k], steps[k], x[:, k], slope[:, k], *parameters)
         if not all(np.all(np.isfinite(np.array(result))) for result in results):
-            v = slope[:, k] / steps[0, k]
-            return f"the Lagrangian is not finite at t = {times[0, k]:.6g}, where x = {x[:, k]} and v = {v}"
+            v = slope[:, k] / steps[k]
+            return f"the Lagrangian is not finite at t = {times[k]:.6g}, where x = {x[:, k]} and v = {v}"
     return "the Lagrangian overflows"
 
 

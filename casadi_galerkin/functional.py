@@ -27,10 +27,11 @@ from casadi_galerkin.operators import (
     LAYOUTS_KEPT,
     Layout,
     assembly,
+    boundary_terms,
     embedded,
     embedding,
-    first_variation,
     integration,
+    kept,
     summation,
 )
 
@@ -170,11 +171,6 @@ class Functional:
     layout : Layout
     evaluation : how gradient and Hessian are evaluated at the points: "single", quick to build; "batched", several
         in a call; or "compiled" in C
-
-    Attributes
-    ----------
-    symbols : unknowns ξ, start, end, mesh and, if the integrand has some, parameters, by name
-    u : the layout's vector
     """
 
     def __init__(self, integrand: ca.Function, layout: Layout, evaluation: Evaluation = "batched") -> None:
@@ -182,16 +178,25 @@ class Functional:
             compiler()  # a missing one is reported before anything is built
         elif layout.points >= MANY:
             evaluation = "batched"
-        path = embedded(layout)
-        self.pointwise, self.layout, self.evaluation = pointwise(integrand), path.layout, evaluation
-        self.symbols, self.u, self._at = dict(path.symbols), path.u, list(path.points)
-        self._shared: tuple[int, ...] = ()
-        if integrand.n_in() == 4:
-            self.symbols["parameters"] = ca.MX.sym("parameters", integrand.size1_in(3))
-            self._shared = (len(self._at),)
-            self._at.append(self.symbols["parameters"])
+        self.pointwise, self.layout, self.evaluation = pointwise(integrand), kept(layout), evaluation
+        self._shared = (4,) if integrand.n_in() == 4 else ()  # after t, h, x and x' the parameters
+        self._parameters = [ca.MX.sym("parameters", integrand.size1_in(3))] if self._shared else []
         pattern = self.pointwise.pattern
-        self.pattern_key = (path.layout, tuple(pattern.colind()), tuple(pattern.row()))
+        self.pattern_key = (self.layout, tuple(pattern.colind()), tuple(pattern.row()))
+
+    @property
+    def symbols(self) -> dict[str, ca.MX]:
+        """Unknowns ξ, start, end, mesh and, if the integrand has some, parameters, by name."""
+        return embedded(self.layout).symbols | {symbol.name(): symbol for symbol in self._parameters}
+
+    @property
+    def u(self) -> ca.MX:
+        """The layout's vector."""
+        return embedded(self.layout).u
+
+    @property
+    def _at(self) -> list[ca.MX]:
+        return [*embedded(self.layout).points, *self._parameters]
 
     def mapped(self, name: str) -> ca.Function:
         """A pointwise Function, "first", "derivatives" or "whole", over all quadrature points."""
@@ -215,7 +220,10 @@ class Functional:
 
     def first(self) -> list[ca.MX]:
         """S, momenta at the joints, ∇S with respect to the free values ξ, and sizes of the terms that it sums."""
-        return list(first_variation(self.layout).call(self._at_points("first")))
+        f, by_x, by_slope = self._at_points("first")
+        gradient = integration(self.layout)(by_x, by_slope)
+        momenta, terms = boundary_terms(self.layout)(by_x, by_slope)
+        return [summation(self.layout)(f), momenta, gradient, terms]
 
     def derivatives(self) -> tuple[ca.MX, ca.MX]:
         """∇²S and ∇S with respect to the free values ξ, in one go through the points."""
@@ -249,7 +257,7 @@ class Functional:
     def curvature(self, direction: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Second variation yᵀ∇²S y along y = `direction`, and the same with every term taken positive."""
         fixed = ca.MX.zeros(self.layout.size - self.layout.free, 1)
-        y, slope = embedding(self.layout).call([ca.vertcat(direction, fixed), self.symbols["mesh"]])[2:]
+        y, slope = embedding(self.layout).call([ca.vertcat(direction, fixed)])
         mapped = _over(self.pointwise.curvature, self.layout.points, self._shared)
         signed, positive = mapped.call([*self._at, ca.vertcat(y, slope)])
         return summation(self.layout)(signed), summation(self.layout)(positive)

@@ -120,20 +120,29 @@ def _contributions(target: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]
 
 
 @lru_cache(LAYOUTS_KEPT)
+def kept(layout: Layout) -> Layout:
+    """The first layout that was equal to this one, with what it has found out."""
+    return layout
+
+
+def clock(layout: Layout, mesh: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times t and steps h at the quadrature points, (N r,) each."""
+    points, steps = layout.method.element.points, np.diff(mesh)
+    return (mesh[:-1] + np.multiply.outer(points, steps)).ravel(), np.tile(steps, len(points))
+
+
+@lru_cache(LAYOUTS_KEPT)
 def embedding(layout: Layout) -> ca.Function:
-    """E: (u, mesh) -> t (1, N r), h (1, N r), x (d, N r), x' (d, N r) at the quadrature points."""
+    """E: u -> x (d, N r), x' (d, N r) at the quadrature points."""
     element, n, d = layout.method.element, layout.intervals, layout.dimension
-    r, nodes = len(element.points), layout.method.degree + 1
-    u, mesh = ca.MX.sym("u", layout.size), ca.MX.sym("mesh", n + 1)
-    local = ca.reshape(u.get_nz(False, layout.local.ravel().tolist()), d * n, nodes)
-    first = local[:, 0]
-    differences = local[:, 1:] - ca.repmat(first, 1, nodes - 1)
-    x = ca.repmat(first, 1, r) + _times(differences, element.values[:, 1:].T)
-    slope = _times(differences, element.slopes[:, 1:].T)
-    steps = mesh[1:] - mesh[:-1]
-    t = ca.repmat(mesh[:-1], 1, r) + _times(steps, element.points[None, :])
-    outputs = [ca.reshape(t, 1, n * r), ca.repmat(steps.T, 1, r), *(ca.reshape(a, d, n * r) for a in (x, slope))]
-    return ca.Function("embedding", [u, mesh], outputs, ["u", "mesh"], ["t", "h", "x", "slope"])
+    r, m = len(element.points), layout.method.degree
+    u = ca.MX.sym("u", layout.size)
+    local = ca.reshape(u.get_nz(False, layout.local.ravel().tolist()), d * n, m + 1)
+    first, others = ca.horzsplit(local, [0, 1, m + 1])
+    basis = np.vstack((element.values[:, 1:], element.slopes[:, 1:]))
+    change, slope = ca.horzsplit(_times(others - ca.repmat(first, 1, m), basis.T), [0, r, 2 * r])
+    outputs = [ca.reshape(a, d, n * r) for a in (ca.repmat(first, 1, r) + change, slope)]
+    return ca.Function("embedding", [u], outputs, ["u"], ["x", "slope"])
 
 
 @dataclass(frozen=True)
@@ -142,13 +151,11 @@ class Embedded:
 
     Attributes
     ----------
-    layout : Layout
     symbols : unknowns, start, end and mesh by name
     u : the layout's vector, of the first three
     points : t (1, N r), h (1, N r), x (d, N r), x' (d, N r)
     """
 
-    layout: Layout
     symbols: dict[str, ca.MX]
     u: ca.MX
     points: list[ca.MX]
@@ -157,35 +164,30 @@ class Embedded:
 @lru_cache(LAYOUTS_KEPT)
 def embedded(layout: Layout) -> Embedded:
     """Embed the symbols of a layout."""
-    sizes = (layout.free, len(layout.fixed_start), len(layout.fixed_end), layout.intervals + 1)
+    n, points = layout.intervals, layout.method.element.points
+    sizes = (layout.free, len(layout.fixed_start), len(layout.fixed_end), n + 1)
     symbols = {
         name: ca.MX.sym(name, size) for name, size in zip(("unknowns", "start", "end", "mesh"), sizes, strict=True)
     }
     *values, mesh = symbols.values()
-    u = ca.vertcat(*values)
-    return Embedded(layout, symbols, u, list(embedding(layout).call([u, mesh])))
+    u, steps = ca.vertcat(*values), mesh[1:] - mesh[:-1]
+    t = ca.repmat(mesh[:-1], 1, len(points)) + _times(steps, points[None, :])
+    times = [ca.reshape(t, 1, layout.points), ca.repmat(steps.T, 1, len(points))]
+    return Embedded(symbols, u, [*times, *embedding(layout).call([u])])
 
 
-def _integrated(layout: Layout, fx: ca.MX, fv: ca.MX, absolute: bool = False) -> tuple[ca.MX, ca.MX]:
-    """Eᵀ as expressions: local sums (d N, m + 1), and their sum by unknown.
+def _side_by_side(layout: Layout, *values: ca.MX) -> ca.MX:
+    """Values (rows, N r) each -> (rows N, r), one beside the other."""
+    return ca.horzcat(*(ca.reshape(a, a.shape[0] * layout.intervals, -1) for a in values))
 
-    With `absolute`, every constant is taken positive: applied to sizes it bounds the terms that were summed.
-    """
-    element, n, d = layout.method.element, layout.intervals, layout.dimension
-    x, v = (ca.reshape(a, d * n, -1) for a in (fx, fv))
-    weights = element.weights[:, None]
-    values, slopes = weights * element.values, weights * element.slopes
-    if absolute:
-        local = _times(x, np.abs(values)) + _times(v, np.abs(slopes))
-    else:
-        others = _times(x, values[:, 1:]) + _times(v, slopes[:, 1:])
-        local = ca.horzcat(_times(x, weights) - ca.sum2(others), others)
-    entries, total, target = ca.vec(local), ca.MX(layout.free, 1), layout.local.ravel()
-    unknown = np.flatnonzero(target < layout.free)
-    for positions, targets in _contributions(target[unknown]):
-        sparsity = ca.Sparsity(layout.free, 1, [0, len(targets)], targets.tolist())
-        total = total + ca.MX(sparsity, entries.get_nz(False, unknown[positions].tolist()))
-    return local, ca.densify(total)
+
+def _gathered(layout: Layout, local: ca.MX) -> ca.MX:
+    """Sums by unknown of local values (d N, m + 1)."""
+    target = layout.local.ravel()
+    entries = np.flatnonzero(target < layout.free)
+    rows, columns = target[entries].tolist(), entries.tolist()
+    selection = ca.DM(ca.Sparsity.triplet(layout.free, len(target), rows, columns), 1.0)
+    return ca.mtimes(ca.MX(selection), ca.vec(local))
 
 
 def _slopes(layout: Layout) -> list[ca.MX]:
@@ -196,36 +198,37 @@ def _slopes(layout: Layout) -> list[ca.MX]:
 @lru_cache(LAYOUTS_KEPT)
 def integration(layout: Layout) -> ca.Function:
     """Eᵀ: values fx, fv (d, N r) that multiply x and x' -> their sum by unknown."""
-    inputs = _slopes(layout)
-    return ca.Function("integration", inputs, [_integrated(layout, *inputs)[1]], ["fx", "fv"], ["gradient"])
-
-
-def _summed(layout: Layout, f: ca.MX) -> ca.MX:
-    """∫ f Δ_w t on the reference interval, summed: values (1, N r), step included -> scalar."""
-    return ca.sum1(_times(ca.reshape(f, layout.intervals, -1), layout.method.element.weights[:, None]))
+    element, (fx, fv) = layout.method.element, _slopes(layout)
+    w, r = element.weights[:, None], len(element.points)
+    both = _side_by_side(layout, fx, fv)
+    others = _times(both, np.vstack((w * element.values[:, 1:], w * element.slopes[:, 1:])))
+    first = _times(both[:, :r], w) - ca.sum2(others)
+    total = _gathered(layout, ca.horzcat(first, others))
+    return ca.Function("integration", [fx, fv], [total], ["fx", "fv"], ["gradient"])
 
 
 @lru_cache(LAYOUTS_KEPT)
 def summation(layout: Layout) -> ca.Function:
     """∫ f Δ_w t on the reference interval, summed: values (1, N r), step included -> scalar."""
     f = ca.MX.sym("f", 1, layout.points)
-    return ca.Function("summation", [f], [_summed(layout, f)], ["f"], ["action"])
+    total = ca.sum1(_times(_side_by_side(layout, f), layout.method.element.weights[:, None]))
+    return ca.Function("summation", [f], [total], ["f"], ["action"])
 
 
 @lru_cache(LAYOUTS_KEPT)
-def first_variation(layout: Layout) -> ca.Function:
-    """From an integrand (1, N r) and its gradient fx, fv (d, N r): S, momenta, ∇S by unknown, sizes of its terms.
+def boundary_terms(layout: Layout) -> ca.Function:
+    """From the gradient fx, fv (d, N r) of an integrand: momenta, and sizes of the terms that ∇S sums by unknown.
 
     Momenta (d, N + 1) are -∂S/∂x_0 at the first joint and ∂S_k/∂x_{k+1}, of interval k, at the others.  The
     roundoff of a sum is a few eps of the sum of the sizes of its terms.
     """
-    f, (fx, fv) = ca.MX.sym("f", 1, layout.points), _slopes(layout)
-    local, total = _integrated(layout, fx, fv)
-    terms = _integrated(layout, ca.fabs(fx), ca.fabs(fv), absolute=True)[1]
-    d = layout.dimension
-    momenta = ca.horzcat(-local[:d, 0], ca.reshape(local[:, -1], d, layout.intervals))
-    results = [_summed(layout, f), momenta, total, terms]
-    return ca.Function("first", [f, fx, fv], results, ["f", "fx", "fv"], ["action", "momentum", "gradient", "terms"])
+    element, d, (fx, fv) = layout.method.element, layout.dimension, _slopes(layout)
+    w = element.weights[:, None]
+    both, basis = _side_by_side(layout, fx, fv), np.vstack((w * element.values, w * element.slopes))
+    first, last = ca.horzsplit(_times(both, basis[:, [0, -1]]))
+    momenta = ca.horzcat(-first[:d], ca.reshape(last, d, layout.intervals))
+    terms = _gathered(layout, _times(ca.fabs(both), np.abs(basis)))
+    return ca.Function("boundary_terms", [fx, fv], [momenta, terms], ["fx", "fv"], ["momentum", "terms"])
 
 
 @lru_cache(LAYOUTS_KEPT)
@@ -245,14 +248,13 @@ def assembly(
 
     Only cells of node pairs (a, b) with a >= b are computed; the others are their transposes.
     """
-    element, n = layout.method.element, layout.intervals
-    a, b = (index.tolist() for index in np.tril_indices(layout.method.degree + 1))
-    basis = [ca.DM(element.values), ca.DM(element.slopes)]
-    weights = ca.repmat(ca.DM(element.weights), 1, len(a))
-    products = ca.vertcat(*(weights * basis[i][:, a] * basis[j][:, b] for i, j in blocks))
+    element, (a, b) = layout.method.element, np.tril_indices(layout.method.degree + 1)
+    basis, weights = (element.values, element.slopes), element.weights[:, None]
+    products = np.vstack([weights * basis[i][:, a] * basis[j][:, b] for i, j in blocks])
     inputs = [ca.MX.sym(f"block{i}{j}", len(row), layout.points) for i, j in blocks]
-    stacked = ca.horzcat(*(ca.reshape(values, len(row) * n, -1) for values in inputs))
-    entries = ca.vec(_times(stacked, products))  # node pair slowest, then interval, then entry of the pattern
+    entries = ca.vec(
+        _times(_side_by_side(layout, *inputs), products)
+    )  # node pair slowest, then interval, then entry of the pattern
     pattern = hessian_pattern(layout, colind, row)
     values = entries.get_nz(False, pattern.first.tolist())
     for positions, places in pattern.others:  # in the joints; in place, where sums of matrices would copy all of them

@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.operators import Layout, assembly, embedding, first_variation, integration, summation
+from casadi_galerkin.operators import Layout, assembly, boundary_terms, clock, embedding, integration, summation
 
 
 class Evaluator:
@@ -66,8 +66,16 @@ class Workspace:
 
     def __init__(self, layout: Layout, colind: tuple[int, ...], row: tuple[int, ...]) -> None:
         self._layout, self._pattern = layout, (colind, row)
-        self.arrays: dict[str, np.ndarray] = {}
+        self.arrays = {name: np.zeros(layout.points) for name in ("t", "h")}
+        self._mesh = b""
         self._kept: dict[object, Evaluator] = {}
+
+    def set(self, mesh: np.ndarray) -> None:
+        """Put times and steps at the points in place, arrays t and h."""
+        values = mesh.tobytes()  # compared in a tenth of the time that array_equal takes
+        if values != self._mesh:
+            self._mesh = values
+            self.arrays["t"][:], self.arrays["h"][:] = clock(self._layout, mesh)
 
     def stage(self, function: ca.Function) -> Evaluator:
         """Bind inputs and outputs of a Function to the arrays of their names, but parameters p, which are passed."""
@@ -83,7 +91,7 @@ class Workspace:
         return self._kept[key]
 
     def embed(self) -> Evaluator:
-        """(u, mesh) -> (t, h, x, slope)."""
+        """Vector u -> (x, slope)."""
         return self._keep("embed", lambda: embedding(self._layout))
 
     def integrate(self) -> Evaluator:
@@ -95,8 +103,8 @@ class Workspace:
         return self._keep("sum", lambda: summation(self._layout))
 
     def vary(self) -> Evaluator:
-        """(f, fx, fv) -> (action, momentum, gradient, terms)."""
-        return self._keep("vary", lambda: first_variation(self._layout))
+        """(fx, fv) -> (momentum, terms)."""
+        return self._keep("vary", lambda: boundary_terms(self._layout))
 
     def assemble(self, blocks: tuple[tuple[int, int], ...]) -> Evaluator:
         """(block00, ...) -> matrix."""
@@ -120,7 +128,7 @@ class Chain:
         self._stages = [workspace.embed(), *points, *following]
         self._runs = [stage.run for stage in self._stages]
         self._parameters = [stage.inputs for stage in points]
-        self._u, self._mesh = workspace.arrays["u"], workspace.arrays["mesh"]
+        self._u, self._set = workspace.arrays["u"], workspace.set
         self._outputs = [workspace.arrays[name] for name in outputs]
 
     def __call__(
@@ -128,7 +136,7 @@ class Chain:
     ) -> list[np.ndarray]:
         """Evaluate; the returned arrays are copies."""
         np.concatenate((unknowns, start, end), out=self._u)
-        self._mesh[:] = mesh
+        self._set(mesh)
         for targets in self._parameters:
             for target, values in zip(targets, parameters, strict=True):
                 target[:] = values

@@ -25,7 +25,7 @@ STAGED = {  # name -> pointwise Functions, what follows them, names of the resul
     "search": (("first",), ("integrate", "search"), ("excess", "simplified", "length", "bend")),
     "judged": (
         ("first", "derivatives"),
-        ("vary", "assemble", "judge"),
+        ("sum", "integrate", "vary", "assemble", "judge"),
         ("action", "momentum", "gradient", "floor", "regularity"),
     ),
 }

@@ -79,7 +79,10 @@ def arc(strength=1.0):
 def forget():
     """Drop the graphs that depend on the layout alone."""
     for kept in (
+        operators.kept,
         operators.embedding,
+        operators.embedded,
+        operators.boundary_terms,
         operators.integration,
         operators.summation,
         operators.assembly,

@@ -16,7 +16,7 @@ from scipy.linalg import lapack
 
 import casadi_galerkin as cg
 from casadi_galerkin.functional import compiled
-from casadi_galerkin.operators import embedding
+from casadi_galerkin.operators import clock, embedding
 from casadi_galerkin.stages import Evaluator
 
 SIZES, DEGREES = (100, 1000, 10_000), (2, 4, 8)
@@ -89,7 +89,7 @@ def banded(transcription, unknowns, data):
 def points(transcription, unknowns, data):
     """A callable: both derivatives at all points, compiled in C."""
     functional = transcription.functional
-    at = embedding(functional.layout)(np.concatenate((unknowns, *data[:2])), data[2])
+    at = (*clock(functional.layout, data[2]), *embedding(functional.layout)(np.concatenate((unknowns, *data[:2]))))
     loop = Evaluator(compiled(functional.pointwise.derivatives, functional.layout.points, ()))
     given = [np.array(a).ravel(order="F") for a in at]
     return lambda: loop(*given)
