@@ -77,9 +77,7 @@ class Layout:
     @cached_property
     def place(self) -> np.ndarray:
         """Where every unknown stands among the node values, component fastest; (free,)."""
-        place = np.zeros(self.size, dtype=np.int64)
-        place[self.numbering.ravel()[::-1]] = np.arange(self.numbering.size)[::-1]  # of a periodic joint the first
-        return place[: self.free]
+        return np.unique(self.numbering, return_index=True)[1][: self.free]  # of a periodic joint the first
 
     @cached_property
     def free(self) -> int:

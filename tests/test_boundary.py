@@ -142,6 +142,12 @@ def test_periodic_forcing_of_an_oscillator_has_its_exact_answer(intervals):
     assert path.momentum[0, 0] == pytest.approx(path.momentum[0, -1], abs=1e-12)
 
 
+def test_periodic_guess_that_is_not_closed_counts_with_its_first_value():
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2, (0, 1), [None], periodic=True)
+    tr = cg.transcribe(problem, cg.Galerkin(2), 3)
+    np.testing.assert_array_equal(tr.unknowns(np.arange(7.0)[:, None]), np.arange(6.0))
+
+
 def test_periodic_path_through_a_fixed_point_has_a_kink_in_momentum_there():
     """With x(0) = x(T) = 1 given, the momenta need not agree: x = cosh(t - T/2)/cosh(T/2)."""
     problem = cg.BoundaryProblem(lambda t, x, v: (v[0] ** 2 + x[0] ** 2) / 2, (0, 2.0), [1.0], periodic=True)
