@@ -188,13 +188,14 @@ class Algebra:
     def floor(self) -> ca.Function:
         """(∇²S, u, sizes of the terms of ∇S) -> roundoff floor of ∇S: eps times those and |∇²S||ξ|; |ξ|; |∇²S||ξ|.
 
-        |ξ| stands for the size of each unknown's component along the path: the rounding of ξ itself counts.
+        |ξ| stands for the size of each unknown's component along the path: the rounding of ξ itself counts.  One that
+        counts as zero is measured by `ZERO`: relative to itself, what is left of it never is at roundoff.
         """
         inputs = self._symbols("matrix", "u", "terms")
         matrix, u, terms = inputs.values()
-        scale = self._expanded(self.largest(u))
+        scale = ca.fmax(self._expanded(self.largest(u)), ZERO)
         spread = ca.mtimes(ca.fabs(matrix), scale)
-        outputs = {"floor": ca.fmax(EPS * (terms + spread), TINY), "scale": scale, "spread": spread}
+        outputs = {"floor": EPS * (terms + spread) + TINY, "scale": scale, "spread": spread}
         return self._function("floor", inputs, outputs)
 
     def judge(self) -> Evaluator:
@@ -211,7 +212,7 @@ class Algebra:
         floor, scale, spread = self.floor(matrix, u, terms)
         y = y / ca.norm_inf(y / scale)
         quotient = ca.fabs(ca.bilin(matrix, y, y)) / ca.dot(scale, spread)
-        comparable = ca.mmin(scale) >= ZERO if self.layout.free > self.layout.dimension else ca.MX(0)
+        comparable = ca.mmin(scale) > ZERO if self.layout.free > self.layout.dimension else ca.MX(0)
         return self._function("judge", inputs, {"floor": floor, "regularity": ca.if_else(comparable, quotient, 0)})
 
 

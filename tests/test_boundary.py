@@ -7,6 +7,7 @@ from scenes import BY_NAME, SCENES, TROESCH, bratu, catenoid, kepler, oscillator
 
 import casadi_galerkin as cg
 from casadi_galerkin.boundary import Transcription
+from casadi_galerkin.calculus import ZERO
 
 CLOSED_FORM = 1e-13  # relative to the largest value along the path
 # Measured roundoff where double precision does not allow 1e-13: condition numbers of the problems themselves.
@@ -146,6 +147,15 @@ def test_periodic_guess_that_is_not_closed_counts_with_its_first_value():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2, (0, 1), [None], periodic=True)
     tr = cg.transcribe(problem, cg.Galerkin(2), 3)
     np.testing.assert_array_equal(tr.unknowns(np.arange(7.0)[:, None]), np.arange(6.0))
+
+
+@pytest.mark.parametrize("degree", [1, 4, 8])
+def test_a_component_that_vanishes_is_found_from_a_guess_where_it_does_not(degree):
+    """Every Newton step takes 16 digits off what is left of it, which relative to itself never is at roundoff."""
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), [None], [None])
+    path = cg.solve(problem, cg.Galerkin(degree), 4, guess=lambda t: [np.sin(t)])
+    assert np.abs(path.path.values).max() < ZERO
+    assert path.solver == "Newton"
 
 
 def test_periodic_path_through_a_fixed_point_has_a_kink_in_momentum_there():
@@ -423,6 +433,15 @@ def test_a_curved_family_of_paths_is_refused_and_mostly_named():
         lambda t, x, v: ca.dot(v, v) / 2 - ca.dot(x, x) ** 2 / 4, (0, 5), free, free, periodic=True
     )
     assert np.count_nonzero([named(problem, *case, orbit) for case in cases]) > len(cases) / 2
+
+
+def test_a_hessian_that_is_not_a_number_is_reported_without_a_warning():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 + 100 * x[0] - 8 * ca.fabs(x[0]) ** 1.5, (0, 1), [0.0], [0.0]
+    )
+    with pytest.raises(cg.ConvergenceError, match="no path was found") as caught:
+        cg.solve(problem, cg.Galerkin(4), intervals=4)
+    assert not caught.value.residual <= 50
 
 
 def test_a_single_unknown_with_a_vanishing_second_derivative_is_named():
