@@ -15,6 +15,7 @@ from casadi_galerkin.stages import Chain, Evaluator
 
 ROUNDOFF = 50.0  # accepted residual over its roundoff floor; correct solutions were measured at 0.01 to 5
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
+AGREED = 1e-3  # part of the assembled yᵀ∇²S y that the points must find; families 7e-7 at most, regular paths 1 - 1e-5
 
 Data = tuple[np.ndarray, ...]
 STAGED = {  # name -> pointwise Functions, what follows them, names of the results
@@ -152,8 +153,10 @@ def softest(system: System, unknowns: np.ndarray, data: Data) -> tuple[np.ndarra
     """Direction of the smallest second variation relative to the sizes of its terms, and that; 0 at a conjugate point.
 
     Three inverse iterations, weighted by the sizes of the Hessian's rows, find the direction y; the pointwise sums
-    give its quotient yᵀ∇²S y / Σ |z|ᵀ|∇²L̂||z|, which does not depend on scales or on the mesh.  The Hessian at
-    `unknowns` is left in `System.algebra`.
+    give its quotient yᵀ∇²S y / Σ |z|ᵀ|∇²L̂||z|, which does not depend on scales or on the mesh.  Where a free
+    component enters L by its velocity alone, y is a constant, and its terms are roundoff of which nothing cancels:
+    the assembled Hessian then makes more of y than the points do.  The Hessian at `unknowns` is left in
+    `System.algebra`.
     """
     if len(unknowns) == 0:
         return unknowns, np.inf  # nothing can vary
@@ -161,15 +164,17 @@ def softest(system: System, unknowns: np.ndarray, data: Data) -> tuple[np.ndarra
     u = joined(unknowns, data)
     sizes, rhs = system.algebra.sizes(u), system.algebra.probe(u)
     weights = system.algebra.spread(sizes) / sizes
-    y = np.zeros(len(unknowns))
+    y = force = np.zeros(len(unknowns))
     for _ in range(3):
         (solved,) = system.solve(rhs)
         if not np.isfinite(solved).all():
             return y, 0.0  # singular to the last digit
-        y = solved / np.max(np.abs(solved / sizes))
+        largest = np.max(np.abs(solved / sizes))
+        y, force = solved / largest, rhs / largest  # ∇²S y = -force
         rhs = weights * y
     signed, positive = (float(value[0]) for value in system.evaluate("curvature", unknowns, *data, y))
-    return y, abs(signed) / positive if math.isfinite(signed) and 0 < positive < math.inf else 0.0
+    regular = math.isfinite(signed) and AGREED * abs(y @ force) < positive < math.inf
+    return y, abs(signed) / positive if regular else 0.0
 
 
 def second_variation(system: System, unknowns: np.ndarray, data: Data) -> float:

@@ -8,6 +8,7 @@ from scenes import BY_NAME, SCENES, TROESCH, bratu, catenoid, kepler, oscillator
 import casadi_galerkin as cg
 from casadi_galerkin.boundary import Transcription
 from casadi_galerkin.calculus import ZERO
+from casadi_galerkin.newton import newton
 
 CLOSED_FORM = 1e-13  # relative to the largest value along the path
 # Measured roundoff where double precision does not allow 1e-13: condition numbers of the problems themselves.
@@ -481,6 +482,16 @@ def test_a_component_that_a_symmetry_leaves_free_is_named():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [None], [None])
     with pytest.raises(cg.ConjugatePointError, match=r"family of paths|symmetry leaves"):
         cg.solve(problem, cg.Galerkin(3), intervals=4)
+
+
+@pytest.mark.parametrize(("degree", "intervals"), [(5, 26), (7, 16), (8, 20), (10, 10), (12, 12), (12, 26)])
+def test_a_free_component_that_enters_by_its_velocity_alone_is_named(degree, intervals):
+    """The smallest pivot is roundoff and no terms of the second variation cancel, so neither shows a family."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: (2 + ca.cos(x[1])) * v[0] ** 2 / 2 + v[1] ** 2 / 2, (0, 1), [None, 0.3], [None, 0.5]
+    )
+    with pytest.raises(cg.ConjugatePointError):
+        cg.solve(problem, cg.Galerkin(degree), intervals, guess=lambda t: [0.4, 0.3 + 0.1 * t], solver=newton)
 
 
 @pytest.mark.parametrize("rate", [3.52, 4.0, 10.0])
