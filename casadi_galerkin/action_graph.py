@@ -15,7 +15,7 @@ import numpy as np
 from casadi_galerkin.algebra import algebra
 from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.functional import Evaluation, Functional
-from casadi_galerkin.operators import Layout
+from casadi_galerkin.layout import Layout
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.system import System
 

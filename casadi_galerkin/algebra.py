@@ -15,7 +15,8 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus import EPS, TINY, ZERO
-from casadi_galerkin.operators import LAYOUTS_KEPT, Layout, hessian_pattern
+from casadi_galerkin.layout import LAYOUTS_KEPT, Layout
+from casadi_galerkin.operators import hessian_pattern
 from casadi_galerkin.stages import Evaluator, Workspace
 
 LOCAL = 1e-3  # part of a right-hand side that a solution may miss; below such a step, no line search is needed

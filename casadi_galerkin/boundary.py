@@ -19,8 +19,9 @@ from casadi_galerkin.functional import Evaluation
 from casadi_galerkin.guesses import Guess, given_values, mesh_of
 from casadi_galerkin.newton import Solution, SolveFailure
 from casadi_galerkin.plotting import plot_pattern
-from casadi_galerkin.problems import BoundaryProblem, components, numbers
+from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.system import SINGULAR, Data, System, joined, negative_eigenvalues, second_variation
+from casadi_galerkin.tracing import components, numbers
 from casadi_galerkin.trajectory import Trajectory
 
 if TYPE_CHECKING:

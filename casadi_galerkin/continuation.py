@@ -22,8 +22,9 @@ from casadi_galerkin.boundary import CriticalPoint, Transcription, transcribe
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial
 from casadi_galerkin.guesses import Guess
 from casadi_galerkin.newton import Solution, verified
-from casadi_galerkin.problems import BoundaryProblem, numbers
+from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.system import Data
+from casadi_galerkin.tracing import numbers
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
 FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.5, 1e-9  # of the arc length, in which the path counts by its size

@@ -15,8 +15,8 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.problems import Traceable, components, numbers, time_span, trace, trace_lagrangian
 from casadi_galerkin.quadrature import real_array
+from casadi_galerkin.tracing import Traceable, components, numbers, time_span, trace, trace_lagrangian
 
 Limit: TypeAlias = float | Sequence[float]
 Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]

@@ -6,8 +6,9 @@ import numpy as np
 
 from casadi_galerkin.action_graph import ActionGraph
 from casadi_galerkin.calculus import DiscreteCalculus, PiecewisePolynomial
+from casadi_galerkin.layout import clock
 from casadi_galerkin.newton import Solution, SolveFailure
-from casadi_galerkin.operators import clock, embedding
+from casadi_galerkin.operators import embedding
 from casadi_galerkin.system import Data, joined
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError
 

@@ -23,17 +23,8 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.operators import (
-    LAYOUTS_KEPT,
-    Layout,
-    assembly,
-    boundary_terms,
-    embedded,
-    embedding,
-    integration,
-    kept,
-    summation,
-)
+from casadi_galerkin.layout import LAYOUTS_KEPT, Layout, kept
+from casadi_galerkin.operators import assembly, boundary_terms, embedded, embedding, integration, summation
 
 BATCH, BATCH_INSTRUCTIONS = 16, 2000  # points that one call evaluates, and instructions that it may have
 MANY = 2000  # points from which batches pay within one solve: to join points takes 0.8 ms, a call 0.2 us

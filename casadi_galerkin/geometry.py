@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadi_galerkin.nodes import differentiation_matrix, lagrange_values
-from casadi_galerkin.problems import BoundaryProblem, InitialProblem, Traceable, trace
+from casadi_galerkin.problems import BoundaryProblem, InitialProblem
 from casadi_galerkin.stepping import Stepper, with_parameters
+from casadi_galerkin.tracing import Traceable, trace
 from casadi_galerkin.trajectory import Trajectory
 
 

@@ -21,7 +21,7 @@ from casadi_galerkin.boundary import Transcription, transcribe
 from casadi_galerkin.calculus import EPS, Galerkin
 from casadi_galerkin.engines import embeddable
 from casadi_galerkin.guesses import Guess
-from casadi_galerkin.operators import Layout
+from casadi_galerkin.layout import Layout
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.system import ROUNDOFF
 from casadi_galerkin.trajectory import Trajectory

@@ -13,7 +13,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.operators import Layout, assembly, boundary_terms, clock, embedding, integration, summation
+from casadi_galerkin.layout import Layout, clock
+from casadi_galerkin.operators import assembly, boundary_terms, embedding, integration, summation
 
 
 class Evaluator:

@@ -22,8 +22,9 @@ from tqdm import tqdm
 from casadi_galerkin.boundary import transcribe
 from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.guesses import mesh_of
-from casadi_galerkin.problems import BoundaryProblem, components, numbers, time_span
+from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.solve import solve
+from casadi_galerkin.tracing import components, numbers, time_span
 from casadi_galerkin.trajectory import ConvergenceError, Trajectory
 
 FIELDS = ("start", "end", "parameters", "t_span", "guess")

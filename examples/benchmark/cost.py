@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 import casadi_galerkin as cg
-from casadi_galerkin import algebra, operators, stages
+from casadi_galerkin import algebra, layout, operators, stages
 
 ECCENTRICITY, START = 0.6, (0.4, 0.0)  # from the pericentre, unit semi-major axis
 SMALL, REPEATS = 20, 15  # intervals of the small problem, runs of which the best counts
@@ -79,7 +79,7 @@ def arc(strength=1.0):
 def forget():
     """Drop the graphs that depend on the layout alone."""
     for kept in (
-        operators.kept,
+        layout.kept,
         operators.embedding,
         operators.embedded,
         operators.boundary_terms,

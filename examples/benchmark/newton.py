@@ -16,7 +16,8 @@ from scipy.linalg import lapack
 
 import casadi_galerkin as cg
 from casadi_galerkin.functional import compiled
-from casadi_galerkin.operators import clock, embedding
+from casadi_galerkin.layout import clock
+from casadi_galerkin.operators import embedding
 from casadi_galerkin.stages import Evaluator
 
 SIZES, DEGREES = (100, 1000, 10_000), (2, 4, 8)

@@ -1,0 +1,142 @@
+"""The user's callables and numbers, checked.
+
+Callables are traced once into CasADi Functions of one point; what holds these can be pickled and compared by what it
+computes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+
+Traceable: TypeAlias = Callable[..., Any]  # a casadi Function is one
+
+
+def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | None) -> ca.Function:
+    """Turn a callable of CasADi vectors into a Function with `rows` outputs.
+
+    Parameters
+    ----------
+    name : what the user calls it, for messages
+    function : callable, or a Function that was traced before
+    sizes : length of every argument, in order
+    rows : expected length of the result; 1 for a scalar, None for a vector of any length
+
+    Raises
+    ------
+    TypeError, ValueError
+        naming what came and what was expected
+    """
+    if isinstance(function, ca.Function):
+        got = [function.numel_in(i) for i in range(function.n_in())]
+        if got != list(sizes.values()) or rows not in (None, function.numel_out(0)):
+            raise ValueError(f"{name} is a Function of inputs of lengths {got}, expected {list(sizes.values())}")
+        return function
+    if not callable(function):
+        raise TypeError(f"{name} must be a callable of ({', '.join(sizes)}), got {function!r}")
+    symbols = [ca.SX.sym(key, size) for key, size in sizes.items()]
+    shapes = ", ".join(f"{key} ({size},)" if size > 1 else key for key, size in sizes.items())
+    try:
+        value = function(*symbols)
+    except Exception as error:
+        kind = TypeError if isinstance(error, TypeError) else ValueError
+        raise kind(
+            f"{name} failed when called with CasADi symbols {shapes}: {error}. "
+            "Write it with CasADi's functions, such as casadi.cos, not with math or NumPy ones"
+        ) from error
+    if isinstance(value, (list, tuple)) and rows != 1:
+        value = _column(name, value)
+    if not isinstance(value, (ca.SX, ca.DM, int, float)) or isinstance(value, bool):
+        raise TypeError(f"{name} must return a CasADi expression, got {type(value).__name__}: {value!r}")
+    value = ca.SX(value)
+    if value.shape != (value.numel() if rows is None else rows, 1):
+        expected = "a scalar" if rows == 1 else "a column vector" if rows is None else f"a vector of length {rows}"
+        raise ValueError(f"{name} must return {expected}, got shape {value.shape}")
+    traced = ca.Function(name, symbols, [ca.densify(value)], list(sizes), ["value"], {"allow_free": True})
+    if traced.has_free():
+        raise ValueError(f"{name} depends on {', '.join(traced.get_free())} besides its arguments {shapes}")
+    constants = (traced.instruction_constant(k) for k in range(traced.n_instructions()) if _is_constant(traced, k))
+    if any(math.isnan(constant) for constant in constants):  # float() of a symbol, as in math.cos(x), is NaN
+        raise TypeError(
+            f"{name} holds a constant that is not a number, as math.cos(x) gives for a CasADi symbol x. "
+            "Write it with CasADi's functions, such as casadi.cos, not with math or NumPy ones"
+        )
+    return traced
+
+
+def _column(name: str, values: Sequence[Any]) -> Any:
+    try:
+        return ca.vertcat(*values)
+    except NotImplementedError as error:
+        raise TypeError(f"{name} must return one CasADi expression a component, got {values!r}") from error
+
+
+def _is_constant(function: ca.Function, instruction: int) -> bool:
+    return bool(function.instruction_id(instruction) == ca.OP_CONST)
+
+
+def trace_lagrangian(lagrangian: Traceable, dimension: int, parameters: tuple[float, ...] | None) -> ca.Function:
+    """Trace L(t, x, v[, p]) and check that it is regular at least by structure: every v[i] must occur."""
+    sizes = {"t": 1, "x": dimension, "v": dimension} | ({} if parameters is None else {"p": len(parameters)})
+    function = trace("lagrangian", lagrangian, sizes, 1)
+    used = function.sparsity_jac(2, 0)
+    ignored = [i for i in range(dimension) if not used.has_nz(0, i)]
+    if ignored:
+        names = ", ".join(f"v[{i}]" for i in ignored)
+        raise ValueError(f"the lagrangian ignores {names}: without a velocity there is no equation of motion for it")
+    return function
+
+
+def numbers(name: str, values: Sequence[float], length: int | None = None) -> tuple[float, ...]:
+    """Check a sequence of finite numbers."""
+    checked = components(name, values, length)
+    if None in checked:
+        raise ValueError(f"{name} must be all numbers, got {values!r}")
+    return tuple(value for value in checked if value is not None)
+
+
+def components(name: str, values: Sequence[float | None], length: int | None = None) -> tuple[float | None, ...]:
+    """Check a sequence of finite numbers in which None stands for a free component."""
+    if isinstance(values, ca.DM) and values.is_vector():
+        values = values.full().ravel()
+    if isinstance(values, (str, bytes)) or not hasattr(values, "__len__") or not hasattr(values, "__getitem__"):
+        raise TypeError(f"{name} must be a sequence of numbers, one for each component, got {values!r}")
+    if isinstance(values, np.ndarray) and values.ndim != 1:
+        raise ValueError(f"{name} must be one-dimensional, got an array of shape {values.shape}")
+    if len(values) == 0 or (length is not None and len(values) != length):
+        raise ValueError(f"{name} must have {length or 'at least one'} component(s), got {len(values)}: {values!r}")
+    checked = []
+    for i in range(len(values)):
+        value = values[i]
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating, type(None))):
+            raise TypeError(f"{name}[{i}] must be a number or None, got {value!r}")
+        number = None if value is None else float(value)
+        if number is not None and not np.isfinite(number):
+            raise ValueError(f"{name}[{i}] must be finite, got {number}")
+        checked.append(number)
+    return tuple(checked)
+
+
+def time_span(value: Sequence[float]) -> tuple[float, float]:
+    """Check (t_0, t_N) with t_0 < t_N."""
+    start, end = numbers("t_span", value, 2)
+    if end <= start:
+        raise ValueError(f"t_span must increase, got ({start}, {end})")
+    return start, end
+
+
+def trace_force(force: Traceable, dimension: int, parameters: tuple[float, ...] | None) -> ca.Function:
+    """Trace F(t, x, v[, p]) -> (d,); with d = 1 a list of one force will do as well."""
+    sizes = {"t": 1, "x": dimension, "v": dimension} | ({} if parameters is None else {"p": len(parameters)})
+    if not callable(force) or isinstance(force, ca.Function):
+        return trace("force", force, sizes, dimension)
+
+    def column(*arguments: ca.SX) -> Any:
+        value = force(*arguments)
+        return ca.vertcat(*value) if isinstance(value, (list, tuple)) else value
+
+    return trace("force", column, sizes, dimension)
