@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin import threads
 from casadi_galerkin.layout import Layout, clock
 from casadi_galerkin.operators import assembly, boundary_terms, embedding, integration, summation
 
@@ -141,6 +142,12 @@ class Chain:
         for targets in self._parameters:
             for target, values in zip(targets, parameters, strict=True):
                 target[:] = values
-        for run in self._runs:
-            run()
+        several = threads.count()
+        threads.use(1)
+        try:
+            for run in self._runs:
+                run()
+        finally:
+            if several > 1:  # else another thread is at work, and will put it back
+                threads.use(several)
         return [array.copy() for array in self._outputs]

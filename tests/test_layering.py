@@ -13,6 +13,7 @@ RANKS = {
     "optimizer": 0,
     "plotting": 0,
     "quadrature": 0,
+    "threads": 0,
     "tracing": 0,
     "control_problem": 1,
     "nodes": 1,  # Lobatto control points are the points of a Lobatto rule
