@@ -59,12 +59,6 @@ class Algebra:
             self._evaluators[key] = Evaluator(build(), {"matrix": self.matrix})
         return self._evaluators[key]
 
-    def _stage(self, key: object, build: Callable[[], ca.Function]) -> Evaluator:
-        """A Function, built when first needed, with all inputs and outputs in the workspace's arrays."""
-        if key not in self._evaluators:
-            self._evaluators[key] = self.workspace.stage(build())
-        return self._evaluators[key]
-
     def _function(self, name: str, inputs: dict[str, ca.MX], outputs: dict[str, ca.MX]) -> ca.Function:
         return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))
 
@@ -126,7 +120,7 @@ class Algebra:
         The Newton step, the solution for the right-hand side of `probe`, which leans to the softest direction, what the
         unknowns are measured by, the largest step relative to that, and the excess of its defect.
         """
-        return self._stage(("step", name), partial(self._step, name))
+        return self.workspace.keep(("step", name), partial(self._step, name))
 
     def search(self, name: str = "ldl") -> Evaluator:
         """(matrix, gradient, whole, measured_by, damping) -> (simplified, length, bend, excess).
@@ -134,7 +128,7 @@ class Algebra:
         The step that follows a damped part of a whole one with the same matrix, its length, how far it is from the rest
         of the whole step, both as the largest relative to `measured_by`, and the excess of the defect.
         """
-        return self._stage(("search", name), partial(self._search, name))
+        return self.workspace.keep(("search", name), partial(self._search, name))
 
     def by_qr(self, stage: str) -> None:
         """Repeat the stage "step" or "search" by QR; its measures become NaN where there is no step."""
@@ -205,7 +199,7 @@ class Algebra:
         The roundoff floor of ∇S, and yᵀ∇²S y for y = `soft` over a bound of |y|ᵀ|∇²S||y|.  Zero or NaN tells nothing: a
         component's only unknown has but one term in the Hessian, which cannot tell whether it is small.
         """
-        return self._stage("judge", self._judge)
+        return self.workspace.keep("judge", self._judge)
 
     def _judge(self) -> ca.Function:
         inputs = self._symbols("matrix", "u", "terms", "soft")

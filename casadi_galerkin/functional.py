@@ -21,11 +21,11 @@ from functools import cached_property, lru_cache
 from typing import Literal
 
 import casadi as ca
-import numpy as np
 
 from casadi_galerkin.layout import LAYOUTS_KEPT, Layout, kept
-from casadi_galerkin.operators import assembly, boundary_terms, embedded, embedding, integration, summation
+from casadi_galerkin.operators import assembly, boundary_terms, embedded, embedding, integration, summation, timing
 
+CSE = {"cse": True}  # costs more to find than it saves, but for the Hessian: a tenth of its instructions
 BATCH, BATCH_INSTRUCTIONS = 16, 2000  # points that one call evaluates, and instructions that it may have
 MANY = 2000  # points from which batches pay within one solve: to join points takes 0.8 ms, a call 0.2 us
 
@@ -77,12 +77,12 @@ class Pointwise:
 
         Together, because a call costs as much as evaluating a small Lagrangian.
         """
-        return self._function("derivatives", {**self._slopes, **self._columns}, {"cse": True})
+        return self._function("derivatives", {**self._slopes, **self._columns}, CSE)
 
     @cached_property
     def whole(self) -> ca.Function:
         """L̂ and what `derivatives` has: for one solve, building one Function more costs more than evaluating L̂."""
-        return self._function("whole", {"f": self._value, **self._slopes, **self._columns}, {"cse": True})
+        return self._function("whole", {"f": self._value, **self._slopes, **self._columns}, CSE)
 
     @property
     def _columns(self) -> dict[str, ca.SX]:
@@ -104,7 +104,7 @@ class Pointwise:
         return ca.Function("timing", list(self._inputs.values()), [ca.densify(entry) for entry in entries])
 
     def _function(self, name: str, outputs: dict[str, ca.SX], options: dict[str, bool] | None = None) -> ca.Function:
-        inputs = self._inputs  # common subexpressions cost more to find than they save, but for the Hessian: a tenth
+        inputs = self._inputs
         return ca.Function(
             name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs), options or {}
         )
@@ -229,21 +229,9 @@ class Functional:
         return assembly(*self.pattern_key, self.pointwise.blocks).call(values)[0]
 
     def timing(self) -> tuple[ca.MX, ca.MX, ca.MX]:
-        """∂S/∂t_i, ∂²S/∂t_i² and ∂²S/∂t_i∂t_{i+1} by the joints, at fixed node values.
-
-        With the parts s of an interval from a to b, t = (1 - s) a + s b and h = b - a.
-        """
+        """∂S/∂t_i, ∂²S/∂t_i² and ∂²S/∂t_i∂t_{i+1} by the joints, at fixed node values."""
         mapped = _over(self.pointwise.timing, self.layout.points, self._shared).call(self._at)
-        by = ca.horzcat(*(ca.reshape(value, self.layout.intervals, -1) for value in mapped))
-        w, s = self.layout.method.element.weights, self.layout.method.element.points
-        zero, late, early = 0 * w, w * s, w * (1 - s)
-        by_t, by_h = [early, late, zero, zero, zero], [-w, w, zero, zero, zero]
-        by_tt = [zero, zero, early * (1 - s), early * s, late * s]
-        by_th, by_hh = [zero, zero, -2 * early, w - 2 * late, 2 * late], [zero, zero, w, -w, w]
-        sums = ca.mtimes(by, ca.DM(np.hstack([by_t, by_h, by_tt, by_th, by_hh]).T))
-        first, second, first_twice, both, second_twice = ca.horzsplit(sums)
-        slope, curvature = ca.vertcat(first, 0) + ca.vertcat(0, second), ca.vertcat(first_twice, 0)
-        return slope, curvature + ca.vertcat(0, second_twice), both
+        return timing(self.layout, *mapped)
 
     def curvature(self, direction: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Second variation yᵀ∇²S y along y = `direction`, and the same with every term taken positive."""

@@ -80,18 +80,7 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
     A short full step is accepted at once if the next one is much shorter, which needs no solution beyond the next
     iteration's own.  Where steps are long or shrink by less, full ones were measured to jump to other paths.
 
-    Parameters
-    ----------
-    system : System
-    guess : first iterate ξ
-    data : values of the other inputs of the system's Functions
-    verbose : 2 prints a line an iteration
-    limit : most iterations
-
-    Raises
-    ------
-    SolveFailure
-        if it does not come to a point that can be verified
+    Arguments and failures are those of an engine, such as `rootfinder`; `limit` is the most iterations.
     """
     at, damping = _iterate(system, guess, data), 1.0
     if not np.isfinite(at.gradient).all():

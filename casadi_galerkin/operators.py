@@ -140,6 +140,23 @@ def boundary_terms(layout: Layout) -> ca.Function:
     return ca.Function("boundary_terms", [fx, fv], [momenta, terms], ["fx", "fv"], ["momentum", "terms"])
 
 
+def timing(layout: Layout, *derivatives: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
+    """∂S/∂t_i, ∂²S/∂t_i² and ∂²S/∂t_i∂t_{i+1} by the joints, at fixed node values.
+
+    From derivatives (1, N r) of an integrand by t, h, tt, th and hh.  With the parts s of an interval from a to b,
+    t = (1 - s) a + s b and h = b - a.
+    """
+    w, s = layout.method.element.weights, layout.method.element.points
+    zero, late, early = 0 * w, w * s, w * (1 - s)
+    by_t, by_h = [early, late, zero, zero, zero], [-w, w, zero, zero, zero]
+    by_tt = [zero, zero, early * (1 - s), early * s, late * s]
+    by_th, by_hh = [zero, zero, -2 * early, w - 2 * late, 2 * late], [zero, zero, w, -w, w]
+    sums = _times(_side_by_side(layout, *derivatives), np.hstack([by_t, by_h, by_tt, by_th, by_hh]).T)
+    first, second, first_twice, both, second_twice = ca.horzsplit(sums)
+    slope, curvature = ca.vertcat(first, 0) + ca.vertcat(0, second), ca.vertcat(first_twice, 0)
+    return slope, curvature + ca.vertcat(0, second_twice), both
+
+
 @lru_cache(LAYOUTS_KEPT)
 def assembly(
     layout: Layout, colind: tuple[int, ...], row: tuple[int, ...], blocks: tuple[tuple[int, int], ...]
@@ -180,14 +197,11 @@ class Pattern:
     Attributes
     ----------
     sparsity : Sparsity, square and symmetric
-    starts, rows : the same as arrays: first entry of each column and their number, row of each entry
     first : position among the entries of all intervals of the one that starts each sum
     others : (positions, places) of those that are added to it, in rounds
     """
 
     sparsity: ca.Sparsity
-    starts: np.ndarray
-    rows: np.ndarray
     first: np.ndarray
     others: list[tuple[np.ndarray, np.ndarray]]
 
@@ -201,7 +215,7 @@ def hessian_pattern(layout: Layout, colind: tuple[int, ...], row: tuple[int, ...
     starts = np.searchsorted(columns, np.arange(layout.free + 1))
     sparsity = ca.Sparsity(layout.free, layout.free, starts.tolist(), rows.tolist())
     rounds = [(position[chosen], np.searchsorted(targets, repeated)) for chosen, repeated in others]
-    return Pattern(sparsity, starts, rows, position[first], rounds)
+    return Pattern(sparsity, position[first], rounds)
 
 
 def _hessian_entries(layout: Layout, colind: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

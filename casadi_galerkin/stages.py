@@ -87,30 +87,31 @@ class Workspace:
                     self.arrays[name] = np.zeros(size(i))
         return Evaluator(function, self.arrays)
 
-    def _keep(self, key: object, build: Callable[[], ca.Function]) -> Evaluator:
+    def keep(self, key: object, build: Callable[[], ca.Function]) -> Evaluator:
+        """Build and bind a stage when it is first asked for."""
         if key not in self._kept:
             self._kept[key] = self.stage(build())
         return self._kept[key]
 
     def embed(self) -> Evaluator:
         """Vector u -> (x, slope)."""
-        return self._keep("embed", lambda: embedding(self._layout))
+        return self.keep("embed", lambda: embedding(self._layout))
 
     def integrate(self) -> Evaluator:
         """(fx, fv) -> gradient."""
-        return self._keep("integrate", lambda: integration(self._layout))
+        return self.keep("integrate", lambda: integration(self._layout))
 
     def sum(self) -> Evaluator:
         """Values f -> action."""
-        return self._keep("sum", lambda: summation(self._layout))
+        return self.keep("sum", lambda: summation(self._layout))
 
     def vary(self) -> Evaluator:
         """(fx, fv) -> (momentum, terms)."""
-        return self._keep("vary", lambda: boundary_terms(self._layout))
+        return self.keep("vary", lambda: boundary_terms(self._layout))
 
     def assemble(self, blocks: tuple[tuple[int, int], ...]) -> Evaluator:
         """(block00, ...) -> matrix."""
-        return self._keep(blocks, lambda: assembly(self._layout, *self._pattern, blocks))
+        return self.keep(blocks, lambda: assembly(self._layout, *self._pattern, blocks))
 
 
 class Chain:

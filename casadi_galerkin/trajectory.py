@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -41,8 +41,8 @@ class ConjugatePointError(ConvergenceError):
     """The Hessian of the action is singular: the ends are conjugate, or a family of paths joins them."""
 
 
-def _known(index: int | None) -> int | None:
-    return index
+def _no_index() -> None:
+    """Steps have none."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Trajectory:
     method: Galerkin
     problem: Problem
     error_estimate: float | None = None
-    count_negative: Callable[[], int | None] = field(default=partial(_known, None), repr=False)
+    count_negative: Callable[[], int | None] = field(default=_no_index, repr=False)
 
     @cached_property
     def morse_index(self) -> int | None:
