@@ -4,7 +4,6 @@ from casadi_galerkin.boundary import Transcription as Transcription
 from casadi_galerkin.boundary import transcribe as transcribe
 from casadi_galerkin.calculus import DiscreteCalculus as DiscreteCalculus
 from casadi_galerkin.calculus import Galerkin as Galerkin
-from casadi_galerkin.calculus import PiecewisePolynomial as PiecewisePolynomial
 from casadi_galerkin.comparison import Comparison as Comparison
 from casadi_galerkin.comparison import compare as compare
 from casadi_galerkin.continuation import Branch as Branch
@@ -24,6 +23,7 @@ from casadi_galerkin.geometry import geometry as geometry
 from casadi_galerkin.nodes import chebyshev_points as chebyshev_points
 from casadi_galerkin.nodes import equispaced_points as equispaced_points
 from casadi_galerkin.nodes import lobatto_points as lobatto_points
+from casadi_galerkin.polynomial import PiecewisePolynomial as PiecewisePolynomial
 from casadi_galerkin.problems import BoundaryProblem as BoundaryProblem
 from casadi_galerkin.problems import InitialProblem as InitialProblem
 from casadi_galerkin.quadrature import Quadrature as Quadrature

@@ -11,8 +11,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.polynomial import legendre
 
-from casadi_galerkin.calculus import ZERO, Galerkin, PiecewisePolynomial
+from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.nodes import lagrange_values
+from casadi_galerkin.polynomial import PiecewisePolynomial
+from casadi_galerkin.precision import ZERO
 
 FINEST = 32.0  # an interval is split into at most this many at once
 COARSEST = 4.0  # and at most this many are merged

@@ -14,9 +14,9 @@ from functools import cached_property, lru_cache, partial
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus import EPS, TINY, ZERO
 from casadi_galerkin.layout import LAYOUTS_KEPT, Layout
 from casadi_galerkin.operators import hessian_pattern
+from casadi_galerkin.precision import EPS, TINY, ZERO
 from casadi_galerkin.stages import Evaluator, Workspace
 
 LOCAL = 1e-3  # part of a right-hand side that a solution may miss; below such a step, no line search is needed

@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.action_graph import ActionGraph
-from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial
+from casadi_galerkin.calculus import DiscreteCalculus, Galerkin
 from casadi_galerkin.diagnosis import conjugate, explained, refuse_undefined
 from casadi_galerkin.engines import rootfinder
 from casadi_galerkin.functional import Evaluation
 from casadi_galerkin.guesses import Guess, given_values, mesh_of
 from casadi_galerkin.newton import Solution, SolveFailure
 from casadi_galerkin.plotting import plot_pattern
+from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.system import SINGULAR, Data, System, joined, negative_eigenvalues, second_variation
 from casadi_galerkin.tracing import components, numbers

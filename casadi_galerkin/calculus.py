@@ -23,13 +23,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.nodes import _degree, differentiation_matrix, lagrange_values, lobatto_points
+from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.quadrature import Quadrature, gauss, real_array
 
 LEBESGUE_WARNING = 50.0  # equispaced points pass it at degree 11; Lobatto points stay below 5 at degree 100
-
-EPS = float(np.finfo(float).eps)
-TINY = float(np.finfo(float).tiny)
-ZERO = 1e-150  # size below which a component counts as zero everywhere: its square, an energy, underflows
 
 
 @dataclass(frozen=True)
@@ -142,55 +139,6 @@ def time_scale(mesh: ArrayLike) -> np.ndarray:
             f"the joints of a mesh must increase, got t[{i}] = {joints[i]} and t[{i + 1}] = {joints[i + 1]}"
         )
     return joints
-
-
-class PiecewisePolynomial:
-    """A continuous path x̄ in P^m_T given by its values X̄ at all nodes.
-
-    Parameters
-    ----------
-    mesh : (N + 1,), the joints
-    nodes : (m + 1,), nodes of the reference interval, 0 and 1 among them
-    values : (d, N m + 1), values at joints and control points in the order of time
-    """
-
-    def __init__(self, mesh: np.ndarray, nodes: np.ndarray, values: np.ndarray) -> None:
-        self.mesh, self.nodes, self.values = mesh, nodes, values
-
-    @property
-    def local(self) -> np.ndarray:
-        """Values at the nodes of every interval, (d, N, m + 1)."""
-        m = len(self.nodes) - 1
-        return np.asarray(self.values[:, m * np.arange(len(self.mesh) - 1)[:, None] + np.arange(m + 1)])
-
-    def at(self, nodes: np.ndarray) -> np.ndarray:
-        """Node values (d, N m' + 1) on the same mesh with other nodes: no times, so no roundoff of theirs."""
-        inner = self.local @ lagrange_values(self.nodes, nodes[:-1]).T
-        return np.concatenate((inner.reshape(len(self.values), -1), self.values[:, -1:]), axis=1)
-
-    def __call__(self, t: ArrayLike, nu: int = 0) -> np.ndarray:
-        """Value, or derivative of order `nu`, at times t within the mesh; shape (d,) + t.shape.
-
-        At a joint the derivative is the right one, at the last joint the left one.
-        """
-        if isinstance(nu, bool) or not isinstance(nu, (int, np.integer)) or nu < 0:
-            raise ValueError(f"nu must be a whole number from 0 on, got {nu!r}")
-        times = real_array("times", t)
-        flat = times.ravel()
-        slack = 1e-12 * (self.mesh[-1] - self.mesh[0])
-        if np.any(~((flat >= self.mesh[0] - slack) & (flat <= self.mesh[-1] + slack))):
-            raise ValueError(f"times must lie within [{self.mesh[0]}, {self.mesh[-1]}], got {t!r}")
-        m = len(self.nodes) - 1
-        steps = np.diff(self.mesh)
-        i = np.clip(np.searchsorted(self.mesh, flat, side="right") - 1, 0, len(steps) - 1)
-        basis = lagrange_values(self.nodes, np.clip((flat - self.mesh[i]) / steps[i], 0.0, 1.0))
-        if nu:
-            slopes = np.linalg.matrix_power(differentiation_matrix(self.nodes), nu)
-            basis = basis @ slopes / steps[i, None] ** nu
-        local = self.values[:, i[:, None] * m + np.arange(m + 1)]
-        if nu:  # a derivative does not see a constant; without it the roundoff is that of the differences
-            local = local - local[:, :, :1]
-        return np.asarray(np.einsum("dkj,kj->dk", local, basis).reshape((len(self.values), *times.shape)))
 
 
 class DiscreteCalculus:

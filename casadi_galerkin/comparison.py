@@ -24,10 +24,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary import transcribe
-from casadi_galerkin.calculus import EPS, Galerkin
+from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.geometry import jacobians
 from casadi_galerkin.interval import NO_CUTOFF
 from casadi_galerkin.plotting import plot_gaps
+from casadi_galerkin.precision import EPS
 from casadi_galerkin.problems import BoundaryProblem, InitialProblem
 from casadi_galerkin.shooting import chain, shoot
 from casadi_galerkin.solve import solve

@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary import CriticalPoint, Transcription, transcribe
-from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial
+from casadi_galerkin.calculus import DiscreteCalculus, Galerkin
 from casadi_galerkin.guesses import Guess
 from casadi_galerkin.newton import Solution, verified
+from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.system import Data
 from casadi_galerkin.tracing import numbers

@@ -13,7 +13,7 @@ import time
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus import EPS, DiscreteCalculus, Galerkin
+from casadi_galerkin.calculus import DiscreteCalculus, Galerkin
 from casadi_galerkin.control_graph import ControlGraph, Report
 from casadi_galerkin.control_guess import check_finite, first_values
 from casadi_galerkin.control_layout import ControlLayout
@@ -22,6 +22,7 @@ from casadi_galerkin.control_report import limits_of, name_equation, name_unknow
 from casadi_galerkin.control_trajectory import ControlPath, ControlTrajectory
 from casadi_galerkin.guesses import Guess, mesh_of
 from casadi_galerkin.optimizer import Optimum, Program, interior_point, optimize
+from casadi_galerkin.precision import EPS
 from casadi_galerkin.trajectory import ConvergenceError
 
 FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10

@@ -11,10 +11,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus import PiecewisePolynomial
 from casadi_galerkin.control_problem import ControlProblem
 from casadi_galerkin.nodes import lagrange_values
 from casadi_galerkin.plotting import panels, plot_controls, plot_path
+from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.quadrature import gauss
 from casadi_galerkin.trajectory import Trajectory
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from casadi_galerkin.action_graph import ActionGraph
-from casadi_galerkin.calculus import DiscreteCalculus, PiecewisePolynomial
+from casadi_galerkin.calculus import DiscreteCalculus
 from casadi_galerkin.layout import clock
 from casadi_galerkin.newton import Solution, SolveFailure
 from casadi_galerkin.operators import embedding
+from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.system import Data, joined
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError
 

@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus import DiscreteCalculus, PiecewisePolynomial, time_scale
+from casadi_galerkin.calculus import DiscreteCalculus, time_scale
+from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.quadrature import real_array
 from casadi_galerkin.trajectory import Trajectory
 

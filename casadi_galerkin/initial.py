@@ -7,7 +7,9 @@ import time
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus import EPS, Galerkin, PiecewisePolynomial
+from casadi_galerkin.calculus import Galerkin
+from casadi_galerkin.polynomial import PiecewisePolynomial
+from casadi_galerkin.precision import EPS
 from casadi_galerkin.problems import BoundaryProblem, InitialProblem
 from casadi_galerkin.stepping import Roll, Stepper, with_parameters
 from casadi_galerkin.system import ROUNDOFF

@@ -22,8 +22,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus import EPS, TINY, Galerkin
+from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.nodes import differentiation_matrix, lagrange_values
+from casadi_galerkin.precision import EPS, TINY
 from casadi_galerkin.quadrature import gauss
 
 DOUBLINGS = 4  # of Newton's iterations, to at most 16; 1 to 8 were measured, the most at the largest steps

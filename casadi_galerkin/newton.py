@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from casadi_galerkin.algebra import LOCAL
-from casadi_galerkin.calculus import EPS, TINY
+from casadi_galerkin.precision import EPS, TINY
 from casadi_galerkin.system import ROUNDOFF, SINGULAR, Data, System, second_variation, softest
 
 NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff

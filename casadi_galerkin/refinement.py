@@ -34,11 +34,12 @@ from casadi_galerkin.adaptivity import (
     truncation,
 )
 from casadi_galerkin.boundary import CriticalPoint, Engine, Transcription
-from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, PiecewisePolynomial
+from casadi_galerkin.calculus import DiscreteCalculus, Galerkin
 from casadi_galerkin.engines import rootfinder
 from casadi_galerkin.functional import Evaluation
 from casadi_galerkin.guesses import Guess, mesh_of
 from casadi_galerkin.newton import newton
+from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.relaxation import relaxed
 from casadi_galerkin.trajectory import ConvergenceError, Trajectory

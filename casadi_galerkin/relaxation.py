@@ -18,7 +18,7 @@ import numpy as np
 
 from casadi_galerkin.adaptivity import equidistributed, truncation
 from casadi_galerkin.boundary import Transcription
-from casadi_galerkin.calculus import PiecewisePolynomial
+from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.system import joined
 from casadi_galerkin.trajectory import ConvergenceError
 

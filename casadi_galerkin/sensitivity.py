@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary import Transcription, transcribe
-from casadi_galerkin.calculus import EPS, Galerkin
+from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.engines import embeddable
 from casadi_galerkin.guesses import Guess
 from casadi_galerkin.layout import Layout
+from casadi_galerkin.precision import EPS
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.system import ROUNDOFF
 from casadi_galerkin.trajectory import Trajectory

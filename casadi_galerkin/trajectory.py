@@ -11,8 +11,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus import Galerkin, PiecewisePolynomial
+from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.plotting import FRAMES_A_SECOND, animate_linkage, plot_path, plot_phase
+from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.problems import Problem
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from scenes import BY_NAME, SCENES, TROESCH, bratu, catenoid, kepler, oscillator
 
 import casadi_galerkin as cg
 from casadi_galerkin.boundary import Transcription
-from casadi_galerkin.calculus import ZERO
 from casadi_galerkin.newton import newton
+from casadi_galerkin.precision import ZERO
 
 CLOSED_FORM = 1e-13  # relative to the largest value along the path
 # Measured roundoff where double precision does not allow 1e-13: condition numbers of the problems themselves.
