@@ -39,7 +39,7 @@ class ActionGraph:
     """
 
     def __init__(
-        self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, evaluation: Evaluation = "batched"
+        self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, evaluation: Evaluation = "vectorised"
     ) -> None:
         began = time.perf_counter()
         self.problem, self.method, self.mesh = problem, method, mesh

@@ -293,7 +293,7 @@ def transcribe(
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     jit : compile gradient and Hessian in C: 0.3 s each, then 2 to 6 times faster at the points; needs a C compiler
     """
-    return transcribed(problem, method, intervals, mesh, "compiled" if jit else "batched")
+    return transcribed(problem, method, intervals, mesh, "compiled" if jit else "vectorised")
 
 
 def transcribed(

@@ -14,22 +14,25 @@ through the graph.  E, Eᵀ and Eᵀ blockdiag(·) E are the `operators` of the 
 
 from __future__ import annotations
 
-import os
-import shutil
-import tempfile
+from collections.abc import Callable
 from functools import cached_property, lru_cache
 from typing import Literal
 
 import casadi as ca
 
 from casadi_galerkin.layout import LAYOUTS_KEPT, Layout, kept
+from casadi_galerkin.mapping import compiled, compiler, mapped, vectorised
 from casadi_galerkin.operators import assembly, boundary_terms, embedded, embedding, integration, summation, timing
 
 CSE = {"cse": True}  # costs more to find than it saves, but for the Hessian: a tenth of its instructions
-BATCH, BATCH_INSTRUCTIONS = 16, 2000  # points that one call evaluates, and instructions that it may have
-MANY = 2000  # points from which batches pay within one solve: to join points takes 0.8 ms, a call 0.2 us
+MANY = 1000  # points from which rows pay within one solve: they take some 25 us an instruction to build
 
-Evaluation = Literal["single", "batched", "compiled"]
+Evaluation = Literal["single", "vectorised", "compiled"]
+OVER: dict[Evaluation, Callable[[ca.Function, int, tuple[int, ...]], ca.Function]] = {
+    "single": mapped,
+    "vectorised": vectorised,
+    "compiled": compiled,
+}
 
 
 class Pointwise:
@@ -116,43 +119,6 @@ def pointwise(integrand: ca.Function) -> Pointwise:
     return Pointwise(integrand)
 
 
-def _over(f: ca.Function, count: int, shared: tuple[int, ...], how: str = "serial") -> ca.Function:
-    """Map a Function over points; inputs in `shared` are the same at all of them, and cost a wrapper."""
-    return f.map(f.name(), how, count, list(shared), []) if shared else f.map(count, how)
-
-
-@lru_cache(4 * LAYOUTS_KEPT)
-def batched(f: ca.Function, count: int, shared: tuple[int, ...]) -> tuple[ca.Function, int]:
-    """Join a pointwise Function with itself at several points, for at most `count` points that these divide.
-
-    A call costs 0.2 us, as much as a small Lagrangian: at 16 points a call, evaluating a pendulum's derivatives was
-    measured 3 times faster, those of 6 coupled masses 1.3 times.  Inputs in `shared` are the same at all points.
-    """
-    most = min(BATCH, max(1, BATCH_INSTRUCTIONS // f.n_instructions()))
-    size = max(k for k in range(1, most + 1) if count % k == 0)
-    if size == 1:
-        return f, 1
-    return _over(f, size, shared, "unroll").expand(), size
-
-
-def compiler() -> str:
-    """Path of the C compiler."""
-    path = shutil.which("gcc") or shutil.which("cc")
-    if path is None:
-        raise ValueError("jit=True needs a C compiler, gcc or cc, on the path; none was found")
-    return path
-
-
-@lru_cache(LAYOUTS_KEPT)
-def compiled(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Function:
-    """Map a pointwise Function over `count` points and compile the loop in C: 0.3 s, then 2 to 6 times faster."""
-    inputs = [ca.MX.sym(f.name_in(i), f.size1_in(i), 1 if i in shared else count) for i in range(f.n_in())]
-    flags = {"compiler": compiler(), "flags": ["-O3", "-march=native"], "directory": tempfile.gettempdir() + os.sep}
-    options = {"jit": True, "compiler": "shell", "jit_options": flags}
-    outputs = _over(f, count, shared).call(inputs)
-    return ca.Function(f.name(), inputs, outputs, f.name_in(), f.name_out(), options)
-
-
 class Functional:
     """The discrete functional of an integrand, as expressions in the symbols of a layout and of parameters.
 
@@ -160,15 +126,15 @@ class Functional:
     ----------
     integrand : Function (t, x, v[, p]) -> scalar
     layout : Layout
-    evaluation : how gradient and Hessian are evaluated at the points: "single", quick to build; "batched", several
-        in a call; or "compiled" in C
+    evaluation : how gradient and Hessian are evaluated at the points: "single", quick to build; "vectorised", by
+        instruction; or "compiled" in C
     """
 
-    def __init__(self, integrand: ca.Function, layout: Layout, evaluation: Evaluation = "batched") -> None:
+    def __init__(self, integrand: ca.Function, layout: Layout, evaluation: Evaluation = "vectorised") -> None:
         if evaluation == "compiled":
             compiler()  # a missing one is reported before anything is built
         elif layout.points >= MANY:
-            evaluation = "batched"
+            evaluation = "vectorised"
         self.pointwise, self.layout, self.evaluation = pointwise(integrand), kept(layout), evaluation
         self._shared = (4,) if integrand.n_in() == 4 else ()  # after t, h, x and x' the parameters
         self._parameters = [ca.MX.sym("parameters", integrand.size1_in(3))] if self._shared else []
@@ -191,12 +157,7 @@ class Functional:
 
     def mapped(self, name: str) -> ca.Function:
         """A pointwise Function, "first", "derivatives" or "whole", over all quadrature points."""
-        f: ca.Function = getattr(self.pointwise, name)
-        shared, count = self._shared, self.layout.points
-        if self.evaluation == "compiled":
-            return compiled(f, count, shared)
-        f, size = batched(f, count, shared) if self.evaluation == "batched" else (f, 1)
-        return _over(f, count // size, shared)
+        return OVER[self.evaluation](getattr(self.pointwise, name), self.layout.points, self._shared)
 
     def _at_points(self, name: str) -> list[ca.MX]:
         return list(self.mapped(name).call(self._at))
@@ -230,13 +191,13 @@ class Functional:
 
     def timing(self) -> tuple[ca.MX, ca.MX, ca.MX]:
         """∂S/∂t_i, ∂²S/∂t_i² and ∂²S/∂t_i∂t_{i+1} by the joints, at fixed node values."""
-        mapped = _over(self.pointwise.timing, self.layout.points, self._shared).call(self._at)
-        return timing(self.layout, *mapped)
+        at_points = mapped(self.pointwise.timing, self.layout.points, self._shared).call(self._at)
+        return timing(self.layout, *at_points)
 
     def curvature(self, direction: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Second variation yᵀ∇²S y along y = `direction`, and the same with every term taken positive."""
         fixed = ca.MX.zeros(self.layout.size - self.layout.free, 1)
         y, slope = embedding(self.layout).call([ca.vertcat(direction, fixed)])
-        mapped = _over(self.pointwise.curvature, self.layout.points, self._shared)
-        signed, positive = mapped.call([*self._at, ca.vertcat(y, slope)])
+        at_points = mapped(self.pointwise.curvature, self.layout.points, self._shared)
+        signed, positive = at_points.call([*self._at, ca.vertcat(y, slope)])
         return summation(self.layout)(signed), summation(self.layout)(positive)

@@ -141,7 +141,7 @@ class Refinement:
 
     def relaxed(self, mesh: np.ndarray, guess: Guess | None, leap: float) -> CriticalPoint:
         """Relax a guess until Newton's method takes over."""
-        transcribed = partial(self.transcription, of_degree(RELAXATION_DEGREE), evaluation="batched")
+        transcribed = partial(self.transcription, of_degree(RELAXATION_DEGREE), evaluation="vectorised")
         path = transcribed(mesh).drawn(guess, mesh)
         path = relaxed(transcribed, path, RELAXATION_TOLERANCE, leap, self.limits.levels, self.late)
         return self.solve(of_degree(RELAXATION_DEGREE), path.mesh, path, following)

@@ -33,16 +33,3 @@ def test_jit_without_a_compiler_is_refused(monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda _: None)
     with pytest.raises(ValueError, match="needs a C compiler"):
         cg.transcribe(problem(), cg.Galerkin(3), 5, jit=True)
-
-
-@pytest.mark.parametrize("intervals", [7, 13, 16])  # 7 and 13 points cannot be joined by the same number as 16
-@pytest.mark.parametrize("parameters", [None, [1.3]])
-def test_joining_points_changes_nothing(intervals, parameters, monkeypatch):
-    joined = cg.transcribe(problem(parameters), cg.Galerkin(1), intervals).solve()
-    monkeypatch.setattr("casadi_galerkin.functional.BATCH", 1)
-    from casadi_galerkin.functional import batched
-
-    batched.cache_clear()
-    single = cg.transcribe(problem(parameters), cg.Galerkin(1), intervals).solve()
-    batched.cache_clear()
-    np.testing.assert_array_equal(joined.path.values, single.path.values)

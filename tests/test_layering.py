@@ -30,6 +30,7 @@ RANKS = {
     "control_report": 5,
     "control_trajectory": 5,
     "guesses": 5,
+    "mapping": 5,
     "operators": 5,
     "control_adaptivity": 6,
     "control_graph": 6,

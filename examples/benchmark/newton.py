@@ -15,8 +15,8 @@ import numpy as np
 from scipy.linalg import lapack
 
 import casadi_galerkin as cg
-from casadi_galerkin.functional import compiled
 from casadi_galerkin.layout import clock
+from casadi_galerkin.mapping import compiled
 from casadi_galerkin.operators import embedding
 from casadi_galerkin.stages import Evaluator
 
