@@ -37,13 +37,14 @@ class Algebra:
 
     Attributes
     ----------
-    matrix : nonzeros of ∇²S
+    gradient, matrix : ∇S, nonzeros of ∇²S
     """
 
     def __init__(self, layout: Layout, colind: tuple[int, ...], row: tuple[int, ...]) -> None:
         self.layout, self.pattern = layout, hessian_pattern(layout, colind, row)
         self.workspace = Workspace(layout, colind, row)
         self.matrix = self.workspace.arrays["matrix"] = np.zeros(self.pattern.sparsity.nnz())
+        self.gradient = self.workspace.arrays["gradient"] = np.zeros(layout.free)
         self._probe = self.workspace.arrays["probe"] = np.cos(1.0 + np.arange(layout.free))
         self.lock = threading.RLock()
         self._evaluators: dict[object, Evaluator] = {}
@@ -137,7 +138,7 @@ class Algebra:
         excess = self.workspace.arrays["excess"]
         for array in (*measures, excess):
             array[:] = np.nan  # what stays where CasADi's QR gives up
-        if np.isfinite(self.workspace.arrays["gradient"]).all():
+        if np.isfinite(self.gradient).all():
             solver.run()
         if not (excess[0] <= 0 or (math.isfinite(excess[0]) and np.any(step))):
             for array in measures:

@@ -17,11 +17,12 @@ from casadi_galerkin.diagnosis import conjugate, explained, refuse_undefined
 from casadi_galerkin.engines import rootfinder
 from casadi_galerkin.functional import Evaluation
 from casadi_galerkin.guesses import Guess, given_values, mesh_of
+from casadi_galerkin.layout import Data
 from casadi_galerkin.newton import Solution, SolveFailure
 from casadi_galerkin.plotting import plot_pattern
 from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.problems import BoundaryProblem
-from casadi_galerkin.system import SINGULAR, Data, System, joined, negative_eigenvalues, second_variation
+from casadi_galerkin.system import SINGULAR, System, joined, negative_eigenvalues, second_variation
 from casadi_galerkin.tracing import components, numbers
 from casadi_galerkin.trajectory import Trajectory
 
@@ -149,7 +150,7 @@ class Transcription(ActionGraph):
         unknowns, steps = self.unknowns(path.at(self.method.element.nodes).T), []
         with self.system.algebra.lock:
             for _ in range(2):
-                (gradient,) = self.system.evaluate("derivatives", unknowns, *data)
+                (gradient,) = self.system.evaluate("derivatives", unknowns, data)
                 steps.extend(self.system.solve(gradient))
                 unknowns = unknowns + steps[-1]
         return [calculus.emb(self.change(step)) for step in steps]

@@ -21,10 +21,10 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.boundary import CriticalPoint, Transcription, transcribe
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin
 from casadi_galerkin.guesses import Guess
+from casadi_galerkin.layout import Data
 from casadi_galerkin.newton import Solution, verified
 from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.problems import BoundaryProblem
-from casadi_galerkin.system import Data
 from casadi_galerkin.tracing import numbers
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
@@ -145,9 +145,9 @@ class Walk:
     def directions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The Newton step at fixed s, and how ξ follows s."""
         unknowns, data = z[:-1], self.data(z)
-        (rate,) = self.system.evaluate("sensitivity", unknowns, *data, self.direction)
+        (rate,) = self.system.evaluate("sensitivity", unknowns, data, self.direction)
         with self.system.algebra.lock:
-            (g,) = self.system.evaluate("derivatives", unknowns, *data)
+            (g,) = self.system.evaluate("derivatives", unknowns, data)
             newton, follow = self.system.solve(g, rate)
         return newton, follow
 

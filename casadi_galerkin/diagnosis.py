@@ -6,11 +6,11 @@ import numpy as np
 
 from casadi_galerkin.action_graph import ActionGraph
 from casadi_galerkin.calculus import DiscreteCalculus
-from casadi_galerkin.layout import clock
+from casadi_galerkin.layout import Data, clock
 from casadi_galerkin.newton import Solution, SolveFailure
 from casadi_galerkin.operators import embedding
 from casadi_galerkin.polynomial import PiecewisePolynomial
-from casadi_galerkin.system import Data, joined
+from casadi_galerkin.system import joined
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError
 
 
@@ -56,7 +56,7 @@ def conjugate(solution: Solution, path: PiecewisePolynomial, quotient: float) ->
 def explained(graph: ActionGraph, failure: SolveFailure, path: PiecewisePolynomial, data: Data) -> ConvergenceError:
     """Report what an engine failed at; `path` is its last iterate."""
     unknowns, times = failure.unknowns, DiscreteCalculus(graph.method, data[2]).node_times
-    _, _, g, floor, _ = graph.system.evaluate("judged", unknowns, *data)
+    _, _, g, floor, _ = graph.system.evaluate("judged", unknowns, data)
     residual = np.abs(g) / floor
     worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
     when = times[np.argmax((graph.layout.numbering == worst).any(axis=1))]

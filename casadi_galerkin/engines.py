@@ -19,8 +19,9 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.layout import Data
 from casadi_galerkin.newton import Solution, SolveFailure, newton
-from casadi_galerkin.system import Data, System, negative_eigenvalues
+from casadi_galerkin.system import System, negative_eigenvalues
 
 RESCUE = 100  # iterations IPOPT gets after Newton's method; rescues were measured to take 4 to 40
 NEARLY = 1e-9  # residual over the sizes of its terms from which two Newton steps reach roundoff

@@ -11,6 +11,8 @@ from casadi_galerkin.calculus import Galerkin
 
 LAYOUTS_KEPT = 8  # a graph of 1e5 intervals holds some 100 MB
 
+Data = tuple[np.ndarray, ...]  # what a path is found for: start, end, mesh and, if there are some, parameters
+
 
 @dataclass(frozen=True)
 class Layout:

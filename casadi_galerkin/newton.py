@@ -14,9 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from casadi_galerkin import threads
 from casadi_galerkin.algebra import LOCAL
+from casadi_galerkin.layout import Data
 from casadi_galerkin.precision import EPS, TINY
-from casadi_galerkin.system import ROUNDOFF, SINGULAR, Data, System, second_variation, softest
+from casadi_galerkin.system import ROUNDOFF, SINGULAR, System, second_variation, softest
 
 NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
 SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if the next one is so much shorter
@@ -61,19 +63,19 @@ class Iterate(NamedTuple):
 
     Attributes
     ----------
-    unknowns, gradient : ξ, ∇S
+    unknowns : ξ
     step : -∇²S⁻¹ ∇S
     sizes : what the unknowns are measured by
     norm : largest step relative to them; NaN where the step is not finite
     """
 
     unknowns: np.ndarray
-    gradient: np.ndarray
     step: np.ndarray
     sizes: np.ndarray
     norm: float
 
 
+@threads.single()
 def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limit: int = 200) -> Solution:
     """Newton's method with natural monotonicity line search.
 
@@ -83,7 +85,7 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
     Arguments and failures are those of an engine, such as `rootfinder`; `limit` is the most iterations.
     """
     at, damping = _iterate(system, guess, data), 1.0
-    if not np.isfinite(at.gradient).all():
+    if not (math.isfinite(at.norm) or np.isfinite(system.algebra.gradient).all()):
         raise SolveFailure("the gradient of the action is not finite at the guess", guess, 0)
     last = math.sqrt(at.norm)  # the first step is taken for one of quadratic convergence
     for iteration in range(1, limit + 1):
@@ -96,7 +98,7 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
             if solution is not None:
                 _report(iteration, at.norm, damping, verbose)
                 return solution
-            system.evaluate("derivatives", at.unknowns, *data)  # the Hessian that the step belongs to
+            system.evaluate("derivatives", at.unknowns, data)  # the Hessian that the step belongs to
         last, trial, forecast = at.norm, None, 1.0
         short = last < SHORT
         if damping == 1.0 and (short or iteration == 1):
@@ -104,7 +106,7 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
             contracts = trial.norm <= last * (CONTRACTION if short else STRONG_CONTRACTION)
             if not (contracts or (last < LOCAL and math.isfinite(trial.norm))):
                 trial = None
-                system.evaluate("derivatives", at.unknowns, *data)
+                system.evaluate("derivatives", at.unknowns, data)
         if trial is None:
             x, simplified, damping = _line_search(system, at, damping, data, iteration)
             trial = _iterate(system, x, data)
@@ -172,7 +174,7 @@ def verified(system: System, x: np.ndarray, data: Data, iterations: int, report:
 
     Its softest direction is taken from the last `System.iterate`, at x or at the iterate before it.
     """
-    (action,), momentum, gradient, floor, (regularity,) = system.evaluate("judged", x, *data)
+    (action,), momentum, gradient, floor, (regularity,) = system.evaluate("judged", x, data)
     residual = _size(gradient / floor)
     if not residual <= ROUNDOFF:
         return None

@@ -18,6 +18,7 @@ import numpy as np
 
 from casadi_galerkin.adaptivity import equidistributed, truncation
 from casadi_galerkin.boundary import Transcription
+from casadi_galerkin.layout import Data
 from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.system import joined
 from casadi_galerkin.trajectory import ConvergenceError
@@ -93,9 +94,9 @@ class Relaxation:
         self.step = np.inf
         self._action = self.action(path)
 
-    def arguments(self, path: PiecewisePolynomial) -> tuple[np.ndarray, ...]:
-        """Unknowns and data as the transcription's Functions take them."""
-        return self.transcription.unknowns(path.values.T), *self.transcription.data(path.mesh)
+    def arguments(self, path: PiecewisePolynomial) -> tuple[np.ndarray, Data]:
+        """Unknowns and data as the transcription's system takes them."""
+        return self.transcription.unknowns(path.values.T), self.transcription.data(path.mesh)
 
     def action(self, path: PiecewisePolynomial) -> float:
         """Value of the discrete action; infinite where it is not defined."""
@@ -130,7 +131,7 @@ class Relaxation:
                 (g,) = system.evaluate("derivatives", *arguments)
                 system.add_inertia(1.0 + self.inertia)
                 (step,) = system.solve(g)
-                self.step = float(np.max(np.abs(step) / system.algebra.sizes(joined(arguments[0], arguments[1:]))))
+                self.step = float(np.max(np.abs(step) / system.algebra.sizes(joined(*arguments))))
             promised = -float(g @ step)
             if np.isfinite(self.step) and self.step <= self.leap and promised >= 0:
                 if promised <= RELAXED * abs(self._action):

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin import threads
-from casadi_galerkin.layout import Layout, clock
+from casadi_galerkin.layout import Data, Layout, clock
 from casadi_galerkin.operators import assembly, boundary_terms, embedding, integration, summation
 
 
@@ -69,15 +69,21 @@ class Workspace:
     def __init__(self, layout: Layout, colind: tuple[int, ...], row: tuple[int, ...]) -> None:
         self._layout, self._pattern = layout, (colind, row)
         self.arrays = {name: np.zeros(layout.points) for name in ("t", "h")}
+        self._u = self.arrays["u"] = np.zeros(layout.size)
+        self._data: Data | None = None
         self._mesh = b""
         self._kept: dict[object, Evaluator] = {}
 
-    def set(self, mesh: np.ndarray) -> None:
-        """Put times and steps at the points in place, arrays t and h."""
-        values = mesh.tobytes()  # compared in a tenth of the time that array_equal takes
-        if values != self._mesh:
-            self._mesh = values
-            self.arrays["t"][:], self.arrays["h"][:] = clock(self._layout, mesh)
+    def place(self, unknowns: np.ndarray, data: Data) -> None:
+        """Put u, and times and steps at the points, in place: arrays u, t and h."""
+        self._u[: self._layout.free] = unknowns
+        if data is not self._data:  # the same tuple in all iterations
+            self._data = data
+            np.concatenate(data[:2], out=self._u[self._layout.free :])
+            mesh = data[2].tobytes()  # compared in a tenth of the time that array_equal takes
+            if mesh != self._mesh:
+                self._mesh = mesh
+                self.arrays["t"][:], self.arrays["h"][:] = clock(self._layout, data[2])
 
     def stage(self, function: ca.Function) -> Evaluator:
         """Bind inputs and outputs of a Function to the arrays of their names, but parameters p, which are passed."""
@@ -115,40 +121,32 @@ class Workspace:
 
 
 class Chain:
-    """Embed, evaluate pointwise, and what follows: from (ξ, start, end, mesh[, p]) to the arrays of some names.
+    """Embed, evaluate pointwise, and what follows: from ξ and (start, end, mesh[, p]) to arrays of the workspace.
 
     Parameters
     ----------
     workspace : Workspace
     points : pointwise Functions over all points
     following : stages after it
-    outputs : names of what is returned
     """
 
-    def __init__(
-        self, workspace: Workspace, points: list[Evaluator], following: list[Evaluator], outputs: tuple[str, ...]
-    ) -> None:
+    def __init__(self, workspace: Workspace, points: list[Evaluator], following: list[Evaluator]) -> None:
         self._stages = [workspace.embed(), *points, *following]
         self._runs = [stage.run for stage in self._stages]
-        self._parameters = [stage.inputs for stage in points]
-        self._u, self._set = workspace.arrays["u"], workspace.set
-        self._outputs = [workspace.arrays[name] for name in outputs]
+        self._parameters = [array for stage in points for array in stage.inputs]
+        self._place = workspace.place
 
-    def __call__(
-        self, unknowns: np.ndarray, start: np.ndarray, end: np.ndarray, mesh: np.ndarray, *parameters: np.ndarray
-    ) -> list[np.ndarray]:
-        """Evaluate; the returned arrays are copies."""
-        np.concatenate((unknowns, start, end), out=self._u)
-        self._set(mesh)
-        for targets in self._parameters:
-            for target, values in zip(targets, parameters, strict=True):
-                target[:] = values
-        several = threads.count()
-        threads.use(1)
-        try:
-            for run in self._runs:
-                run()
-        finally:
-            if several > 1:  # else another thread is at work, and will put it back
-                threads.use(several)
-        return [array.copy() for array in self._outputs]
+    def __call__(self, unknowns: np.ndarray, data: Data) -> None:
+        """Evaluate; the results are left in the arrays of their names."""
+        self._place(unknowns, data)
+        for array in self._parameters:
+            array[:] = data[3]
+        if threads.count() > 1:
+            with threads.single():
+                self._run()
+        else:
+            self._run()
+
+    def _run(self) -> None:
+        for run in self._runs:
+            run()

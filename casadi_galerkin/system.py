@@ -11,19 +11,19 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.algebra import Algebra
+from casadi_galerkin.layout import Data
 from casadi_galerkin.stages import Chain, Evaluator
 
 ROUNDOFF = 50.0  # accepted residual over its roundoff floor; correct solutions were measured at 0.01 to 5
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
 AGREED = 1e-3  # part of the assembled yᵀ∇²S y that the points must find; families 7e-7 at most, regular paths 1 - 1e-5
 
-Data = tuple[np.ndarray, ...]
 STAGED = {  # name -> pointwise Functions, what follows them, names of the results
     "action": (("first",), ("sum",), ("action",)),
     "gradient": (("first",), ("integrate",), ("gradient",)),
     "derivatives": (("derivatives",), ("integrate", "assemble"), ("gradient",)),
-    "newton": (("derivatives",), ("integrate", "assemble", "step"), ("excess", "gradient", "step", "sizes", "norm")),
-    "search": (("first",), ("integrate", "search"), ("excess", "simplified", "length", "bend")),
+    "newton": (("derivatives",), ("integrate", "assemble", "step"), ("step", "sizes", "norm")),
+    "search": (("first",), ("integrate", "search"), ("simplified", "length", "bend")),
     "judged": (
         ("first", "derivatives"),
         ("sum", "integrate", "vary", "assemble", "judge"),
@@ -57,8 +57,8 @@ class System:
     _chains: dict[str, Chain] = field(default_factory=dict, repr=False, compare=False)
     _solvers: dict[tuple[bool, int, int], ca.Function] = field(default_factory=dict, repr=False, compare=False)
 
-    def evaluate(self, name: str, *arguments: np.ndarray) -> list[np.ndarray]:
-        """Evaluate at (ξ, *data), with a further argument for Functions of `build` that take one.
+    def evaluate(self, name: str, unknowns: np.ndarray, data: Data, *further: np.ndarray) -> list[np.ndarray]:
+        """Evaluate at ξ and data, with a further argument for Functions of `build` that take one.
 
         By stages, embed, evaluate pointwise and integrate, are evaluated
 
@@ -70,14 +70,15 @@ class System:
         """
         if name in STAGED:
             with self.algebra.lock:
-                return self._chain(name)(*arguments)
+                self._chain(name)(unknowns, data)
+                return [self.algebra.workspace.arrays[key].copy() for key in STAGED[name][2]]
         if name not in self._evaluators:
             self._evaluators[name] = Evaluator(self.build(name))
-        return self._evaluators[name](*arguments)
+        return self._evaluators[name](unknowns, *data, *further)
 
     def _chain(self, name: str) -> Chain:
         if name not in self._chains:
-            workspace, (points, following, results) = self.algebra.workspace, STAGED[name]
+            workspace, (points, following, _) = self.algebra.workspace, STAGED[name]
             points = ("whole",) if self.once else points
             for needed in points:
                 if needed not in self._evaluators:
@@ -92,16 +93,18 @@ class System:
                 "judge": self.algebra.judge,
             }
             at_points, after = [self._evaluators[key] for key in points], [stages[key]() for key in following]
-            self._chains[name] = Chain(workspace, at_points, after, results)
+            self._chains[name] = Chain(workspace, at_points, after)
         return self._chains[name]
 
-    def iterate(self, unknowns: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        """∇S, the Newton step, what the unknowns are measured by, and the largest step relative to that.
+    def iterate(self, unknowns: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray, float]:
+        """The Newton step, what the unknowns are measured by, and the largest step relative to that.
 
-        The step is found as by `solve`; its norm is NaN where the Hessian is singular to the last digit.  ∇²S is left.
+        The step is found as by `solve`; its norm is NaN where the Hessian is singular to the last digit, or the
+        gradient not finite.  ∇²S is left.
         """
-        gradient, step, sizes, norm = self._found("newton", "derivatives", "step", unknowns, data)
-        return gradient, step, sizes, float(norm[0])
+        with self.algebra.lock:
+            step, sizes, norm = self._found("newton", "derivatives", "step", unknowns, data)
+            return step.copy(), sizes.copy(), norm.item()
 
     def search(
         self, unknowns: np.ndarray, data: Data, step: np.ndarray, sizes: np.ndarray, damping: float
@@ -115,19 +118,15 @@ class System:
             arrays = self.algebra.workspace.arrays
             arrays["whole"][:], arrays["measured_by"][:], arrays["damping"][:] = step, sizes, damping
             simplified, length, bend = self._found("search", "gradient", "search", unknowns, data)
-        return simplified, float(length[0]), float(bend[0])
+            return simplified.copy(), length.item(), bend.item()
 
     def _found(self, name: str, without: str, stage: str, unknowns: np.ndarray, data: Data) -> list[np.ndarray]:
         """Results of a chain that ends with a stage by LDLᵀ, or after the one `without` it by QR where that fails."""
-        with self.algebra.lock:
-            if self.pivots:
-                excess, *results = self._chain(name)(unknowns, *data)
-                if excess[0] <= 0:
-                    return results
-            else:
-                self._chain(without)(unknowns, *data)
+        arrays = self.algebra.workspace.arrays
+        self._chain(name if self.pivots else without)(unknowns, data)
+        if not (self.pivots and arrays["excess"].item() <= 0):
             self.algebra.by_qr(stage)
-            return [self.algebra.workspace.arrays[key].copy() for key in STAGED[name][2][1:]]
+        return [arrays[key] for key in STAGED[name][2]]
 
     def add_inertia(self, factor: float) -> None:
         """Multiply ∂²L/∂v² by a factor, in the Hessian as last evaluated.
@@ -160,7 +159,7 @@ def softest(system: System, unknowns: np.ndarray, data: Data) -> tuple[np.ndarra
     """
     if len(unknowns) == 0:
         return unknowns, np.inf  # nothing can vary
-    system.evaluate("derivatives", unknowns, *data)
+    system.evaluate("derivatives", unknowns, data)
     u = joined(unknowns, data)
     sizes, rhs = system.algebra.sizes(u), system.algebra.probe(u)
     weights = system.algebra.spread(sizes) / sizes
@@ -172,7 +171,7 @@ def softest(system: System, unknowns: np.ndarray, data: Data) -> tuple[np.ndarra
         largest = np.max(np.abs(solved / sizes))
         y, force = solved / largest, rhs / largest  # ∇²S y = -force
         rhs = weights * y
-    signed, positive = (float(value[0]) for value in system.evaluate("curvature", unknowns, *data, y))
+    signed, positive = (float(value[0]) for value in system.evaluate("curvature", unknowns, data, y))
     regular = math.isfinite(signed) and AGREED * abs(y @ force) < positive < math.inf
     return y, abs(signed) / positive if regular else 0.0
 

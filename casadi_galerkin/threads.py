@@ -8,7 +8,8 @@ solve took 22 ms instead of 3.  IPOPT's linear solver uses the same library, so 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import casadi as ca
@@ -25,3 +26,17 @@ def _functions() -> tuple[Callable[[], int], Callable[[int], object]]:
 
 
 count, use = _functions()
+
+
+@contextmanager
+def single() -> Iterator[None]:
+    """Use one thread; within another `single`, nothing changes."""
+    several = count()
+    if several == 1:
+        yield  # another thread may be at work, and will put the number back
+        return
+    use(1)
+    try:
+        yield
+    finally:
+        use(several)

@@ -283,7 +283,7 @@ def test_derivatives_by_the_joints_are_those_of_the_action_through_the_graph():
     transcription = cg.transcribe(problem, cg.Galerkin(4), mesh=[0.0, 0.3, 0.9, 1.1, 2.0])
     unknowns = np.random.default_rng(3).standard_normal(transcription.layout.free)
     data = transcription.data(transcription.mesh)
-    slope, diagonal, beside = transcription.system.evaluate("timing", unknowns, *data)
+    slope, diagonal, beside = transcription.system.evaluate("timing", unknowns, data)
     symbols = transcription.functional.symbols
     hessian, gradient = ca.hessian(transcription.functional.action(), symbols["mesh"])
     graph = ca.Function("graph", list(symbols.values()), [gradient, hessian])

@@ -118,7 +118,7 @@ def iteration(intervals, degree=4):
     system, unknowns, runs = transcription.system, point.solution.unknowns, []
     for _ in range(max(3, min(200, 200_000 // intervals))):
         began = time.perf_counter()
-        (gradient,) = system.evaluate("derivatives", unknowns, *point.data)
+        (gradient,) = system.evaluate("derivatives", unknowns, point.data)
         system.solve(gradient)
         runs.append(time.perf_counter() - began)
     return min(runs)

@@ -192,9 +192,9 @@ def edge(name):
     transcription = cg.transcribe(problem, method, 80)
     nodes = guess(DiscreteCalculus(method, transcription.mesh).node_times)[None, :]
     data = np.array([start]), np.array([end]), transcription.mesh
-    (gradient,) = transcription.system.evaluate("derivatives", nodes[0, 1:-1], *data)
+    (gradient,) = transcription.system.evaluate("derivatives", nodes[0, 1:-1], data)
     trial = nodes[0, 1:-1] + transcription.system.solve(gradient)[0]
-    (action,) = transcription.system.evaluate("action", trial, *data)[0]
+    (action,) = transcription.system.evaluate("action", trial, data)[0]
     leaves = not np.isfinite(action) or trial.min() < 0  # 1/x is finite beyond its pole
     path = transcription.solve(guess=nodes)
     other = cg.solve(problem, cg.Galerkin(12), 80, guess=path)

@@ -64,7 +64,7 @@ def iteration(transcription, unknowns, data):
     system = transcription.system
 
     def once():
-        (gradient,) = system.evaluate("derivatives", unknowns, *data)
+        (gradient,) = system.evaluate("derivatives", unknowns, data)
         system.solve(gradient)
 
     return once
