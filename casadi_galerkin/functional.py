@@ -76,20 +76,12 @@ class Pointwise:
 
     @cached_property
     def derivatives(self) -> ca.Function:
-        """The gradient, and second derivatives in the order of `blocks`, each the column of its entries in `pattern`.
+        """What `first` has, and second derivatives in the order of `blocks`, each the column of its `pattern` entries.
 
         Together, because a call costs as much as evaluating a small Lagrangian.
         """
-        return self._function("derivatives", {**self._slopes, **self._columns}, CSE)
-
-    @cached_property
-    def whole(self) -> ca.Function:
-        """L̂ and what `derivatives` has: for one solve, building one Function more costs more than evaluating L̂."""
-        return self._function("whole", {"f": self._value, **self._slopes, **self._columns}, CSE)
-
-    @property
-    def _columns(self) -> dict[str, ca.SX]:
-        return {f"block{i}{j}": ca.project(self._cells[i, j], self.pattern).nz[:] for i, j in self.blocks}
+        columns = {f"block{i}{j}": ca.project(self._cells[i, j], self.pattern).nz[:] for i, j in self.blocks}
+        return self._function("derivatives", {"f": self._value, **self._slopes, **columns}, CSE)
 
     @cached_property
     def curvature(self) -> ca.Function:
@@ -156,7 +148,7 @@ class Functional:
         return [*embedded(self.layout).points, *self._parameters]
 
     def mapped(self, name: str) -> ca.Function:
-        """A pointwise Function, "first", "derivatives" or "whole", over all quadrature points."""
+        """A pointwise Function, "first" or "derivatives", over all quadrature points."""
         return OVER[self.evaluation](getattr(self.pointwise, name), self.layout.points, self._shared)
 
     def _at_points(self, name: str) -> list[ca.MX]:
@@ -179,12 +171,12 @@ class Functional:
 
     def derivatives(self) -> tuple[ca.MX, ca.MX]:
         """∇²S and ∇S with respect to the free values ξ, in one go through the points."""
-        by_x, by_slope, *values = self._at_points("derivatives")
+        _, by_x, by_slope, *values = self._at_points("derivatives")
         return self._assembled(values), integration(self.layout).call([by_x, by_slope])[0]
 
     def hessian(self) -> ca.MX:
         """∇²S with respect to the free values ξ: sparse, symmetric, both halves stored."""
-        return self._assembled(self._at_points("derivatives")[2:])
+        return self._assembled(self._at_points("derivatives")[3:])
 
     def _assembled(self, values: list[ca.MX]) -> ca.MX:
         return assembly(*self.pattern_key, self.pointwise.blocks).call(values)[0]

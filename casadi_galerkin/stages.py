@@ -126,14 +126,14 @@ class Chain:
     Parameters
     ----------
     workspace : Workspace
-    points : pointwise Functions over all points
+    points : pointwise Function over all points
     following : stages after it
     """
 
-    def __init__(self, workspace: Workspace, points: list[Evaluator], following: list[Evaluator]) -> None:
-        self._stages = [workspace.embed(), *points, *following]
+    def __init__(self, workspace: Workspace, points: Evaluator, following: list[Evaluator]) -> None:
+        self._stages = [workspace.embed(), points, *following]
         self._runs = [stage.run for stage in self._stages]
-        self._parameters = [array for stage in points for array in stage.inputs]
+        self._parameters = points.inputs
         self._place = workspace.place
 
     def __call__(self, unknowns: np.ndarray, data: Data) -> None:

@@ -18,14 +18,14 @@ ROUNDOFF = 50.0  # accepted residual over its roundoff floor; correct solutions 
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
 AGREED = 1e-3  # part of the assembled yᵀ∇²S y that the points must find; families 7e-7 at most, regular paths 1 - 1e-5
 
-STAGED = {  # name -> pointwise Functions, what follows them, names of the results
-    "action": (("first",), ("sum",), ("action",)),
-    "gradient": (("first",), ("integrate",), ("gradient",)),
-    "derivatives": (("derivatives",), ("integrate", "assemble"), ("gradient",)),
-    "newton": (("derivatives",), ("integrate", "assemble", "step"), ("step", "sizes", "norm")),
-    "search": (("first",), ("integrate", "search"), ("simplified", "length", "bend")),
+STAGED = {  # name -> pointwise Function, what follows it, names of the results
+    "action": ("first", ("sum",), ("action",)),
+    "gradient": ("first", ("integrate",), ("gradient",)),
+    "derivatives": ("derivatives", ("integrate", "assemble"), ("gradient",)),
+    "newton": ("derivatives", ("integrate", "assemble", "step"), ("step", "sizes", "norm")),
+    "search": ("first", ("integrate", "search"), ("simplified", "length", "bend")),
     "judged": (
-        ("first", "derivatives"),
+        "derivatives",
         ("sum", "integrate", "vary", "assemble", "judge"),
         ("action", "momentum", "gradient", "floor", "regularity"),
     ),
@@ -40,11 +40,11 @@ class System:
     ----------
     build : name -> Function of (ξ, *data), for those that take further inputs and for other solvers; called when the
         Function is first needed, since building costs more than evaluating
-    mapped : name -> pointwise Function over all points, "first", "derivatives" or "whole"
+    mapped : name -> pointwise Function over all points, "first" or "derivatives"
     algebra : Algebra
     blocks : which second-derivative blocks the pointwise Function has
     pivots : whether LDLᵀ without pivoting can work: False where ∂²L/∂v_i² is structurally zero for some i
-    once : whether so little is solved that only the pointwise Function "whole" is built, which does for all
+    once : whether so little is solved that building "first" would cost more than it saves: "derivatives" does for all
     """
 
     build: Callable[[str], ca.Function]
@@ -79,10 +79,9 @@ class System:
     def _chain(self, name: str) -> Chain:
         if name not in self._chains:
             workspace, (points, following, _) = self.algebra.workspace, STAGED[name]
-            points = ("whole",) if self.once else points
-            for needed in points:
-                if needed not in self._evaluators:
-                    self._evaluators[needed] = workspace.stage(self.mapped(needed))
+            points = "derivatives" if self.once else points
+            if points not in self._evaluators:
+                self._evaluators[points] = workspace.stage(self.mapped(points))
             stages: dict[str, Callable[[], Evaluator]] = {
                 "sum": workspace.sum,
                 "integrate": workspace.integrate,
@@ -92,8 +91,7 @@ class System:
                 "search": self.algebra.search,
                 "judge": self.algebra.judge,
             }
-            at_points, after = [self._evaluators[key] for key in points], [stages[key]() for key in following]
-            self._chains[name] = Chain(workspace, at_points, after)
+            self._chains[name] = Chain(workspace, self._evaluators[points], [stages[key]() for key in following])
         return self._chains[name]
 
     def iterate(self, unknowns: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray, float]:
