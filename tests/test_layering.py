@@ -39,6 +39,8 @@ RANKS = {
     "stages": 6,
     "algebra": 7,
     "control": 7,
+    "kernel": 7,
+    "iteration": 8,
     "system": 8,
     "action_graph": 9,
     "newton": 9,
