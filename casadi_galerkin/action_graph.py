@@ -14,7 +14,8 @@ import numpy as np
 
 from casadi_galerkin.algebra import algebra
 from casadi_galerkin.calculus import Galerkin
-from casadi_galerkin.functional import Evaluation, Functional
+from casadi_galerkin.functional import Evaluation, Functional, pointwise
+from casadi_galerkin.iteration import condensed, suits
 from casadi_galerkin.layout import Layout
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.system import System
@@ -28,7 +29,8 @@ class ActionGraph:
     problem : BoundaryProblem
     method : Galerkin
     mesh : (N + 1,), joints; only their number enters the graph
-    evaluation : of gradient and Hessian at the points, as for `Functional`
+    evaluation : of gradient and Hessian at the points, as for `Functional`; "compiled" compiles the whole Newton
+        iteration where that suits
 
     Attributes
     ----------
@@ -47,15 +49,17 @@ class ActionGraph:
             tuple(i for i, value in enumerate(end) if value is not None) for end in (problem.start, problem.end)
         )
         layout = Layout(method, len(mesh) - 1, problem.dimension, fixed_start, fixed_end, problem.periodic)
-        self.functional = Functional(problem.lagrangian, layout, evaluation)
+        whole = evaluation == "compiled" and suits(pointwise(problem.lagrangian), layout)
+        self.functional = Functional(problem.lagrangian, layout, "vectorised" if whole else evaluation)
         self.layout = self.functional.layout
-        pointwise = self.functional.pointwise
+        at_point, linear = self.functional.pointwise, algebra(*self.functional.pattern_key)
         self.system = System(
             self._build,
             self._mapped,
-            algebra(*self.functional.pattern_key),
-            pointwise.blocks,
-            pointwise.kinetic,
+            linear,
+            at_point.blocks,
+            at_point.kinetic,
+            condensed(at_point, layout, linear.workspace) if whole else {},
             evaluation == "single",
         )
         self.build_seconds = time.perf_counter() - began

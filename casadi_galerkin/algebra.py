@@ -44,7 +44,7 @@ class Algebra:
         self.layout, self.pattern = layout, hessian_pattern(layout, colind, row)
         self.workspace = Workspace(layout, colind, row)
         self.matrix = self.workspace.arrays["matrix"] = np.zeros(self.pattern.sparsity.nnz())
-        self.gradient = self.workspace.arrays["gradient"] = np.zeros(layout.free)
+        self.gradient = self.workspace.array("gradient", layout.free)
         self._probe = self.workspace.arrays["probe"] = np.cos(1.0 + np.arange(layout.free))
         self.lock = threading.RLock()
         self._evaluators: dict[object, Evaluator] = {}
@@ -101,19 +101,27 @@ class Algebra:
     def _step(self, name: str) -> ca.Function:
         inputs = self._symbols("matrix", "gradient", "u", "probe")
         matrix, gradient, u, probe = inputs.values()
-        probe = probe / self.measure(u, 0)
-        step, soft = ca.horzsplit(self._solution(name, matrix, ca.horzcat(gradient, probe)))
-        sizes = self.measure(u, step)
-        outputs = {"step": step, "soft": soft, "sizes": sizes, "norm": ca.norm_inf(step / sizes)}
+        leaning = probe / self.measure(u, 0)
+        step, soft = ca.horzsplit(self._solution(name, matrix, ca.horzcat(gradient, leaning)))
+        outputs = {"step": step, "soft": soft, **self._measures(u, step)}
         return self._function("step", inputs, outputs | {"excess": self._excess(matrix, step, gradient)})
 
     def _search(self, name: str) -> ca.Function:
         inputs = self._symbols("matrix", "gradient", "whole", "measured_by") | {"damping": ca.MX.sym("damping")}
-        matrix, gradient, whole, measured_by, damping = inputs.values()
+        matrix, gradient, *others = inputs.values()
         y = self._solution(name, matrix, gradient)
-        bend = ca.norm_inf((y - (1 - damping) * whole) / measured_by)
-        outputs = {"simplified": y, "length": ca.norm_inf(y / measured_by), "bend": bend}
+        outputs = {"simplified": y, **self._comparison(y, *others)}
         return self._function("search", inputs, outputs | {"excess": self._excess(matrix, y, gradient)})
+
+    def _measures(self, u: ca.MX, step: ca.MX) -> dict[str, ca.MX]:
+        """What the unknowns are measured by, and the largest step relative to that."""
+        sizes = self.measure(u, step)
+        return {"sizes": sizes, "norm": ca.norm_inf(step / sizes)}
+
+    def _comparison(self, y: ca.MX, whole: ca.MX, measured_by: ca.MX, damping: ca.MX) -> dict[str, ca.MX]:
+        """Length of a step that follows a damped part of a whole one, and how far it is from the rest of that."""
+        bend = ca.norm_inf((y - (1 - damping) * whole) / measured_by)
+        return {"length": ca.norm_inf(y / measured_by), "bend": bend}
 
     def step(self, name: str = "ldl") -> Evaluator:
         """(matrix, gradient, u) -> (step, soft, sizes, norm, excess).
@@ -130,6 +138,34 @@ class Algebra:
         of the whole step, both as the largest relative to `measured_by`, and the excess of the defect.
         """
         return self.workspace.keep(("search", name), partial(self._search, name))
+
+    def lean(self) -> Evaluator:
+        """(u, probe) -> leaning: a right-hand side in the units of ∇S whose solution leans to the softest direction."""
+
+        def build() -> ca.Function:
+            inputs = self._symbols("u", "probe")
+            leaning = inputs["probe"] / self.measure(inputs["u"], 0)
+            return self._function("lean", inputs, {"leaning": leaning})
+
+        return self.workspace.keep("lean", build)
+
+    def measured(self) -> Evaluator:
+        """(u, step) -> (sizes, norm), as of `step`."""
+
+        def build() -> ca.Function:
+            inputs = self._symbols("u", "step")
+            return self._function("measured", inputs, self._measures(*inputs.values()))
+
+        return self.workspace.keep("measured", build)
+
+    def compared(self) -> Evaluator:
+        """(simplified, whole, measured_by, damping) -> (length, bend), as of `search`."""
+
+        def build() -> ca.Function:
+            inputs = self._symbols("simplified", "whole", "measured_by") | {"damping": ca.MX.sym("damping")}
+            return self._function("compared", inputs, self._comparison(*inputs.values()))
+
+        return self.workspace.keep("compared", build)
 
     def by_qr(self, stage: str) -> None:
         """Repeat the stage "step" or "search" by QR; its measures become NaN where there is no step."""

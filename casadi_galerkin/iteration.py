@@ -20,6 +20,7 @@ from casadi_galerkin.algebra import LOCAL
 from casadi_galerkin.functional import Pointwise
 from casadi_galerkin.kernel import library, translatable
 from casadi_galerkin.layout import Layout
+from casadi_galerkin.stages import Call, Workspace
 
 MOST_LANES = 8
 MOST_COMPONENTS = 20  # of a sparse L: a chain of 20 takes 0.6 to 1.1 times as long as in CasADi, one of 40 0.9 to 1.3
@@ -93,6 +94,12 @@ class CompiledIteration:
         self._bound = _Bound(*numbers, LOCAL, *(self._kept[name].ctypes.data for name in POINTERS))
         self._address = ctypes.addressof(self._bound)
 
+    @property
+    def stages(self) -> dict[str, Call]:
+        """Its two calls as stages of chains."""
+        parameters = [self.arrays["p"]] if self.arrays["p"].size else []
+        return {"iterate": Call(self.run, parameters), "resolve": Call(self.resolve, [])}
+
     def run(self) -> None:
         """From u, mesh, p and probe: gradient ∇S, step -∇²S⁻¹∇S, soft -∇²S⁻¹ probe, and excess.
 
@@ -103,6 +110,19 @@ class CompiledIteration:
     def resolve(self) -> None:
         """From rhs: solution -∇²S⁻¹ rhs with the factors of the last run, and its excess."""
         self._library.resolve(self._address)
+
+
+def condensed(pointwise: Pointwise, layout: Layout, workspace: Workspace) -> dict[str, Call]:
+    """The stages of a compiled iteration that works on the arrays of a workspace.
+
+    - iterate : (u, mesh, leaning) -> (gradient, step, soft, excess)
+    - resolve : gradient -> (simplified, excess), with the factors of the last `iterate`
+    """
+    names = {"probe": "leaning", "rhs": "gradient", "solution": "simplified"}
+    sizes = {"u": layout.size, "mesh": layout.intervals + 1, "excess": 1}
+    own = "gradient", "step", "soft", *names
+    arrays = {name: workspace.array(names.get(name, name), sizes.get(name, layout.free)) for name in (*sizes, *own)}
+    return CompiledIteration(pointwise, layout, arrays).stages
 
 
 def _parameters(pointwise: Pointwise) -> int:

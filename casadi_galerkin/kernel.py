@@ -22,7 +22,7 @@ SHARED = "-std=gnu99", "-fPIC", "-shared"
 WHOLE = {ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE, ca.OP_INV}  # for all lanes
 WITHOUT_C = {ca.OP_CALL, ca.OP_ERFINV, ca.OP_PRINTME}
 PREAMBLE = """#include <math.h>
-#ifdef __AVX512F__ /* one vector; with two of AVX, eight intervals were measured up to 3 times as slow as four */
+#ifdef __AVX512F__ /* one vector; with two of AVX, eight intervals were measured up to 4 times as slow as four */
 #define W 8
 #else
 #define W 4
@@ -42,9 +42,10 @@ def _pointwise(f: ca.Function, nonzeros: int) -> str:
         operation, source, target = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
         if operation == ca.OP_OUTPUT:
             name, place = f.name_out(target[0]), target[1]
-            if target[0] > 1:  # after fx and fv the blocks, one behind the other
-                name, place = "derivatives", place + nonzeros * (target[0] - 2)
-            lines.append(f"{name}[{place}] = w{source[0]};")
+            if target[0] > 2:  # after f, fx and fv the blocks, one behind the other
+                name, place = "derivatives", place + nonzeros * (target[0] - 3)
+            if name != "f":
+                lines.append(f"{name}[{place}] = w{source[0]};")
         elif operation == ca.OP_INPUT:
             spread = " - (lanes){0}" if f.name_in(source[0]) == "p" else ""
             lines.append(f"w{target[0]} = {f.name_in(source[0])}[{source[1]}]{spread};")

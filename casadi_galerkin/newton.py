@@ -59,7 +59,7 @@ class Solution:
 
 
 class Iterate(NamedTuple):
-    """A point with its Newton step, found with the Hessian that is left in `System.algebra`.
+    """A point with its Newton step.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
             if solution is not None:
                 _report(iteration, at.norm, damping, verbose)
                 return solution
-            system.evaluate("derivatives", at.unknowns, data)  # the Hessian that the step belongs to
+            system.restore(at.unknowns, data)
         last, trial, forecast = at.norm, None, 1.0
         short = last < SHORT
         if damping == 1.0 and (short or iteration == 1):
@@ -106,7 +106,7 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
             contracts = trial.norm <= last * (CONTRACTION if short else STRONG_CONTRACTION)
             if not (contracts or (last < LOCAL and math.isfinite(trial.norm))):
                 trial = None
-                system.evaluate("derivatives", at.unknowns, data)
+                system.restore(at.unknowns, data)
         if trial is None:
             x, simplified, damping = _line_search(system, at, damping, data, iteration)
             trial = _iterate(system, x, data)

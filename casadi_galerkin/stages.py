@@ -7,7 +7,8 @@ them writes is where the next one reads.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -57,6 +58,23 @@ class Evaluator:
         return [array.copy() for array in self.outputs]
 
 
+@dataclass(frozen=True)
+class Call:
+    """A stage that is no CasADi Function.
+
+    Attributes
+    ----------
+    run : evaluates from and to arrays
+    inputs : those that are not shared: parameters p, or nothing
+    """
+
+    run: Callable[[], None]
+    inputs: list[np.ndarray]
+
+
+Stage = Evaluator | Call
+
+
 class Workspace:
     """The arrays of one layout that stages hand on by name, for all Lagrangians; one thread at a time.
 
@@ -69,28 +87,32 @@ class Workspace:
     def __init__(self, layout: Layout, colind: tuple[int, ...], row: tuple[int, ...]) -> None:
         self._layout, self._pattern = layout, (colind, row)
         self.arrays = {name: np.zeros(layout.points) for name in ("t", "h")}
-        self._u = self.arrays["u"] = np.zeros(layout.size)
+        self._u, self._joints = self.array("u", layout.size), self.array("mesh", layout.intervals + 1)
         self._data: Data | None = None
         self._mesh = b""
         self._kept: dict[object, Evaluator] = {}
 
+    def array(self, name: str, size: int) -> np.ndarray:
+        """The array of a name, made when it is first asked for."""
+        return self.arrays.setdefault(name, np.zeros(size))
+
     def place(self, unknowns: np.ndarray, data: Data) -> None:
-        """Put u, and times and steps at the points, in place: arrays u, t and h."""
+        """Put u, the joints, and times and steps at the points in place: arrays u, mesh, t and h."""
         self._u[: self._layout.free] = unknowns
         if data is not self._data:  # the same tuple in all iterations
             self._data = data
             np.concatenate(data[:2], out=self._u[self._layout.free :])
             mesh = data[2].tobytes()  # compared in a tenth of the time that array_equal takes
             if mesh != self._mesh:
-                self._mesh = mesh
+                self._mesh, self._joints[:] = mesh, data[2]
                 self.arrays["t"][:], self.arrays["h"][:] = clock(self._layout, data[2])
 
     def stage(self, function: ca.Function) -> Evaluator:
         """Bind inputs and outputs of a Function to the arrays of their names, but parameters p, which are passed."""
         for names, size in ((function.name_in(), function.nnz_in), (function.name_out(), function.nnz_out)):
             for i, name in enumerate(names):
-                if name not in self.arrays and name != "p":
-                    self.arrays[name] = np.zeros(size(i))
+                if name != "p":
+                    self.array(name, size(i))
         return Evaluator(function, self.arrays)
 
     def keep(self, key: object, build: Callable[[], ca.Function]) -> Evaluator:
@@ -121,20 +143,18 @@ class Workspace:
 
 
 class Chain:
-    """Embed, evaluate pointwise, and what follows: from ξ and (start, end, mesh[, p]) to arrays of the workspace.
+    """Stages one after the other: from ξ and (start, end, mesh[, p]) to arrays of the workspace.
 
     Parameters
     ----------
     workspace : Workspace
-    points : pointwise Function over all points
-    following : stages after it
+    stages : such as embed, evaluate pointwise, integrate
     """
 
-    def __init__(self, workspace: Workspace, points: Evaluator, following: list[Evaluator]) -> None:
-        self._stages = [workspace.embed(), points, *following]
-        self._runs = [stage.run for stage in self._stages]
-        self._parameters = points.inputs
-        self._place = workspace.place
+    def __init__(self, workspace: Workspace, stages: Sequence[Stage]) -> None:
+        self._stages, self._place = stages, workspace.place
+        self._runs = [stage.run for stage in stages]
+        self._parameters = [array for stage in stages for array in stage.inputs]
 
     def __call__(self, unknowns: np.ndarray, data: Data) -> None:
         """Evaluate; the results are left in the arrays of their names."""

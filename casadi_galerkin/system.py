@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -12,27 +12,28 @@ import numpy as np
 
 from casadi_galerkin.algebra import Algebra
 from casadi_galerkin.layout import Data
-from casadi_galerkin.stages import Chain, Evaluator
+from casadi_galerkin.stages import Call, Chain, Evaluator, Stage
 
 ROUNDOFF = 50.0  # accepted residual over its roundoff floor; correct solutions were measured at 0.01 to 5
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
 AGREED = 1e-3  # part of the assembled yᵀ∇²S y that the points must find; families 7e-7 at most, regular paths 1 - 1e-5
 
-STAGED = {  # name -> pointwise Function, what follows it, names of the results
-    "action": ("first", ("sum",), ("action",)),
-    "gradient": ("first", ("integrate",), ("gradient",)),
-    "derivatives": ("derivatives", ("integrate", "assemble"), ("gradient",)),
-    "newton": ("derivatives", ("integrate", "assemble", "step"), ("step", "sizes", "norm")),
-    "search": ("first", ("integrate", "search"), ("simplified", "length", "bend")),
+STAGED = {  # name -> stages, names of the results
+    "action": (("embed", "first", "sum"), ("action",)),
+    "gradient": (("embed", "first", "integrate"), ("gradient",)),
+    "derivatives": (("embed", "derivatives", "integrate", "assemble"), ("gradient",)),
+    "newton": (("embed", "derivatives", "integrate", "assemble", "step"), ("step", "sizes", "norm")),
+    "search": (("embed", "first", "integrate", "search"), ("simplified", "length", "bend")),
     "judged": (
-        "derivatives",
-        ("sum", "integrate", "vary", "assemble", "judge"),
+        ("embed", "derivatives", "sum", "integrate", "vary", "assemble", "judge"),
         ("action", "momentum", "gradient", "floor", "regularity"),
     ),
+    "condensed newton": (("lean", "iterate", "measured"), ("step", "sizes", "norm")),
+    "condensed search": (("embed", "first", "integrate", "resolve", "compared"), ("simplified", "length", "bend")),
 }
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class System:
     """Stationarity conditions of a discrete action, evaluated at (ξ, *data), data being (start, end, mesh, ...).
 
@@ -44,6 +45,8 @@ class System:
     algebra : Algebra
     blocks : which second-derivative blocks the pointwise Function has
     pivots : whether LDLᵀ without pivoting can work: False where ∂²L/∂v_i² is structurally zero for some i
+    condensed : the stages "iterate" and "resolve" of a compiled Newton iteration, bound to the workspace of `algebra`;
+        empty without one
     once : whether so little is solved that building "first" would cost more than it saves: "derivatives" does for all
     """
 
@@ -52,7 +55,9 @@ class System:
     algebra: Algebra
     blocks: tuple[tuple[int, int], ...]
     pivots: bool = True
+    condensed: Mapping[str, Call] = field(default_factory=dict)
     once: bool = False
+    _holds: bool = False  # whether the compiled iteration holds the factors of the last iterate
     _evaluators: dict[str, Evaluator] = field(default_factory=dict, repr=False, compare=False)
     _chains: dict[str, Chain] = field(default_factory=dict, repr=False, compare=False)
     _solvers: dict[tuple[bool, int, int], ca.Function] = field(default_factory=dict, repr=False, compare=False)
@@ -71,28 +76,38 @@ class System:
         if name in STAGED:
             with self.algebra.lock:
                 self._chain(name)(unknowns, data)
-                return [self.algebra.workspace.arrays[key].copy() for key in STAGED[name][2]]
+                return [self.algebra.workspace.arrays[key].copy() for key in STAGED[name][1]]
         if name not in self._evaluators:
             self._evaluators[name] = Evaluator(self.build(name))
         return self._evaluators[name](unknowns, *data, *further)
 
     def _chain(self, name: str) -> Chain:
         if name not in self._chains:
-            workspace, (points, following, _) = self.algebra.workspace, STAGED[name]
-            points = "derivatives" if self.once else points
-            if points not in self._evaluators:
-                self._evaluators[points] = workspace.stage(self.mapped(points))
-            stages: dict[str, Callable[[], Evaluator]] = {
+            workspace, algebra = self.algebra.workspace, self.algebra
+            stages: dict[str, Callable[[], Stage]] = {
+                "embed": workspace.embed,
+                "first": partial(self._at_points, "derivatives" if self.once else "first"),
+                "derivatives": partial(self._at_points, "derivatives"),
                 "sum": workspace.sum,
                 "integrate": workspace.integrate,
                 "vary": workspace.vary,
                 "assemble": partial(workspace.assemble, self.blocks),
-                "step": self.algebra.step,
-                "search": self.algebra.search,
-                "judge": self.algebra.judge,
+                "step": algebra.step,
+                "search": algebra.search,
+                "judge": algebra.judge,
+                "lean": algebra.lean,
+                "measured": algebra.measured,
+                "compared": algebra.compared,
             }
-            self._chains[name] = Chain(workspace, self._evaluators[points], [stages[key]() for key in following])
+            self._chains[name] = Chain(
+                workspace, [self.condensed.get(stage) or stages[stage]() for stage in STAGED[name][0]]
+            )
         return self._chains[name]
+
+    def _at_points(self, name: str) -> Evaluator:
+        if name not in self._evaluators:
+            self._evaluators[name] = self.algebra.workspace.stage(self.mapped(name))
+        return self._evaluators[name]
 
     def iterate(self, unknowns: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray, float]:
         """The Newton step, what the unknowns are measured by, and the largest step relative to that.
@@ -101,8 +116,18 @@ class System:
         gradient not finite.  ∇²S is left.
         """
         with self.algebra.lock:
-            step, sizes, norm = self._found("newton", "derivatives", "step", unknowns, data)
+            self._holds = bool(self.condensed) and self._solved("condensed newton", unknowns, data)
+            if not self._holds:
+                self._find("newton", "derivatives", "step", unknowns, data)
+            step, sizes, norm = self._results("newton")
             return step.copy(), sizes.copy(), norm.item()
+
+    def restore(self, unknowns: np.ndarray, data: Data) -> None:
+        """Leave what `search` needs of an earlier iterate again: its Hessian, or the factors of that."""
+        if self.condensed:
+            self.iterate(unknowns, data)
+        else:
+            self.evaluate("derivatives", unknowns, data)
 
     def search(
         self, unknowns: np.ndarray, data: Data, step: np.ndarray, sizes: np.ndarray, damping: float
@@ -112,19 +137,31 @@ class System:
         They are NaN where the gradient is not finite, or the Hessian is singular to the last digit.
         """
         with self.algebra.lock:
-            self.algebra.search()
             arrays = self.algebra.workspace.arrays
+            self._chain("condensed search" if self._holds else "search")  # makes its arrays
             arrays["whole"][:], arrays["measured_by"][:], arrays["damping"][:] = step, sizes, damping
-            simplified, length, bend = self._found("search", "gradient", "search", unknowns, data)
+            if not self._holds:
+                self._find("search", "gradient", "search", unknowns, data)
+            elif not self._solved("condensed search", unknowns, data):
+                arrays["length"][:] = arrays["bend"][:] = np.nan
+            simplified, length, bend = self._results("search")
             return simplified.copy(), length.item(), bend.item()
 
-    def _found(self, name: str, without: str, stage: str, unknowns: np.ndarray, data: Data) -> list[np.ndarray]:
-        """Results of a chain that ends with a stage by LDLᵀ, or after the one `without` it by QR where that fails."""
-        arrays = self.algebra.workspace.arrays
-        self._chain(name if self.pivots else without)(unknowns, data)
-        if not (self.pivots and arrays["excess"].item() <= 0):
-            self.algebra.by_qr(stage)
-        return [arrays[key] for key in STAGED[name][2]]
+    def _solved(self, name: str, unknowns: np.ndarray, data: Data) -> bool:
+        """Run a chain that solves with the Hessian; whether the solution is right."""
+        self._chain(name)(unknowns, data)
+        return bool(self.algebra.workspace.arrays["excess"].item() <= 0)
+
+    def _find(self, name: str, without: str, stage: str, unknowns: np.ndarray, data: Data) -> None:
+        """Run a chain that ends with a stage by LDLᵀ, or the one `without` it and the stage by QR where that fails."""
+        if self.pivots and self._solved(name, unknowns, data):
+            return
+        if not self.pivots:
+            self._chain(without)(unknowns, data)
+        self.algebra.by_qr(stage)
+
+    def _results(self, name: str) -> list[np.ndarray]:
+        return [self.algebra.workspace.arrays[key] for key in STAGED[name][1]]
 
     def add_inertia(self, factor: float) -> None:
         """Multiply ∂²L/∂v² by a factor, in the Hessian as last evaluated.

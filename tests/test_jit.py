@@ -20,6 +20,64 @@ def problem(parameters=None):
     )
 
 
+def swing(t, x, v):
+    return v[0] ** 2 / 2 + ca.cos(x[0])
+
+
+def pendulum(end, duration=8.0, lagrangian=swing):
+    return cg.BoundaryProblem(lagrangian, (0.0, duration), [0.0], [end])
+
+
+@compiler
+@pytest.mark.parametrize("end", [1.0, 2.0, 3.0, 9.0])
+def test_long_swings_take_the_same_damped_steps(end, monkeypatch):
+    """Several steps are damped or given up, so the line search works with the factors of the right iterate."""
+    from casadi_galerkin.system import System
+
+    searched, search = [], System.search
+    monkeypatch.setattr(System, "search", lambda *given: searched.append(given[-1]) or search(*given))
+    paths, dampings = [], []
+    for jit in (False, True):
+        paths.append(cg.transcribe(pendulum(end), cg.Galerkin(4), 16, jit=jit).solve())
+        dampings.append(np.array(searched))
+        searched.clear()
+    assert len(dampings[0]) > 0
+    np.testing.assert_allclose(*dampings, rtol=1e-6)
+    np.testing.assert_allclose(paths[1].path.values, paths[0].path.values, rtol=0, atol=100 * ROUNDOFF)
+    assert paths[1].iterations == paths[0].iterations
+    assert paths[1].morse_index == paths[0].morse_index
+
+
+@compiler
+def test_compiled_transcriptions_take_turns():
+    """They share the arrays of their layout, but not their factors."""
+    ends, problems = (0.4, 1.1), [pendulum(1.0, 2.0, each) for each in (swing, lambda t, x, v: v[0] ** 2 + x[0] ** 4)]
+    fast, plain = ([cg.transcribe(each, cg.Galerkin(3), 10, jit=jit) for each in problems] for jit in (True, False))
+    for end in ends:
+        for ours, theirs in zip(fast, plain, strict=True):
+            values = ours.solve(end=[end]).path.values
+            np.testing.assert_allclose(values, theirs.solve(end=[end]).path.values, rtol=0, atol=100 * ROUNDOFF)
+
+
+@compiler
+def test_compiled_conjugate_points_are_found():
+    oscillator = pendulum(0.0, np.pi, lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2)
+    with pytest.raises(cg.ConjugatePointError):
+        cg.transcribe(oscillator, cg.Galerkin(12), 8, jit=True).solve()
+
+
+@compiler
+def test_what_does_not_suit_the_compiled_iteration_is_compiled_at_the_points():
+    orbit = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - ca.dot(x, x) + x[0] + x[1] * ca.sin(t),
+        (0.0, 2 * np.pi),
+        [None] * 2,
+        periodic=True,
+    )
+    plain, fast = (cg.transcribe(orbit, cg.Galerkin(4), 9, jit=jit).solve() for jit in (False, True))
+    np.testing.assert_allclose(fast.path.values, plain.path.values, rtol=0, atol=ROUNDOFF)
+
+
 @compiler
 @pytest.mark.parametrize("parameters", [None, [1.3]])
 def test_compiled_points_give_the_same_path(parameters):
