@@ -23,7 +23,8 @@ from casadi_galerkin.layout import Layout
 from casadi_galerkin.stages import Call, Workspace
 
 MOST_LANES = 8
-MOST_COMPONENTS = 20  # of a sparse L: a chain of 20 takes 0.6 to 1.1 times as long as in CasADi, one of 40 0.9 to 1.3
+MOST_COMPONENTS = 10  # of a sparse L: a chain of 6 takes 0.2 to 0.8 times as long as in CasADi, one of 20 up to 1.1
+FEWEST_INTERVALS = 4  # with fewer, lanes are empty: 6 components of degree 12 took 1.8 times as long on one interval
 INTEGERS = "intervals", "unknowns", "shift"
 POINTERS = (
     *("first", "last", "points", "values", "slopes", "by_x", "by_slope", "weights", "products"),
@@ -55,7 +56,7 @@ class CompiledIteration:
     Parameters
     ----------
     pointwise : Pointwise
-    layout : Layout; what `suits` accepts
+    layout : Layout; what `takes` accepts
     arrays : arrays for inputs and outputs by name, those of `arrays` below; others are allocated
 
     Attributes
@@ -66,12 +67,12 @@ class CompiledIteration:
     Raises
     ------
     ValueError
-        if there is no C compiler, the layout does not suit, or an array has the wrong size
+        if there is no C compiler, layout or Lagrangian are not what it `takes`, or an array has the wrong size
     """
 
     def __init__(self, pointwise: Pointwise, layout: Layout, arrays: Mapping[str, np.ndarray] | None = None) -> None:
-        if not suits(pointwise, layout):
-            raise ValueError("this layout or Lagrangian does not suit a compiled iteration, see suits")
+        if not takes(pointwise, layout):
+            raise ValueError("a compiled iteration takes no periodic path, and no L without a kinetic energy or C")
         method, free = layout.method, layout.free
         self._library = library(pointwise, method.degree, len(method.quadrature))
         lanes = ctypes.c_int.in_dll(self._library, "lanes_at_once").value
@@ -169,11 +170,16 @@ def _packed(columns: int, rows: int) -> int:
     return columns * rows - columns * (columns - 1) // 2
 
 
-def suits(pointwise: Pointwise, layout: Layout) -> bool:
-    """Whether a compiled iteration takes a layout and a Lagrangian, and is the faster one.
+def takes(pointwise: Pointwise, layout: Layout) -> bool:
+    """Whether a compiled iteration is possible.
 
     The path must not be periodic, every component must have a kinetic energy, as for LDLᵀ without pivoting, and C must
     know all operations of the Lagrangian.  Any degree, quadrature, mesh, parameters and ends will do.
     """
-    pays = layout.dimension <= MOST_COMPONENTS or pointwise.pattern.is_dense()
-    return not layout.periodic and pointwise.kinetic and pays and translatable(pointwise.derivatives)
+    return not layout.periodic and pointwise.kinetic and translatable(pointwise.derivatives)
+
+
+def suits(pointwise: Pointwise, layout: Layout) -> bool:
+    """Whether a compiled iteration is possible, and faster than one by stages."""
+    dense = layout.dimension <= MOST_COMPONENTS or pointwise.pattern.is_dense()
+    return dense and layout.intervals >= FEWEST_INTERVALS and takes(pointwise, layout)

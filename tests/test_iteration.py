@@ -232,15 +232,21 @@ def test_arrays_are_bound_not_copied(kept):
         CompiledIteration(pointwise(integrand(1)), tr.layout, {"u": np.zeros(3)})
 
 
-def test_what_does_not_suit_is_refused():
+def test_what_cannot_be_compiled_is_refused():
     closed = cg.BoundaryProblem(one, (0.0, 1.0), [None], periodic=True)
     crossed = cg.BoundaryProblem(lambda t, x, v: v[0] * v[1], (0.0, 1.0), [0.0, 0.0], [1.0, 1.0])
-    chain = cg.BoundaryProblem(six, (0.0, 1.0), [0.0] * 30, [1.0] * 30)  # sparse, and too wide for dense blocks to pay
-    for problem in (closed, crossed, chain):
+    for problem in (closed, crossed):
         tr = cg.transcribe(problem, cg.Galerkin(2), 4)
         assert not suits(tr.functional.pointwise, tr.layout)
-        with pytest.raises(ValueError, match="does not suit"):
+        with pytest.raises(ValueError, match="takes no periodic path"):
             CompiledIteration(tr.functional.pointwise, tr.layout)
+
+
+@pytest.mark.parametrize(("masses", "intervals", "expected"), [(6, 4, True), (6, 3, False), (30, 4, False)])
+def test_few_intervals_and_wide_sparse_lagrangians_are_left_to_the_stages(masses, intervals, expected):
+    chain = cg.BoundaryProblem(six, (0.0, 1.0), [0.0] * masses, [1.0] * masses)
+    tr = cg.transcribe(chain, cg.Galerkin(2), intervals)
+    assert suits(tr.functional.pointwise, tr.layout) is expected
 
 
 def test_a_missing_compiler_is_reported(monkeypatch):

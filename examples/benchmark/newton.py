@@ -2,7 +2,8 @@
 
 An iteration is ∇S, ∇²S and the solution with ∇²S.  Its limit is the evaluation of both derivatives at all points by
 a loop compiled in C, and LAPACK's banded factorisation and solution of the same matrix (Cholesky where it is
-definite, else LU), with the matrix in LAPACK's own form already: assembling it is not counted.
+definite, else LU), with the matrix in LAPACK's own form already: assembling it is not counted.  With jit, the package's
+iteration is one pass over the intervals, compiled in C.
 
 Run it alone on a quiet machine; it takes a minute or two.
 """
@@ -62,6 +63,9 @@ def fastest(*calls):
 def iteration(transcription, unknowns, data):
     """A callable: derivatives and solution."""
     system = transcription.system
+    if system.condensed:  # compiled, with a second right-hand side; it works on arrays that are set once
+        system.iterate(unknowns, data)
+        return system.condensed["iterate"].run
 
     def once():
         (gradient,) = system.evaluate("derivatives", unknowns, data)
