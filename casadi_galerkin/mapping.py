@@ -79,7 +79,7 @@ def compiler() -> str:
 
 @lru_cache(LAYOUTS_KEPT)
 def compiled(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Function:
-    """Map a pointwise Function over `count` points, the loop compiled in C: 0.3 s, then 1 to 2 times as fast as rows."""
+    """Map a pointwise Function over points, the loop compiled in C: 0.3 s, then 1 to 2 times as fast as rows."""
     flags = {"compiler": compiler(), "flags": ["-O3", "-march=native"], "directory": tempfile.gettempdir() + os.sep}
     options = {"jit": True, "compiler": "shell", "jit_options": flags}
     inputs = _inputs(f, count, shared)
