@@ -15,7 +15,8 @@ import numpy as np
 from casadi_galerkin.algebra import algebra
 from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.functional import Evaluation, Functional, pointwise
-from casadi_galerkin.iteration import condensed, suits
+from casadi_galerkin.iteration import compiled_stages, suits
+from casadi_galerkin.kernel import translatable
 from casadi_galerkin.layout import Layout
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.system import System
@@ -49,8 +50,13 @@ class ActionGraph:
             tuple(i for i, value in enumerate(end) if value is not None) for end in (problem.start, problem.end)
         )
         layout = Layout(method, len(mesh) - 1, problem.dimension, fixed_start, fixed_end, problem.periodic)
-        whole = evaluation == "compiled" and suits(pointwise(problem.lagrangian), layout)
-        self.functional = Functional(problem.lagrangian, layout, "vectorised" if whole else evaluation)
+        compiles = False
+        if evaluation == "compiled":
+            derived = pointwise(problem.lagrangian)
+            compiles = suits(derived, layout)
+            if compiles or not translatable(derived.derivatives):
+                evaluation = "vectorised"  # of what is left
+        self.functional = Functional(problem.lagrangian, layout, evaluation)
         self.layout = self.functional.layout
         at_point, linear = self.functional.pointwise, algebra(*self.functional.pattern_key)
         self.system = System(
@@ -59,7 +65,7 @@ class ActionGraph:
             linear,
             at_point.blocks,
             at_point.kinetic,
-            condensed(at_point, layout, linear.workspace) if whole else {},
+            compiled_stages(at_point, layout, linear.workspace) if compiles else {},
             evaluation == "single",
         )
         self.build_seconds = time.perf_counter() - began

@@ -62,6 +62,8 @@ class Pointwise:
         rows = ca.blocksplit(self._hessian, ends, ends)
         self._cells = {(i, j): cell for i, row in enumerate(rows) for j, cell in enumerate(row)}
         self.blocks = tuple(key for key, cell in self._cells.items() if cell.nnz())
+        if not self.blocks:
+            raise ValueError("the Lagrangian is linear in x and v: no path makes its action stationary, or all do")
         self.pattern = ca.Sparsity.diag(d)  # the matrix must have a diagonal even where L ignores a component
         for key in self.blocks:
             sparsity = self._cells[key].sparsity()

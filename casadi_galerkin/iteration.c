@@ -266,7 +266,7 @@ static inline void back(const struct iteration *s, int sides, const double *rhs,
 
 /* u, mesh, p, probe -> gradient, step, soft, excess of the step. */
 void run(const struct iteration *s) {
-    double carried[CARRIED] = {0}, slope[D] = {0}, pair[JOINT + CARRIED];
+    double carried[CARRIED] = {0}, from_left[D] = {0}, pair[JOINT + CARRIED];
     for (long k = 0; k < s->intervals; k += W) {
         lanes gradient[NODES], *h = s->factors + k / W * FACTOR, *derivatives = s->derivatives + k / W * DERIVATIVES;
         evaluate(s, k, derivatives, gradient);
@@ -276,15 +276,15 @@ void run(const struct iteration *s) {
         for (int lane = 0; lane < W && k + lane < s->intervals; lane++) {
             for (int i = 0; i < D; i++) {
                 long entry = joint(s, k + lane, i);
-                if (entry < s->unknowns) s->gradient[entry] = slope[i] + gradient[INNER + i][lane];
-                slope[i] = gradient[INNER + D + i][lane];
+                if (entry < s->unknowns) s->gradient[entry] = from_left[i] + gradient[INNER + i][lane];
+                from_left[i] = gradient[INNER + D + i][lane];
             }
             for (int j = 0; j < JOINT + CARRIED; j++) pair[j] = h[FACTOR + j][lane];
             pass(s, k + lane, pair, carried);
         }
     }
     for (int i = 0; i < D; i++)
-        if (s->last[i] < s->unknowns) s->gradient[s->last[i]] = slope[i];
+        if (s->last[i] < s->unknowns) s->gradient[s->last[i]] = from_left[i];
     for (int j = 0; j < JOINT + CARRIED; j++) pair[j] = 0;
     pass(s, s->intervals, pair, carried);
     back(s, RIGHT, s->gradient, (double *[]){s->step, s->soft});

@@ -72,7 +72,10 @@ class CompiledIteration:
 
     def __init__(self, pointwise: Pointwise, layout: Layout, arrays: Mapping[str, np.ndarray] | None = None) -> None:
         if not takes(pointwise, layout):
-            raise ValueError("a compiled iteration takes no periodic path, and no L without a kinetic energy or C")
+            raise ValueError(
+                "a compiled iteration needs ends that are not joined, a kinetic energy of every component, "
+                "and operations that C knows"
+            )
         method, free = layout.method, layout.free
         self._library = library(pointwise, method.degree, len(method.quadrature))
         lanes = ctypes.c_int.in_dll(self._library, "lanes_at_once").value
@@ -113,7 +116,7 @@ class CompiledIteration:
         self._library.resolve(self._address)
 
 
-def condensed(pointwise: Pointwise, layout: Layout, workspace: Workspace) -> dict[str, Call]:
+def compiled_stages(pointwise: Pointwise, layout: Layout, workspace: Workspace) -> dict[str, Call]:
     """The stages of a compiled iteration that works on the arrays of a workspace.
 
     - iterate : (u, mesh, leaning) -> (gradient, step, soft, excess)

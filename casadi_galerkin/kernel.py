@@ -19,7 +19,7 @@ from casadi_galerkin.mapping import compiler
 
 OPTIMISED = "-O2", "-fpeel-loops", "-march=native", "-fno-math-errno", "-fno-trapping-math"  # -O3 only takes longer
 SHARED = "-std=gnu99", "-fPIC", "-shared"
-WHOLE = {ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE, ca.OP_INV}  # for all lanes
+ARITHMETIC = {ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE, ca.OP_INV}  # for all lanes
 WITHOUT_C = {ca.OP_CALL, ca.OP_ERFINV, ca.OP_PRINTME}
 PREAMBLE = """#include <math.h>
 #ifdef __AVX512F__ /* one vector; with two of AVX, eight intervals were measured up to 4 times as slow as four */
@@ -59,11 +59,11 @@ def _pointwise(f: ca.Function, nonzeros: int) -> str:
 
 def _operation(operation: int, source: list[int], target: str) -> str:
     """C for one operation, as CasADi writes it."""
-    whole = operation in WHOLE
-    names = [f"w{i}" if whole else f"w{i}[lane]" for i in source]
+    at_once = operation in ARITHMETIC
+    names = [f"w{i}" if at_once else f"w{i}[lane]" for i in source]
     symbols = [ca.SX.sym(name) for name in names]
     value = ca.SX.unary(operation, *symbols) if len(symbols) == 1 else ca.SX.binary(operation, *symbols)
-    return f"{target} = {value};" if whole else f"for (int lane = 0; lane < W; lane++) {target}[lane] = {value};"
+    return f"{target} = {value};" if at_once else f"for (int lane = 0; lane < W; lane++) {target}[lane] = {value};"
 
 
 def _source(pointwise: Pointwise, degree: int, points: int) -> str:

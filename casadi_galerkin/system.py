@@ -28,8 +28,8 @@ STAGED = {  # name -> stages, names of the results
         ("embed", "derivatives", "sum", "integrate", "vary", "assemble", "judge"),
         ("action", "momentum", "gradient", "floor", "regularity"),
     ),
-    "condensed newton": (("lean", "iterate", "measured"), ("step", "sizes", "norm")),
-    "condensed search": (("embed", "first", "integrate", "resolve", "compared"), ("simplified", "length", "bend")),
+    "compiled newton": (("lean", "iterate", "measured"), ("step", "sizes", "norm")),
+    "compiled search": (("embed", "first", "integrate", "resolve", "compared"), ("simplified", "length", "bend")),
 }
 
 
@@ -45,7 +45,7 @@ class System:
     algebra : Algebra
     blocks : which second-derivative blocks the pointwise Function has
     pivots : whether LDLᵀ without pivoting can work: False where ∂²L/∂v_i² is structurally zero for some i
-    condensed : the stages "iterate" and "resolve" of a compiled Newton iteration, bound to the workspace of `algebra`;
+    compiled : the stages "iterate" and "resolve" of a compiled Newton iteration, bound to the workspace of `algebra`;
         empty without one
     once : whether so little is solved that building "first" would cost more than it saves: "derivatives" does for all
     """
@@ -55,9 +55,9 @@ class System:
     algebra: Algebra
     blocks: tuple[tuple[int, int], ...]
     pivots: bool = True
-    condensed: Mapping[str, Call] = field(default_factory=dict)
+    compiled: Mapping[str, Call] = field(default_factory=dict)
     once: bool = False
-    _holds: bool = False  # whether the compiled iteration holds the factors of the last iterate
+    _holds_factors: bool = False  # the compiled iteration, of the last iterate
     _evaluators: dict[str, Evaluator] = field(default_factory=dict, repr=False, compare=False)
     _chains: dict[str, Chain] = field(default_factory=dict, repr=False, compare=False)
     _solvers: dict[tuple[bool, int, int], ca.Function] = field(default_factory=dict, repr=False, compare=False)
@@ -100,7 +100,7 @@ class System:
                 "compared": algebra.compared,
             }
             self._chains[name] = Chain(
-                workspace, [self.condensed.get(stage) or stages[stage]() for stage in STAGED[name][0]]
+                workspace, [self.compiled.get(stage) or stages[stage]() for stage in STAGED[name][0]]
             )
         return self._chains[name]
 
@@ -116,15 +116,15 @@ class System:
         gradient not finite.  ∇²S is left.
         """
         with self.algebra.lock:
-            self._holds = bool(self.condensed) and self._solved("condensed newton", unknowns, data)
-            if not self._holds:
+            self._holds_factors = bool(self.compiled) and self._solved("compiled newton", unknowns, data)
+            if not self._holds_factors:
                 self._find("newton", "derivatives", "step", unknowns, data)
             step, sizes, norm = self._results("newton")
             return step.copy(), sizes.copy(), norm.item()
 
     def restore(self, unknowns: np.ndarray, data: Data) -> None:
         """Leave what `search` needs of an earlier iterate again: its Hessian, or the factors of that."""
-        if self.condensed:
+        if self.compiled:
             self.iterate(unknowns, data)
         else:
             self.evaluate("derivatives", unknowns, data)
@@ -138,11 +138,11 @@ class System:
         """
         with self.algebra.lock:
             arrays = self.algebra.workspace.arrays
-            self._chain("condensed search" if self._holds else "search")  # makes its arrays
+            self._chain("compiled search" if self._holds_factors else "search")  # makes its arrays
             arrays["whole"][:], arrays["measured_by"][:], arrays["damping"][:] = step, sizes, damping
-            if not self._holds:
+            if not self._holds_factors:
                 self._find("search", "gradient", "search", unknowns, data)
-            elif not self._solved("condensed search", unknowns, data):
+            elif not self._solved("compiled search", unknowns, data):
                 arrays["length"][:] = arrays["bend"][:] = np.nan
             simplified, length, bend = self._results("search")
             return simplified.copy(), length.item(), bend.item()

@@ -89,6 +89,11 @@ def test_a_lagrangian_that_cannot_be_traced_is_refused(lagrangian, kind, message
         problem(lagrangian=lagrangian, start=[0.0, 0.0], end=[1.0, 1.0])
 
 
+def test_a_lagrangian_without_second_derivatives_is_refused():
+    with pytest.raises(ValueError, match="linear in x and v"):
+        cg.solve(problem(lagrangian=lambda t, x, v: v[0] - 2 * x[0]), METHOD, 6)
+
+
 def test_a_lagrangian_of_parameters_is_called_with_them():
     with pytest.raises(TypeError, match=r"symbols t, x, v, p \(2,\)"):
         problem(parameters=[1.0, 2.0])

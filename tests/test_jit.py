@@ -79,6 +79,13 @@ def test_what_does_not_suit_the_compiled_iteration_is_compiled_at_the_points():
 
 
 @compiler
+def test_operations_that_c_does_not_know_are_not_compiled():
+    odd = pendulum(1.0, 2.0, lambda t, x, v: v[0] ** 2 + ca.erfinv(x[0] / 20))
+    plain, fast = (cg.transcribe(odd, cg.Galerkin(2), 6, jit=jit).solve() for jit in (False, True))
+    np.testing.assert_array_equal(fast.path.values, plain.path.values)
+
+
+@compiler
 @pytest.mark.parametrize("parameters", [None, [1.3]])
 def test_compiled_points_give_the_same_path(parameters):
     plain, fast = (cg.transcribe(problem(parameters), cg.Galerkin(4), 6, jit=jit).solve() for jit in (False, True))

@@ -63,9 +63,9 @@ def fastest(*calls):
 def iteration(transcription, unknowns, data):
     """A callable: derivatives and solution."""
     system = transcription.system
-    if system.condensed:  # compiled, with a second right-hand side; it works on arrays that are set once
+    if system.compiled:  # compiled, with a second right-hand side; it works on arrays that are set once
         system.iterate(unknowns, data)
-        return system.condensed["iterate"].run
+        return system.compiled["iterate"].run
 
     def once():
         (gradient,) = system.evaluate("derivatives", unknowns, data)
