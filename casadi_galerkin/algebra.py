@@ -231,21 +231,25 @@ class Algebra:
         return self._function("floor", inputs, outputs)
 
     def judge(self) -> Evaluator:
-        """(matrix, u, terms, soft) -> (floor, regularity).
+        """(gradient, matrix, u, terms, soft) -> (floor, residual, regularity).
 
-        The roundoff floor of ∇S, and yᵀ∇²S y for y = `soft` over a bound of |y|ᵀ|∇²S||y|.  Zero or NaN tells nothing: a
-        component's only unknown has but one term in the Hessian, which cannot tell whether it is small.
+        The roundoff floor of ∇S, its largest entry over that, and yᵀ∇²S y for y = `soft` over a bound of |y|ᵀ|∇²S||y|.
+        Zero or NaN tells nothing of that: a component's only unknown has but one term in the Hessian, which cannot tell
+        whether it is small.
         """
         return self.workspace.keep("judge", self._judge)
 
     def _judge(self) -> ca.Function:
-        inputs = self._symbols("matrix", "u", "terms", "soft")
-        matrix, u, terms, y = inputs.values()
+        inputs = self._symbols("gradient", "matrix", "u", "terms", "soft")
+        gradient, matrix, u, terms, y = inputs.values()
         floor, scale, spread = self.floor(matrix, u, terms)
+        ratios = gradient / floor
+        residual = ca.norm_inf(ratios) + 0 * ca.sum1(ratios)  # sums keep a NaN
         y = y / ca.norm_inf(y / scale)
         quotient = ca.fabs(ca.bilin(matrix, y, y)) / ca.dot(scale, spread)
         comparable = ca.mmin(scale) > ZERO if self.layout.free > self.layout.dimension else ca.MX(0)
-        return self._function("judge", inputs, {"floor": floor, "regularity": ca.if_else(comparable, quotient, 0)})
+        outputs = {"floor": floor, "residual": residual, "regularity": ca.if_else(comparable, quotient, 0)}
+        return self._function("judge", inputs, outputs)
 
 
 @lru_cache(LAYOUTS_KEPT)

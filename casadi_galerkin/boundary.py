@@ -122,7 +122,7 @@ class Transcription(ActionGraph):
         if not callable(solver):
             raise TypeError(f"solver must be rootfinder, ipopt or minimizer, got {solver!r}")
         calculus = self._calculus if mesh is None else DiscreteCalculus(self.method, mesh)
-        joints = calculus.mesh
+        joints = self.mesh if mesh is None else calculus.mesh
         if len(joints) != len(self.mesh):
             raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {len(joints) - 1}")
         data = self.data(joints, start, end, parameters)
@@ -168,6 +168,22 @@ class Transcription(ActionGraph):
         parameters: Sequence[float] | None = None,
     ) -> Data:
         """Values of all inputs of the graph but the unknowns; the problem's unless others are given."""
+        if joints is self.mesh and start is None and end is None and parameters is None:
+            return self._stated
+        return self._given(joints, start, end, parameters)
+
+    @cached_property
+    def _stated(self) -> Data:
+        """The data of the problem itself."""
+        return self._given(self.mesh, None, None, None)
+
+    def _given(
+        self,
+        joints: np.ndarray,
+        start: Sequence[float | None] | None,
+        end: Sequence[float | None] | None,
+        parameters: Sequence[float] | None,
+    ) -> Data:
         data = []
         for name, given in (("start", start), ("end", end)):
             of_problem = values = getattr(self.problem, name)
@@ -189,26 +205,34 @@ class Transcription(ActionGraph):
         return np.asarray(values.ravel()[self.layout.place])
 
     @cached_property
-    def _fixed(self) -> tuple[np.ndarray, np.ndarray]:
-        """Which components are given at both ends, (2, d), and where among the data; the others behind them."""
-        given = self.layout.numbering[[0, -1]] - self.layout.free
-        fixed = given >= 0
-        return fixed, np.where(fixed, given, self.layout.size - self.layout.free)
+    def _bent(self) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray]:
+        """Where what is given at the ends stands in (start, end, 0) and among the node values; what moves the ends.
+
+        The last is an index (2, d) into the first: a free component takes over what the other end is moved by, and
+        one that is free at both stays, by the 0.
+        """
+        ends = self.layout.numbering[[0, -1]] - self.layout.free
+        rows, columns = np.nonzero(ends >= 0)
+        moved_by = np.full(ends.shape, len(rows))
+        moved_by[rows, columns] = np.arange(len(rows))
+        moved_by = np.where(ends >= 0, moved_by, moved_by[::-1])
+        return np.append(ends[rows, columns], self.layout.size - self.layout.free), (-rows, columns), moved_by
 
     def _guess(self, guess: Guess | None, calculus: DiscreteCalculus, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) of a guess, bent to meet the fixed ends by adding a straight line."""
-        times, (fixed, places) = calculus.node_times, self._fixed
-        miss = np.concatenate((*data[:2], (0.0,)))[places]
-        if guess is not None:
-            values = given_values(guess, calculus, self.problem.dimension).T
-            if not np.all(np.isfinite(values)):
+        given, nodes, moved_by = self._bent
+        moves = np.concatenate((*data[:2], (0.0,)))[given]
+        values = None if guess is None else given_values(guess, calculus, self.problem.dimension).T
+        if values is not None:
+            if not np.isfinite(values).all():
                 i = int(np.argmax(~np.isfinite(values).all(axis=1)))
-                raise ValueError(f"the guess must be finite, got {values[i]} at t = {times[i]}")
-            miss = np.where(fixed, miss - values[[0, -1]], 0.0)
-        miss = np.where(fixed, miss, miss[::-1])  # a free end takes over what the other one is moved by
-        part = (times - times[0]) / (times[-1] - times[0])
-        line = miss[0] + np.multiply.outer(part, miss[1] - miss[0])
-        return np.asarray(line if guess is None else values + line)
+                raise ValueError(f"the guess must be finite, got {values[i]} at t = {calculus.node_times[i]}")
+            moves[:-1] -= values[nodes]
+            if not moves.any():
+                return values
+        first, last = moves[moved_by]
+        line = first + np.multiply.outer(calculus.node_parts, last - first)
+        return np.asarray(line if values is None else values + line)
 
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
@@ -238,6 +262,8 @@ class Transcription(ActionGraph):
 
     def _solved(self, data: Data) -> BoundaryProblem:
         """The problem with the ends, joints and parameters that were solved for."""
+        if data is self._stated:
+            return self.problem
         ends = []
         for given, fixed in zip((self.problem.start, self.problem.end), data[:2], strict=True):
             values = iter(fixed.tolist())

@@ -168,6 +168,11 @@ class DiscreteCalculus:
         return np.append(self._times(self._element.nodes[:-1]), self.mesh[-1])
 
     @cached_property
+    def node_parts(self) -> np.ndarray:
+        """The same times as parts of the whole time, from 0 to 1; (N m + 1,)."""
+        return np.asarray((self.node_times - self.mesh[0]) / (self.mesh[-1] - self.mesh[0]))
+
+    @cached_property
     def quadrature_times(self) -> np.ndarray:
         """Quadrature points, interval by interval; (N r,)."""
         return self._times(self._element.points)

@@ -56,7 +56,7 @@ def conjugate(solution: Solution, path: PiecewisePolynomial, quotient: float) ->
 def explained(graph: ActionGraph, failure: SolveFailure, path: PiecewisePolynomial, data: Data) -> ConvergenceError:
     """Report what an engine failed at; `path` is its last iterate."""
     unknowns, times = failure.unknowns, DiscreteCalculus(graph.method, data[2]).node_times
-    _, _, g, floor, _ = graph.system.evaluate("judged", unknowns, data)
+    *_, g, floor = graph.system.evaluate("judged", unknowns, data)
     residual = np.abs(g) / floor
     worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
     when = times[np.argmax((graph.layout.numbering == worst).any(axis=1))]

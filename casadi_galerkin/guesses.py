@@ -40,8 +40,8 @@ def given_values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np
         if len(path.values) != d:
             raise ValueError(f"the guess must be a path of {d} component(s), got {len(path.values)}")
         same = old[0] == times[0] and old[-1] == times[-1]
-        part = (times - times[0]) / (times[-1] - times[0])
-        return path(times if same else np.clip(old[0] + part * (old[-1] - old[0]), old[0], old[-1]))
+        stretched = old[0] + calculus.node_parts * (old[-1] - old[0])
+        return path(times if same else np.clip(stretched, old[0], old[-1]))
     if callable(guess):
         columns = [real_array("values of the guess", guess(float(t))) for t in times]
         shapes = {column.shape for column in columns}

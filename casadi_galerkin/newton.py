@@ -75,7 +75,7 @@ class Iterate(NamedTuple):
     norm: float
 
 
-@threads.single()
+@threads.single
 def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limit: int = 200) -> Solution:
     """Newton's method with natural monotonicity line search.
 
@@ -144,10 +144,6 @@ def _iterate(system: System, x: np.ndarray, data: Data) -> Iterate:
     return Iterate(x, *system.iterate(x, data))
 
 
-def _size(vector: np.ndarray) -> float:
-    return float(np.abs(vector).max(initial=0.0))
-
-
 def _forecast(step: np.ndarray, simplified: np.ndarray, now: Iterate) -> float:
     """Factor on the last damping (Deuflhard, eq. 3.47)."""
     before, after, bend = np.abs(np.array((step, simplified, simplified - now.step)) / now.sizes).max(axis=1).tolist()
@@ -174,8 +170,5 @@ def verified(system: System, x: np.ndarray, data: Data, iterations: int, report:
 
     Its softest direction is taken from the last `System.iterate`, at x or at the iterate before it.
     """
-    (action,), momentum, gradient, floor, (regularity,) = system.evaluate("judged", x, data)
-    residual = _size(gradient / floor)
-    if not residual <= ROUNDOFF:
-        return None
-    return Solution(x, iterations, residual, report, float(action), momentum, float(regularity))
+    action, momentum, residual, regularity = system.judge(x, data)
+    return Solution(x, iterations, residual, report, action, momentum, regularity) if residual <= ROUNDOFF else None

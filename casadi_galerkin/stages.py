@@ -161,12 +161,9 @@ class Chain:
         self._place(unknowns, data)
         for array in self._parameters:
             array[:] = data[3]
-        if threads.count() > 1:
-            with threads.single():
-                self._run()
-        else:
-            self._run()
+        self._run()
 
+    @threads.single
     def _run(self) -> None:
         for run in self._runs:
             run()

@@ -26,7 +26,7 @@ STAGED = {  # name -> stages, names of the results
     "search": (("embed", "first", "integrate", "search"), ("simplified", "length", "bend")),
     "judged": (
         ("embed", "derivatives", "sum", "integrate", "vary", "assemble", "judge"),
-        ("action", "momentum", "gradient", "floor", "regularity"),
+        ("action", "momentum", "residual", "regularity", "gradient", "floor"),
     ),
     "compiled newton": (("lean", "iterate", "measured"), ("step", "sizes", "norm")),
     "compiled search": (("embed", "first", "integrate", "resolve", "compared"), ("simplified", "length", "bend")),
@@ -70,8 +70,7 @@ class System:
         - action : -> S
         - gradient : -> ∇S by ξ
         - derivatives : -> ∇S; ∇²S is left in `algebra.matrix`
-        - judged : -> S, momenta at the joints, ∇S, and what `Algebra.judge` gives with the soft direction of the last
-          step; ∇²S is left as well
+        - judged : -> what `judge` gives, ∇S, and its roundoff floor
         """
         if name in STAGED:
             with self.algebra.lock:
@@ -146,6 +145,16 @@ class System:
                 arrays["length"][:] = arrays["bend"][:] = np.nan
             simplified, length, bend = self._results("search")
             return simplified.copy(), length.item(), bend.item()
+
+    def judge(self, unknowns: np.ndarray, data: Data) -> tuple[float, np.ndarray, float, float]:
+        """S, momenta at the joints, and residual and regularity by `Algebra.judge` with the last step's soft direction.
+
+        ∇²S is left.
+        """
+        with self.algebra.lock:
+            self._chain("judged")(unknowns, data)
+            action, momentum, residual, regularity, *_ = self._results("judged")
+            return action.item(), momentum.copy(), residual.item(), regularity.item()
 
     def _solved(self, name: str, unknowns: np.ndarray, data: Data) -> bool:
         """Run a chain that solves with the Hessian; whether the solution is right."""

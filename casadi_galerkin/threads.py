@@ -8,11 +8,15 @@ solve took 22 ms instead of 3.  IPOPT's linear solver uses the same library, so 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
+from typing import ParamSpec, TypeVar
 
 import casadi as ca
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
 
 LIBRARY = "libcasadi-tp-openblas.so.0"  # on Linux; where it is not found, nothing is changed
 
@@ -28,15 +32,18 @@ def _functions() -> tuple[Callable[[], int], Callable[[int], object]]:
 count, use = _functions()
 
 
-@contextmanager
-def single() -> Iterator[None]:
-    """Use one thread; within another `single`, nothing changes."""
-    several = count()
-    if several == 1:
-        yield  # another thread may be at work, and will put the number back
-        return
-    use(1)
-    try:
-        yield
-    finally:
-        use(several)
+def single(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Let a function use one thread; within another such function, nothing changes."""
+
+    @wraps(function)
+    def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        several = count()
+        if several == 1:
+            return function(*args, **kwargs)  # another thread may be at work, and will put the number back
+        use(1)
+        try:
+            return function(*args, **kwargs)
+        finally:
+            use(several)
+
+    return limited

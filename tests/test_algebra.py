@@ -74,13 +74,14 @@ def test_judgement_is_made_with_the_hessian_where_it_is_made(name):
     system = transcription.system
     before = unknowns + 1e-3
     system.iterate(before, data)
-    action, momentum, got, floor, regularity = system.evaluate("judged", unknowns, data)
+    action, momentum, residual, regularity, got, floor = system.evaluate("judged", unknowns, data)
     summary = [np.array(value).ravel(order="F") for value in transcription.summary(unknowns, *data)]
     np.testing.assert_allclose(np.concatenate((action, momentum)), np.concatenate(summary[:2]), rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(got, gradient, rtol=0, atol=CLOSE * np.max(np.abs(gradient)))
     scale = sizes_of(transcription, unknowns, data)
     eps = np.finfo(float).eps
     np.testing.assert_allclose(floor, eps * (summary[3] + np.abs(hessian) @ scale), rtol=1e-9)
+    assert residual[0] == pytest.approx(np.max(np.abs(got) / floor), rel=1e-12)
     probe = np.cos(1.0 + np.arange(len(unknowns))) / sizes_of(transcription, before, data)
     soft = np.linalg.solve(np.array(transcription.hessian(before, *data)), probe)
     soft /= np.max(np.abs(soft) / scale)
