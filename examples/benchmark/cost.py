@@ -1,10 +1,12 @@
 """What a solve costs: building, overhead, the growth with the number of intervals, memory and the error floor.
 
 "Outside" is wall time less the time that CasADi spends on evaluating its Functions and factorising matrices: tracing,
-building graphs, symbolic factorisation, and everything in Python.  Times are the best of several runs in a warm
-process.  The problem is a Kepler arc with d = 2 whose end is known to 1e-15, so that the error floor can be seen.
+building graphs, symbolic factorisation, and everything in Python.  It is the best of several runs in a warm process;
+the growth is a median of rounds, since the speed of a machine changes more between two sizes measured one after the
+other than their cost does.  The problem is a Kepler arc with d = 2 whose end is known to 1e-15, so that the error floor
+can be seen.
 
-Run it alone on a quiet machine; the last part takes a few GiB of memory and a minute.
+Run it alone on a quiet machine; it takes 2 GiB of memory and two minutes.
 """
 
 import platform
@@ -111,17 +113,32 @@ def overhead(ledger, degree):
     return {"first solve": min(known), "first of its layout": min(new), "repeated solve": min(again)}
 
 
-def iteration(intervals, degree=4):
-    """Seconds of one ∇S and ∇²S and one factorisation with solution; best of some."""
+def stepper(intervals, degree=4):
+    """A callable of one ∇S and ∇²S and one factorisation with solution."""
     transcription = cg.transcribe(arc(), cg.Galerkin(degree), intervals)
     point = transcription.critical_point()
-    system, unknowns, runs = transcription.system, point.solution.unknowns, []
-    for _ in range(max(3, min(200, 200_000 // intervals))):
-        began = time.perf_counter()
+    system, unknowns = transcription.system, point.solution.unknowns
+
+    def step():
         (gradient,) = system.evaluate("derivatives", unknowns, point.data)
         system.solve(gradient)
-        runs.append(time.perf_counter() - began)
-    return min(runs)
+
+    return step
+
+
+def growth():
+    """Seconds of `stepper` for all sizes, and the fitted exponent: medians of rounds, in each of them equally long."""
+    steps, rounds = [stepper(size) for size in SIZES], []
+    for _ in range(REPEATS):
+        seconds = []
+        for size, step in zip(SIZES, steps, strict=True):
+            runs, began = SIZES[-1] // size, time.perf_counter()
+            for _ in range(runs):
+                step()
+            seconds.append((time.perf_counter() - began) / runs)
+        rounds.append(seconds)
+    exponents = [np.polyfit(np.log(SIZES), np.log(seconds), 1)[0] for seconds in rounds]
+    return np.median(rounds, axis=0), np.median(exponents)
 
 
 def floor(intervals=SIZES[-1], degree=4):
@@ -149,10 +166,10 @@ def main():
         for what, (outside, evaluating) in overhead(ledger, degree).items():
             figures[f"{what}, N = {SMALL}, m = {degree}: ms outside"] = outside
             figures[f"{what}, N = {SMALL}, m = {degree}: ms evaluating"] = evaluating
-    seconds = [iteration(size) for size in SIZES]
+    seconds, exponent = growth()
     for size, value in zip(SIZES, seconds, strict=True):
         figures[f"one Newton iteration, N = {size}, m = 4: ms"] = 1e3 * value
-    figures["exponent of its growth with N"] = np.polyfit(np.log(SIZES), np.log(seconds), 1)[0]
+    figures["exponent of its growth with N"] = exponent
     return figures
 
 
