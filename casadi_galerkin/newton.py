@@ -23,6 +23,7 @@ from casadi_galerkin.system import ROUNDOFF, SINGULAR, System, second_variation,
 NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
 SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if the next one is so much shorter
 STRONG_CONTRACTION = 0.1  # the same for a long first step: from a straight line, all steps are long
+NEARLY_FULL = 0.5  # forecast from which a short step is first tried in full: forecasts are cautious
 SMALLEST_DAMPING = 1e-7
 
 
@@ -108,6 +109,8 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
                 trial = None
                 system.restore(at.unknowns, data)
         if trial is None:
+            if short and damping > NEARLY_FULL:
+                damping = 1.0
             x, simplified, damping = _line_search(system, at, damping, data, iteration)
             trial = _iterate(system, x, data)
             forecast = min(1.0, damping * _forecast(at.step, simplified, trial))
