@@ -45,6 +45,7 @@ class Pointwise:
     Attributes
     ----------
     pattern : Sparsity (d, d), symmetric, that holds every second-derivative block
+    stored : the same, or its lower triangle where that tells all: without a block of x and x'
     blocks : which of (0, 0), (0, 1), (1, 0), (1, 1) are not structurally zero; 0 stands for x and 1 for x'
     kinetic : whether no ∂²L̂/∂x'_i² is structurally zero
     """
@@ -68,6 +69,7 @@ class Pointwise:
         for key in self.blocks:
             sparsity = self._cells[key].sparsity()
             self.pattern = self.pattern + sparsity + sparsity.T
+        self.stored = self.pattern if (0, 1) in self.blocks else ca.tril(self.pattern)
         kinetic = self._cells[1, 1].sparsity()
         self.kinetic = all(kinetic.has_nz(i, i) for i in range(d))
 
@@ -78,11 +80,11 @@ class Pointwise:
 
     @cached_property
     def derivatives(self) -> ca.Function:
-        """What `first` has, and second derivatives in the order of `blocks`, each the column of its `pattern` entries.
+        """What `first` has, and second derivatives in the order of `blocks`, each the column of its `stored` entries.
 
         Together, because a call costs as much as evaluating a small Lagrangian.
         """
-        columns = {f"block{i}{j}": ca.project(self._cells[i, j], self.pattern).nz[:] for i, j in self.blocks}
+        columns = {f"block{i}{j}": ca.project(self._cells[i, j], self.stored).nz[:] for i, j in self.blocks}
         return self._function("derivatives", {"f": self._value, **self._slopes, **columns}, CSE)
 
     @cached_property
@@ -132,8 +134,8 @@ class Functional:
         self.pointwise, self.layout, self.evaluation = pointwise(integrand), kept(layout), evaluation
         self._shared = (4,) if integrand.n_in() == 4 else ()  # after t, h, x and x' the parameters
         self._parameters = [ca.MX.sym("parameters", integrand.size1_in(3))] if self._shared else []
-        pattern = self.pointwise.pattern
-        self.pattern_key = (self.layout, tuple(pattern.colind()), tuple(pattern.row()))
+        stored = self.pointwise.stored
+        self.pattern_key = (self.layout, tuple(stored.colind()), tuple(stored.row()))
 
     @property
     def symbols(self) -> dict[str, ca.MX]:

@@ -5,8 +5,8 @@
    the first to the last as the pass goes on.  W neighbouring intervals are dealt with at once, each in a lane of a
    vector; the last group repeats the last interval.  The joints go one by one.
 
-   Prepended: W, D components, M the degree, R quadrature points, BLOCKS of second derivatives and NONZEROS of each, their
-   ROW and COLUMN, `lanes`, and the function `pointwise`. */
+   Prepended: W, D components, M the degree, R quadrature points, BLOCKS of second derivatives, their NONZEROS with
+   ROW and COLUMN, each at its PLACE among the STORED ones, `lanes`, and the function `pointwise`. */
 
 enum {
     INNER = (M - 1) * D,                 /* control values of an interval */
@@ -17,7 +17,7 @@ enum {
     PAIR = 2 * D + RIGHT,                /* rows of the matrix over the two joints of an interval */
     JOINT = D * PAIR - D * (D - 1) / 2,  /* length of the columns of the left one */
     CARRIED = D * (D + RIGHT) - D * (D - 1) / 2, /* and of the right one, to which the next interval adds */
-    DERIVATIVES = R * BLOCKS * NONZEROS, /* second derivatives of an interval */
+    DERIVATIVES = R * BLOCKS * STORED, /* second derivatives of an interval */
 };
 
 const int lanes_at_once = W;
@@ -137,7 +137,7 @@ static inline void evaluate(const struct iteration *s, long k, lanes *derivative
     for (int q = 0; q < R; q++) {
         lanes x[D], slope[D], fx[D], fv[D], t = begin + s->points[q] * h;
         embed(s, q, nodes, x, slope);
-        pointwise(&t, &h, x, slope, s->p, fx, fv, derivatives + q * BLOCKS * NONZEROS);
+        pointwise(&t, &h, x, slope, s->p, fx, fv, derivatives + q * BLOCKS * STORED);
         integrate(s, q, fx, fv, gradient);
     }
     complete(gradient);
@@ -152,13 +152,13 @@ static inline void form(const struct iteration *s, long k, const lanes *derivati
         for (int j = 0; j < NODES * ROWS - NODES * (NODES - 1) / 2; j++) h[j] = (lanes){0};
     for (int a = 0; a <= M; a++)
         for (int b = 0; b <= a; b++, product += R * BLOCKS) {
-            lanes sum[NONZEROS];
-            for (int e = 0; e < NONZEROS; e++) sum[e] = product[0] * derivatives[e];
+            lanes sum[STORED];
+            for (int e = 0; e < STORED; e++) sum[e] = product[0] * derivatives[e];
             for (int q = 1; q < R * BLOCKS; q++)
-                for (int e = 0; e < NONZEROS; e++) sum[e] += product[q] * derivatives[q * NONZEROS + e];
+                for (int e = 0; e < STORED; e++) sum[e] += product[q] * derivatives[q * STORED + e];
             for (int e = 0; e < NONZEROS; e++) {
                 int row = a * D + ROW[e], column = b * D + COLUMN[e];
-                if (row >= column) h[column * ROWS - column * (column - 1) / 2 + row - column] = sum[e];
+                if (row >= column) h[column * ROWS - column * (column - 1) / 2 + row - column] = sum[PLACE[e]];
             }
         }
     gather(s, k, s->probe, probe);
@@ -212,9 +212,9 @@ static inline void apply(const struct iteration *s, const lanes *derivatives, co
         lanes at[2 * D], f[2 * D];
         embed(s, q, y, at, at + D);
         for (int i = 0; i < 2 * D; i++) f[i] = (lanes){0};
-        for (int b = 0; b < BLOCKS; b++)
+        for (int b = 0; b < BLOCKS; b++, derivatives += STORED)
             for (int e = 0; e < NONZEROS; e++)
-                f[BLOCK_ROW[b] * D + ROW[e]] += *derivatives++ * at[BLOCK_COLUMN[b] * D + COLUMN[e]];
+                f[BLOCK_ROW[b] * D + ROW[e]] += derivatives[PLACE[e]] * at[BLOCK_COLUMN[b] * D + COLUMN[e]];
         integrate(s, q, f, f + D, defect);
     }
     complete(defect);

@@ -160,7 +160,7 @@ def _memory(pointwise: Pointwise, layout: Layout, lanes: int) -> dict[str, np.nd
     """Room for the factors and the second derivatives, by the sizes in `iteration.c`."""
     n, d, m = layout.intervals, layout.dimension, layout.method.degree
     groups, rows = -(-n // lanes), (m + 1) * d + 2
-    derivatives = len(layout.method.quadrature) * len(pointwise.blocks) * pointwise.pattern.nnz()
+    derivatives = len(layout.method.quadrature) * len(pointwise.blocks) * pointwise.stored.nnz()
     return {
         "factors": _aligned((groups * _packed((m - 1) * d, rows) + _packed(2 * d, 2 * d + 2)) * lanes),
         "derivatives": _aligned(groups * derivatives * lanes),

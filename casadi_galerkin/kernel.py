@@ -16,6 +16,7 @@ import casadi as ca
 from casadi_galerkin.functional import Pointwise
 from casadi_galerkin.layout import LAYOUTS_KEPT
 from casadi_galerkin.mapping import compiler
+from casadi_galerkin.operators import cell
 
 OPTIMISED = "-O2", "-fpeel-loops", "-march=native", "-fno-math-errno", "-fno-trapping-math"  # -O3 only takes longer
 SHARED = "-std=gnu99", "-fPIC", "-shared"
@@ -35,7 +36,7 @@ static inline void pointwise(const lanes *t, const lanes *h, const lanes *x, con
 """
 
 
-def _pointwise(f: ca.Function, nonzeros: int) -> str:
+def _pointwise(f: ca.Function, stored: int) -> str:
     """C for the instructions of `Pointwise.derivatives`, each for all lanes."""
     lines = [f"lanes {', '.join(f'w{i}' for i in range(f.sz_w()))};"]
     for k in range(f.n_instructions()):
@@ -43,7 +44,7 @@ def _pointwise(f: ca.Function, nonzeros: int) -> str:
         if operation == ca.OP_OUTPUT:
             name, place = f.name_out(target[0]), target[1]
             if target[0] > 2:  # after f, fx and fv the blocks, one behind the other
-                name, place = "derivatives", place + nonzeros * (target[0] - 3)
+                name, place = "derivatives", place + stored * (target[0] - 3)
             if name != "f":
                 lines.append(f"{name}[{place}] = w{source[0]};")
         elif operation == ca.OP_INPUT:
@@ -68,14 +69,15 @@ def _operation(operation: int, source: list[int], target: str) -> str:
 
 def _source(pointwise: Pointwise, degree: int, points: int) -> str:
     """All of the translation unit."""
-    pattern = pointwise.pattern
-    sizes = {"D": pattern.size1(), "M": degree, "R": points}
-    sizes |= {"BLOCKS": len(pointwise.blocks), "NONZEROS": pattern.nnz()}
-    rows, columns = zip(*pointwise.blocks, strict=True)
-    tables = {"ROW": pattern.row(), "COLUMN": pattern.get_col(), "BLOCK_ROW": rows, "BLOCK_COLUMN": columns}
+    stored = pointwise.stored
+    row, column, place, _ = (index.tolist() for index in cell(tuple(stored.colind()), tuple(stored.row())))
+    sizes = {"D": stored.size1(), "M": degree, "R": points}
+    sizes |= {"BLOCKS": len(pointwise.blocks), "NONZEROS": len(row), "STORED": stored.nnz()}
+    block_rows, block_columns = zip(*pointwise.blocks, strict=True)
+    tables = {"ROW": row, "COLUMN": column, "PLACE": place, "BLOCK_ROW": block_rows, "BLOCK_COLUMN": block_columns}
     constants = [f"#define {name} {value}" for name, value in sizes.items()]
     constants += [f"static const int {name}[] = {{{', '.join(map(str, table))}}};" for name, table in tables.items()]
-    function = PREAMBLE + _pointwise(pointwise.derivatives, pattern.nnz()) + "\n}\n"
+    function = PREAMBLE + _pointwise(pointwise.derivatives, stored.nnz()) + "\n}\n"
     kernel = Path(__file__).with_name("iteration.c").read_text(encoding="utf-8")
     return "\n".join(constants) + "\n" + function + kernel
 

@@ -163,8 +163,8 @@ def assembly(
 ) -> ca.Function:
     """Eᵀ blockdiag(·) E: second derivatives at the points -> sparse symmetric matrix over the unknowns ξ.
 
-    Inputs are one matrix a block, (entries of the (d, d) pattern, N r).  Each interval contributes a dense
-    (m + 1) by (m + 1) grid of cells with that pattern, and neighbours overlap in the joint between them:
+    Inputs are one matrix a block, (stored entries of the (d, d) pattern, N r), as in `cell`.  Each interval contributes
+    a dense (m + 1) by (m + 1) grid of cells with that pattern, and neighbours overlap in the joint between them:
 
         ■ ■ ■ · ·
         ■ ■ ■ · ·
@@ -208,8 +208,8 @@ class Pattern:
 
 @lru_cache(LAYOUTS_KEPT)
 def hessian_pattern(layout: Layout, colind: tuple[int, ...], row: tuple[int, ...]) -> Pattern:
-    """Pattern of Eᵀ blockdiag(·) E; each block has the pattern (colind, row), symmetric, with its diagonal."""
-    position, target = _hessian_entries(layout, np.array(colind), np.array(row))
+    """Pattern of Eᵀ blockdiag(·) E; of each block the entries (colind, row) are stored, its diagonal among them."""
+    position, target = _hessian_entries(layout, colind, row)
     (first, targets), *others = _contributions(target)
     columns, rows = np.divmod(targets, layout.free)
     starts = np.searchsorted(columns, np.arange(layout.free + 1))
@@ -218,20 +218,32 @@ def hessian_pattern(layout: Layout, colind: tuple[int, ...], row: tuple[int, ...
     return Pattern(sparsity, position[first], rounds)
 
 
-def _hessian_entries(layout: Layout, colind: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def cell(colind: tuple[int, ...], row: tuple[int, ...]) -> tuple[np.ndarray, ...]:
+    """Rows and columns of a cell's entries, and where they stand among the stored ones: in it, and in its transpose.
+
+    Stored are all entries of a symmetric pattern, or, of cells that are symmetric themselves, the lower triangle.
+    """
+    rows, columns = np.array(row), np.repeat(np.arange(len(colind) - 1), np.diff(colind))
+    stored = np.arange(len(rows))
+    if np.any(rows < columns):
+        return rows, columns, stored, np.lexsort((columns, rows))
+    below = np.flatnonzero(rows > columns)
+    both = np.append(stored, below)
+    return np.append(rows, columns[below]), np.append(columns, rows[below]), both, both
+
+
+def _hessian_entries(layout: Layout, colind: tuple[int, ...], row: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """For every entry of every local Hessian: its position among the computed ones, its place column-major."""
     nodes, count = layout.method.degree + 1, len(row)
-    column = np.repeat(np.arange(len(colind) - 1), np.diff(colind))
-    mirrored = np.lexsort((column, row))  # entry (j, i) for each entry (i, j) of the symmetric pattern
-    b, a, entry = (index.ravel() for index in np.indices((nodes, nodes, count)))
-    order = np.lexsort((row[entry], a, column[entry], b))  # column-major, so that the final sort has little to do
+    row_in, column_in, stored, transposed = cell(colind, row)
+    b, a, entry = (index.ravel() for index in np.indices((nodes, nodes, len(row_in))))
+    order = np.lexsort((row_in[entry], a, column_in[entry], b))  # column-major, so that the final sort has little to do
     a, b, entry = a[order], b[order], entry[order]
     low, high = np.minimum(a, b), np.maximum(a, b)
     pair = high * (high + 1) // 2 + low
-    stored = np.where(a >= b, entry, mirrored[entry])
     interval = np.arange(layout.intervals)[:, None]
-    position = (pair * layout.intervals + interval) * count + stored
+    position = (pair * layout.intervals + interval) * count + np.where(a >= b, stored[entry], transposed[entry])
     local = layout.local
-    rows, columns = local[a, interval, row[entry]], local[b, interval, column[entry]]
+    rows, columns = local[a, interval, row_in[entry]], local[b, interval, column_in[entry]]
     kept = (rows < layout.free) & (columns < layout.free)
     return position[kept], columns[kept] * layout.free + rows[kept]
