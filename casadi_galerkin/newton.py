@@ -3,7 +3,7 @@
 The natural monotonicity test: P. Deuflhard, "Newton Methods for Nonlinear Problems", 2004, algorithm NLEQ-ERR.
 
 A solution is accepted if every residual is within `ROUNDOFF` times its own roundoff floor, eps times the sizes of
-the terms it sums and of what the rounding of the unknowns themselves does to it, |H||ξ|.
+the terms it sums and of what the rounding of the unknowns themselves does to it, |H||ξ|, with H of the last iterate.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if 
 STRONG_CONTRACTION = 0.1  # the same for a long first step: from a straight line, all steps are long
 NEARLY_FULL = 0.5  # forecast from which a short step is first tried in full: forecasts are cautious
 SMALLEST_DAMPING = 1e-7
+DRIFT = 10.0  # how much a relative step may change the second variation, relative to its terms
 
 
 class SolveFailure(Exception):
@@ -47,7 +48,8 @@ class Solution:
     report : what was used to find it
     action, momentum : S, and the momenta at the joints, component fastest
     regularity : second variation along a direction that leans to the softest one, over a bound of its terms in the
-        assembled Hessian: far above zero only where that is regular; may be zero or NaN even there
+        last iterate's Hessian, less what may have changed since: far above zero only where the Hessian is regular; may
+        be zero, negative or NaN even there
     """
 
     unknowns: np.ndarray
@@ -95,11 +97,10 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
             raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=finite)
         end = _end(system, at, last, data)
         if end is not None:
-            solution = verified(system, end, data, iteration, "Newton")
+            solution = verified(system, end, data, iteration, "Newton", at.norm)
             if solution is not None:
                 _report(iteration, at.norm, damping, verbose)
                 return solution
-            system.restore(at.unknowns, data)
         last, trial, forecast = at.norm, None, 1.0
         short = last < SHORT
         if damping == 1.0 and (short or iteration == 1):
@@ -168,10 +169,14 @@ def _line_search(
     raise SolveFailure("the line search found no step that leads on", at.unknowns, iteration)
 
 
-def verified(system: System, x: np.ndarray, data: Data, iterations: int, report: str) -> Solution | None:
-    """Judge the residuals at x by their roundoff floors: a solution, or None.  The Hessian is evaluated at x.
+def verified(
+    system: System, x: np.ndarray, data: Data, iterations: int, report: str, moved: float = 0.0
+) -> Solution | None:
+    """Judge the residuals at x by their roundoff floors: a solution, or None.
 
-    Its softest direction is taken from the last `System.iterate`, at x or at the iterate before it.
+    Hessian and softest direction are those of the last `System.iterate`, at x or a relative step `moved` before it.
     """
     action, momentum, residual, regularity = system.judge(x, data)
-    return Solution(x, iterations, residual, report, action, momentum, regularity) if residual <= ROUNDOFF else None
+    if not residual <= ROUNDOFF:
+        return None
+    return Solution(x, iterations, residual, report, action, momentum, regularity - DRIFT * moved)

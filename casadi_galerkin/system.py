@@ -28,6 +28,10 @@ STAGED = {  # name -> stages, names of the results
         ("embed", "derivatives", "sum", "integrate", "vary", "assemble", "judge"),
         ("action", "momentum", "residual", "regularity", "gradient", "floor"),
     ),
+    "ended": (
+        ("embed", "first", "sum", "integrate", "vary", "judge"),
+        ("action", "momentum", "residual", "regularity"),
+    ),
     "compiled newton": (("lean", "iterate", "measured"), ("step", "sizes", "norm")),
     "compiled search": (("embed", "first", "integrate", "resolve", "compared"), ("simplified", "length", "bend")),
 }
@@ -70,7 +74,7 @@ class System:
         - action : -> S
         - gradient : -> ∇S by ξ
         - derivatives : -> ∇S; ∇²S is left in `algebra.matrix`
-        - judged : -> what `judge` gives, ∇S, and its roundoff floor
+        - judged : -> what `judge` gives, with the Hessian at ξ itself, ∇S, and its roundoff floor
         """
         if name in STAGED:
             with self.algebra.lock:
@@ -147,13 +151,14 @@ class System:
             return simplified.copy(), length.item(), bend.item()
 
     def judge(self, unknowns: np.ndarray, data: Data) -> tuple[float, np.ndarray, float, float]:
-        """S, momenta at the joints, and residual and regularity by `Algebra.judge` with the last step's soft direction.
+        """S, momenta at the joints, and residual and regularity by `Algebra.judge`.
 
-        ∇²S is left.
+        For a point that a step led to: Hessian and soft direction are those of the last `iterate`, which `search` still
+        finds afterwards.
         """
         with self.algebra.lock:
-            self._chain("judged")(unknowns, data)
-            action, momentum, residual, regularity, *_ = self._results("judged")
+            self._chain("judged" if self._holds_factors else "ended")(unknowns, data)
+            action, momentum, residual, regularity = self._results("ended")
             return action.item(), momentum.copy(), residual.item(), regularity.item()
 
     def _solved(self, name: str, unknowns: np.ndarray, data: Data) -> bool:

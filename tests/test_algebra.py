@@ -89,6 +89,25 @@ def test_judgement_is_made_with_the_hessian_where_it_is_made(name):
     assert regularity[0] == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_the_end_of_a_step_is_judged_with_the_hessian_of_the_iterate(name):
+    transcription, unknowns, data, _, _ = point(name)
+    system = transcription.system
+    step, sizes, _ = system.iterate(unknowns, data)
+    hessian, soft = np.array(transcription.hessian(unknowns, *data)), system.algebra.workspace.arrays["soft"].copy()
+    before = system.search(unknowns + step, data, step, sizes, 1.0)
+    _, _, residual, regularity = system.judge(unknowns + step, data)
+    after = system.search(unknowns + step, data, step, sizes, 1.0)
+    np.testing.assert_array_equal(before[0], after[0])
+    summary = [np.array(value).ravel(order="F") for value in transcription.summary(unknowns + step, *data)]
+    scale = sizes_of(transcription, unknowns + step, data)
+    floor = np.finfo(float).eps * (summary[3] + np.abs(hessian) @ scale)
+    assert residual == pytest.approx(np.max(np.abs(summary[2]) / floor), rel=1e-9)
+    soft /= np.max(np.abs(soft) / scale)
+    expected = abs(soft @ hessian @ soft) / (scale @ np.abs(hessian) @ scale)
+    assert regularity == pytest.approx(expected, rel=1e-6)
+
+
 def test_a_gradient_that_is_not_finite_gives_no_measure():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.sqrt(x[0]), (0.0, 1.0), [1.0], [2.0])
     transcription = cg.transcribe(problem, cg.Galerkin(2), 3)
