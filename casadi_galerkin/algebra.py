@@ -101,7 +101,7 @@ class Algebra:
     def _step(self, name: str) -> ca.Function:
         inputs = self._symbols("matrix", "gradient", "u", "probe")
         matrix, gradient, u, probe = inputs.values()
-        leaning = probe / self.measure(u, 0)
+        leaning = probe / self._measure(u)
         step, soft = ca.horzsplit(self._solution(name, matrix, ca.horzcat(gradient, leaning)))
         outputs = {"step": step, "soft": soft, **self._measures(u, step)}
         return self._function("step", inputs, outputs | {"excess": self._excess(matrix, step, gradient)})
@@ -115,7 +115,7 @@ class Algebra:
 
     def _measures(self, u: ca.MX, step: ca.MX) -> dict[str, ca.MX]:
         """What the unknowns are measured by, and the largest step relative to that."""
-        sizes = self.measure(u, step)
+        sizes = self._measure(u, step)
         return {"sizes": sizes, "norm": ca.norm_inf(step / sizes)}
 
     def _comparison(self, y: ca.MX, whole: ca.MX, measured_by: ca.MX, damping: ca.MX) -> dict[str, ca.MX]:
@@ -144,7 +144,7 @@ class Algebra:
 
         def build() -> ca.Function:
             inputs = self._symbols("u", "probe")
-            leaning = inputs["probe"] / self.measure(inputs["u"], 0)
+            leaning = inputs["probe"] / self._measure(inputs["u"])
             return self._function("lean", inputs, {"leaning": leaning})
 
         return self.workspace.keep("lean", build)
@@ -192,17 +192,21 @@ class Algebra:
         """One value a component -> one an unknown."""
         return ca.vec(scale.get_nz(False, self.layout.component[: self.layout.free].tolist()))
 
-    @cached_property
-    def measure(self) -> ca.Function:
-        """(u, step) -> what each unknown is measured by: the size of its component in both, one for zero."""
-        inputs = self._symbols("values", "step")
-        free, given = ca.vertsplit(inputs["values"], [0, self.layout.free, self.layout.size])
-        scale = self.largest(ca.vertcat(ca.fmax(ca.fabs(free), ca.fabs(inputs["step"])), given))
-        return self._function("measure", inputs, {"sizes": self._expanded(ca.if_else(scale < ZERO, 1.0, scale))})
+    def _measure(self, u: ca.MX, step: ca.MX | None = None) -> ca.MX:
+        """What each unknown is measured by: the size of its component in u and a step, one for zero."""
+        scale = self.largest(u)
+        if step is not None:
+            scale = ca.fmax(scale, self.largest(ca.vertcat(step, ca.MX.zeros(self.layout.size - self.layout.free))))
+        return self._expanded(ca.if_else(scale < ZERO, 1.0, scale))
 
     def sizes(self, u: np.ndarray) -> np.ndarray:
         """What each unknown is measured by: the size of its component in the path, one for zero."""
-        return self._evaluator("sizes", lambda: self.measure)(u, np.zeros(self.layout.free))[0]
+
+        def build() -> ca.Function:
+            inputs = self._symbols("u")
+            return self._function("sizes", inputs, {"sizes": self._measure(inputs["u"])})
+
+        return self._evaluator("sizes", build)(u)[0]
 
     def probe(self, u: np.ndarray) -> np.ndarray:
         """A right-hand side without symmetry, in the units of ∇S: its solution leans to the softest direction."""

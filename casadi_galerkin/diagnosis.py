@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from casadi_galerkin.action_graph import ActionGraph
@@ -29,7 +31,7 @@ def not_finite(graph: ActionGraph, unknowns: np.ndarray, data: Data) -> str:
 
 def refuse_undefined(graph: ActionGraph, solution: Solution, path: PiecewisePolynomial, data: Data) -> None:
     """Raise if the action is not finite on a path that solves the equations."""
-    if np.isfinite(solution.action):
+    if math.isfinite(solution.action):
         return
     place = not_finite(graph, solution.unknowns, data)
     raise ConvergenceError(
