@@ -65,6 +65,7 @@ class ActionGraph:
             linear,
             at_point.blocks,
             at_point.kinetic,
+            at_point.quadratic,
             compiled_stages(at_point, layout, linear.workspace) if compiles else {},
             evaluation == "single",
         )

@@ -101,9 +101,10 @@ class Algebra:
     def _step(self, name: str) -> ca.Function:
         inputs = self._symbols("matrix", "gradient", "u", "probe")
         matrix, gradient, u, probe = inputs.values()
-        leaning = probe / self._measure(u)
+        scale = self.largest(u)
+        leaning = probe / self._measure(scale)
         step, soft = ca.horzsplit(self._solution(name, matrix, ca.horzcat(gradient, leaning)))
-        outputs = {"step": step, "soft": soft, **self._measures(u, step)}
+        outputs = {"step": step, "soft": soft, **self._measures(scale, step)}
         return self._function("step", inputs, outputs | {"excess": self._excess(matrix, step, gradient)})
 
     def _search(self, name: str) -> ca.Function:
@@ -113,9 +114,10 @@ class Algebra:
         outputs = {"simplified": y, **self._comparison(y, *others)}
         return self._function("search", inputs, outputs | {"excess": self._excess(matrix, y, gradient)})
 
-    def _measures(self, u: ca.MX, step: ca.MX) -> dict[str, ca.MX]:
-        """What the unknowns are measured by, and the largest step relative to that."""
-        sizes = self._measure(u, step)
+    def _measures(self, scale: ca.MX, step: ca.MX) -> dict[str, ca.MX]:
+        """What the unknowns are measured by with a step, and the largest step relative to that."""
+        whole = ca.vertcat(step, ca.MX.zeros(self.layout.size - self.layout.free))
+        sizes = self._measure(ca.fmax(scale, self.largest(whole)))
         return {"sizes": sizes, "norm": ca.norm_inf(step / sizes)}
 
     def _comparison(self, y: ca.MX, whole: ca.MX, measured_by: ca.MX, damping: ca.MX) -> dict[str, ca.MX]:
@@ -144,7 +146,7 @@ class Algebra:
 
         def build() -> ca.Function:
             inputs = self._symbols("u", "probe")
-            leaning = inputs["probe"] / self._measure(inputs["u"])
+            leaning = inputs["probe"] / self._measure(self.largest(inputs["u"]))
             return self._function("lean", inputs, {"leaning": leaning})
 
         return self.workspace.keep("lean", build)
@@ -154,7 +156,7 @@ class Algebra:
 
         def build() -> ca.Function:
             inputs = self._symbols("u", "step")
-            return self._function("measured", inputs, self._measures(*inputs.values()))
+            return self._function("measured", inputs, self._measures(self.largest(inputs["u"]), inputs["step"]))
 
         return self.workspace.keep("measured", build)
 
@@ -192,11 +194,8 @@ class Algebra:
         """One value a component -> one an unknown."""
         return ca.vec(scale.get_nz(False, self.layout.component[: self.layout.free].tolist()))
 
-    def _measure(self, u: ca.MX, step: ca.MX | None = None) -> ca.MX:
-        """What each unknown is measured by: the size of its component in u and a step, one for zero."""
-        scale = self.largest(u)
-        if step is not None:
-            scale = ca.fmax(scale, self.largest(ca.vertcat(step, ca.MX.zeros(self.layout.size - self.layout.free))))
+    def _measure(self, scale: ca.MX) -> ca.MX:
+        """What each unknown is measured by: the size of its component, one for zero."""
         return self._expanded(ca.if_else(scale < ZERO, 1.0, scale))
 
     def sizes(self, u: np.ndarray) -> np.ndarray:
@@ -204,7 +203,7 @@ class Algebra:
 
         def build() -> ca.Function:
             inputs = self._symbols("u")
-            return self._function("sizes", inputs, {"sizes": self._measure(inputs["u"])})
+            return self._function("sizes", inputs, {"sizes": self._measure(self.largest(inputs["u"]))})
 
         return self._evaluator("sizes", build)(u)[0]
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary import CriticalPoint, Transcription, transcribe
-from casadi_galerkin.calculus import DiscreteCalculus, Galerkin
+from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.guesses import Guess
 from casadi_galerkin.layout import Data
 from casadi_galerkin.newton import Solution, verified
@@ -183,8 +183,7 @@ class Walk:
 
     def path(self, z: np.ndarray) -> PiecewisePolynomial:
         """The path that a point stands for."""
-        unknowns, calculus = z[:-1], DiscreteCalculus(self.transcription.method, self.transcription.mesh)
-        return calculus.emb(self.transcription.values(unknowns, self.data(z)).T)
+        return self.transcription.emb(z[:-1], self.data(z))
 
     def run(self, guess: Guess | None) -> Branch:
         """Walk until the target, or the start, is met."""

@@ -48,6 +48,7 @@ class Pointwise:
     stored : the same, or its lower triangle where that tells all: without a block of x and x'
     blocks : which of (0, 0), (0, 1), (1, 0), (1, 1) are not structurally zero; 0 stands for x and 1 for x'
     kinetic : whether no ∂²L̂/∂x'_i² is structurally zero
+    quadratic : whether second derivatives depend on neither x nor x', so that Newton's equations have but one matrix
     """
 
     def __init__(self, integrand: ca.Function) -> None:
@@ -72,6 +73,7 @@ class Pointwise:
         self.stored = self.pattern if (0, 1) in self.blocks else ca.tril(self.pattern)
         kinetic = self._cells[1, 1].sparsity()
         self.kinetic = all(kinetic.has_nz(i, i) for i in range(d))
+        self.quadratic = not ca.depends_on(self._hessian, ca.vertcat(x, slope))
 
     @cached_property
     def first(self) -> ca.Function:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from casadi_galerkin import threads
 from casadi_galerkin.algebra import LOCAL
 from casadi_galerkin.layout import Data
 from casadi_galerkin.precision import EPS, TINY
-from casadi_galerkin.system import ROUNDOFF, SINGULAR, System, second_variation, softest
+from casadi_galerkin.system import ROUNDOFF, SINGULAR, Iterate, System, second_variation, softest
 
 NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
 SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if the next one is so much shorter
@@ -61,23 +60,6 @@ class Solution:
     regularity: float
 
 
-class Iterate(NamedTuple):
-    """A point with its Newton step.
-
-    Attributes
-    ----------
-    unknowns : ξ
-    step : -∇²S⁻¹ ∇S
-    sizes : what the unknowns are measured by
-    norm : largest step relative to them; NaN where the step is not finite
-    """
-
-    unknowns: np.ndarray
-    step: np.ndarray
-    sizes: np.ndarray
-    norm: float
-
-
 @threads.single
 def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limit: int = 200) -> Solution:
     """Newton's method with natural monotonicity line search.
@@ -87,7 +69,7 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
 
     Arguments and failures are those of an engine, such as `rootfinder`; `limit` is the most iterations.
     """
-    at, damping = _iterate(system, guess, data), 1.0
+    at, damping = system.iterate(guess, data), 1.0
     if not (math.isfinite(at.norm) or np.isfinite(system.algebra.gradient).all()):
         raise SolveFailure("the gradient of the action is not finite at the guess", guess, 0)
     last = math.sqrt(at.norm)  # the first step is taken for one of quadratic convergence
@@ -104,7 +86,7 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
         last, trial, forecast = at.norm, None, 1.0
         short = last < SHORT
         if damping == 1.0 and (short or iteration == 1):
-            trial = _iterate(system, at.unknowns + at.step, data)
+            trial = system.iterate(at.unknowns + at.step, data, again=True)
             contracts = trial.norm <= last * (CONTRACTION if short else STRONG_CONTRACTION)
             if not (contracts or (last < LOCAL and math.isfinite(trial.norm))):
                 trial = None
@@ -113,7 +95,7 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
             if short and damping > NEARLY_FULL:
                 damping = 1.0
             x, simplified, damping = _line_search(system, at, damping, data, iteration)
-            trial = _iterate(system, x, data)
+            trial = system.iterate(x, data, again=True)
             forecast = min(1.0, damping * _forecast(at.step, simplified, trial))
         _report(iteration, last, damping, verbose)
         at, damping = trial, forecast
@@ -142,10 +124,6 @@ def _end(system: System, at: Iterate, last: float, data: Data) -> np.ndarray | N
         return None
     soft, step = soft / at.sizes, at.step / at.sizes
     return np.asarray(at.unknowns + at.sizes * (step - soft * ((soft @ step) / max(soft @ soft, TINY))))
-
-
-def _iterate(system: System, x: np.ndarray, data: Data) -> Iterate:
-    return Iterate(x, *system.iterate(x, data))
 
 
 def _forecast(step: np.ndarray, simplified: np.ndarray, now: Iterate) -> float:

@@ -149,21 +149,26 @@ class Chain:
     ----------
     workspace : Workspace
     stages : such as embed, evaluate pointwise, integrate
+    results : names of arrays
     """
 
-    def __init__(self, workspace: Workspace, stages: Sequence[Stage]) -> None:
+    def __init__(self, workspace: Workspace, stages: Sequence[Stage], results: Sequence[str] = ()) -> None:
         self._stages, self._place = stages, workspace.place
         self._runs = [stage.run for stage in stages]
         self._parameters = [array for stage in stages for array in stage.inputs]
+        self._results = [workspace.arrays[name] for name in results]
 
-    def __call__(self, unknowns: np.ndarray, data: Data) -> None:
-        """Evaluate; the results are left in the arrays of their names."""
+    def __call__(self, unknowns: np.ndarray, data: Data) -> list[np.ndarray]:
+        """Evaluate; the results are the arrays themselves, which the next evaluation writes to."""
         self._place(unknowns, data)
         for array in self._parameters:
             array[:] = data[3]
-        self._run()
+        if threads.count() == 1:
+            self._run()
+        else:
+            threads.single(self._run)()
+        return self._results
 
-    @threads.single
     def _run(self) -> None:
         for run in self._runs:
             run()

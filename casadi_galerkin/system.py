@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -18,12 +19,13 @@ ROUNDOFF = 50.0  # accepted residual over its roundoff floor; correct solutions 
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
 AGREED = 1e-3  # part of the assembled yᵀ∇²S y that the points must find; families 7e-7 at most, regular paths 1 - 1e-5
 
-STAGED = {  # name -> stages, names of the results
+STAGED = {  # name -> stages, names of the results; last the excess of what was solved for
     "action": (("embed", "first", "sum"), ("action",)),
     "gradient": (("embed", "first", "integrate"), ("gradient",)),
     "derivatives": (("embed", "derivatives", "integrate", "assemble"), ("gradient",)),
-    "newton": (("embed", "derivatives", "integrate", "assemble", "step"), ("step", "sizes", "norm")),
-    "search": (("embed", "first", "integrate", "search"), ("simplified", "length", "bend")),
+    "newton": (("embed", "derivatives", "integrate", "assemble", "step"), ("step", "sizes", "norm", "excess")),
+    "newton again": (("embed", "first", "integrate", "step"), ("step", "sizes", "norm", "excess")),
+    "search": (("embed", "first", "integrate", "search"), ("simplified", "length", "bend", "excess")),
     "judged": (
         ("embed", "derivatives", "sum", "integrate", "vary", "assemble", "judge"),
         ("action", "momentum", "residual", "regularity", "gradient", "floor"),
@@ -32,9 +34,29 @@ STAGED = {  # name -> stages, names of the results
         ("embed", "first", "sum", "integrate", "vary", "judge"),
         ("action", "momentum", "residual", "regularity"),
     ),
-    "compiled newton": (("lean", "iterate", "measured"), ("step", "sizes", "norm")),
-    "compiled search": (("embed", "first", "integrate", "resolve", "compared"), ("simplified", "length", "bend")),
+    "compiled newton": (("lean", "iterate", "measured"), ("step", "sizes", "norm", "excess")),
+    "compiled search": (
+        ("embed", "first", "integrate", "resolve", "compared"),
+        ("simplified", "length", "bend", "excess"),
+    ),
 }
+
+
+class Iterate(NamedTuple):
+    """A point with its Newton step.
+
+    Attributes
+    ----------
+    unknowns : ξ
+    step : -∇²S⁻¹ ∇S
+    sizes : what the unknowns are measured by
+    norm : largest step relative to them; NaN where the step is not finite
+    """
+
+    unknowns: np.ndarray
+    step: np.ndarray
+    sizes: np.ndarray
+    norm: float
 
 
 @dataclass(eq=False)
@@ -49,6 +71,7 @@ class System:
     algebra : Algebra
     blocks : which second-derivative blocks the pointwise Function has
     pivots : whether LDLᵀ without pivoting can work: False where ∂²L/∂v_i² is structurally zero for some i
+    quadratic : whether the Hessian depends on the data alone
     compiled : the stages "iterate" and "resolve" of a compiled Newton iteration, bound to the workspace of `algebra`;
         empty without one
     once : whether so little is solved that building "first" would cost more than it saves: "derivatives" does for all
@@ -59,6 +82,7 @@ class System:
     algebra: Algebra
     blocks: tuple[tuple[int, int], ...]
     pivots: bool = True
+    quadratic: bool = False
     compiled: Mapping[str, Call] = field(default_factory=dict)
     once: bool = False
     _holds_factors: bool = False  # the compiled iteration, of the last iterate
@@ -78,8 +102,7 @@ class System:
         """
         if name in STAGED:
             with self.algebra.lock:
-                self._chain(name)(unknowns, data)
-                return [self.algebra.workspace.arrays[key].copy() for key in STAGED[name][1]]
+                return [array.copy() for array in self._chain(name)(unknowns, data)]
         if name not in self._evaluators:
             self._evaluators[name] = Evaluator(self.build(name))
         return self._evaluators[name](unknowns, *data, *further)
@@ -102,9 +125,9 @@ class System:
                 "measured": algebra.measured,
                 "compared": algebra.compared,
             }
-            self._chains[name] = Chain(
-                workspace, [self.compiled.get(stage) or stages[stage]() for stage in STAGED[name][0]]
-            )
+            of_chain, results = STAGED[name]
+            built = [self.compiled.get(stage) or stages[stage]() for stage in of_chain]
+            self._chains[name] = Chain(workspace, built, results)
         return self._chains[name]
 
     def _at_points(self, name: str) -> Evaluator:
@@ -112,18 +135,20 @@ class System:
             self._evaluators[name] = self.algebra.workspace.stage(self.mapped(name))
         return self._evaluators[name]
 
-    def iterate(self, unknowns: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray, float]:
-        """The Newton step, what the unknowns are measured by, and the largest step relative to that.
+    def iterate(self, unknowns: np.ndarray, data: Data, again: bool = False) -> Iterate:
+        """The Newton step, found as by `solve`, and its measures.
 
-        The step is found as by `solve`; its norm is NaN where the Hessian is singular to the last digit, or the
-        gradient not finite.  ∇²S is left.
+        Its norm is NaN where the Hessian is singular to the last digit, or the gradient not finite.  ∇²S is left; if it
+        was already that of the same data, `again` spares a quadratic Lagrangian its evaluation.
         """
         with self.algebra.lock:
-            self._holds_factors = bool(self.compiled) and self._solved("compiled newton", unknowns, data)
+            if self.compiled:
+                step, sizes, norm, excess = self._chain("compiled newton")(unknowns, data)
+                self._holds_factors = excess.item() <= 0
             if not self._holds_factors:
-                self._find("newton", "derivatives", "step", unknowns, data)
-            step, sizes, norm = self._results("newton")
-            return step.copy(), sizes.copy(), norm.item()
+                names = ("newton again", "gradient") if again and self.quadratic else ("newton", "derivatives")
+                step, sizes, norm, _ = self._found(*names, "step", unknowns, data)
+            return Iterate(unknowns, step.copy(), sizes.copy(), norm.item())
 
     def restore(self, unknowns: np.ndarray, data: Data) -> None:
         """Leave what `search` needs of an earlier iterate again: its Hessian, or the factors of that."""
@@ -140,14 +165,15 @@ class System:
         They are NaN where the gradient is not finite, or the Hessian is singular to the last digit.
         """
         with self.algebra.lock:
+            chain = self._chain("compiled search" if self._holds_factors else "search")  # makes its arrays
             arrays = self.algebra.workspace.arrays
-            self._chain("compiled search" if self._holds_factors else "search")  # makes its arrays
             arrays["whole"][:], arrays["measured_by"][:], arrays["damping"][:] = step, sizes, damping
             if not self._holds_factors:
-                self._find("search", "gradient", "search", unknowns, data)
-            elif not self._solved("compiled search", unknowns, data):
-                arrays["length"][:] = arrays["bend"][:] = np.nan
-            simplified, length, bend = self._results("search")
+                simplified, length, bend, _ = self._found("search", "gradient", "search", unknowns, data)
+            else:
+                simplified, length, bend, excess = chain(unknowns, data)
+                if not excess.item() <= 0:
+                    length[:] = bend[:] = np.nan
             return simplified.copy(), length.item(), bend.item()
 
     def judge(self, unknowns: np.ndarray, data: Data) -> tuple[float, np.ndarray, float, float]:
@@ -157,24 +183,19 @@ class System:
         finds afterwards.
         """
         with self.algebra.lock:
-            self._chain("judged" if self._holds_factors else "ended")(unknowns, data)
-            action, momentum, residual, regularity = self._results("ended")
+            chain = self._chain("judged" if self._holds_factors else "ended")
+            action, momentum, residual, regularity, *_ = chain(unknowns, data)
             return action.item(), momentum.copy(), residual.item(), regularity.item()
 
-    def _solved(self, name: str, unknowns: np.ndarray, data: Data) -> bool:
-        """Run a chain that solves with the Hessian; whether the solution is right."""
-        self._chain(name)(unknowns, data)
-        return bool(self.algebra.workspace.arrays["excess"].item() <= 0)
-
-    def _find(self, name: str, without: str, stage: str, unknowns: np.ndarray, data: Data) -> None:
-        """Run a chain that ends with a stage by LDLᵀ, or the one `without` it and the stage by QR where that fails."""
-        if self.pivots and self._solved(name, unknowns, data):
-            return
-        if not self.pivots:
+    def _found(self, name: str, without: str, stage: str, unknowns: np.ndarray, data: Data) -> list[np.ndarray]:
+        """Results of a chain that ends with a stage by LDLᵀ, or of the one `without` it and the stage by QR."""
+        if self.pivots:
+            results = self._chain(name)(unknowns, data)
+            if results[-1].item() <= 0:
+                return results
+        else:
             self._chain(without)(unknowns, data)
         self.algebra.by_qr(stage)
-
-    def _results(self, name: str) -> list[np.ndarray]:
         return [self.algebra.workspace.arrays[key] for key in STAGED[name][1]]
 
     def add_inertia(self, factor: float) -> None:

@@ -109,7 +109,7 @@ def assert_agrees(tr, iteration):
     put(iteration, unknowns, data)
     iteration.run()
     arrays = iteration.arrays
-    step, *_ = tr.system.iterate(unknowns, data)
+    step = tr.system.iterate(unknowns, data).step
     gradient = tr.system.algebra.gradient.copy()
     (soft,) = tr.system.solve(arrays["probe"])
     floor = tr.system.evaluate("judged", unknowns, data)[-1]

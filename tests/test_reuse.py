@@ -4,6 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import casadi as ca
 import numpy as np
+import pytest
 
 import casadi_galerkin as cg
 
@@ -45,3 +46,53 @@ def test_a_rescue_by_ipopt_is_the_same_the_second_time():
     assert "IPOPT" in first.solver
     np.testing.assert_array_equal(second.x, first.x)
     assert (second.solver, second.iterations) == (first.solver, first.iterations)
+
+
+QUADRATIC = {
+    "mass and spring": lambda t, x, v, p: v[0] ** 2 + v[1] ** 2 / 2 - p[0] * x[0] ** 2 - x[1] * x[0],
+    "depends on time": lambda t, x, v, p: (1 + t) * v[0] ** 2 + v[1] ** 2 + p[0] * ca.cos(t) * x[0] * x[1] - x[0],
+    "magnetic": lambda t, x, v, p: ca.dot(v, v) / 2 + p[0] * (x[0] * v[1] - x[1] * v[0]),
+    "indefinite": lambda t, x, v, p: v[0] * v[1] - p[0] * x[0] * x[1],
+}
+
+
+@pytest.mark.parametrize("name", QUADRATIC)
+def test_a_quadratic_lagrangian_takes_its_hessian_from_the_data_of_each_solve(name):
+    """The Hessian is evaluated once a solve, and shared in memory by all problems of a layout."""
+
+    def problem(p):
+        return cg.BoundaryProblem(QUADRATIC[name], (0.0, 1.5), [0.0, 1.0], [1.0, -1.0], parameters=[p])
+
+    def other(gravity):
+        return cg.BoundaryProblem(
+            lambda t, x, v, p: ca.dot(v, v) * p[0] + x[0] * x[1] + gravity * x[0] * v[1],
+            (0.0, 1.5),
+            [0.0, 1.0],
+            [1.0, -1.0],
+            parameters=[1.0],
+        )
+
+    def path_of(p, mesh):
+        tr = cg.transcribe(problem(p), cg.Galerkin(3), mesh=mesh)
+        assert tr.system.quadratic
+        data = tr.data(tr.mesh)
+        gradient, hessian = (np.array(f(np.zeros(tr.layout.free), *data)) for f in (tr.gradient, tr.hessian))
+        return tr.values(-np.linalg.solve(hessian, gradient).ravel(), data).T
+
+    even, graded = np.linspace(0, 1.5, 6), 1.5 * np.linspace(0, 1, 6) ** 2
+    tr, between = cg.transcribe(problem(0.3), cg.Galerkin(3), 5), cg.transcribe(other(9.81), cg.Galerkin(3), 5)
+    for p, mesh in ((0.3, even), (0.7, even), (0.7, graded), (0.3, even)):
+        path = tr.solve(parameters=[p], mesh=mesh)
+        assert path.iterations == 2
+        np.testing.assert_allclose(path.path.values, path_of(p, mesh), rtol=0, atol=1e-12)
+        between.solve()
+
+
+def test_a_lagrangian_that_is_not_quadratic_has_a_hessian_at_every_path():
+    for lagrangian in (
+        lambda t, x, v: v[0] ** 2 * (1 + x[0]),
+        lambda t, x, v: v[0] ** 4,
+        lambda t, x, v: v[0] ** 2 - x[0] ** 3,
+    ):
+        problem = cg.BoundaryProblem(lagrangian, (0.0, 1.0), [0.0], [1.0])
+        assert not cg.transcribe(problem, cg.Galerkin(2), 2).system.quadratic
