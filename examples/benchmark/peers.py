@@ -37,7 +37,8 @@ DEGREES = (4, 5, 6, 8, 10, 12, 15, 20)
 COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64, 96, 128, 192, 256)
 WITHIN = np.linspace(0, 1, 12)  # parts of an interval at which errors are taken
 CANDIDATES = 3  # discretisations with the fewest unknowns that are timed
-REPEATS, LINEAR_SOLVERS = 11, ("csparse", "qr")
+TRIALS, REPEATS = 31, 15  # runs of every discretisation that may be the best, and of the best
+LINEAR_SOLVERS = "csparse", "qr"
 
 
 @dataclass(frozen=True)
@@ -182,10 +183,10 @@ def chain(masses=20, duration=4.0):
 CASES = (kepler, double_pendulum, layer, troesch, chain)
 
 
-def timed(calls):
+def timed(calls, repeats=REPEATS):
     """Median seconds of each of several callables, called twice in turns: timed is the second call, which is warm."""
     seconds = [[] for _ in calls]
-    for _ in range(REPEATS):
+    for _ in range(repeats):
         for call, spent in zip(calls, seconds, strict=True):
             call()
             began = time.perf_counter()
@@ -375,7 +376,7 @@ def best(case, exact, error, cells):
     """Milliseconds of the three peers to one error, NaN where one fails, and the discretisations they took."""
     cells = sorted(cells, key=lambda cell: cell[0] ** 1.3 * cell[1])
     mine = [ours(case, *cell) for cell in cells]
-    seconds = timed(mine)
+    seconds = timed(mine, TRIALS)
     chosen = int(np.argmin(seconds))
     theirs = {}
     for cell in cells[:CANDIDATES] + [cells[chosen]] * (chosen >= CANDIDATES):
@@ -385,7 +386,7 @@ def best(case, exact, error, cells):
                 x, success = answer()
                 if success and relative(x, exact(inside(case.mesh(cell[1])))) <= error:
                     theirs[cell, "scalars" if expand else "map", linear_solver] = run
-    seconds = timed(list(theirs.values())) if theirs else []
+    seconds = timed(list(theirs.values()), TRIALS) if theirs else []
     peer = list(theirs)[int(np.argmin(seconds))] if theirs else None
     run, times = scipy_solver(case), np.linspace(*case.t_span, 401)[1:-1]
     tolerance = None
