@@ -20,7 +20,7 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 
 SUM_TOLERANCE = 1e-12  # weights come from tables with about 13 digits, or from arithmetic to 1e-15
-EXACTNESS_TOLERANCE = 1e-13  # on Legendre polynomials, which are bounded by 1 on [0, 1]
+EXACTNESS_TOLERANCE = 1e-10  # on Legendre polynomials, of slopes up to n (n + 1), so that 12 digits of a table do
 
 
 def real_array(name: str, values: ArrayLike) -> np.ndarray:

@@ -163,3 +163,12 @@ def test_too_few_points_are_refused(name, n):
 def test_a_number_of_points_that_is_not_whole_is_refused(name, n):
     with pytest.raises(TypeError, match=f"{name} takes a whole number of points, got"):
         FAMILIES[name][0](n)
+
+
+@pytest.mark.parametrize("digits", [12, 13])
+@pytest.mark.parametrize("size", [1, 2, 3, 5, 8])
+def test_a_rule_from_a_table_is_of_the_order_of_the_rule(size, digits):
+    rule = cg.gauss(size)
+    weights = np.round(rule.weights, digits)
+    weights[size // 2] += 1 - weights.sum()  # a table is refused whose weights do not sum to 1
+    assert cg.Quadrature(np.round(rule.points, digits), weights).order == rule.order == 2 * size
