@@ -18,12 +18,13 @@ from casadi_galerkin.engines import rootfinder
 from casadi_galerkin.functional import Evaluation
 from casadi_galerkin.guesses import Guess, given_values, mesh_of
 from casadi_galerkin.layout import Data
+from casadi_galerkin.legendre import convex
 from casadi_galerkin.newton import Solution, SolveFailure
 from casadi_galerkin.plotting import plot_pattern
 from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.system import SINGULAR, System, joined, negative_eigenvalues, second_variation
-from casadi_galerkin.tracing import components, numbers
+from casadi_galerkin.tracing import components, numbers, with_parameters
 from casadi_galerkin.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -303,7 +304,11 @@ class MorseIndex:
         problem, mesh = self._problem, self._path.mesh
         graph = self._transcription or transcribed(problem, self._method, None, mesh, "single")
         data = graph.data(mesh, problem.start, problem.end, problem.parameters)
-        return negative_eigenvalues(graph.system, graph.unknowns(self._path.values.T), data)
+        index = negative_eigenvalues(graph.system, graph.unknowns(self._path.values.T), data)
+        lagrangian = with_parameters(problem.lagrangian, problem.parameters)
+        if index and not convex(lagrangian, mesh, self._path(mesh), self._path(mesh, 1)):
+            return None
+        return index
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "_transcription": None}

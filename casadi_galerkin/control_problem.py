@@ -125,10 +125,12 @@ class ControlProblem:
             "lagrangian": trace_lagrangian(lagrangian, d, given),
             "t_span": time_span(t_span),
             **{name: components(name, end, d) for name, end in ends.items()},
-            "force": _force(force, sizes, d),
-            "running_cost": trace("running_cost", running_cost, sizes, 1),
+            "force": trace("force", force, sizes, d),
+            "running_cost": trace("running_cost", running_cost, sizes, "scalar"),
             "controls": count,
-            "terminal_cost": None if terminal_cost is None else trace("terminal_cost", terminal_cost, at_the_end, 1),
+            "terminal_cost": None
+            if terminal_cost is None
+            else trace("terminal_cost", terminal_cost, at_the_end, "scalar"),
             "control_bounds": bounds("control_bounds", control_bounds, count),
             "position_bounds": bounds("position_bounds", position_bounds, d),
             "path_constraint": _path_constraint(path_constraint, sizes),
@@ -240,13 +242,6 @@ def _parameter_bounds(given: tuple[Limit, Limit] | None, parameters: tuple[float
     return bounds("parameter_bounds", given, len(parameters))
 
 
-def _force(force: Traceable, sizes: dict[str, int], dimension: int) -> ca.Function:
-    traced = trace("force", force, sizes, None)
-    if traced.numel_out(0) != dimension:
-        raise ValueError(f"force must return {dimension} component(s), one a coordinate, got {traced.numel_out(0)}")
-    return traced
-
-
 def _path_constraint(
     given: tuple[Traceable, Limit, Limit] | None, sizes: dict[str, int]
 ) -> tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None:
@@ -254,5 +249,5 @@ def _path_constraint(
         return None
     if not isinstance(given, (tuple, list)) or len(given) != 3:
         raise TypeError(f"path_constraint must be (g, lo, hi), got {given!r}")
-    traced = trace("path_constraint", given[0], sizes, None)
+    traced = trace("path_constraint", given[0], sizes, "any")
     return (traced, *bounds("path_constraint", (given[1], given[2]), traced.numel_out(0)))

@@ -13,8 +13,8 @@ import numpy as np
 
 from casadi_galerkin.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.problems import BoundaryProblem, InitialProblem
-from casadi_galerkin.stepping import Stepper, with_parameters
-from casadi_galerkin.tracing import Traceable, trace
+from casadi_galerkin.stepping import Stepper
+from casadi_galerkin.tracing import Traceable, trace, with_parameters
 from casadi_galerkin.trajectory import Trajectory
 
 
@@ -61,33 +61,35 @@ class Geometry:
         return "\n".join(lines)
 
 
-def geometry(
-    problem: InitialProblem | BoundaryProblem, path: Trajectory, symmetry: Traceable | None = None
-) -> Geometry:
+def geometry(path: Trajectory, symmetry: Traceable | None = None) -> Geometry:
     """Measure what a path conserves.
 
     Parameters
     ----------
-    problem : the problem that the path solves
-    path : Trajectory, solved globally or stepwise
+    path : Trajectory of a BoundaryProblem or InitialProblem, solved globally or stepwise
     symmetry : callable x -> (d,), the generator ξ(x) = dx/dε of a symmetry, such as ``lambda x: [-x[1], x[0]]`` of
         rotations in the plane
 
     Raises
     ------
     TypeError, ValueError
-        for a symmetry that does not return d components
+        for a symmetry that does not return d components, or a path of another problem
     """
+    if not isinstance(path, Trajectory):
+        raise TypeError(f"geometry takes a Trajectory, got {type(path).__name__}")
+    if not isinstance(path.problem, (BoundaryProblem, InitialProblem)):
+        raise TypeError(
+            "geometry takes the path of a BoundaryProblem or an InitialProblem, got one of "
+            f"{type(path.problem).__name__}: solve an InitialProblem with its replayed controls as force"
+        )
     duration = path.t[-1] - path.t[0]
     error = path.energy - path.energy[0]
     drift = np.polyfit((path.t - path.t[0]) / duration, error, 1)[0]
     momentum = None
     if symmetry is not None:
-        generator = trace("symmetry", symmetry, {"x": problem.dimension}, problem.dimension)
+        generator = trace("symmetry", symmetry, {"x": len(path.x)}, len(path.x))
         momentum = np.sum(path.momentum * np.array(generator.map(len(path.t))(path.x)), axis=0)
-    return Geometry(
-        float(np.max(np.abs(path.energy - path.energy[0]))), float(drift), momentum, jacobians(problem, path)
-    )
+    return Geometry(float(np.max(np.abs(error))), float(drift), momentum, jacobians(path.problem, path))
 
 
 def jacobians(problem: InitialProblem | BoundaryProblem, path: Trajectory) -> np.ndarray:

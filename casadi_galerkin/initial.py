@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import time
 
-import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus import Galerkin
+from casadi_galerkin.legendre import legendre_transform, velocities
 from casadi_galerkin.polynomial import PiecewisePolynomial
-from casadi_galerkin.precision import EPS
 from casadi_galerkin.problems import BoundaryProblem, InitialProblem
-from casadi_galerkin.stepping import Roll, Stepper, with_parameters
+from casadi_galerkin.stepping import Roll, Stepper
 from casadi_galerkin.system import ROUNDOFF
+from casadi_galerkin.tracing import with_parameters
 from casadi_galerkin.trajectory import ConvergenceError, Trajectory
 
 DEGENERATE = 1e-13  # reciprocal condition of the scaled mass matrix below which no velocity belongs to a momentum
-LEGENDRE_ITERATIONS = 100
 
 
 def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbose: int = 0) -> Trajectory:
@@ -57,22 +56,21 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
 
 def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
     """Momentum and velocity (d,) at the start, one from the other through p = ∂L/∂v."""
-    legendre = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
+    lagrangian = with_parameters(problem.lagrangian, problem.parameters)
+    legendre = legendre_transform(lagrangian)
     x, start = np.array(problem.position), problem.t_span[0]
     if problem.velocity is not None:
         v = np.array(problem.velocity)
         p, mass = (np.array(a) for a in legendre(start, x, v))
         refuse_degenerate(mass, x, v)
         return p.ravel(), v
-    p = np.array(problem.momentum)
-    return p, _velocity(legendre, start, x, p)
-
-
-def legendre_transform(lagrangian: ca.Function) -> ca.Function:
-    """(t, x, v) -> p = ∂L/∂v (d,), mass matrix ∂²L/∂v² (d, d)."""
-    symbols = [ca.SX.sym(lagrangian.name_in(i), lagrangian.size1_in(i)) for i in range(3)]
-    mass, momentum = ca.hessian(lagrangian(*symbols), symbols[2])
-    return ca.Function("legendre", symbols, [ca.densify(momentum), ca.densify(mass)])
+    p, rest = np.array(problem.momentum), np.zeros(len(x))
+    refuse_degenerate(legendre(start, x, rest)[1].full(), x, rest)
+    v = velocities(lagrangian, np.array([start]), x[:, None], p[:, None], rest[:, None])[:, 0]
+    if np.isnan(v).any():
+        raise ValueError(f"no velocity was found that has the momentum {p} at the start, x = {x}; give the velocity")
+    refuse_degenerate(legendre(start, x, v)[1].full(), x, v)
+    return p, v
 
 
 def refuse_degenerate(mass: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
@@ -89,26 +87,6 @@ def refuse_degenerate(mass: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
         f"the lagrangian is degenerate: its mass matrix ∂²L/∂v² is singular {where}, so its momenta do not determine "
         f"the velocities; got {mass.tolist()}"
     )
-
-
-def _velocity(legendre: ca.Function, t: float, x: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Velocity of a momentum, by Newton's method from rest, each step halved until the next one is shorter."""
-    v = np.zeros(len(x))
-    for _ in range(LEGENDRE_ITERATIONS):
-        current, mass = (np.array(a) for a in legendre(t, x, v))
-        refuse_degenerate(mass, x, v)
-        step = np.linalg.solve(mass, p - current.ravel())
-        length, damping = np.max(np.abs(step)), 1.0
-        if length <= 4 * EPS * np.max(np.abs(v)):
-            return v
-        while damping > EPS:
-            miss = p - np.array(legendre(t, x, v + damping * step)[0]).ravel()
-            after = np.max(np.abs(np.linalg.solve(mass, miss)))
-            if after <= (1 - damping / 4) * length or length < 1e-12 * np.max(np.abs(v)):
-                break
-            damping /= 2
-        v = v + damping * step
-    raise ValueError(f"no velocity was found that has the momentum {p} at the start, x = {x}; give the velocity")
 
 
 def verified(roll: Roll, stepper: Stepper) -> Roll:

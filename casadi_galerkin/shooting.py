@@ -18,12 +18,14 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.guesses import mesh_of
-from casadi_galerkin.initial import legendre_transform, trajectory
+from casadi_galerkin.initial import trajectory
+from casadi_galerkin.legendre import legendre_transform
 from casadi_galerkin.newton import SMALLEST_DAMPING
 from casadi_galerkin.precision import EPS
 from casadi_galerkin.problems import BoundaryProblem
-from casadi_galerkin.stepping import Roll, Stepper, with_parameters
+from casadi_galerkin.stepping import Roll, Stepper
 from casadi_galerkin.system import ROUNDOFF
+from casadi_galerkin.tracing import with_parameters
 from casadi_galerkin.trajectory import ConjugatePointError, ConvergenceError, Trajectory
 
 ITERATIONS = 50

@@ -21,14 +21,6 @@ from casadi_galerkin.system import ROUNDOFF
 PIECE = 64  # intervals rolled without Python; longer pieces were not faster, and took longer to build
 
 
-def with_parameters(function: ca.Function, parameters: tuple[float, ...] | None) -> ca.Function:
-    """A Function of (t, x, v) from one of (t, x, v, p), p given."""
-    if parameters is None:
-        return function
-    symbols = [ca.SX.sym(function.name_in(i), function.size1_in(i)) for i in range(3)]
-    return ca.Function(function.name(), symbols, [function(*symbols, ca.DM(parameters))])
-
-
 @dataclass(frozen=True)
 class Roll:
     """Steps one after the other, each verified on its own.

@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus import Galerkin
+from casadi_galerkin.legendre import velocities
 from casadi_galerkin.plotting import FRAMES_A_SECOND, animate_linkage, plot_path, plot_phase
 from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.problems import Problem
+from casadi_galerkin.tracing import with_parameters
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -54,7 +56,7 @@ class Trajectory:
     ----------
     t : (N + 1,), joints
     x : (d, N + 1), positions at the joints
-    momentum : (d, N + 1), by the discrete Legendre transform p_0 = -∂S/∂x_0, ..., p_N = ∂S/∂x_N; order 2m
+    momentum : (d, N + 1), by the discrete Legendre transform p_0 = -∂S/∂x_0, ..., p_N = ∂S/∂x_N; of order min(2m, u)
     path : callable, ``path(t)`` -> (d,) + t.shape, ``path(t, 1)`` its derivative
     action : value of the discrete action
     iterations : of the solver
@@ -86,7 +88,7 @@ class Trajectory:
     def morse_index(self) -> int | None:
         """Number of negative eigenvalues of the action's Hessian, 0 for a local minimum; found when first asked for.
 
-        None for steps, and where the kinetic energy is indefinite by structure, so that there is no finite index.
+        None for steps, and where ∂²L/∂v² is not positive at every joint, so that no finer mesh has a finite index.
         """
         return self.count_negative()
 
@@ -102,11 +104,12 @@ class Trajectory:
 
     @cached_property
     def velocity(self) -> np.ndarray:
-        """Velocities at the joints that belong to the momenta, p = ∂L/∂v; (d, N + 1), of order 2m.
+        """Velocities at the joints that belong to the momenta, p = ∂L/∂v; (d, N + 1), of order min(2m, u).
 
-        The derivative of the polynomial itself, ``path(t, 1)``, is of order m only.
+        NaN where none was found.  The derivative of the polynomial itself, ``path(t, 1)``, is of order m only.
         """
-        return invert_legendre(self.lagrangian, self.t, self.x, self.momentum, self.path(self.t, 1), self.parameters)
+        lagrangian = with_parameters(self.lagrangian, self.parameters)
+        return velocities(lagrangian, self.t, self.x, self.momentum, self.path(self.t, 1))
 
     @cached_property
     def energy(self) -> np.ndarray:
@@ -208,29 +211,3 @@ class Trajectory:
                 f"  seconds     {self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve",
             ]
         )
-
-
-def invert_legendre(
-    lagrangian: ca.Function,
-    t: np.ndarray,
-    x: np.ndarray,
-    momentum: np.ndarray,
-    guess: np.ndarray,
-    parameters: tuple[float, ...] | None,
-) -> np.ndarray:
-    """Velocities v with ∂L/∂v(t, x, v) = p, by Newton's method from a guess; all arrays (d, K), t (K,)."""
-    d, count = x.shape
-    symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d)]
-    symbols += [] if parameters is None else [ca.SX.sym("p", len(parameters))]
-    mass, slope = ca.hessian(lagrangian(*symbols), symbols[2])
-    derivatives = ca.Function("legendre", symbols, [ca.densify(slope), ca.densify(ca.vec(mass))]).map(count)
-    given = [] if parameters is None else [np.tile(np.array(parameters)[:, None], (1, count))]
-    v = guess.copy()
-    for _ in range(20):
-        current, masses = (np.array(a) for a in derivatives(t[None, :], x, v, *given))
-        inverse = np.linalg.pinv(masses.T.reshape(count, d, d), rcond=1e-14, hermitian=True)
-        step = np.einsum("kij,jk->ik", inverse, momentum - current)
-        v = v + step
-        if np.all(np.abs(step) <= 1e-15 * np.max(np.abs(v), axis=1, keepdims=True)):
-            break
-    return v

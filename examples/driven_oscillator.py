@@ -41,7 +41,7 @@ def main(plot: str | None = None) -> tuple[cg.Trajectory, cg.Geometry]:
     path = cg.solve(problem, cg.Galerkin(degree=6), INTERVALS)
     if plot:
         draw(path, plot)
-    return path, cg.geometry(problem, path)
+    return path, cg.geometry(path)
 
 
 def draw(path: cg.Trajectory, name: str) -> None:

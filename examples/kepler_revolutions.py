@@ -37,7 +37,7 @@ def main(plot: str | None = None) -> tuple[cg.Trajectory, cg.Geometry]:
     speed = np.sqrt(GM * (2 / perihelion - 1 / SEMI_MAJOR_AXIS))
     problem = cg.InitialProblem(lagrangian, (0, REVOLUTIONS * PERIOD), position=[perihelion, 0], velocity=[0, speed])
     path = cg.solve(problem, cg.Galerkin(degree=8), intervals=REVOLUTIONS * STEPS_A_REVOLUTION)
-    conserved = cg.geometry(problem, path, symmetry=rotation)
+    conserved = cg.geometry(path, symmetry=rotation)
     if plot:
         axes = canvas("1000 revolutions of Mercury", "t in years", "relative error of the energy")
         axes.plot(path.t, path.energy / path.energy[0] - 1, ".", markersize=1)

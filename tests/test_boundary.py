@@ -6,6 +6,7 @@ import pytest
 from scenes import BY_NAME, SCENES, TROESCH, bratu, catenoid, kepler, oscillator, pendulum
 
 import casadi_galerkin as cg
+from casadi_galerkin import legendre
 from casadi_galerkin.boundary import Transcription
 from casadi_galerkin.newton import newton
 from casadi_galerkin.precision import ZERO
@@ -119,6 +120,33 @@ def test_indefinite_kinetic_energy_has_no_morse_index():
     np.testing.assert_allclose(path.x, np.outer([1, 2], np.sin(path.t) / np.sin(1)), rtol=0, atol=CLOSED_FORM)
     assert path.morse_index is None
     assert "no Morse index" in str(path)
+
+
+@pytest.mark.parametrize(("coupling", "second"), [(0.0, -1.0), (2.0, 1.0)])
+def test_kinetic_energy_indefinite_by_its_values_has_no_morse_index(coupling, second):
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 + coupling * v[0] * v[1] + second * v[1] ** 2 / 2, (0, 1), [0, 0], [1, 2]
+    )
+    path = cg.solve(problem, cg.Galerkin(2), intervals=5)
+    assert path.morse_index is None
+    assert "no Morse index" in str(path)
+
+
+def test_velocities_are_found_where_the_slopes_of_the_path_are_beyond_the_lagrangians_domain():
+    """A relativistic particle on few intervals: the derivative of the polynomial exceeds 1 at a joint."""
+    problem = cg.BoundaryProblem(lambda t, x, v: -ca.sqrt(1 - v[0] ** 2) - 5 * x[0] ** 2, (0, 2), [0.0], [1.2])
+    path = cg.solve(problem, cg.Galerkin(2), intervals=4)
+    assert np.max(np.abs(path.path(path.t, 1))) > 1
+    np.testing.assert_allclose(path.velocity, path.momentum / np.sqrt(1 + path.momentum**2), rtol=1e-14)
+    assert np.isfinite(path.energy).all()
+
+
+def test_a_velocity_that_does_not_exist_is_not_a_number():
+    t, x, v = (ca.SX.sym(name) for name in "txv")
+    lagrangian = ca.Function("L", [t, x, v], [ca.sqrt(1 + v**2)])  # momenta lie within ]-1, 1[
+    momenta = np.array([[0.5, 2.0, -0.5]])
+    found = legendre.velocities(lagrangian, np.zeros(3), np.zeros((1, 3)), momenta, np.full((1, 3), 30.0))
+    np.testing.assert_allclose(found, [[1 / np.sqrt(3), np.nan, -1 / np.sqrt(3)]], rtol=1e-14)
 
 
 # natural ends, periodic paths, parameters

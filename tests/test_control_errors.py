@@ -36,7 +36,7 @@ BADLY_STATED = {
     ),
     "nested forces": ({"force": lambda t, x, v, u: [[u[0]]]}, TypeError, "force must return one CasADi expression a"),
     "force as a number": ({"force": 3.0}, TypeError, "force must be a callable"),
-    "terminal cost of controls": ({"terminal_cost": lambda t, x, v, u: u}, TypeError, "terminal_cost failed when"),
+    "terminal cost of controls": ({"terminal_cost": lambda t, x, v, u: u}, TypeError, "terminal_cost is called as"),
     "end outside": ({"position_bounds": (-1, 0.5)}, ValueError, r"end\[0\] = 1.0 lies outside"),
     "start outside": ({"position_bounds": (0.5, 2)}, ValueError, r"start\[0\] = 0.0 lies outside"),
     "end outside the path": (
@@ -54,7 +54,11 @@ BADLY_STATED = {
         ValueError,
         r"u\[1\] occurs in no force, cost or constraint",
     ),
-    "too many forces": ({"force": lambda t, x, v, u: [u[0], 0]}, ValueError, "force must return 1 .* got 2"),
+    "too many forces": (
+        {"force": lambda t, x, v, u: [u[0], 0]},
+        ValueError,
+        "force must return a vector of length 1, got",
+    ),
     "cost that is no scalar": (
         {"running_cost": lambda t, x, v, u: ca.vertcat(u, u)},
         ValueError,

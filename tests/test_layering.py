@@ -1,6 +1,7 @@
 """A module imports only from those of a lower rank; Matplotlib is loaded only when a plot is asked for."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ RANKS = {
     "threads": 0,
     "tracing": 0,
     "control_problem": 1,
+    "legendre": 1,
     "nodes": 1,  # Lobatto control points are the points of a Lobatto rule
     "problems": 1,
     "polynomial": 2,
@@ -92,6 +94,16 @@ def upward(module: str, source: str) -> list[str]:
 def test_module_imports_only_from_lower_ranks(module):
     assert module in RANKS, f"give {module} a rank"
     assert upward(module, (PACKAGE / f"{module}.py").read_text(encoding="utf-8")) == []
+
+
+def test_the_manual_lists_every_module_below_what_it_imports():
+    manual = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    table = manual.split("| module |")[1].split("\n\n")[0]
+    listed = [name for row in table.splitlines()[2:] for name in re.findall(r"`(\w+)`", row.split("|")[1])]
+    assert sorted(listed) == MODULES
+    for position, module in enumerate(listed):
+        known = imported((PACKAGE / f"{module}.py").read_text(encoding="utf-8"))
+        assert known <= set(listed[:position]), module
 
 
 @pytest.mark.parametrize(

@@ -92,7 +92,7 @@ def test_products_of_jacobians_are_the_derivative_of_the_whole_path():
         return np.concatenate((path.x, path.momentum))
 
     problem = cg.InitialProblem(pendulum, (0, 2), [0.5], momentum=[1.0])
-    product = chain(cg.geometry(problem, cg.solve(problem, method, mesh=mesh)).jacobians)
+    product = chain(cg.geometry(cg.solve(problem, method, mesh=mesh)).jacobians)
     by_x = (states(0.5 + difference, 1.0) - states(0.5 - difference, 1.0)) / (2 * difference)
     by_p = (states(0.5, 1.0 + difference) - states(0.5, 1.0 - difference)) / (2 * difference)
     np.testing.assert_allclose(product[:, :, 0].T, by_x, rtol=0, atol=1e-8)
