@@ -59,8 +59,8 @@ class Galerkin:
 
     The order at the joints is min(2m, u) with u the order of the quadrature (S. Ober-Blöbaum and M. Vermeeren,
     "Superconvergence of Galerkin variational integrators", 2021); between the joints the position is of order
-    m + 1 and the velocity of order m; with ``lobatto(m)`` one less of each.  With r < m points the equations still
-    have a solution, but a wrong one: each interval adds a spurious critical direction, so such a rule is refused.
+    min(m + 1, u) and the velocity of order m; with ``lobatto(m)`` one less of each.  With r < m points the equations
+    still have a solution, but a wrong one: each interval adds a spurious critical direction, so it is refused.
     """
 
     degree: int
