@@ -176,6 +176,21 @@ def test_readme_code_runs(number, monkeypatch, tmp_path):
         exec(compile(block, "README.md", "exec"), shared)
 
 
+def test_numbers_that_the_readme_states_are_those_that_its_code_prints(monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    monkeypatch.chdir(tmp_path)
+    shared, number = {}, r"-?\d+\.\d+(?:e[+-]?\d+)?"
+    for block in code_blocks():
+        exec(compile(block, "README.md", "exec"), shared)
+    printed = [float(text) for text in re.findall(number, capsys.readouterr().out)]
+    comments = re.findall(r"^print\(.*#(.*)$", "".join(code_blocks()), re.MULTILINE)
+    stated = [text for comment in comments for text in re.findall(r"(?<!\()" + number, comment)]  # no arguments
+    assert len(stated) >= 4
+    for text in stated:
+        digits = len(re.sub(r"e.*|\D", "", text).lstrip("0"))
+        assert float(text) in [float(f"{value:.{digits}g}") for value in printed]
+
+
 def test_plot_draws_each_component_with_its_joints_and_labels(monkeypatch):
     import casadi as ca
 
