@@ -11,9 +11,9 @@ from casadi_galerkin.continuation import Fold as Fold
 from casadi_galerkin.continuation import continuation as continuation
 from casadi_galerkin.control import ControlTranscription as ControlTranscription
 from casadi_galerkin.control import transcribe_control as transcribe_control
+from casadi_galerkin.control_path import ControlPath as ControlPath
 from casadi_galerkin.control_problem import ControlProblem as ControlProblem
 from casadi_galerkin.control_refinement import ControlLimitReached as ControlLimitReached
-from casadi_galerkin.control_trajectory import ControlPath as ControlPath
 from casadi_galerkin.control_trajectory import ControlTrajectory as ControlTrajectory
 from casadi_galerkin.engines import ipopt as ipopt
 from casadi_galerkin.engines import minimizer as minimizer

@@ -17,9 +17,10 @@ from casadi_galerkin.calculus import DiscreteCalculus, Galerkin
 from casadi_galerkin.control_graph import ControlGraph, Report
 from casadi_galerkin.control_guess import check_finite, first_values
 from casadi_galerkin.control_layout import ControlLayout
+from casadi_galerkin.control_path import ControlPath
 from casadi_galerkin.control_problem import ControlProblem
 from casadi_galerkin.control_report import limits_of, name_equation, name_unknown, violations
-from casadi_galerkin.control_trajectory import ControlPath, ControlTrajectory
+from casadi_galerkin.control_trajectory import ControlTrajectory
 from casadi_galerkin.guesses import Guess, mesh_of
 from casadi_galerkin.optimizer import Optimum, Program, interior_point, optimize
 from casadi_galerkin.precision import EPS

@@ -21,6 +21,7 @@ RANKS = {
     "legendre": 1,
     "nodes": 1,  # Lobatto control points are the points of a Lobatto rule
     "problems": 1,
+    "control_path": 2,
     "polynomial": 2,
     "calculus": 3,
     "adaptivity": 4,
