@@ -21,6 +21,7 @@ from casadi_galerkin.trajectory import Trajectory
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+CONTINUOUS = 1e-8  # of the largest control: what the solver leaves between two values that should agree
 SHOWN_OVERSHOOT = 1e-3  # of the bounds' width; less is no reason for another mesh
 
 
@@ -56,13 +57,39 @@ class ControlTrajectory(Trajectory):
     end_velocity: np.ndarray
 
     def replay(self) -> ca.Function:
-        """The force (t, x, v[, p]) -> (d,) with the optimised controls put in, for an `InitialProblem`."""
+        """The force (t, x, v[, p]) -> (d,) with the optimised controls put in, for an `InitialProblem`.
+
+        Stepped with the same method on the same joints it gives the same path.
+
+        Raises
+        ------
+        ValueError
+            where the rule has points at both ends of an interval (Lobatto) and a control jumps at a joint: a function
+            of time has one value there, and the path was found with two
+        """
+        self._refuse_two_values()
         d = len(self.x)
         symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d)]
         given = [] if self.parameters is None else [ca.SX.sym("p", len(self.parameters))]
         force = self.problem.force(*symbols, self.control.expression(symbols[0]), *given)
         names = ["t", "x", "v", "p"][: 3 + len(given)]
         return ca.Function("force", [*symbols, *given], [ca.densify(force)], names, ["value"])
+
+    def _refuse_two_values(self) -> None:
+        """Raise a ValueError where the two controls at a joint differ."""
+        ends, u = np.array([0.0, 1.0]), self.control
+        if not np.array_equal(u.points[[0, -1]], ends):
+            return
+        values = u.at(ends).reshape(len(u.values), -1, 2)
+        jumps = np.abs(values[:, 1:, 0] - values[:, :-1, 1])
+        largest = np.max(np.abs(u.values), axis=1, keepdims=True)
+        if np.any(jumps > CONTINUOUS * largest):
+            k, i = np.unravel_index(np.argmax(jumps / np.where(largest > 0, largest, 1.0)), jumps.shape)
+            raise ValueError(
+                f"the control u[{k}] jumps by {jumps[k, i]:.3g} at the joint t = {self.t[i + 1]:.6g}, where "
+                f"{self.method} has a point on both sides: no force of time alone has both values. Solve with a rule "
+                "without points at both ends, such as gauss or radau, to replay it"
+            )
 
     @cached_property
     def dynamics_defect(self) -> np.ndarray:
@@ -92,8 +119,7 @@ class ControlTrajectory(Trajectory):
         """
         low, high = (np.array(side)[:, None] for side in self.problem.control_bounds)
         width = np.where(np.isfinite(high - low) & (high > low), high - low, 1.0)
-        inside = np.linspace(0.0, 1.0, 4 * len(self.method.quadrature) + 1)[:-1]
-        u = self.control((self.t[:-1, None] + np.diff(self.t)[:, None] * inside).ravel())
+        u = self.control.at(np.linspace(0.0, 1.0, 4 * len(self.method.quadrature) + 1))
         excess = np.maximum(np.maximum(low - u, u - high), 0.0) / width
         return np.asarray(excess.max(axis=0).reshape(len(self.t) - 1, -1).max(axis=1))
 
@@ -136,11 +162,11 @@ class ControlTrajectory(Trajectory):
             return super().plot(axes, labels, time)
         top, middle, bottom = panels(3)
         super().plot(top, labels, time)
-        parts, steps = np.linspace(0.0, 1.0 - 1e-9, 40), np.diff(self.t)[:, None]
+        parts, steps = np.linspace(0.0, 1.0, 40), np.diff(self.t)[:, None]
         times = self.t[:-1, None] + steps * parts
         broken = np.append(times, np.full_like(steps, np.nan), axis=1).ravel()
         lines = np.full((len(self.control.values), len(broken)), np.nan)
-        lines[:, np.isfinite(broken)] = self.control(times.ravel())
+        lines[:, np.isfinite(broken)] = self.control.at(parts)
         limits = np.array(self.problem.control_bounds)
         plot_controls(broken, lines, self.control.times, self.control.values, limits, middle, control_labels)
         times = times.ravel()
