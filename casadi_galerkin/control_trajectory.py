@@ -36,9 +36,10 @@ class ControlTrajectory(Trajectory):
     control : callable, ``control(t)`` -> (number of controls,) + t.shape
     costate : callable, ``costate(t)`` -> (d,) + t.shape: the multipliers λ of the equations of motion as a path.
         The cost of a small extra force δF(t) is ∫ λ·δF dt to first order
-    hamiltonian : (N,), mean of ℓ + λ·(∂L/∂x + F) + dλ/dt·∂L/∂v - v·∂(…)/∂v over each interval, of order 2m.
-        The same on all intervals where nothing depends on t; zero where the duration is free as well and there is no
-        terminal cost
+    hamiltonian : (N,), mean of I - v·∂I/∂v - dλ/dt·∂I/∂(dλ/dt) over each interval, where
+        I = ℓ + λ·(∂L/∂x + F) + dλ/dt·∂L/∂v; of order 2m.  The same on all intervals where nothing depends on t; zero
+        as well where the duration is free, was found strictly inside `duration_bounds`, and no terminal cost depends
+        on t
     path_multipliers : (number of path constraints, N r), at the quadrature points
     violation : largest violation of an equation or bound, relative to the sizes of the terms it compares
     start_velocity, end_velocity : (d,), the velocities imposed or found at the ends

@@ -178,6 +178,31 @@ def test_hamiltonian_is_constant_to_twice_the_degree():
     assert np.log2(spread[0] / spread[1]) == pytest.approx(6, abs=0.5)
 
 
+def test_hamiltonian_is_the_mean_that_its_definition_says():
+    # everything depends on the velocity, nothing is separable
+    problem = varying_mass()
+    path = cg.solve(problem, cg.Galerkin(4), intervals=6)
+    t, x, v, u, costate, rate = (ca.SX.sym(name) for name in ("t", "x", "v", "u", "costate", "rate"))
+    lagrangian = problem.lagrangian(t, x, v)
+    force = ca.gradient(lagrangian, x) + problem.force(t, x, v, u)
+    integrand = problem.running_cost(t, x, v, u) + costate * force + rate * ca.gradient(lagrangian, v)
+    mean = integrand - v * ca.gradient(integrand, v) - rate * ca.gradient(integrand, rate)
+    function, times = ca.Function("mean", [t, x, v, u, costate, rate], [mean]), path.control.times
+    along = (path.path(times), path.path(times, 1), path.control.values, path.costate(times), path.costate(times, 1))
+    values = np.array(function(times[None, :], *along)).reshape(6, -1)
+    np.testing.assert_allclose(values @ path.method.quadrature.weights, path.hamiltonian, rtol=0, atol=ROUNDOFF)
+
+
+def test_hamiltonian_is_what_more_time_costs():
+    def held(bounds):
+        changes = {"running_cost": lambda t, x, v, u: 18 + u[0] ** 2 / 2, "duration_bounds": bounds}
+        return cg.solve(double_integrator(t_span=(0, 0.5), **changes), cg.Galerkin(3), intervals=4)
+
+    # least 18 T + 6/T³, whose derivative is 18 - 18/T⁴: zero at T = 1, and not where a bound holds T = 1/2
+    np.testing.assert_allclose(held((0.2, 5.0)).hamiltonian, 0, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(held((0.2, 0.5)).hamiltonian, 18 - 18 * 2**4, rtol=1e-8, atol=0)
+
+
 def test_costate_is_the_price_of_a_force():
     def with_push(size):
         problem = pendulum(3.0, force=lambda t, x, v, u: u + size * ca.sin(2 * t))
