@@ -173,9 +173,9 @@ class ControlTranscription:
         self, optimum: Optimum, report: Report, relative: np.ndarray, data: np.ndarray, began: float
     ) -> ControlTrajectory:
         values, layout = self.layout.unpack(optimum.unknowns, data), self.layout
-        d, points = layout.dimension, layout.points
+        d = layout.dimension
         calculus = DiscreteCalculus(self.method, self._joints(values))
-        costate, path_multipliers = np.split(optimum.multipliers, [layout.nodes * d])
+        costate = optimum.multipliers[: layout.nodes * d]
         parameters = None if self.problem.parameters is None else tuple(values["parameters"].tolist())
         return ControlTrajectory(
             t=calculus.mesh,
@@ -194,7 +194,6 @@ class ControlTranscription:
             control=ControlPath(calculus.mesh, self.method.element.points, values["controls"].T),
             costate=calculus.emb((costate.reshape(-1, d) / self.graph.sizes).T),
             hamiltonian=report.slopes.reshape(layout.intervals, -1).sum(axis=1) / values["duration"],
-            path_multipliers=path_multipliers.reshape(points, -1).T,
             violation=float(np.max(relative)),
             start_velocity=values["start_velocity"],
             end_velocity=values["end_velocity"],

@@ -40,7 +40,6 @@ class ControlTrajectory(Trajectory):
         I = ℓ + λ·(∂L/∂x + F) + dλ/dt·∂L/∂v; of order 2m.  The same on all intervals where nothing depends on t; zero
         as well where the duration is free, was found strictly inside `duration_bounds`, and no terminal cost depends
         on t
-    path_multipliers : (number of path constraints, N r), at the quadrature points
     violation : largest violation of an equation or bound, relative to the sizes of the terms it compares
     start_velocity, end_velocity : (d,), the velocities imposed or found at the ends
 
@@ -52,7 +51,6 @@ class ControlTrajectory(Trajectory):
     control: ControlPath
     costate: PiecewisePolynomial
     hamiltonian: np.ndarray
-    path_multipliers: np.ndarray
     violation: float
     start_velocity: np.ndarray
     end_velocity: np.ndarray
