@@ -29,7 +29,8 @@ class ConvergenceError(RuntimeError):
     Attributes
     ----------
     path : PiecewisePolynomial, the best iterate, not a solution; None if there is none
-    residual : float, its largest residual over that residual's roundoff floor
+    residual : float, its largest residual over that residual's roundoff floor; of an optimisation its largest violation
+        over the relative precision of a double
     iterations : int
     """
 
