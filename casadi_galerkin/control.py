@@ -189,7 +189,7 @@ class ControlTranscription:
             build_seconds=self.build_seconds,
             solve_seconds=time.perf_counter() - began,
             method=self.method,
-            problem=self.problem.found(parameters),
+            problem=self.problem.found((float(calculus.mesh[0]), float(calculus.mesh[-1])), parameters),
             cost=report.cost,
             control=ControlPath(calculus.mesh, self.method.element.points, values["controls"].T),
             costate=calculus.emb((costate.reshape(-1, d) / self.graph.sizes).T),

@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.precision import EPS
 from casadi_galerkin.quadrature import real_array
 from casadi_galerkin.tracing import Traceable, components, numbers, time_span, trace, trace_lagrangian
 
@@ -54,7 +55,7 @@ class ControlProblem:
     Parameters
     ----------
     lagrangian : callable (t, x, v) -> scalar, as for `BoundaryProblem`
-    t_span : (t_0, t_N); with `duration_bounds` the guess of them
+    t_span : (t_0, t_N); with `duration_bounds` t_N is a guess
     start, end : d positions each; None leaves the component free
     start_velocity, end_velocity : d velocities each; None leaves the component free
     force : callable (t, x, v, u) -> d generalised forces
@@ -150,10 +151,10 @@ class ControlProblem:
         """Number d of coordinates."""
         return len(self.start)
 
-    def found(self, parameters: tuple[float, ...] | None) -> ControlProblem:
-        """Copy with the parameters that an optimisation found; traces and checks nothing anew."""
+    def found(self, t_span: tuple[float, float], parameters: tuple[float, ...] | None) -> ControlProblem:
+        """Copy with the times and parameters that an optimisation found, still free if they were; checks nothing."""
         other = copy.copy(self)
-        other.__dict__["parameters"] = parameters
+        other.__dict__.update(t_span=t_span, parameters=parameters)
         return other
 
     def _check_controls(self) -> None:
@@ -209,7 +210,8 @@ class ControlProblem:
     def _check_guesses(self) -> None:
         if self.duration_bounds is not None:
             (low, high), duration = self.duration_bounds, self.t_span[1] - self.t_span[0]
-            if not low <= duration <= high:
+            rounded = 2 * EPS * max(map(abs, self.t_span))  # of t_N = t_0 + T, and of the difference
+            if not low - rounded <= duration <= high + rounded:
                 raise ValueError(f"duration_bounds ({low}, {high}) must hold the guess, t_span lasts {duration}")
         sides = self.parameter_bounds or ((), ())
         for i, (low, value, high) in enumerate(zip(sides[0], self.parameters or (), sides[1], strict=False)):

@@ -1,6 +1,7 @@
 """Trajectory optimisation: exact derivatives, exact and published costs, orders, what the multipliers mean."""
 
 import pickle
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -380,9 +381,10 @@ def test_replayed_force_is_that_of_the_controls():
 
 def replayed(path):
     """Largest differences of positions and momenta at the joints from the same method stepped under its controls."""
-    spans, velocity = (path.t[0], path.t[-1]), path.start_velocity
-    start = cg.InitialProblem(path.lagrangian, spans, path.x[:, 0], velocity=velocity, force=path.replay())
-    stepped = cg.solve(start, path.method, mesh=path.t)
+    found = path.problem
+    start = {"position": path.x[:, 0], "velocity": path.start_velocity, "parameters": found.parameters}
+    again = cg.InitialProblem(found.lagrangian, found.t_span, force=path.replay(), **start)
+    stepped = cg.solve(again, path.method, mesh=path.t)
     return np.max(np.abs(stepped.x - path.x)), np.max(np.abs(stepped.momentum - path.momentum))
 
 
@@ -418,6 +420,25 @@ def test_replay_refuses_two_values_at_one_time():
     when = two.t[1 + np.argmax(jumps(two))]
     with pytest.raises(ValueError, match=rf"u\[0\] jumps by .* at the joint t = {when:g}, where .* both sides"):
         two.replay()
+
+
+def test_the_problem_found_has_the_times_and_parameters_found_and_is_solved_by_the_same_path():
+    path = cg.solve(everything(), cg.Galerkin(3), intervals=10)
+    assert path.problem.t_span == (0.3, path.t[-1]) != everything().t_span
+    assert path.problem.parameters == path.parameters != everything().parameters
+    assert max(replayed(path)) < ROUNDOFF
+    again = cg.solve(path.problem, path.method, intervals=10)  # both still free
+    assert again.cost == pytest.approx(path.cost, abs=1e-10)
+    assert again.t[-1] == pytest.approx(path.t[-1], abs=SOLVED)
+
+
+@pytest.mark.parametrize("begin", [0.0, 1e6, 3e7])
+def test_the_problem_found_may_be_changed_where_a_bound_holds_its_duration(begin):
+    # less time costs more, so that the bound holds; t_0 + T is rounded, upwards for the last two
+    problem = double_integrator(duration_bounds=(0.1, 2.3), t_span=(begin, begin + 1))
+    found = cg.solve(problem, cg.Galerkin(3), intervals=4).problem
+    assert found.t_span[1] - begin == pytest.approx(2.3, abs=SOLVED)
+    assert replace(found, end=[2.0]).t_span == found.t_span
 
 
 def test_controls_replayed_by_another_integrator_land_where_the_optimiser_said():
