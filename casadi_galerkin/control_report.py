@@ -57,7 +57,7 @@ def _or_one(sizes: np.ndarray) -> np.ndarray:
 
 
 def name_equation(layout: ControlLayout, row: int) -> tuple[str, float]:
-    """What an equation is called, and at which fraction of the duration it stands."""
+    """What an equation is called, and where it stands, in intervals since the start."""
     motion = layout.nodes * layout.dimension
     if row < motion:
         node, i = divmod(row, layout.dimension)
