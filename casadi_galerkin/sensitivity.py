@@ -21,7 +21,6 @@ from casadi_galerkin.boundary import Transcription, transcribe
 from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.engines import embeddable
 from casadi_galerkin.guesses import Guess
-from casadi_galerkin.layout import Layout
 from casadi_galerkin.precision import EPS
 from casadi_galerkin.problems import BoundaryProblem
 from casadi_galerkin.system import ROUNDOFF
@@ -89,7 +88,7 @@ def solution_function(
     data = {name: floor.mx_in(name) for name in names}
     joints = {"mesh": ca.DM(point.data[2])}
     nodes = ca.MX.sym("guess", problem.dimension, layout.numbering.shape[0])
-    root = embeddable(system, weights)(guess=ca.vec(nodes)[_places(layout).tolist()], **joints, **data)["unknowns"]
+    root = embeddable(system, weights)(guess=ca.vec(nodes)[layout.place.tolist()], **joints, **data)["unknowns"]
     summary = transcription.summary(unknowns=root, **joints, **data)
     u = ca.vertcat(root, data["start"], data["end"])
     x = ca.reshape(u[layout.numbering[:: method.degree].ravel().tolist()], problem.dimension, -1)
@@ -98,12 +97,6 @@ def solution_function(
     outputs = {"x": x, "momentum": summary["momentum"], "action": summary["action"]}
     checked = [ca.if_else(verified, value, np.nan) for value in outputs.values()]
     return ca.Function("solution", list(inputs.values()), checked, list(inputs), list(outputs))
-
-
-def _places(layout: Layout) -> np.ndarray:
-    """Where each unknown stands among the node values, component fastest; (free,)."""
-    entries, first = np.unique(layout.numbering.ravel(), return_index=True)
-    return np.asarray(first[entries < layout.free])
 
 
 def _check(transcription: Transcription) -> ca.Function:
@@ -161,7 +154,7 @@ def sensitivity(path: Trajectory) -> Sensitivity:
     data = ca.vertcat(*(symbols[name] for name in ("start", "end", "parameters") if name in symbols))
     matrix, gradient = transcription.derivatives.call(list(symbols.values()))
     change = -ca.solve(matrix, ca.densify(ca.jacobian(gradient, data)), "qr")
-    unknowns = path.path.values.ravel(order="F")[_places(layout)]
+    unknowns = path.path.values.ravel(order="F")[layout.place]
     ends = [np.array([value for value in end if value is not None]) for end in (problem.start, problem.end)]
     given = [unknowns, *ends, path.t] + ([] if problem.parameters is None else [np.array(problem.parameters)])
     derivative = np.array(ca.Function("sensitivity", list(symbols.values()), [change]).call(given)[0])
