@@ -2,7 +2,8 @@
 
 x[0] is the cart's position, x[1] the pole's angle from below; the force acts on the cart only.  From the straight line
 an optimiser finds the swing-up of that paper, back once and over.  It is a local optimum: a guess that goes another way
-leads to one that swings once more and costs less.  All work of the force ends up in the pole's height, 2 m g l.
+leads to one that swings once more and costs less.  All work of the force ends up in the pole's height, 2 m g l.  That
+force alone, replayed from rest step by step with the same method, brings cart and pole there again.
 """
 
 import casadi as ca
@@ -53,6 +54,13 @@ def work(path):
     return weights @ (path.control.values[0] * path.path(path.control.times, 1)[0])
 
 
+def replayed(path):
+    """The same system from the same start under the force found, as a function of time: nothing is told of the end."""
+    force, velocity = path.replay(), path.start_velocity
+    start = cg.InitialProblem(lagrangian, path.problem.t_span, path.x[:, 0], velocity=velocity, force=force)
+    return cg.solve(start, path.method, mesh=path.t)
+
+
 def main(plot=None):
     """Solve from a straight line."""
     path = cg.solve(problem(), cg.Galerkin(degree=4), intervals=20)
@@ -72,6 +80,7 @@ if __name__ == "__main__":
     first = main(picture("cart_pole.png"))
     print(first)
     print(f"  work        {work(first):.6f} J, exact {2 * POLE * GRAVITY * LENGTH} J")
+    print(f"  replayed    cart and pole {np.abs(replayed(first).x[:, -1] - first.x[:, -1])} away from there")
     print("To 1e-8, on meshes of their own choice:")
     for name, guess in (("from the straight line", None), ("from another guess", once_more)):
         best = cg.solve(problem(), tol=1e-8, guess=guess)

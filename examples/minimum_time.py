@@ -3,13 +3,23 @@
 The duration is free and the control jumps.  With an even number of equal intervals the jump falls on a joint and
 the answer is exact.  With an odd number it falls inside an interval: the duration found is too short, because the
 control leaves its bounds between the quadrature points, and the summary says where.  A tolerance moves a joint there.
+
+Two variations.  With a buffer at the end that takes what speed v is left, for a price times the energy v²/2, full
+thrust lasts for a = √(1 + v²/2) and the brake for a - v: with the price √(7/8), a = √(8/7) and v = a/2.  With a gear
+of free ratio p between motor and load, the motor's inertia J counts p² times: the best ratio matches both, p = 1/√J.
 """
+
+from dataclasses import replace
+from math import sqrt
 
 from show import picture, save
 
 import casadi_galerkin as cg
 
 THRUST = 1.0
+PRICE = sqrt(7 / 8)  # of the energy left for the buffer
+FULL_THRUST = sqrt(8 / 7)  # how long, with the buffer
+INERTIA = 1 / 16  # of the motor, the load's is 1
 
 
 def problem():
@@ -26,6 +36,30 @@ def problem():
         controls=1,
         control_bounds=(-THRUST, THRUST),
         duration_bounds=(0.1, 10.0),
+    )
+
+
+def buffered():
+    """Arriving with any speed, which costs its energy times a price."""
+    return replace(problem(), end_velocity=[None], terminal_cost=lambda t, x, v: PRICE * v[0] ** 2 / 2)
+
+
+def geared():
+    """A motor with bounded torque drives the load through a gear; its ratio p[0] is free."""
+    return cg.ControlProblem(
+        lambda t, x, v, p: (1 + INERTIA * p[0] ** 2) * v[0] ** 2 / 2,
+        (0.0, 1.0),
+        start=[0.0],
+        end=[1.0],
+        start_velocity=[0.0],
+        end_velocity=[0.0],
+        force=lambda t, x, v, u, p: p[0] * u[0],
+        running_cost=lambda t, x, v, u, p: 1,
+        controls=1,
+        control_bounds=(-THRUST, THRUST),
+        duration_bounds=(0.1, 10.0),
+        parameters=[1.0],
+        parameter_bounds=(0.1, 10.0),
     )
 
 
@@ -48,3 +82,9 @@ if __name__ == "__main__":
     print(f"  duration    {between.t[-1]:.12f}, exact 2")
     moved = cg.solve(problem(), tol=1e-6, intervals=11)
     print(f"to 1e-6 from there: duration {moved.t[-1]:.9f}, largest overshoot {moved.control_overshoot.max():.1e}")
+    soft = cg.solve(buffered(), cg.Galerkin(degree=2), intervals=12)  # the brake begins after 2/3 of the time
+    print(f"with a buffer: duration {soft.t[-1]:.12f}, exact {1.5 * FULL_THRUST:.12f}", end="; ")
+    print(f"speed at the end {soft.end_velocity[0]:.12f}, exact {FULL_THRUST / 2:.12f}")
+    driven = cg.solve(geared(), cg.Galerkin(degree=2), intervals=10)
+    print(f"with a gear: ratio {driven.parameters[0]:.12f}, exact {INERTIA**-0.5:g}", end="; ")
+    print(f"duration {driven.t[-1]:.12f}, exact {2 * INERTIA**0.25 * sqrt(2):.12f}")

@@ -67,6 +67,33 @@ def test_minimum_time_is_two(scene):
     assert scene("minimum_time").main().t[-1] == pytest.approx(2, abs=1e-9)
 
 
+def test_with_a_buffer_the_brake_begins_late_and_speed_is_left(scene):
+    module = scene("minimum_time")
+    path = cg.solve(module.buffered(), cg.Galerkin(2), intervals=12)
+    a = module.FULL_THRUST
+    found = [path.t[-1], path.end_velocity[0], path.cost]
+    assert found == pytest.approx([1.5 * a, a / 2, 1.5 * a + module.PRICE * a**2 / 8], abs=1e-8)
+    switch = path.t[np.flatnonzero(np.diff(path.control(path.t)[0]) < -1)[0] + 1]
+    assert switch == pytest.approx(a, abs=1e-8)
+
+
+def test_the_best_gear_matches_the_inertias(scene):
+    module = scene("minimum_time")
+    path = cg.solve(module.geared(), cg.Galerkin(2), intervals=10)
+    assert path.parameters[0] == pytest.approx(4, abs=1e-6)  # the duration is flat there
+    assert path.t[-1] == pytest.approx(2**0.5, abs=1e-9)
+
+
+def test_force_replayed_from_rest_brings_cart_and_pole_to_the_end_with_the_energy_of_lifting(scene):
+    module = scene("cart_pole")
+    path = module.main()
+    again = module.replayed(path)
+    np.testing.assert_allclose(again.x, path.x, rtol=0, atol=1e-10)
+    assert again.x[:, -1] == pytest.approx([module.DISTANCE, np.pi], abs=1e-10)
+    lifted = 2 * module.POLE * module.GRAVITY * module.LENGTH
+    assert again.energy[-1] - again.energy[0] == pytest.approx(lifted, abs=1e-9)
+
+
 def test_vehicle_passes_below_at_the_exact_cost(scene):
     module = scene("obstacle")
     path = module.main()
