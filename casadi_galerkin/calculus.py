@@ -138,6 +138,7 @@ def time_scale(mesh: ArrayLike) -> np.ndarray:
         raise ValueError(
             f"the joints of a mesh must increase, got t[{i}] = {joints[i]} and t[{i + 1}] = {joints[i + 1]}"
         )
+    joints.flags.writeable = False  # transcriptions and paths share them
     return joints
 
 

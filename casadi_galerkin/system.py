@@ -146,7 +146,8 @@ class System:
                 step, sizes, norm, excess = self._chain("compiled newton")(unknowns, data)
                 self._holds_factors = excess.item() <= 0
             if not self._holds_factors:
-                names = ("newton again", "gradient") if again and self.quadratic else ("newton", "derivatives")
+                kept = again and self.quadratic and not self.compiled  # a compiled iterate assembles no Hessian
+                names = ("newton again", "gradient") if kept else ("newton", "derivatives")
                 step, sizes, norm, _ = self._found(*names, "step", unknowns, data)
             return Iterate(unknowns, step.copy(), sizes.copy(), norm.item())
 

@@ -10,6 +10,7 @@ import pytest
 import casadi_galerkin as cg
 from casadi_galerkin.functional import pointwise
 from casadi_galerkin.iteration import CompiledIteration, suits
+from casadi_galerkin.stages import Call
 from casadi_galerkin.system import joined
 
 compiler = pytest.mark.skipif(not (shutil.which("gcc") or shutil.which("cc")), reason="there is no C compiler")
@@ -254,3 +255,30 @@ def test_a_missing_compiler_is_reported(monkeypatch):
     tr = cg.transcribe(cg.BoundaryProblem(one, (0.0, 1.0), [0.0], [1.0]), cg.Galerkin(2), 4)
     with pytest.raises(ValueError, match="needs a C compiler"):
         CompiledIteration(tr.functional.pointwise, tr.layout)
+
+
+@compiler
+def test_a_compiled_iterate_that_fails_is_repeated_with_its_own_hessian():
+    """It leaves no Hessian behind: what is in the memory of all problems of the layout is that of another one."""
+
+    def oscillator(rate, jit):
+        problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - rate * x[0] ** 2 / 2, (0.0, 1.0), [0.0], [1.0])
+        return cg.transcribe(problem, cg.Galerkin(3), 8, jit=jit)
+
+    tr, other = oscillator(1.0, True), oscillator(5.0, False)
+    arrays, iterate, runs = tr.system.algebra.workspace.arrays, tr.system.compiled["iterate"], []
+
+    def fails_the_second_time():
+        iterate.run()
+        runs.append(arrays["excess"].item())
+        if len(runs) == 2:
+            arrays["excess"][:] = 1.0
+
+    tr.system.compiled = {**tr.system.compiled, "iterate": Call(fails_the_second_time, iterate.inputs)}
+    data, unknowns = tr.data(tr.mesh), np.zeros(tr.layout.free)
+    tr.system.iterate(unknowns, data)
+    other.solve()
+    step = tr.system.iterate(unknowns, data, again=True).step
+    assert len(runs) == 2
+    gradient, hessian = (np.array(f(unknowns, *data)) for f in (tr.gradient, tr.hessian))
+    np.testing.assert_allclose(step, -np.linalg.solve(hessian, gradient).ravel(), rtol=0, atol=1e-13)

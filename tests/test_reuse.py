@@ -96,3 +96,13 @@ def test_a_lagrangian_that_is_not_quadratic_has_a_hessian_at_every_path():
     ):
         problem = cg.BoundaryProblem(lagrangian, (0.0, 1.0), [0.0], [1.0])
         assert not cg.transcribe(problem, cg.Galerkin(2), 2).system.quadratic
+
+
+def test_the_joints_that_paths_and_transcriptions_share_cannot_be_written_to():
+    tr = swing(1.0)
+    path = tr.solve()
+    for joints in (tr.mesh, path.path.mesh):
+        with pytest.raises(ValueError, match="read-only"):
+            joints[3] += 0.01
+    path.t[3] += 0.01  # the answer's own
+    np.testing.assert_array_equal(tr.solve().t, np.linspace(0.0, 1.0, 21))
