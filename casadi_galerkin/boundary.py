@@ -16,7 +16,7 @@ from casadi_galerkin.calculus import DiscreteCalculus, Galerkin
 from casadi_galerkin.diagnosis import conjugate, explained, refuse_undefined
 from casadi_galerkin.engines import rootfinder
 from casadi_galerkin.functional import Evaluation
-from casadi_galerkin.guesses import Guess, given_values, mesh_of
+from casadi_galerkin.guesses import Guess, check_types, given_values, mesh_of
 from casadi_galerkin.layout import Data
 from casadi_galerkin.legendre import convex
 from casadi_galerkin.newton import Solution, SolveFailure
@@ -345,8 +345,5 @@ def transcribed(
     evaluation: Evaluation,
 ) -> Transcription:
     """`transcribe`, with the way that the Lagrangian is evaluated at the points, as for `Functional`."""
-    if not isinstance(problem, BoundaryProblem):
-        raise TypeError(f"problem must be a BoundaryProblem, got {type(problem).__name__}")
-    if not isinstance(method, Galerkin):
-        raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
+    check_types(problem, method, BoundaryProblem)
     return Transcription(problem, method, mesh_of(problem.t_span, intervals, mesh), evaluation)

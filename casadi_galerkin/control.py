@@ -21,7 +21,7 @@ from casadi_galerkin.control_path import ControlPath
 from casadi_galerkin.control_problem import ControlProblem
 from casadi_galerkin.control_report import limits_of, name_equation, name_unknown, violations
 from casadi_galerkin.control_trajectory import ControlTrajectory
-from casadi_galerkin.guesses import Guess, mesh_of
+from casadi_galerkin.guesses import Guess, check_types, mesh_of
 from casadi_galerkin.optimizer import Optimum, Program, interior_point, optimize
 from casadi_galerkin.precision import EPS
 from casadi_galerkin.trajectory import ConvergenceError
@@ -229,8 +229,5 @@ def transcribe_control(
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     """
-    if not isinstance(problem, ControlProblem):
-        raise TypeError(f"problem must be a ControlProblem, got {type(problem).__name__}")
-    if not isinstance(method, Galerkin):
-        raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
+    check_types(problem, method, ControlProblem)
     return ControlTranscription(problem, method, mesh_of(problem.t_span, intervals, mesh))

@@ -1,4 +1,4 @@
-"""What a user gives beside the problem: a mesh, and a guess in any of its forms, as arrays."""
+"""What a user gives beside the problem: a method, a mesh, and a guess in any of its forms, as arrays."""
 
 from __future__ import annotations
 
@@ -7,12 +7,21 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus import DiscreteCalculus, time_scale
+from casadi_galerkin.calculus import DiscreteCalculus, Galerkin, time_scale
 from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.quadrature import real_array
 from casadi_galerkin.trajectory import Trajectory
 
 Guess = Callable[[float], ArrayLike] | ArrayLike | Trajectory | PiecewisePolynomial
+
+
+def check_types(problem: object, method: object, *kinds: type) -> None:
+    """Refuse what is no problem of these kinds, or no method."""
+    if not isinstance(problem, kinds):
+        expected = " or ".join(kind.__name__ for kind in kinds)
+        raise TypeError(f"problem must be a {expected}, got {type(problem).__name__}")
+    if not isinstance(method, Galerkin):
+        raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
 
 
 def mesh_of(t_span: tuple[float, float], intervals: int | None, mesh: ArrayLike | None) -> np.ndarray:

@@ -37,7 +37,7 @@ from casadi_galerkin.boundary import CriticalPoint, Engine, Transcription
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin
 from casadi_galerkin.engines import rootfinder
 from casadi_galerkin.functional import Evaluation
-from casadi_galerkin.guesses import Guess, mesh_of
+from casadi_galerkin.guesses import Guess, check_types, mesh_of
 from casadi_galerkin.newton import newton
 from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.problems import BoundaryProblem
@@ -257,6 +257,18 @@ def check_tolerance(tol: float) -> None:
         raise ValueError(f"tol must be a number between 0 and 1, got {tol!r}")
 
 
+def first_mesh(
+    problem: BoundaryProblem, tol: float, method: Galerkin | None, intervals: int | None, mesh: ArrayLike | None
+) -> np.ndarray:
+    """Joints where a refinement begins; refuses what does not fit, see `solve` for the arguments."""
+    check_tolerance(tol)
+    first = of_degree(degree_for(tol)) if method is None else method
+    check_types(problem, first, BoundaryProblem)
+    if intervals is None and mesh is None:
+        intervals = max(FEWEST, math.ceil(FIRST_NODES / first.degree))
+    return mesh_of(problem.t_span, intervals, mesh)
+
+
 def solve_to_tolerance(
     problem: BoundaryProblem,
     tol: float,
@@ -269,8 +281,5 @@ def solve_to_tolerance(
     verbose: int,
 ) -> Trajectory:
     """Solve a boundary problem to a tolerance; see `solve` for the arguments."""
-    check_tolerance(tol)
-    refinement = Refinement(problem, tol, method, limits, verbose)
-    if intervals is None and mesh is None:
-        intervals = max(FEWEST, math.ceil(FIRST_NODES / refinement.method.degree))
-    return refinement.run(mesh_of(problem.t_span, intervals, mesh), guess, solver)
+    joints = first_mesh(problem, tol, method, intervals, mesh)
+    return Refinement(problem, tol, method, limits, verbose).run(joints, guess, solver)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus import Galerkin
-from casadi_galerkin.guesses import mesh_of
+from casadi_galerkin.guesses import check_types, mesh_of
 from casadi_galerkin.initial import trajectory
 from casadi_galerkin.legendre import legendre_transform
 from casadi_galerkin.newton import SMALLEST_DAMPING
@@ -136,12 +136,9 @@ def shoot(
     ConvergenceError
         with the measured growth, if Newton's method fails or the growth leaves no start that meets the end
     """
-    if not isinstance(problem, BoundaryProblem):
-        raise TypeError(f"problem must be a BoundaryProblem, got {type(problem).__name__}")
+    check_types(problem, method, BoundaryProblem)
     if guess is not None and (not isinstance(guess, Trajectory) or len(guess.x) != problem.dimension):
         raise TypeError(f"guess must be a Trajectory of {problem.dimension} component(s), got {guess!r}")
-    if not isinstance(method, Galerkin):
-        raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
     began = time.perf_counter()
     shooting = Shooting(problem, method, mesh_of(problem.t_span, intervals, mesh))
     shot, iterations = _newton(shooting, *_guess(problem, guess))

@@ -250,6 +250,18 @@ def test_what_is_no_method_is_refused(other):
         cg.solve(problem(), other, intervals=2)
 
 
+@pytest.mark.parametrize("other", [None, oscillator, {"lagrangian": oscillator}, "problem"])
+def test_what_is_no_problem_is_refused_with_a_tolerance(other):
+    with pytest.raises(TypeError, match=f"problem must be a BoundaryProblem, got {type(other).__name__}"):
+        cg.solve(other, tol=1e-6)
+
+
+@pytest.mark.parametrize("other", [0, 6, "gauss", cg.Galerkin, cg.gauss(3)])
+def test_what_is_no_method_is_refused_with_a_tolerance(other):
+    with pytest.raises(TypeError, match=r"method must be a Galerkin, such as Galerkin.degree=4., got"):
+        cg.solve(problem(), other, tol=1e-3)
+
+
 @pytest.mark.parametrize("name", ["lagrange", "tspan", "ends", "params"])
 def test_unknown_names_are_refused(name):
     with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'"):
