@@ -90,7 +90,7 @@ class ControlRefinement:
     def run(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Solve on better and better meshes until the estimated error is below the tolerance."""
         path, before = self.first(mesh, guess), np.inf
-        for level in range(self.limits.levels):
+        for level in self.limits.every_level:
             higher, reached = path, np.inf
             try:
                 higher = self.solve(raised(self.method), path.t, path)
@@ -105,7 +105,7 @@ class ControlRefinement:
                 raise
             except ConvergenceError as failure:
                 raise self.stopped(str(failure), path, reached) from failure
-        raise self.stopped(f"{self.limits.levels} levels were not enough", path, before)
+        raise self.stopped(f"{self.limits.levels:g} levels were not enough", path, before)
 
     def check(self, intervals: int, path: ControlTrajectory, before: float, reached: float) -> None:
         """Stop where another level is not allowed or would not help."""

@@ -14,6 +14,7 @@ softest variation, not that of its cause.  A new mesh therefore spreads what is 
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -59,7 +60,7 @@ STALLED, ROUNDOFF_LEVEL = 2, 1e-9  # levels that did not lower an error below th
 
 @dataclass(frozen=True)
 class Limits:
-    """What stops a refinement that does not reach its tolerance.
+    """What stops a refinement that does not reach its tolerance; ``math.inf`` stops nothing.
 
     Parameters
     ----------
@@ -68,14 +69,23 @@ class Limits:
     levels : most meshes
     """
 
-    intervals: int = 20_000
+    intervals: float = 20_000
     seconds: float = 120.0
-    levels: int = 80
+    levels: float = 80
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not value > 0:
                 raise ValueError(f"the limit of {name} must be a positive number, got {value!r}")
+        for name in ("intervals", "levels"):
+            value = getattr(self, name)
+            if value != math.inf and value != int(value):
+                raise ValueError(f"the limit of {name} must be a whole number or inf, got {value!r}")
+
+    @property
+    def every_level(self) -> range:
+        """Numbers of the levels."""
+        return range(sys.maxsize if self.levels == math.inf else int(self.levels))
 
 
 class LimitReached(ConvergenceError):
@@ -143,7 +153,7 @@ class Refinement:
         """Relax a guess until Newton's method takes over."""
         transcribed = partial(self.transcription, of_degree(RELAXATION_DEGREE), evaluation="vectorised")
         path = transcribed(mesh).drawn(guess, mesh)
-        path = relaxed(transcribed, path, RELAXATION_TOLERANCE, leap, self.limits.levels, self.late)
+        path = relaxed(transcribed, path, RELAXATION_TOLERANCE, leap, self.limits.every_level, self.late)
         return self.solve(of_degree(RELAXATION_DEGREE), path.mesh, path, following)
 
     def late(self) -> bool:
@@ -208,7 +218,7 @@ class Refinement:
     def refine(self, point: CriticalPoint) -> tuple[CriticalPoint, float]:
         """Solve on better and better meshes until the estimated error is below the tolerance; returns both."""
         best, smallest, stalled = point, np.inf, 0
-        for level in range(self.limits.levels):
+        for level in self.limits.every_level:
             error = truncation(point.path)
             suits = not self.fixed or len(point.path.nodes) == self.method.degree + 1
             verified = suits and bool(np.max(error) <= self.tol)
@@ -226,7 +236,7 @@ class Refinement:
                 best, smallest = (point, reached) if reached < smallest else (best, smallest)
                 error = error * (reached / np.max(error))
             point = self.next(point, error)
-        raise self.stopped(f"{self.limits.levels} levels were not enough", point, reached)
+        raise self.stopped(f"{self.limits.levels:g} levels were not enough", point, reached)
 
     def report(self, level: int, point: CriticalPoint, reached: float, verified: bool) -> None:
         """One line a level."""

@@ -38,7 +38,7 @@ def relaxed(
     path: PiecewisePolynomial,
     tol: float,
     leap: float,
-    levels: int,
+    levels: range,
     late: Callable[[], bool],
 ) -> PiecewisePolynomial:
     """Relax a path on meshes that resolve it to a tolerance, none with fewer intervals than the first.
@@ -49,7 +49,7 @@ def relaxed(
     path : PiecewisePolynomial that meets the ends
     tol : relative size of what the path may leave out on an interval
     leap : longest step, relative to the size of the path
-    levels : most meshes
+    levels : as many meshes at most
     late : whether to stop now
 
     Raises
@@ -58,7 +58,7 @@ def relaxed(
         if no step lowers the action, or the time was up
     """
     inertia, fewest = 1.0, len(path.mesh) - 1
-    for _ in range(levels):
+    for _ in levels:
         relaxation = Relaxation(transcribed(path.mesh), path, inertia, leap)
         ended = relaxation.run(STEPS)
         path, inertia, error = relaxation.path, relaxation.inertia, truncation(relaxation.path)
