@@ -23,6 +23,7 @@ from casadi_galerkin.boundary import transcribe
 from casadi_galerkin.calculus import Galerkin
 from casadi_galerkin.guesses import mesh_of
 from casadi_galerkin.problems import BoundaryProblem
+from casadi_galerkin.refinement import first_mesh
 from casadi_galerkin.solve import solve
 from casadi_galerkin.tracing import components, numbers, time_span
 from casadi_galerkin.trajectory import ConvergenceError, Trajectory
@@ -94,7 +95,7 @@ class Sweep:
     def __str__(self) -> str:
         """Summarise the sweep, with the reason of the first failure."""
         failures = self.failures
-        text = f"Sweep of {len(self)} variations, {len(self) - len(failures)} solved"
+        text = f"Sweep of {len(self)} variation{'s' * (len(self) != 1)}, {len(self) - len(failures)} solved"
         if not failures:
             return text
         first, error = next(iter(failures.items()))
@@ -190,6 +191,7 @@ def _solver(
 ) -> Callable[[Variation], Trajectory]:
     """What solves one variation: a graph built once, or with a tolerance one refinement each."""
     if tol is not None:
+        first_mesh(problem, tol, method, intervals, None)  # refuses here what would fail in every variation
 
         def refined(variation: Variation) -> Trajectory:
             fields = {name: variation.get(name, getattr(problem, name)) for name in FIELDS[:-1]}

@@ -7,7 +7,7 @@ a reference, which is given or solved for (`accuracy`).
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
@@ -19,10 +19,11 @@ from tqdm import tqdm
 
 from casadi_galerkin.accuracy import ROUNDOFF, Problem, Reference, Yardstick, finer
 from casadi_galerkin.boundary import transcribe
-from casadi_galerkin.calculus import Galerkin
-from casadi_galerkin.guesses import Guess
+from casadi_galerkin.calculus import DiscreteCalculus, Galerkin
+from casadi_galerkin.control_problem import ControlProblem
+from casadi_galerkin.guesses import Guess, check_types, given_values, mesh_of
 from casadi_galerkin.plotting import plot_work_precision
-from casadi_galerkin.problems import BoundaryProblem
+from casadi_galerkin.problems import BoundaryProblem, InitialProblem
 from casadi_galerkin.solve import solve
 from casadi_galerkin.trajectory import ConvergenceError, Trajectory
 
@@ -188,6 +189,34 @@ class _Cell:
             self.seconds.append(self.run().solve_seconds)
 
 
+def _check(
+    problem: Problem, methods: Sequence[Galerkin], counts: Sequence[int], guess: Guess | None
+) -> list[tuple[Galerkin, int]]:
+    """All cells; refuses what would fail in each of them, or in the reference."""
+    if not methods or not counts:
+        raise ValueError(f"give at least one method and one number of intervals, got {methods} and {counts}")
+    if guess is not None:
+        if isinstance(problem, InitialProblem):
+            raise ValueError("an initial problem takes no guess: it is solved step by step")
+        if not isinstance(guess, Trajectory) and not callable(guess):
+            raise TypeError(f"the guess of a trade must fit every mesh: a callable or a Trajectory, got {guess!r}")
+    keys = [(method, count) for method in methods for count in counts]
+    for method, count in keys:
+        check_types(problem, method, BoundaryProblem, InitialProblem, ControlProblem)
+        mesh = mesh_of(problem.t_span, count, None)
+        if guess is not None:
+            _check_guess(guess, DiscreteCalculus(method, mesh), problem.dimension)
+    return keys
+
+
+def _check_guess(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> None:
+    values = given_values(guess, calculus, dimension)
+    finite = np.isfinite(values).all(axis=0)
+    if not finite.all():
+        i = int(np.argmin(finite))
+        raise ValueError(f"the guess must be finite, got {values[:, i]} at t = {calculus.node_times[i]}")
+
+
 def _first(problem: Problem, method: Galerkin, intervals: int, guess: Guess | None) -> _Cell:
     """Build and solve a cell for the first time."""
     try:
@@ -222,17 +251,17 @@ def trade(
     intervals : several numbers of equal intervals
     reference : a Trajectory or a callable t -> (d,) that errors are differences to; default a solve several digits
         finer, whose own error is estimated and reported
-    guess : as for `solve`, for all cells and the reference: where several paths join the ends, it chooses one
+    guess : a callable t -> (d,) or a Trajectory, for all cells and the reference: where several paths join the ends,
+        it chooses one
 
     Raises
     ------
+    TypeError, ValueError
+        for input that does not fit, before anything is solved
     ConvergenceError
         if no cell was solved, or no finer solve was found to measure against
     """
-    columns, counts = list(methods), list(intervals)
-    if not columns or not counts:
-        raise ValueError(f"give at least one method and one number of intervals, got {columns} and {counts}")
-    keys = [(method, count) for method in columns for count in counts]
+    keys = _check(problem, list(methods), list(intervals), guess)
     with tqdm(total=(1 + REPEATS) * len(keys), desc="trade", disable=None, leave=False) as bar:
         cells = []
         for method, count in keys:

@@ -110,7 +110,7 @@ def test_summary_counts_and_gives_the_first_reason(serial):
     assert str(serial).startswith(
         "Sweep of 7 variations, 5 solved\n  variation 1 is the first without an answer: no path"
     )
-    assert str(cg.sweep(bratu(), VARIATIONS[:1], METHOD, INTERVALS)) == "Sweep of 1 variations, 1 solved"
+    assert str(cg.sweep(bratu(), VARIATIONS[:1], METHOD, INTERVALS)) == "Sweep of 1 variation, 1 solved"
 
 
 def test_every_field_can_be_varied():
@@ -250,6 +250,21 @@ def test_parameters_of_a_problem_without_any_are_refused():
 def test_discretisation_is_asked_for():
     with pytest.raises(ValueError, match="give a method and intervals, or tol"):
         cg.sweep(bratu(), VARIATIONS, METHOD)
+
+
+@pytest.mark.parametrize("workers", [False, True])
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"tol": 2}, ValueError, "tol must be a number between 0 and 1, got 2"),
+        ({"tol": 1e-3, "intervals": -4}, ValueError, "intervals must be at least 1, got -4"),
+        ({"tol": 1e-3, "intervals": 4.0}, TypeError, "intervals must be a whole number, got 4.0"),
+        ({"tol": 1e-3, "method": 4}, TypeError, "method must be a Galerkin, .*, got 4"),
+    ],
+)
+def test_a_refinement_that_does_not_fit_is_refused_before_any_solve(arguments, error, message, workers):
+    with pytest.raises(error, match=message):
+        cg.sweep(bratu(), [{}], executor=Recorder() if workers else None, **arguments)
 
 
 def test_a_problem_is_asked_for():

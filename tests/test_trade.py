@@ -1,6 +1,7 @@
 import csv
 import itertools
 from dataclasses import replace
+from importlib import import_module
 
 import casadi as ca
 import numpy as np
@@ -118,6 +119,44 @@ def test_a_trade_in_which_nothing_is_solved_raises():
 def test_an_empty_grid_is_refused(pendulum):
     with pytest.raises(ValueError, match="at least one method"):
         cg.trade(pendulum, [], (4,))
+
+
+@pytest.mark.parametrize(
+    ("methods", "intervals", "changes", "error", "message"),
+    [
+        ([cg.Galerkin(2)], [4, 0], {}, ValueError, "intervals must be at least 1, got 0"),
+        ([cg.Galerkin(2)], [4, 2.5], {}, TypeError, "intervals must be a whole number, got 2.5"),
+        ([cg.Galerkin(2), 2], [4], {}, TypeError, "method must be a Galerkin, .*, got 2"),
+        ([cg.Galerkin(2)], [4], {"guess": lambda t: t}, ValueError, r"the guess must return .* \(1,\), got \(\)"),
+        (
+            [cg.Galerkin(2)],
+            [4],
+            {"guess": lambda t: [np.nan]},
+            ValueError,
+            r"the guess must be finite, got \[nan\] at t = 0.0",
+        ),
+        ([cg.Galerkin(2)], [4], {"guess": np.zeros((1, 5))}, TypeError, "must fit every mesh: a callable or a Traj"),
+        ([cg.Galerkin(2)], [4], {"guess": "line"}, TypeError, "must fit every mesh: .* got 'line'"),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_any_cell(
+    pendulum, methods, intervals, changes, error, message, monkeypatch
+):
+    module = import_module("casadi_galerkin.trade")
+    monkeypatch.setattr(module, "_first", lambda *given: pytest.fail("solved before the input was checked"))
+    with pytest.raises(error, match=message):
+        cg.trade(pendulum, methods, intervals, **changes)
+
+
+def test_a_trade_of_no_problem_is_refused():
+    with pytest.raises(TypeError, match="BoundaryProblem or InitialProblem or ControlProblem, got function"):
+        cg.trade(lambda t, x, v: v[0] ** 2, [cg.Galerkin(2)], [4])
+
+
+def test_an_initial_problem_is_traded_without_a_guess():
+    problem = cg.InitialProblem(lambda t, x, v: v[0] ** 2 / 2, (0.0, 2.0), [0.0], velocity=[1.0])
+    with pytest.raises(ValueError, match="an initial problem takes no guess"):
+        cg.trade(problem, [cg.Galerkin(2)], [4], guess=lambda t: [t])
 
 
 def test_guess_chooses_the_branch():
