@@ -16,18 +16,39 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.adaptivity import sizes
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin
 from casadi_galerkin.control_problem import ControlProblem
-from casadi_galerkin.guesses import Guess
+from casadi_galerkin.guesses import Guess, sampled
 from casadi_galerkin.problems import BoundaryProblem, InitialProblem
 from casadi_galerkin.quadrature import gauss
 from casadi_galerkin.solve import solve
 from casadi_galerkin.trajectory import Trajectory
 
 SAMPLES = 2000  # times at which errors are taken, and at least 4 on every interval
+LOOKS, SLACK = 5, 1e-12  # times at which a callable is tried; part of the time span by which ends may differ
 FINER_DEGREE, LEAST_DEGREE = 4, 8  # degrees that a reference has more than the methods, and its least one
 FINER, ROUNDOFF, DOUBLINGS = 1e-2, 1e-14, 4  # part of the least error that a reference's own may be; its floor
 
 Problem: TypeAlias = BoundaryProblem | InitialProblem | ControlProblem
 Reference: TypeAlias = Trajectory | Callable[[float], ArrayLike]
+
+
+def check_reference(problem: Problem, given: Reference) -> None:
+    """Refuse a reference that is no path of the problem."""
+    d, span = problem.dimension, problem.t_span
+    if callable(given):
+        values = sampled("the reference", given, np.linspace(*span, LOOKS), d)
+        if not np.all(np.isfinite(values)):
+            raise ValueError(f"the reference must be finite on {span}, got {values.tolist()}")
+        return
+    if not isinstance(given, Trajectory):
+        raise TypeError(f"the reference must be a Trajectory or a callable t -> ({d},), got {given!r}")
+    if len(given.x) != d:
+        raise ValueError(f"the reference must be a path of {d} component(s), got {len(given.x)}")
+    wanted, got = (len(parameters or ()) for parameters in (problem.parameters, given.parameters))
+    if wanted != got:
+        raise ValueError(f"the reference must have {wanted} parameter(s), got {got}")
+    free = isinstance(problem, ControlProblem) and problem.duration_bounds is not None
+    if not free and not np.allclose(given.t[[0, -1]], span, rtol=0, atol=SLACK * (span[1] - span[0])):
+        raise ValueError(f"the reference must run from {span[0]} to {span[1]}, got {given.t[0]} to {given.t[-1]}")
 
 
 class Yardstick:
@@ -41,7 +62,7 @@ class Yardstick:
             self._path, self._exact, parameters = given.path, None, given.parameters
         else:
             calculus = DiscreteCalculus(Galerkin(LEAST_DEGREE), np.linspace(*problem.t_span, SAMPLES // 4 + 1))
-            self._exact = given
+            self._exact, self._dimension = given, problem.dimension
             self._path = calculus.emb(self._sampled(calculus.node_times))
         self._lagrangian, self._parameters = problem.lagrangian, parameters
         points = np.array(gauss(LEAST_DEGREE).points)
@@ -57,8 +78,7 @@ class Yardstick:
     def _sampled(self, times: np.ndarray) -> np.ndarray:
         """Values (d, K) of a callable reference."""
         assert self._exact is not None
-        columns = [np.asarray(self._exact(float(t)), dtype=float) for t in times]
-        return np.stack(columns, axis=1)
+        return sampled("the reference", self._exact, times, self._dimension)
 
     def _times(self, part: np.ndarray) -> np.ndarray:
         first, last = self._path.mesh[[0, -1]]

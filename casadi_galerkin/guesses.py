@@ -40,6 +40,15 @@ def mesh_of(t_span: tuple[float, float], intervals: int | None, mesh: ArrayLike 
     return joints
 
 
+def sampled(name: str, function: Callable[[float], ArrayLike], times: np.ndarray, dimension: int) -> np.ndarray:
+    """Values (d, K) of a path that is given as a callable."""
+    columns = [real_array(f"values of {name}", function(float(t))) for t in times]
+    shapes = {column.shape for column in columns}
+    if shapes != {(dimension,)}:
+        raise ValueError(f"{name} must return an array of shape ({dimension},), got {shapes.pop()}")
+    return np.stack(columns, axis=1)
+
+
 def given_values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:
     """Values (d, N m + 1) of a guess as it was given."""
     times, d = calculus.node_times, dimension
@@ -52,11 +61,7 @@ def given_values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np
         stretched = old[0] + calculus.node_parts * (old[-1] - old[0])
         return path(times if same else np.clip(stretched, old[0], old[-1]))
     if callable(guess):
-        columns = [real_array("values of the guess", guess(float(t))) for t in times]
-        shapes = {column.shape for column in columns}
-        if shapes != {(d,)}:
-            raise ValueError(f"the guess must return an array of shape ({d},), got {shapes.pop()}")
-        return np.stack(columns, axis=1)
+        return sampled("the guess", guess, times, d)
     array = real_array("the guess", guess)
     if array.shape == (d, len(times)):
         return array

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from tqdm import tqdm
 
-from casadi_galerkin.accuracy import ROUNDOFF, Problem, Reference, Yardstick, finer
+from casadi_galerkin.accuracy import ROUNDOFF, Problem, Reference, Yardstick, check_reference, finer
 from casadi_galerkin.boundary import transcribe
 from casadi_galerkin.calculus import DiscreteCalculus, Galerkin
 from casadi_galerkin.control_problem import ControlProblem
@@ -249,8 +249,8 @@ def trade(
     problem : BoundaryProblem, InitialProblem or ControlProblem
     methods : several Galerkin
     intervals : several numbers of equal intervals
-    reference : a Trajectory or a callable t -> (d,) that errors are differences to; default a solve several digits
-        finer, whose own error is estimated and reported
+    reference : a Trajectory over the same time span, unless the duration is free, or a callable t -> (d,), that errors
+        are differences to; default a solve several digits finer, whose own error is estimated and reported
     guess : a callable t -> (d,) or a Trajectory, for all cells and the reference: where several paths join the ends,
         it chooses one
 
@@ -262,6 +262,8 @@ def trade(
         if no cell was solved, or no finer solve was found to measure against
     """
     keys = _check(problem, list(methods), list(intervals), guess)
+    if reference is not None:
+        check_reference(problem, reference)
     with tqdm(total=(1 + REPEATS) * len(keys), desc="trade", disable=None, leave=False) as bar:
         cells = []
         for method, count in keys:

@@ -148,6 +148,40 @@ def test_what_does_not_fit_is_refused_before_any_cell(
         cg.trade(pendulum, methods, intervals, **changes)
 
 
+def path_of(lagrangian, t_span, *ends, **changes):
+    return cg.solve(cg.BoundaryProblem(lagrangian, t_span, *ends, **changes), cg.Galerkin(3), 4)
+
+
+def free(t, x, v):
+    return ca.sumsqr(v) / 2
+
+
+@pytest.mark.parametrize(
+    ("reference", "error", "message"),
+    [
+        (path_of(free, (0, 1), [0.0], [1.0]), ValueError, r"reference must be a path of 2 component\(s\), got 1"),
+        (path_of(free, (0, 2), [0, 0], [1, 1]), ValueError, r"reference must run from 0\.0 to 1\.0, got 0\.0 to 2\.0"),
+        (
+            path_of(lambda t, x, v, p: p[0] * free(t, x, v), (0, 1), [0, 0], [1, 1], parameters=[1.0]),
+            ValueError,
+            r"reference must have 0 parameter\(s\), got 1",
+        ),
+        (lambda t: t, ValueError, r"the reference must return an array of shape \(2,\), got \(\)"),
+        (lambda t: [t], ValueError, r"the reference must return an array of shape \(2,\), got \(1,\)"),
+        (lambda t: [t, np.nan], ValueError, r"the reference must be finite on \(0\.0, 1\.0\), got"),
+        (lambda t: ["a", "b"], TypeError, "values of the reference must be real numbers, got"),
+        ("x", TypeError, r"the reference must be a Trajectory or a callable t -> \(2,\), got 'x'"),
+    ],
+    ids=["components", "span", "parameters", "scalar", "length", "nan", "text", "no path"],
+)
+def test_a_reference_that_does_not_fit_is_refused_before_any_cell(reference, error, message, monkeypatch):
+    module = import_module("casadi_galerkin.trade")
+    monkeypatch.setattr(module, "_first", lambda *given: pytest.fail("solved before the reference was checked"))
+    problem = cg.BoundaryProblem(free, (0.0, 1.0), [0.0, 0.0], [1.0, 1.0])
+    with pytest.raises(error, match=message):
+        cg.trade(problem, [cg.Galerkin(2)], [4], reference=reference)
+
+
 def test_a_trade_of_no_problem_is_refused():
     with pytest.raises(TypeError, match="BoundaryProblem or InitialProblem or ControlProblem, got function"):
         cg.trade(lambda t, x, v: v[0] ** 2, [cg.Galerkin(2)], [4])
