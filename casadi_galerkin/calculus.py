@@ -101,8 +101,18 @@ class Galerkin:
         return Element(nodes, points, np.array(self.quadrature.weights), values, values @ differentiation_matrix(nodes))
 
     def __str__(self) -> str:
-        rule = self.quadrature
-        return f"degree {self.degree}, {len(rule)} quadrature points of order {rule.order}"
+        """Degree and rule; where control points are not Lobatto's, or the rule not Gauss's, where their points lie."""
+        rule, usual = self.quadrature, self.control_points == tuple(lobatto_points(self.degree).tolist())
+        control = "" if usual else f"control {_points(self.control_points, True)}, "
+        points = _points(rule.points, rule != gauss(len(rule)))
+        return f"degree {self.degree}, {control}{len(rule)} quadrature {points} of order {rule.order}"
+
+
+def _points(points: tuple[float, ...], placed: bool) -> str:
+    """Points in words, with the first and the last if they are to be placed."""
+    if len(points) == 1:
+        return f"point at {points[0]:.4g}" if placed else "point"
+    return f"points from {points[0]:.4g} to {points[-1]:.4g}" if placed else "points"
 
 
 def _control_points(degree: int, given: Sequence[float] | np.ndarray | None) -> tuple[float, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from textwrap import fill
 from typing import TYPE_CHECKING
 
@@ -210,13 +210,13 @@ def animate_linkage(
 
 
 def plot_work_precision(
-    lines: Mapping[str, tuple[Sequence[float], Sequence[float]]], floor: float, axes: Axes | None = None
+    lines: Sequence[tuple[str, Sequence[float], Sequence[float]]], floor: float, axes: Axes | None = None
 ) -> Axes:
     """Draw errors over seconds on logarithmic axes, and the floor below which errors mean nothing.
 
     Parameters
     ----------
-    lines : label -> seconds and errors
+    lines : label, seconds and errors of each
     floor : error of roundoff or of the reference
     axes : Matplotlib axes to draw into; default a new figure
 
@@ -225,7 +225,7 @@ def plot_work_precision(
     the Matplotlib axes
     """
     axes = axes_or_new(axes, (9.0, 4.0))
-    for i, (label, (seconds, errors)) in enumerate(lines.items()):
+    for i, (label, seconds, errors) in enumerate(lines):
         drawn = np.maximum(errors, floor / 3)  # an error of zero has no place on a logarithmic axis
         axes.loglog(seconds, drawn, "o-", color=COLORS[i % len(COLORS)], markersize=4, label=label)
     axes.axhspan(floor / 10, floor, color="0.85", zorder=0)

@@ -116,11 +116,11 @@ class Trade:
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw errors over seconds, a line a method, with fitted orders and the floor; returns the Matplotlib axes."""
-        lines = {}
+        lines = []
         for method in dict.fromkeys(row.method for row in self._solved()):
             rows, order = [row for row in self._solved() if row.method == method], self.order(method)
             label = str(method) if order is None else f"{method}: error ~ N^-{order:.1f}"
-            lines[label] = [row.solve_seconds for row in rows], [row.error for row in rows]
+            lines.append((label, [row.solve_seconds for row in rows], [row.error for row in rows]))
         return plot_work_precision(lines, self.floor, axes)
 
     def to_csv(self, path: str | Path) -> None:

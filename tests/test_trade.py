@@ -278,6 +278,38 @@ def test_csv_holds_every_row(measured, tmp_path):
     assert [int(line["degree"]) for line in read] == [row.method.degree for row in measured.rows]
 
 
+def test_every_method_has_its_own_line_and_name(monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    methods = [
+        cg.Galerkin(4),
+        cg.Galerkin(4, cg.chebyshev_points(4)),
+        cg.Galerkin(4, quadrature=cg.lobatto(5)),
+        cg.Galerkin(1, quadrature=cg.left_rectangle()),
+        cg.Galerkin(1, quadrature=cg.radau(1)),
+    ]
+    trade = cg.Trade(tuple(row(1.0, 1e-3, method=method) for method in methods), "given", 0.0)
+    axes = trade.plot()
+    labels = [line.get_label() for line in axes.lines]
+    assert labels == [str(method) for method in methods]
+    assert len(set(labels)) == len(methods)
+    assert all(label in str(trade) for label in labels)
+    import matplotlib.pyplot as plt
+
+    plt.close(axes.figure)
+
+
+def test_lines_of_one_name_are_all_drawn(monkeypatch):
+    """Rules of the same ends and order differ within."""
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    rules = [cg.Quadrature([0.0, 0.5 - s, 0.5 + s, 1.0], [0.25, 0.25, 0.25, 0.25]) for s in (0.1, 0.2)]
+    rows = tuple(row(1.0, 1e-3, method=cg.Galerkin(2, quadrature=rule)) for rule in rules)
+    axes = cg.Trade(rows, "given", 0.0).plot()
+    assert len(axes.lines) == 2
+    import matplotlib.pyplot as plt
+
+    plt.close(axes.figure)
+
+
 def test_plot_shows_orders_and_the_floor(measured, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     axes = measured.plot()
