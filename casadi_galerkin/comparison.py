@@ -47,7 +47,7 @@ class Attempt:
     Attributes
     ----------
     path : Trajectory, or None if it failed
-    failure : why, or None
+    failure : why, or None; `gap` is then that of the last path, if there was one
     gap : (N + 1,), largest difference of a component from the global path over that component's largest size, at
         the joints; not a number where there is no path
     iterations : of Newton's method

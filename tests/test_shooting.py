@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import casadi_galerkin as cg
-from casadi_galerkin.shooting import chain
+from casadi_galerkin.precision import EPS
+from casadi_galerkin.shooting import MISS, Shooting, _met, chain
 
 SAME = 1e-12  # the same discrete equations solved in two ways; conditions below 100
 
@@ -106,6 +107,48 @@ def test_a_saddle_costs_the_digits_that_its_growth_says():
     assert 1e-14 < error < np.exp(16) * 2.3e-16  # e^16 eps = 2e-9
 
 
+@pytest.mark.parametrize("horizon", [5, 10, 17])
+def test_residual_holds_the_miss_over_what_rounding_becomes_at_the_end(horizon):
+    """Rounding x_i by eps moves the end by eps cosh(T - t_i), p_i by eps sinh(T - t_i)."""
+    problem = cg.BoundaryProblem(saddle, (0, horizon), [1.0], [1.0])
+    path = cg.shoot(problem, cg.Galerkin(8), intervals=2 * horizon)
+    shot = Shooting(problem, path.method, path.t).shoot(path.momentum[:, 0] + 1e-3, path.velocity[:, 0])
+    for x, p, residual in ((path.x, path.momentum, path.residual), (shot.roll.x, shot.roll.p, shot.residual)):
+        left = horizon - path.t
+        carried = np.cosh(left) @ np.abs(x[0]) + np.sinh(left) @ np.abs(p[0])
+        ratio = abs(x[0, -1] - 1.0) / (EPS * carried)
+        assert residual == pytest.approx(ratio, rel=1e-6) if residual > 1 else residual >= ratio * (1 - 1e-6)
+    assert path.residual < 1 < shot.residual
+
+
+@pytest.mark.parametrize("intervals", [40, 4000])
+def test_residual_does_not_grow_with_the_number_of_steps(intervals):
+    assert cg.shoot(cg.BoundaryProblem(pendulum, (0, 10), [0.0], [1.0]), cg.Galerkin(4), intervals).residual < 1.0
+
+
+def test_a_miss_above_its_roundoff_floor_is_refused():
+    shooting = Shooting(PROBLEMS["pendulum"], cg.Galerkin(5), np.linspace(0, 1, 11))
+    shot = shooting.shoot(cg.shoot(PROBLEMS["pendulum"], cg.Galerkin(5), 10).momentum[:, 0] + 1e-10, np.ones(1))
+    assert np.abs(shot.miss) < MISS
+    with pytest.raises(
+        cg.ConvergenceError, match=r"the end is missed by .* of the path's size, the rounding"
+    ) as caught:
+        _met(shooting, shot, 3)
+    assert caught.value.residual == shot.residual > 1e4
+
+
+@pytest.mark.parametrize("horizon", [30, 40, 200, 700])
+def test_a_failure_holds_the_last_path_and_its_residual(horizon):
+    problem = cg.BoundaryProblem(saddle, (0, horizon), [1.0], [1.0])
+    with pytest.raises(cg.ConvergenceError) as caught:
+        cg.shoot(problem, cg.Galerkin(8), intervals=2 * horizon)
+    path = caught.value.path
+    assert path(0.0) == 1.0
+    assert abs(path(horizon) - 1.0) > MISS
+    assert caught.value.residual < 1.0  # at roundoff, and yet far from the end
+    assert caught.value.iterations > 0
+
+
 @pytest.mark.parametrize("horizon", [30, 40, 200, 700])
 def test_a_longer_saddle_fails_with_its_growth(horizon):
     problem = cg.BoundaryProblem(saddle, (0, horizon), [1.0], [1.0])
@@ -116,8 +159,10 @@ def test_a_longer_saddle_fails_with_its_growth(horizon):
 
 def test_a_conjugate_point_is_named():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, np.pi), [0.0], [1.0])
-    with pytest.raises(cg.ConjugatePointError, match="conjugate points"):
+    with pytest.raises(cg.ConjugatePointError, match="conjugate points") as caught:
         cg.shoot(problem, cg.Galerkin(8), intervals=12)
+    assert caught.value.path(0.0) == 0.0
+    assert caught.value.residual > 1e4  # the end, which is 1, is missed by 1
 
 
 def test_a_problem_without_a_path_fails():
