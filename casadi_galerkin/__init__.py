@@ -41,9 +41,9 @@ from casadi_galerkin.shooting import shoot as shoot
 from casadi_galerkin.solve import solve as solve
 from casadi_galerkin.sweep import Sweep as Sweep
 from casadi_galerkin.sweep import sweep as sweep
-from casadi_galerkin.trade import Row as Row
-from casadi_galerkin.trade import Trade as Trade
 from casadi_galerkin.trade import trade as trade
+from casadi_galerkin.trade_table import Row as Row
+from casadi_galerkin.trade_table import Trade as Trade
 from casadi_galerkin.trajectory import ConjugatePointError as ConjugatePointError
 from casadi_galerkin.trajectory import ConvergenceError as ConvergenceError
 from casadi_galerkin.trajectory import Trajectory as Trajectory

@@ -125,8 +125,8 @@ class Shooting:
         terms = np.abs(steps[-1]) @ np.abs(growth[-2]) + shift
         chosen = np.ix_(self.wanted, self.free)
         miss = (states[:, -1] - aim)[self.wanted]
-        of_path = (roll, miss, floor[self.wanted], self.stepper, steps, self.wanted)
-        return Shot(*of_path, (growth[-1] - shift)[chosen], terms[chosen], growth)
+        judged = (miss, floor[self.wanted], self.stepper, steps, self.wanted)
+        return Shot(roll, *judged, (growth[-1] - shift)[chosen], terms[chosen], growth)
 
 
 def chain(jacobians: np.ndarray) -> np.ndarray:
@@ -151,9 +151,8 @@ def shoot(
 
     The end is met to roundoff, which is not the roundoff of the end: it is that of every joint, carried on to the end,
     where it has grown as the path makes it grow.  `Trajectory.residual` is the largest residual of a step, or miss of
-    the end, over that floor, and accepted up to 50 as elsewhere; `Trajectory.solver` gives the miss itself.  Where
-    the growth was 1e7 it was 2e-9 of the path's size; from 1.5e-8, half of the digits, it is refused.  `solve` has no
-    such loss.
+    the end, over that floor, and accepted up to 50; `Trajectory.solver` gives the miss itself.  Where the growth was
+    1e7 it was 2e-9 of the path's size; above 1.5e-8, half of the digits, it is refused.  `solve` has no such loss.
 
     Parameters
     ----------
@@ -233,8 +232,8 @@ def _direction(shot: Shot, miss: np.ndarray, iteration: int = 0) -> np.ndarray:
     scaled = scaled / np.where(columns > 0, columns, 1.0)
     if not np.all(np.isfinite(scaled)) or np.linalg.svd(scaled, compute_uv=False)[-1] <= SINGULAR:
         if np.max(np.abs(shot.growth)) < 1 / MISS:
-            message = "the end does not depend on the start: the ends are conjugate points"
-            raise ConjugatePointError(message, shot.path, shot.residual, iteration)
+            reason = "the end does not depend on the start: the ends are conjugate points"
+            raise ConjugatePointError(reason, shot.path, shot.residual, iteration)
         raise _failure("the end does not depend on the start to the last digit", shot, iteration)
     return np.asarray(np.linalg.solve(scaled, -miss / rows) / columns)
 

@@ -63,7 +63,8 @@ RANKS = {
     "accuracy": 16,
     "comparison": 16,
     "sweep": 16,
-    "trade": 17,
+    "trade_table": 17,
+    "trade": 18,
 }
 PACKAGE = Path(casadi_galerkin.__file__).parent
 MODULES = sorted(path.stem for path in PACKAGE.glob("*.py") if path.stem != "__init__")

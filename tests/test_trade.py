@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import casadi_galerkin as cg
-from casadi_galerkin.trade import Row
+from casadi_galerkin.trade_table import Row
 
 INTERVALS = (4, 8, 16, 32)
 BAND = 0.2  # of a fitted order
