@@ -107,13 +107,13 @@ class ControlTranscription:
             for input that does not fit, and for callables that are not finite at the guess
         """
         began = time.perf_counter()
-        unknowns, data = self._start(guess)
+        unknowns, data, terms = self._start(guess)
         solver = interior_point(self.program, verbose) if verbose > 1 else self._solver
         optimum = optimize(solver, unknowns, data, self.limits)
         if optimum.status == INVALID:
             self._check_derivatives(unknowns, data)
         report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
-        relative = violations(self.layout, self.limits, optimum.unknowns, report.equations, report.terms)
+        relative = violations(self.layout, self.limits, optimum.unknowns, report.equations, report.terms, terms)
         if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
             raise self._error(optimum, report.cost, relative, data)
         path = self._trajectory(optimum, report, relative, data, began)
@@ -121,14 +121,14 @@ class ControlTranscription:
             print(path)
         return path
 
-    def _start(self, guess: Guess | None) -> tuple[np.ndarray, np.ndarray]:
-        """Unknowns and data at the guess; refuses one at which anything that is needed is not finite."""
+    def _start(self, guess: Guess | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Unknowns, data and sizes of terms at the guess; refuses one where anything that is needed is not finite."""
         values = first_values(self.problem, self.layout, self.mesh, guess)
         unknowns, data = self.layout.pack(values)
         report = self.graph.report(unknowns, data)
         if not all(np.all(np.isfinite(a)) for a in (report.cost, report.equations, self._action(report.z, values))):
             check_finite(self.problem, self.layout, values, report.z)
-        return unknowns, data
+        return unknowns, data, report.terms
 
     def _check_derivatives(self, unknowns: np.ndarray, data: np.ndarray) -> None:
         """Name a first derivative that is not finite at the guess."""

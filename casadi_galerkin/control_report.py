@@ -8,6 +8,8 @@ from casadi_galerkin.control_layout import ControlLayout
 from casadi_galerkin.control_problem import ControlProblem
 from casadi_galerkin.optimizer import Limits
 
+VANISHED = 1e-13  # part of its terms along the guess below which a component's are taken for their roundoff
+
 
 def limits_of(problem: ControlProblem, layout: ControlLayout) -> Limits:
     """Bounds of the unknowns and of the equations."""
@@ -28,15 +30,22 @@ def limits_of(problem: ControlProblem, layout: ControlLayout) -> Limits:
 
 
 def violations(
-    layout: ControlLayout, limits: Limits, unknowns: np.ndarray, equations: np.ndarray, terms: np.ndarray
+    layout: ControlLayout,
+    limits: Limits,
+    unknowns: np.ndarray,
+    equations: np.ndarray,
+    terms: np.ndarray,
+    terms_before: np.ndarray,
 ) -> np.ndarray:
     """Violation of every equation, then of every unknown's bounds, relative to the sizes of what is compared.
 
     The equations of motion of a component are measured by the largest sum of terms that one of them has along the path,
-    a path constraint by its largest value or finite bound, a bound by itself.
+    or along the guess (`terms_before`) where it has vanished and its terms are what rounding left of those; a path
+    constraint by its largest value or finite bound, a bound by itself.
     """
     motion, d, c = layout.nodes * layout.dimension, layout.dimension, layout.constraints
-    sizes = [_or_one(np.max(terms[:motion].reshape(-1, d), axis=0))] * layout.nodes
+    now, before = (np.max(given[:motion].reshape(-1, d), axis=0) for given in (terms, terms_before))
+    sizes = [_or_one(np.where(now <= VANISHED * before, before, now))] * layout.nodes
     if c:
         sides = (limits.equations_lower, limits.equations_upper, equations)
         finite = [np.abs(np.where(np.isfinite(side), side, 0.0))[motion:].reshape(-1, c).max(axis=0) for side in sides]

@@ -346,7 +346,7 @@ def test_warm_start_from_a_coarser_answer_saves_iterations():
 def test_warm_start_takes_duration_and_parameters():
     first = cg.solve(minimum_time(), cg.Galerkin(2), intervals=10)
     again = cg.transcribe_control(minimum_time(), cg.Galerkin(2), 10)
-    unknowns, data = again._start(first)
+    unknowns, data, _ = again._start(first)
     assert again.layout.unpack(unknowns, data)["duration"][0] == pytest.approx(2, abs=SOLVED)
 
 
@@ -507,3 +507,23 @@ def test_summary_and_plot(capsys):
 @pytest.mark.parametrize("problem", [pendulum_in_three, minimum_time, varying_mass])
 def test_controls_stepped_forward_with_the_same_method_meet_every_joint(problem):
     assert max(replayed(cg.solve(problem(), cg.Galerkin(4), intervals=12))) < 1e-10
+
+
+@pytest.mark.parametrize("size", [0.1, 1e-5])
+@pytest.mark.parametrize("rule", [cg.gauss(2), cg.lobatto(2)], ids=["gauss", "lobatto"])
+def test_a_component_that_vanishes_is_found_from_a_guess_where_it_does_not(rule, size):
+    """What is left of its terms is the roundoff of those along the guess, and is not measured by itself."""
+    problem = cg.ControlProblem(
+        lambda t, x, v: ca.dot(v, v) / 2,
+        (0.0, 1.0),
+        [0.0, 0.0],
+        [1.0, 0.0],
+        [0.0, 0.0],
+        [0.0, 0.0],
+        force=lambda t, x, v, u: u,
+        running_cost=lambda t, x, v, u: ca.dot(u, u),
+        controls=2,
+    )
+    path = cg.solve(problem, cg.Galerkin(2, quadrature=rule), 20, guess=lambda t: [t, size * np.sin(3 * t)])
+    assert np.max(np.abs(path.x[1])) <= 1e-13 * size
+    np.testing.assert_allclose(path.x[0], path.t**2 * (3 - 2 * path.t), rtol=0, atol=2e-3)  # of order 2
