@@ -33,7 +33,8 @@ CHUNKS, LARGEST_CHUNK = 64, 50  # enough chunks to keep workers equally busy; fe
 _one_at_a_time = threading.Lock()  # a worker of a cluster may run several chunks in threads of one process
 
 Variation = Mapping[str, Any]
-Answer = Trajectory | ConvergenceError | ValueError
+Failure = ConvergenceError | ValueError | TypeError
+Answer = Trajectory | Failure
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class Sweep:
         return iter(self.answers)
 
     @property
-    def failures(self) -> dict[int, ConvergenceError | ValueError]:
+    def failures(self) -> dict[int, Failure]:
         """Number of the variation -> error, for those without an answer."""
         return {i: answer for i, answer in enumerate(self.answers) if not isinstance(answer, Trajectory)}
 
@@ -130,7 +131,7 @@ def sweep(
     ------
     TypeError, ValueError
         for input that does not fit, before anything is solved.  A variation that cannot be solved raises nothing: its
-        ConvergenceError, or the ValueError about its guess, is kept in its place
+        ConvergenceError, or the ValueError or TypeError about its guess, is kept in its place
 
     Examples
     --------
@@ -213,7 +214,7 @@ def _solver(
 def _answer(solver: Callable[[Variation], Trajectory], variation: Variation) -> Answer:
     try:
         return solver(variation)
-    except (ConvergenceError, ValueError) as error:
+    except (ConvergenceError, ValueError, TypeError) as error:
         error.__context__ = None  # its frames, like those of the error, would keep their arrays alive
         return error.with_traceback(None)
 

@@ -272,10 +272,17 @@ def test_a_problem_is_asked_for():
         cg.sweep("bratu", VARIATIONS, METHOD, INTERVALS)
 
 
-def test_a_bad_guess_is_kept_as_the_failure_of_its_variation():
-    sweep = cg.sweep(bratu(), [{"guess": [[np.nan] * (INTERVALS + 1)]}, {}], METHOD, INTERVALS)
-    assert isinstance(sweep[0], ValueError)
-    assert "the guess must be finite" in str(sweep[0])
+@pytest.mark.parametrize(
+    ("guess", "kind", "message"),
+    [
+        ([[np.nan] * (INTERVALS + 1)], ValueError, "the guess must be finite"),
+        ("path", TypeError, "the guess must be real numbers, got 'path'"),
+    ],
+)
+def test_a_bad_guess_is_kept_as_the_failure_of_its_variation(guess, kind, message):
+    sweep = cg.sweep(bratu(), [{"guess": guess}, {}], METHOD, INTERVALS)
+    assert isinstance(sweep[0], kind)
+    assert message in str(sweep[0])
     assert isinstance(sweep[1], cg.Trajectory)
 
 
