@@ -653,3 +653,32 @@ def test_fifty_thousand_intervals_keep_the_error_floor():
 def test_transcription_is_public():
     assert isinstance(cg.transcribe(BY_NAME["Lambert"].problem, cg.Galerkin(2), 3), Transcription)
     assert Transcription is cg.Transcription
+
+
+def test_a_family_of_paths_far_from_the_origin_is_named():
+    """Rotations about (100, 70): along a step that is short against x the Hessian changes by much more than the step."""
+
+    def lagrangian(t, x, v):
+        y = x - ca.DM([100.0, 70.0])
+        return ca.dot(v, v) / 2 - (ca.dot(y, y) - 1) ** 2
+
+    problem = cg.BoundaryProblem(lagrangian, (0.0, 1.0), [None, None], [None, None])
+    transcription = cg.transcribe(problem, cg.Galerkin(1), 1)
+    for angle in np.linspace(0.05, 6, 50):
+        near = [100 + 1.1 * np.cos(angle), 70 + 1.1 * np.sin(angle)]
+        with pytest.raises(cg.ConjugatePointError):
+            transcription.solve(guess=lambda t, near=near: near)
+
+
+def test_a_search_that_ends_at_a_singular_hessian_fails_without_a_warning():
+    """The next damping is not forecast from a step that does not exist."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - 5 * (x[1] - 1 - ca.sin(10 * (x[0] - 1)) / 10) ** 2,
+        (0.0, 1.0),
+        [None, None],
+        [None, None],
+    )
+    angle = 0.05 + 2 * 5.95 / 9
+    near = [1 + np.cos(angle) / 10, 1 + np.sin(np.cos(angle)) / 10 + 0.001]
+    with pytest.raises(cg.ConvergenceError):
+        cg.solve(problem, cg.Galerkin(1), 1, guess=lambda t: near)
