@@ -24,6 +24,7 @@ SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if 
 STRONG_CONTRACTION = 0.1  # the same for a long first step: from a straight line, all steps are long
 NEARLY_FULL = 0.5  # forecast from which a short step is first tried in full: forecasts are cautious
 SMALLEST_DAMPING = 1e-7
+DRIFT = 10.0  # change of the second variation over that which the last two steps show; along families at most 0.7
 
 
 class SolveFailure(Exception):
@@ -78,7 +79,8 @@ def newton(system: System, guess: np.ndarray, data: Data, verbose: int = 0, limi
             raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=finite)
         end = _end(system, at, last, data)
         if end is not None:
-            solution = verified(system, end, data, iteration, "Newton", at.norm)
+            drift = DRIFT * (at.norm + min(1.0, at.norm / max(last, TINY)) ** 2)
+            solution = verified(system, end, data, iteration, "Newton", drift)
             if solution is not None:
                 _report(iteration, at.norm, damping, verbose)
                 return solution
@@ -149,15 +151,14 @@ def _line_search(
 
 
 def verified(
-    system: System, x: np.ndarray, data: Data, iterations: int, report: str, moved: float = 0.0
+    system: System, x: np.ndarray, data: Data, iterations: int, report: str, drift: float = 0.0
 ) -> Solution | None:
     """Judge the residuals at x by their roundoff floors: a solution, or None.
 
-    Hessian and softest direction are those of the last `System.iterate`, at x or a relative step `moved` before it.
-    What changed since is taken for no more than the square root of that: where x has an offset, L may vary on a scale
-    far below its size; along families of paths it was measured up to 0.008 of the root.
+    Hessian and softest direction are those of the last `System.iterate`, at x or before a step that changed the second
+    variation by up to `drift` of its terms.
     """
     action, momentum, residual, regularity = system.judge(x, data)
     if not residual <= ROUNDOFF:
         return None
-    return Solution(x, iterations, residual, report, action, momentum, regularity - math.sqrt(moved))
+    return Solution(x, iterations, residual, report, action, momentum, regularity - drift)
