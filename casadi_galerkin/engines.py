@@ -21,7 +21,8 @@ import numpy as np
 
 from casadi_galerkin.layout import Data
 from casadi_galerkin.newton import Solution, SolveFailure, newton
-from casadi_galerkin.system import System, negative_eigenvalues
+from casadi_galerkin.precision import EPS
+from casadi_galerkin.system import System, joined, negative_eigenvalues
 
 RESCUE = 100  # iterations IPOPT gets after Newton's method; rescues were measured to take 4 to 40
 NEARLY = 1e-9  # residual over the sizes of its terms from which two Newton steps reach roundoff
@@ -81,10 +82,11 @@ def _interior_point(
         system._solvers[key] = _nlpsol(system, *key)  # building takes longer than solving a small problem
     solver = system._solvers[key]
     bounds = {} if minimize else {"lbg": 0.0, "ubg": 0.0}
-    answer = solver(x0=guess, p=np.concatenate(data), **bounds)
+    sizes, unit = _units(system, guess, data)
+    answer = solver(x0=guess / sizes, p=np.concatenate((*data, sizes, [unit])), **bounds)
     stats = solver.stats()
     iterations, status = int(stats["iter_count"]), str(stats["return_status"]).replace("_", " ")
-    x = np.array(answer["x"]).ravel()
+    x = sizes * np.array(answer["x"]).ravel()
     if not np.all(np.isfinite(x)):
         raise SolveFailure(f"{name} stopped with '{status}' at a point that is not finite", guess, iterations)
     try:
@@ -98,13 +100,30 @@ def _interior_point(
     return replace(polished, iterations=total, report=f"{name}, then Newton")
 
 
+def _units(system: System, guess: np.ndarray, data: Data) -> tuple[np.ndarray, float]:
+    """What the unknowns are measured by at a guess, and the action: the median of the terms of ∇S so measured.
+
+    Not the largest, which on a graded mesh belongs to its shortest interval.
+    """
+    *_, floor = system.evaluate("judged", guess, data)
+    with system.algebra.lock:
+        sizes = system.algebra.sizes(joined(guess, data))
+    unit = float(np.median(sizes * floor / EPS)) if len(guess) else 1.0
+    return sizes, unit if 0 < unit < np.inf else 1.0
+
+
 def _nlpsol(system: System, minimize: bool, verbose: int, limit: int) -> ca.Function:
-    """IPOPT with all derivatives supplied from the pointwise Functions."""
+    """IPOPT with all derivatives supplied from the pointwise Functions.
+
+    Its tolerances are absolute, so unknowns and action are measured by units that follow the data as parameters.
+    """
     slope = system.build("gradient")
-    n, *sizes = [slope.size1_in(i) for i in range(slope.n_in())]
-    x, p = ca.MX.sym("x", n), ca.MX.sym("p", sum(sizes))
-    arguments = [x, *ca.vertsplit(p, np.cumsum([0, *sizes]).tolist())]
-    gradient, hessian = slope(*arguments), system.build("hessian")(*arguments)
+    n, *lengths = [slope.size1_in(i) for i in range(slope.n_in())]
+    x, p = ca.MX.sym("x", n), ca.MX.sym("p", sum(lengths) + n + 1)
+    *data, sizes, unit = ca.vertsplit(p, np.cumsum([0, *lengths, n, 1]).tolist())
+    arguments, rows = [sizes * x, *data], sizes / unit
+    gradient = rows * slope(*arguments)
+    hessian = ca.mtimes(ca.mtimes(ca.diag(rows), system.build("hessian")(*arguments)), ca.diag(sizes))
     factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0 if minimize else n)
     upper = factor * ca.triu(hessian) if minimize else ca.MX(n, n)  # the constraints' curvature is left out
     options = {
@@ -115,7 +134,7 @@ def _nlpsol(system: System, minimize: bool, verbose: int, limit: int) -> ca.Func
         "ipopt": {"print_level": 5 if verbose > 1 else 0, "sb": "yes", "tol": 1e-10, "max_iter": limit},
     }
     if minimize:
-        action = system.build("action")(*arguments)
+        action = system.build("action")(*arguments) / unit
         options["grad_f"] = ca.Function("grad_f", [x, p], [action, gradient])
         return ca.nlpsol("minimizer", "ipopt", {"x": x, "p": p, "f": action}, options)
     options["jac_g"] = ca.Function("jac_g", [x, p], [gradient, hessian])

@@ -684,3 +684,22 @@ def test_a_search_that_ends_at_a_singular_hessian_fails_without_a_warning():
         near = [1 + np.cos(angle), 1 + np.sin(np.cos(angle)) + 0.01]
         with pytest.raises(cg.ConvergenceError):
             transcription.solve(guess=lambda t, near=near: near)
+
+
+@pytest.mark.parametrize("solver", [cg.ipopt, cg.minimizer])
+@pytest.mark.parametrize(("action", "length", "time"), [(1e-74, 1e6, 1e-3), (1e50, 1e-8, 1e7)])
+def test_ipopt_finds_the_same_path_in_any_units(solver, action, length, time):
+    """A long swing from a straight line."""
+
+    def swing(action, length, time):
+        def lagrangian(t, x, v):
+            angle = x[0] / length
+            return action * ((v[0] * time / length) ** 2 / 2 + 1.5 * ca.cos(angle) + 0.3 * ca.sin(t / time) * angle)
+
+        problem = cg.BoundaryProblem(lagrangian, (0.0, 17.0 * time), [0.0], [-5.0 * length])
+        return cg.solve(problem, cg.Galerkin(4), 20, solver=solver)
+
+    expected, path = swing(1.0, 1.0, 1.0), swing(action, length, time)
+    assert (path.solver, path.iterations) == (expected.solver, expected.iterations)
+    np.testing.assert_allclose(path.x / length, expected.x, rtol=0, atol=1e-9)
+    assert path.action / action / time == pytest.approx(expected.action, rel=1e-9)
