@@ -200,7 +200,7 @@ def fastest(calls):
     """Index of the fastest of several callables: after a few runs of all, more of those near the best."""
     seconds = np.array(timed(calls, FEW))
     near = np.flatnonzero(seconds <= NEAR * seconds.min())
-    return near[np.argmin(timed([calls[i] for i in near], TRIALS))]
+    return int(near[np.argmin(timed([calls[i] for i in near], TRIALS))])
 
 
 def truth(case):
