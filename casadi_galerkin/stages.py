@@ -152,7 +152,7 @@ class Chain:
     results : names of arrays
     """
 
-    def __init__(self, workspace: Workspace, stages: Sequence[Stage], results: Sequence[str] = ()) -> None:
+    def __init__(self, workspace: Workspace, stages: Sequence[Stage], results: Sequence[str]) -> None:
         self._stages, self._place = stages, workspace.place
         self._runs = [stage.run for stage in stages]
         self._parameters = [array for stage in stages for array in stage.inputs]
@@ -163,10 +163,7 @@ class Chain:
         self._place(unknowns, data)
         for array in self._parameters:
             array[:] = data[3]
-        if threads.count() == 1:
-            self._run()
-        else:
-            threads.single(self._run)()
+        threads.alone(self._run)
         return self._results
 
     def _run(self) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
@@ -32,18 +32,23 @@ def _functions() -> tuple[Callable[[], int], Callable[[int], object]]:
 count, use = _functions()
 
 
+def alone(call: Callable[[], Result]) -> Result:
+    """Call with one thread; within another such call, nothing changes."""
+    several = count()
+    if several == 1:
+        return call()  # another thread may be at work, and will put the number back
+    use(1)
+    try:
+        return call()
+    finally:
+        use(several)
+
+
 def single(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Let a function use one thread; within another such function, nothing changes."""
+    """Let a function use one thread."""
 
     @wraps(function)
     def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-        several = count()
-        if several == 1:
-            return function(*args, **kwargs)  # another thread may be at work, and will put the number back
-        use(1)
-        try:
-            return function(*args, **kwargs)
-        finally:
-            use(several)
+        return alone(partial(function, *args, **kwargs))
 
     return limited

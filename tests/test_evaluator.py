@@ -38,7 +38,7 @@ def test_stages_run_on_one_thread_and_leave_as_many_as_they_found(fails):
     transcription = cg.transcribe(problem, cg.Galerkin(2), 2)
     point = transcription.critical_point()
     before, look = threads.count(), Look(fails)
-    chain = Chain(transcription.system.algebra.workspace, [look])
+    chain = Chain(transcription.system.algebra.workspace, [look], [])
     with pytest.raises(RuntimeError) if fails else nullcontext():
         chain(point.solution.unknowns, point.data)
     assert look.seen == [1]
