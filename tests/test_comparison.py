@@ -4,6 +4,7 @@ import casadi as ca
 import matplotlib as mpl
 import numpy as np
 import pytest
+from control_problems import double_integrator
 
 import casadi_galerkin as cg
 
@@ -168,18 +169,7 @@ def test_geometry_is_that_of_the_parameters_that_were_solved_for():
 
 
 def test_geometry_refuses_what_it_does_not_know_the_forces_of():
-    push = cg.ControlProblem(
-        lambda t, x, v: v[0] ** 2 / 2,
-        (0, 1),
-        [0.0],
-        [1.0],
-        [0.0],
-        [0.0],
-        force=lambda t, x, v, u: u,
-        running_cost=lambda t, x, v, u: u[0] ** 2,
-        controls=1,
-    )
     with pytest.raises(TypeError, match=r"geometry takes the path of .*got one of ControlProblem"):
-        cg.geometry(cg.solve(push, cg.Galerkin(3), intervals=2))
+        cg.geometry(cg.solve(double_integrator(), cg.Galerkin(3), intervals=2))
     with pytest.raises(TypeError, match="geometry takes a Trajectory, got BoundaryProblem"):
         cg.geometry(cg.BoundaryProblem(lambda t, x, v: v[0] ** 2, (0, 2), [0.0], [1.0]))

@@ -6,6 +6,7 @@ from importlib import import_module
 import casadi as ca
 import numpy as np
 import pytest
+from control_problems import double_integrator, pendulum_in_three
 
 import casadi_galerkin as cg
 from casadi_galerkin.trade_table import Row
@@ -229,18 +230,7 @@ def test_initial_problems_are_traded_alike():
 
 
 def test_control_problems_are_traded_alike():
-    problem = cg.ControlProblem(
-        lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]),
-        (0.0, 3.0),
-        [0.0],
-        [np.pi],
-        [0.0],
-        [0.0],
-        force=lambda t, x, v, u: u,
-        running_cost=lambda t, x, v, u: u[0] ** 2 / 2,
-        controls=1,
-    )
-    measured = cg.trade(problem, [cg.Galerkin(2), cg.Galerkin(4)], (4, 8, 16))
+    measured = cg.trade(pendulum_in_three(), [cg.Galerkin(2), cg.Galerkin(4)], (4, 8, 16))
     assert measured.reference_error < 1e-10  # IPOPT's tolerance, not roundoff
     assert measured.order(cg.Galerkin(2)) == pytest.approx(3, abs=BAND)
     assert measured.rows[0].unknowns == 7 + 8  # inner nodes, and a control at each of two points an interval
@@ -249,18 +239,7 @@ def test_control_problems_are_traded_alike():
 
 def test_energy_error_is_relative_to_the_whole_path():
     """A path at rest at both ends has no energy at the joints to compare with."""
-    problem = cg.ControlProblem(
-        lambda t, x, v: v[0] ** 2 / 2,
-        (0.0, 1.0),
-        [0.0],
-        [1.0],
-        [0.0],
-        [0.0],
-        force=lambda t, x, v, u: u,
-        running_cost=lambda t, x, v, u: u[0] ** 2 / 2,
-        controls=1,
-    )
-    exact = cg.trade(problem, [cg.Galerkin(3)], (1,), reference=lambda t: [3 * t**2 - 2 * t**3])
+    exact = cg.trade(double_integrator(), [cg.Galerkin(3)], (1,), reference=lambda t: [3 * t**2 - 2 * t**3])
     assert max(exact.rows[0].error, exact.rows[0].action_error, exact.rows[0].energy_error) < REFERENCE
 
 
