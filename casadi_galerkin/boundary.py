@@ -18,7 +18,7 @@ from casadi_galerkin.engines import rootfinder
 from casadi_galerkin.functional import Evaluation
 from casadi_galerkin.guesses import Guess, check_types, given_values, mesh_of
 from casadi_galerkin.layout import Data
-from casadi_galerkin.legendre import convex
+from casadi_galerkin.legendre import convex, legendre_transform
 from casadi_galerkin.newton import Solution, SolveFailure
 from casadi_galerkin.plotting import plot_pattern
 from casadi_galerkin.polynomial import PiecewisePolynomial
@@ -305,10 +305,10 @@ class MorseIndex:
         graph = self._transcription or transcribed(problem, self._method, None, mesh, "single")
         data = graph.data(mesh, problem.start, problem.end, problem.parameters)
         index = negative_eigenvalues(graph.system, graph.unknowns(self._path.values.T), data)
-        lagrangian = with_parameters(problem.lagrangian, problem.parameters)
-        if index and not convex(lagrangian, mesh, self._path(mesh), self._path(mesh, 1)):
-            return None
-        return index
+        if not index:
+            return index
+        transform = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
+        return index if convex(transform, mesh, self._path(mesh), self._path(mesh, 1)) else None
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "_transcription": None}

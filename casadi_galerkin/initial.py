@@ -7,6 +7,7 @@ import time
 import numpy as np
 
 from casadi_galerkin.calculus import Galerkin
+from casadi_galerkin.guesses import check_types
 from casadi_galerkin.legendre import legendre_transform, velocities
 from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.problems import BoundaryProblem, InitialProblem
@@ -38,8 +39,7 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     ValueError
         for a degenerate Lagrangian
     """
-    if not isinstance(method, Galerkin):
-        raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
+    check_types(problem, method, InitialProblem)
     began = time.perf_counter()
     p, v = start_state(problem)
     force = None if problem.force is None else with_parameters(problem.force, problem.parameters)
@@ -56,8 +56,7 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
 
 def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
     """Momentum and velocity (d,) at the start, one from the other through p = ∂L/∂v."""
-    lagrangian = with_parameters(problem.lagrangian, problem.parameters)
-    legendre = legendre_transform(lagrangian)
+    legendre = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
     x, start = np.array(problem.position), problem.t_span[0]
     if problem.velocity is not None:
         v = np.array(problem.velocity)
@@ -66,7 +65,7 @@ def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
         return p.ravel(), v
     p, rest = np.array(problem.momentum), np.zeros(len(x))
     refuse_degenerate(legendre(start, x, rest)[1].full(), x, rest)
-    v = velocities(lagrangian, np.array([start]), x[:, None], p[:, None], rest[:, None])[:, 0]
+    v = velocities(legendre, np.array([start]), x[:, None], p[:, None], rest[:, None])[:, 0]
     if np.isnan(v).any():
         raise ValueError(f"no velocity was found that has the momentum {p} at the start, x = {x}; give the velocity")
     refuse_degenerate(legendre(start, x, v)[1].full(), x, v)

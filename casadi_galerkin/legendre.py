@@ -21,28 +21,26 @@ def legendre_transform(lagrangian: ca.Function) -> ca.Function:
     return ca.Function("legendre", symbols, [ca.densify(momentum), ca.densify(mass)])
 
 
-def _transform(
-    lagrangian: ca.Function, t: np.ndarray, x: np.ndarray
-) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """Velocities v (d, K) -> momenta (d, K), mass matrices (K, d, d)."""
     d, count = x.shape
-    mapped = legendre_transform(lagrangian).map(count)
+    mapped = transform.map(count)
 
-    def transform(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def at(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         momenta, masses = (np.array(a) for a in mapped(t[None, :], x, v))
         return momenta, masses.reshape(d, count, d).transpose(1, 0, 2)
 
-    return transform
+    return at
 
 
-def convex(lagrangian: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> bool:
+def convex(transform: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> bool:
     """Whether ∂²L/∂v² has no negative eigenvalue at any of many points; arguments as for `velocities`."""
-    eigenvalues = np.linalg.eigvalsh(_transform(lagrangian, t, x)(v)[1])
+    eigenvalues = np.linalg.eigvalsh(_at(transform, t, x)(v)[1])
     return bool(np.all(eigenvalues[:, 0] >= -UNDETERMINED * np.abs(eigenvalues).max(axis=1)))
 
 
 def velocities(
-    lagrangian: ca.Function, t: np.ndarray, x: np.ndarray, momentum: np.ndarray, guess: np.ndarray
+    transform: ca.Function, t: np.ndarray, x: np.ndarray, momentum: np.ndarray, guess: np.ndarray
 ) -> np.ndarray:
     """Velocities v with ∂L/∂v(t, x, v) = p at many points; NaN where none was found.
 
@@ -51,12 +49,12 @@ def velocities(
 
     Parameters
     ----------
-    lagrangian : Function (t, x, v) -> scalar
+    transform : `legendre_transform` of L
     t : (K,)
     x, momentum, guess : (d, K)
     """
     count = x.shape[1]
-    at = _transform(lagrangian, t, x)
+    at = _at(transform, t, x)
 
     def step(v: np.ndarray, inverse: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Newton's step at v and the inverse mass matrices (K, d, d), these or given ones."""

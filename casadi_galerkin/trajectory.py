@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus import Galerkin
-from casadi_galerkin.legendre import velocities
+from casadi_galerkin.legendre import legendre_transform, velocities
 from casadi_galerkin.plotting import FRAMES_A_SECOND, animate_linkage, plot_path, plot_phase
 from casadi_galerkin.polynomial import PiecewisePolynomial
 from casadi_galerkin.problems import Problem
@@ -109,8 +109,8 @@ class Trajectory:
 
         NaN where none was found.  The derivative of the polynomial itself, ``path(t, 1)``, is of order m only.
         """
-        lagrangian = with_parameters(self.lagrangian, self.parameters)
-        return velocities(lagrangian, self.t, self.x, self.momentum, self.path(self.t, 1))
+        transform = legendre_transform(with_parameters(self.lagrangian, self.parameters))
+        return velocities(transform, self.t, self.x, self.momentum, self.path(self.t, 1))
 
     @cached_property
     def energy(self) -> np.ndarray:
