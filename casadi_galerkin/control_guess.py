@@ -69,9 +69,6 @@ def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | No
         miss = np.where(np.isnan(miss), miss[::-1], miss)
     part = ((times - times[0]) / (times[-1] - times[0]))[:, None]
     bent = values + (1 - part) * np.nan_to_num(miss[0]) + part * np.nan_to_num(miss[1])
-    if not np.all(np.isfinite(bent)):
-        i = int(np.argmax(~np.isfinite(bent).all(axis=1)))
-        raise ValueError(f"the guess must be finite, got {bent[i]} at t = {times[i]}")
     bent = np.clip(bent, *problem.position_bounds)
     bent[[0, -1]] = np.where(np.isnan(ends), bent[[0, -1]], ends)
     return np.asarray(bent)

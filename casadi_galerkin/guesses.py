@@ -50,7 +50,16 @@ def sampled(name: str, function: Callable[[float], ArrayLike], times: np.ndarray
 
 
 def given_values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:
-    """Values (d, N m + 1) of a guess as it was given."""
+    """Values (d, N m + 1) of a guess as it was given; refuses what does not fit or is not finite."""
+    values = _values(guess, calculus, dimension)
+    finite = np.isfinite(values)
+    if np.count_nonzero(finite) < finite.size:  # a third of the time that `all` takes
+        i = int(np.argmin(finite.all(axis=0)))
+        raise ValueError(f"the guess must be finite, got {values[:, i]} at t = {calculus.node_times[i]}")
+    return values
+
+
+def _values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:
     times, d = calculus.node_times, dimension
     if isinstance(guess, (Trajectory, PiecewisePolynomial)):
         path = guess.path if isinstance(guess, Trajectory) else guess

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from statistics import median
 
-import numpy as np
 from tqdm import tqdm
 
 from casadi_galerkin.accuracy import Problem, Reference, Yardstick, check_reference, finer
@@ -73,16 +72,8 @@ def _check(
         check_types(problem, method, BoundaryProblem, InitialProblem, ControlProblem)
         mesh = mesh_of(problem.t_span, count, None)
         if guess is not None:
-            _check_guess(guess, DiscreteCalculus(method, mesh), problem.dimension)
+            given_values(guess, DiscreteCalculus(method, mesh), problem.dimension)
     return keys
-
-
-def _check_guess(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> None:
-    values = given_values(guess, calculus, dimension)
-    finite = np.isfinite(values).all(axis=0)
-    if not finite.all():
-        i = int(np.argmin(finite))
-        raise ValueError(f"the guess must be finite, got {values[:, i]} at t = {calculus.node_times[i]}")
 
 
 def _first(problem: Problem, method: Galerkin, intervals: int, guess: Guess | None) -> _Cell:
