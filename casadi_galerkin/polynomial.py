@@ -9,6 +9,15 @@ from casadi_galerkin.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.quadrature import real_array
 
 
+def times_within(mesh: np.ndarray, t: ArrayLike) -> np.ndarray:
+    """Times t as an array; refuses one that lies outside of the mesh by more than its rounding."""
+    times = real_array("times", t)
+    slack = 1e-12 * (mesh[-1] - mesh[0])
+    if np.any(~((times >= mesh[0] - slack) & (times <= mesh[-1] + slack))):
+        raise ValueError(f"times must lie within [{mesh[0]}, {mesh[-1]}], got {t!r}")
+    return times
+
+
 class PiecewisePolynomial:
     """A continuous path x̄ in P^m_T given by its values X̄ at all nodes.
 
@@ -40,11 +49,8 @@ class PiecewisePolynomial:
         """
         if isinstance(nu, bool) or not isinstance(nu, (int, np.integer)) or nu < 0:
             raise ValueError(f"nu must be a whole number from 0 on, got {nu!r}")
-        times = real_array("times", t)
+        times = times_within(self.mesh, t)
         flat = times.ravel()
-        slack = 1e-12 * (self.mesh[-1] - self.mesh[0])
-        if np.any(~((flat >= self.mesh[0] - slack) & (flat <= self.mesh[-1] + slack))):
-            raise ValueError(f"times must lie within [{self.mesh[0]}, {self.mesh[-1]}], got {t!r}")
         m = len(self.nodes) - 1
         steps = np.diff(self.mesh)
         i = np.clip(np.searchsorted(self.mesh, flat, side="right") - 1, 0, len(steps) - 1)

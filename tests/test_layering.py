@@ -21,9 +21,9 @@ RANKS = {
     "legendre": 1,
     "nodes": 1,  # Lobatto control points are the points of a Lobatto rule
     "problems": 1,
-    "control_path": 2,
     "polynomial": 2,
     "calculus": 3,
+    "control_path": 3,
     "adaptivity": 4,
     "control_layout": 4,
     "interval": 4,
