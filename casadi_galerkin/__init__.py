@@ -1,49 +1,59 @@
 """High-order Galerkin variational integrators, solved globally as two-point boundary-value problems on CasADi."""
 
-from casadi_galerkin.boundary import Transcription as Transcription
-from casadi_galerkin.boundary import transcribe as transcribe
-from casadi_galerkin.calculus import DiscreteCalculus as DiscreteCalculus
-from casadi_galerkin.calculus import Galerkin as Galerkin
-from casadi_galerkin.comparison import Comparison as Comparison
-from casadi_galerkin.comparison import compare as compare
-from casadi_galerkin.continuation import Branch as Branch
-from casadi_galerkin.continuation import Fold as Fold
-from casadi_galerkin.continuation import continuation as continuation
-from casadi_galerkin.control import ControlTranscription as ControlTranscription
-from casadi_galerkin.control import transcribe_control as transcribe_control
-from casadi_galerkin.control_path import ControlPath as ControlPath
-from casadi_galerkin.control_problem import ControlProblem as ControlProblem
-from casadi_galerkin.control_refinement import ControlLimitReached as ControlLimitReached
-from casadi_galerkin.control_trajectory import ControlTrajectory as ControlTrajectory
-from casadi_galerkin.engines import ipopt as ipopt
-from casadi_galerkin.engines import minimizer as minimizer
-from casadi_galerkin.engines import rootfinder as rootfinder
-from casadi_galerkin.geometry import Geometry as Geometry
-from casadi_galerkin.geometry import geometry as geometry
-from casadi_galerkin.nodes import chebyshev_points as chebyshev_points
-from casadi_galerkin.nodes import equispaced_points as equispaced_points
-from casadi_galerkin.nodes import lobatto_points as lobatto_points
-from casadi_galerkin.polynomial import PiecewisePolynomial as PiecewisePolynomial
-from casadi_galerkin.problems import BoundaryProblem as BoundaryProblem
-from casadi_galerkin.problems import InitialProblem as InitialProblem
-from casadi_galerkin.quadrature import Quadrature as Quadrature
-from casadi_galerkin.quadrature import gauss as gauss
-from casadi_galerkin.quadrature import left_rectangle as left_rectangle
-from casadi_galerkin.quadrature import lobatto as lobatto
-from casadi_galerkin.quadrature import midpoint as midpoint
-from casadi_galerkin.quadrature import radau as radau
-from casadi_galerkin.quadrature import trapezoid as trapezoid
-from casadi_galerkin.refinement import Limits as Limits
-from casadi_galerkin.sensitivity import Sensitivity as Sensitivity
-from casadi_galerkin.sensitivity import sensitivity as sensitivity
-from casadi_galerkin.sensitivity import solution_function as solution_function
-from casadi_galerkin.shooting import shoot as shoot
-from casadi_galerkin.solve import solve as solve
-from casadi_galerkin.sweep import Sweep as Sweep
-from casadi_galerkin.sweep import sweep as sweep
-from casadi_galerkin.trade import trade as trade
-from casadi_galerkin.trade_table import Row as Row
-from casadi_galerkin.trade_table import Trade as Trade
-from casadi_galerkin.trajectory import ConjugatePointError as ConjugatePointError
-from casadi_galerkin.trajectory import ConvergenceError as ConvergenceError
-from casadi_galerkin.trajectory import Trajectory as Trajectory
+from casadi_galerkin._solve import solve as solve
+from casadi_galerkin._solve import transcribe as transcribe
+from casadi_galerkin.boundary.continuation import Branch as Branch
+from casadi_galerkin.boundary.continuation import Fold as Fold
+from casadi_galerkin.boundary.continuation import continuation as continuation
+from casadi_galerkin.boundary.sensitivity import Sensitivity as Sensitivity
+from casadi_galerkin.boundary.sensitivity import sensitivity as sensitivity
+from casadi_galerkin.boundary.sensitivity import solution_function as solution_function
+from casadi_galerkin.boundary.transcription import Transcription as Transcription
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus as DiscreteCalculus
+from casadi_galerkin.calculus.galerkin import Galerkin as Galerkin
+from casadi_galerkin.calculus.nodes import chebyshev_points as chebyshev_points
+from casadi_galerkin.calculus.nodes import equispaced_points as equispaced_points
+from casadi_galerkin.calculus.nodes import lobatto_points as lobatto_points
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial as PiecewisePolynomial
+from casadi_galerkin.calculus.quadrature import Quadrature as Quadrature
+from casadi_galerkin.calculus.quadrature import gauss as gauss
+from casadi_galerkin.calculus.quadrature import left_rectangle as left_rectangle
+from casadi_galerkin.calculus.quadrature import lobatto as lobatto
+from casadi_galerkin.calculus.quadrature import midpoint as midpoint
+from casadi_galerkin.calculus.quadrature import radau as radau
+from casadi_galerkin.calculus.quadrature import trapezoid as trapezoid
+from casadi_galerkin.control.transcription import ControlTranscription as ControlTranscription
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem as BoundaryProblem
+from casadi_galerkin.problems.control_problem import ControlProblem as ControlProblem
+from casadi_galerkin.problems.initial_problem import InitialProblem as InitialProblem
+from casadi_galerkin.solution.control_path import ControlPath as ControlPath
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory as ControlTrajectory
+from casadi_galerkin.solution.errors import ConjugatePointError as ConjugatePointError
+from casadi_galerkin.solution.errors import ConvergenceError as ConvergenceError
+from casadi_galerkin.solution.errors import LimitReached as LimitReached
+from casadi_galerkin.solution.limits import Limits as Limits
+from casadi_galerkin.solution.trajectory import Trajectory as Trajectory
+from casadi_galerkin.solvers.solver import Solver as Solver
+from casadi_galerkin.solvers.solver import ipopt as ipopt
+from casadi_galerkin.solvers.solver import minimizer as minimizer
+from casadi_galerkin.solvers.solver import newton as newton
+from casadi_galerkin.solvers.solver import rootfinder as rootfinder
+from casadi_galerkin.stepping.geometry import Geometry as Geometry
+from casadi_galerkin.stepping.geometry import geometry as geometry
+from casadi_galerkin.stepping.shooting import shoot as shoot
+from casadi_galerkin.studies.comparison import Comparison as Comparison
+from casadi_galerkin.studies.comparison import compare as compare
+from casadi_galerkin.studies.sweep import Sweep as Sweep
+from casadi_galerkin.studies.sweep import sweep as sweep
+from casadi_galerkin.studies.trade import trade as trade
+from casadi_galerkin.studies.trade_table import Row as Row
+from casadi_galerkin.studies.trade_table import Trade as Trade
+
+_PUBLIC = sorted(
+    name for name, value in globals().items() if not name.startswith("_") and not hasattr(value, "__path__")
+)
+
+
+def __dir__() -> list[str]:
+    """List the public names; the folders, which hold the modules, are not among them."""
+    return _PUBLIC

@@ -34,7 +34,7 @@ def draw(path, name):
     """Draw the layer over the logarithm of time."""
     axes = canvas("A boundary layer of thickness 1e-4", "t", "x", xscale="log")
     times = np.logspace(-6, 0, 500)
-    axes.plot(times, path.path(times)[0])
+    axes.plot(times, path(times)[0])
     axes.plot(path.t[1:], path.x[0, 1:], ".", label="joints")
     axes.legend()
     save(axes, name)
@@ -44,4 +44,4 @@ if __name__ == "__main__":
     answer = main(picture("boundary_layer.png"))
     print(answer)
     times = dense(answer)
-    print(f"  error        {np.max(np.abs(answer.path(times)[0] - exact(times))):.1e}")
+    print(f"  error        {np.max(np.abs(answer(times)[0] - exact(times))):.1e}")

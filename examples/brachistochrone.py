@@ -45,7 +45,7 @@ def draw(path, name):
     )
     axes.plot(*cycloid(np.linspace(0, np.pi, 200)), color="0.8", label="cycloid")
     times = np.linspace(path.t[0], path.t[-1], 300)
-    (line,) = axes.plot(times, path.path(times)[0], label=f"path found, takes {path.action:.6f}")
+    (line,) = axes.plot(times, path(times)[0], label=f"path found, takes {path.action:.6f}")
     axes.plot(path.t, path.x[0], ".", color=line.get_color())
     axes.invert_yaxis()
     axes.legend()

@@ -30,7 +30,7 @@ def main(plot=None):
 def draw(branch, name):
     """Draw the branch with its fold."""
     axes = canvas("Bratu's problem", "λ", "x(1/2)")
-    heights = np.array([path.path(0.5)[0] for path in branch.trajectories])
+    heights = np.array([path(0.5)[0] for path in branch.trajectories])
     for index, label in ((0, "local minima of the action"), (1, "saddles, Morse index 1")):
         chosen = [path.morse_index == index for path in branch.trajectories]
         axes.plot(branch.parameters[chosen, 0], heights[chosen], ".-", label=label)

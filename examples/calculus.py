@@ -38,7 +38,7 @@ def main(plot=None):
     given = (trial[1:-1], trial[:1], trial[-1:], MESH)
     difference = gradient[1:-1] - np.array(graph.gradient(*given)).ravel()
     path = graph.solve()
-    solved_action, solved_gradient = by_hand(path.path(nodes)[0])
+    solved_action, solved_gradient = by_hand(path(nodes)[0])
     if plot:
         draw(nodes, trial, path, plot)
     return {

@@ -51,7 +51,7 @@ def once_more(t):
 def work(path):
     """Work of the force on the cart, ∫u dx, by quadrature where the controls are given."""
     weights = np.outer(np.diff(path.t), path.method.quadrature.weights).ravel()
-    return weights @ (path.control.values[0] * path.path(path.control.times, 1)[0])
+    return weights @ (path.control.values[0] * path(path.control.times, 1)[0])
 
 
 def replayed(path):

@@ -45,7 +45,7 @@ def draw(films, name):
     )
     times = np.linspace(-HALF_DISTANCE, HALF_DISTANCE, 200)
     for film in films:
-        radius = film.path(times)[0]
+        radius = film(times)[0]
         label = f"area {2 * np.pi * film.action:.4f}\nMorse index {film.morse_index}"
         (line,) = axes.plot(times, radius, label=label)
         axes.plot(times, -radius, color=line.get_color())
@@ -57,7 +57,7 @@ def draw(films, name):
 
 if __name__ == "__main__":
     for answer in main(picture("catenoid.png")):
-        c = answer.path(0.0)[0]
+        c = answer(0.0)[0]
         print(f"narrowest radius c = {c:.12f}, c cosh(h/c) = {c * np.cosh(HALF_DISTANCE / c):.12f}, exact 1")
         exact = np.pi * c * (2 * HALF_DISTANCE + c * np.sinh(2 * HALF_DISTANCE / c))
         print(f"area {2 * np.pi * answer.action:.12f}, of the catenoid of this c {exact:.12f}\n{answer}")

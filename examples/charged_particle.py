@@ -39,7 +39,7 @@ def draw(path, name):
     axes = canvas(
         f"A charge at {SPEED:g} c in a magnetic field", "x in mc/(qB)", "y in mc/(qB)", (4.6, 4.5), aspect="equal"
     )
-    (line,) = axes.plot(*path.path(np.linspace(0, DURATION, 300)))
+    (line,) = axes.plot(*path(np.linspace(0, DURATION, 300)))
     axes.plot(*path.x, ".", color=line.get_color())
     for place, text in ((path.x[:, 0], "start"), (path.x[:, -1], "end")):
         axes.annotate(text, place, xytext=(-8, -8), textcoords="offset points", ha="right", va="top")
@@ -51,4 +51,4 @@ if __name__ == "__main__":
     times = np.linspace(0, DURATION, 1000)
     print(answer)
     print(f"  speed       {np.linalg.norm(answer.velocity[:, 0]):.15f} c at the start, exact {SPEED}")
-    print(f"  error       {np.max(np.abs(answer.path(times) - exact(times))):.1e} between the joints, largest")
+    print(f"  error       {np.max(np.abs(answer(times) - exact(times))):.1e} between the joints, largest")

@@ -48,7 +48,7 @@ def draw(path: cg.Trajectory, name: str) -> None:
     """Draw the motion over the response that it settles into."""
     axes = canvas("A damped and driven oscillator", "t", "x", (7.0, 3.6))
     times = np.linspace(0, DURATION / 2, 1000)
-    axes.plot(times, path.path(times)[0], label="from x = 2 at rest")
+    axes.plot(times, path(times)[0], label="from x = 2 at rest")
     axes.plot(times, response(times), "k:", label="response")
     axes.legend()
     save(axes, name)

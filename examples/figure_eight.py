@@ -63,9 +63,9 @@ def angular_momentum(path):
 def draw(path, name):
     """Draw the curve, and the bodies at time 0, in a line, and a twelfth of the period later, isosceles."""
     axes = canvas("Three bodies on a figure eight", "x", "y", (6.4, 3.4), aspect="equal")
-    axes.plot(*bodies(path.path(np.linspace(0, PERIOD, 600)))[0], color="0.6", zorder=0)
+    axes.plot(*bodies(path(np.linspace(0, PERIOD, 600)))[0], color="0.6", zorder=0)
     for moment, marker, when in ((0.0, "o", "t = 0"), (PERIOD / 12, "s", "t = T/12")):
-        places = bodies(path.path(moment))
+        places = bodies(path(moment))
         axes.plot(*np.vstack((places, places[:1])).T, marker=marker, markersize=9, linestyle=":", label=when)
         for body, place in enumerate(places, start=1):
             axes.annotate(f"{body}", place, color="w", fontsize=7, ha="center", va="center")

@@ -34,7 +34,7 @@ def measured(seed):
     """Angles at the joints with seeded noise, in rad; (N + 1,)."""
     exact = cg.solve(swing(TRUE), tol=1e-10, guess=lambda t: [1.1 * np.cos(3 * t)])
     times = np.linspace(0, DURATION, INTERVALS + 1)
-    return exact.path(times)[0] + np.random.default_rng(seed).normal(0.0, NOISE, INTERVALS + 1)
+    return exact(times)[0] + np.random.default_rng(seed).normal(0.0, NOISE, INTERVALS + 1)
 
 
 def main(plot=None, seed=SEED):
@@ -44,7 +44,7 @@ def main(plot=None, seed=SEED):
     first = cg.solve(problem, method, INTERVALS, guess=angles[None, :])
     path = cg.solution_function(problem, method, INTERVALS, guess=first)
     z = ca.MX.sym("z", 4)
-    x = path(start=z[0], end=z[1], parameters=z[2:], guess=first.path.values)["x"]
+    x = path(start=z[0], end=z[1], parameters=z[2:], guess=first.polynomial.values)["x"]
     residual = (x.T - angles) / NOISE
     nlp = {"x": z, "f": ca.sumsqr(residual) / 2}
     quiet = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}}
@@ -67,8 +67,8 @@ def draw(path, angles, name):
     times = np.linspace(0, DURATION, 300)
     true = cg.solve(swing(TRUE), path.method, INTERVALS, guess=path)
     axes.errorbar(path.t, angles, NOISE, fmt=".", color="0.5", label="measured")
-    axes.plot(times, path.path(times)[0], label="fitted")
-    axes.plot(times, true.path(times)[0], "--", label="true")
+    axes.plot(times, path(times)[0], label="fitted")
+    axes.plot(times, true(times)[0], "--", label="true")
     axes.legend()
     save(axes, name)
 

@@ -15,7 +15,7 @@ import numpy as np
 from show import canvas, picture, save
 
 import casadi_galerkin as cg
-from casadi_galerkin.plotting import COLORS
+from casadi_galerkin.solution.plotting import COLORS
 
 METHOD, INTERVALS, REPEATS = cg.Galerkin(degree=4), (10, 20, 40, 80, 160), 5
 ECCENTRICITY, ANOMALY = 0.6, 2.0

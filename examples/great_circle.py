@@ -41,7 +41,7 @@ def haversine():
 def draw(path, name):
     """Draw latitude over longitude, beside the straight line of the map."""
     axes = canvas("New York to London", "longitude in degrees", "latitude in degrees", (6.0, 3.6))
-    latitude, longitude = np.degrees(path.path(np.linspace(0, 1, 200)))
+    latitude, longitude = np.degrees(path(np.linspace(0, 1, 200)))
     (line,) = axes.plot(longitude, latitude, label=f"great circle, {RADIUS * arc(path):.0f} km")
     axes.plot(*np.degrees(path.x[::-1]), ".", color=line.get_color())
     axes.plot(*np.degrees(np.stack((NEW_YORK, LONDON)).T[::-1]), "--", color="0.6", label="straight on the map")

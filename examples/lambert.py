@@ -36,7 +36,7 @@ def draw(path, name):
     angles = np.linspace(0, 2 * np.pi, 200)
     axes.fill(6378.1363 * np.cos(angles), 6378.1363 * np.sin(angles), color="0.85")
     axes.text(0, 0, "Earth", ha="center", va="center")
-    line = path.path(np.linspace(0, FLIGHT, 400))
+    line = path(np.linspace(0, FLIGHT, 400))
     axes.plot(line[0], line[1])
     axes.plot(path.x[0], path.x[1], ".", color=axes.lines[0].get_color())
     axes.annotate("start", START[:2], xytext=(-8, 0), textcoords="offset points", ha="right", va="center")

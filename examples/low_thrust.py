@@ -10,7 +10,7 @@ import numpy as np
 from show import canvas, picture, save
 
 import casadi_galerkin as cg
-from casadi_galerkin.plotting import COLORS
+from casadi_galerkin.solution.plotting import COLORS
 
 RADIUS, DURATION = 2.0, 20.0
 SLOW_SPIRAL = (1 - RADIUS**-0.5) ** 2 / (2 * DURATION)  # ∫|u|²/2 dt of Edelbaum's thrust
@@ -62,10 +62,10 @@ def draw(path, name):
     circle = np.linspace(0, 2 * np.pi, 200)
     for radius in (1.0, RADIUS):
         axes.plot(radius * np.cos(circle), radius * np.sin(circle), color="0.8")
-    radius, angle = path.path(np.linspace(0, DURATION, 500))
+    radius, angle = path(np.linspace(0, DURATION, 500))
     axes.plot(radius * np.cos(angle), radius * np.sin(angle))
     times = np.linspace(0, DURATION, 40)
-    (radius, angle), (radial, tangential) = path.path(times), path.control(times)
+    (radius, angle), (radial, tangential) = path(times), path.control(times)
     across = radial * np.cos(angle) - tangential * np.sin(angle)
     up = radial * np.sin(angle) + tangential * np.cos(angle)
     axes.quiver(radius * np.cos(angle), radius * np.sin(angle), across, up, color=COLORS[1], width=0.004)
@@ -77,6 +77,6 @@ if __name__ == "__main__":
     print(answer)
     print(f"  a slow spiral's cost {SLOW_SPIRAL:.9f}, {answer.x[1, -1] / (2 * np.pi):.3f} revolutions here")
     times = answer.control.times
-    primer = -answer.costate(times) * np.stack((np.ones_like(times), answer.path(times)[0]))
+    primer = -answer.costate(times) * np.stack((np.ones_like(times), answer(times)[0]))
     print(f"  thrust of up to {np.max(np.abs(primer)):.4f}, and the primer vector: differ by", end=" ")
     print(f"{np.max(np.abs(answer.control.values - primer)):.1e}")

@@ -10,7 +10,7 @@ import numpy as np
 from show import canvas, dense, picture, save
 
 import casadi_galerkin as cg
-from casadi_galerkin.plotting import COLORS
+from casadi_galerkin.solution.plotting import COLORS
 
 ECCENTRICITY, ANOMALY = 0.99, 2.0
 HALF = ANOMALY - ECCENTRICITY * np.sin(ANOMALY)  # half of the time of flight, by Kepler's equation
@@ -40,7 +40,7 @@ def main(plot=None):
 def draw(path, name):
     """Draw the orbit near the sun, joints as dots."""
     axes = canvas("Near-collision, eccentricity 0.99", "x in semi-axes", "y in semi-axes", (6.0, 3.2))
-    axes.plot(*path.path(dense(path)))
+    axes.plot(*path(dense(path)))
     axes.plot(*path.x, ".", label="joints")
     axes.plot(0, 0, "o", color=COLORS[4], label="sun")
     axes.legend()
@@ -50,5 +50,5 @@ def draw(path, name):
 if __name__ == "__main__":
     answer = main(picture("near_collision.png"))
     print(answer)
-    closest = np.hypot(*answer.path(0.0))
+    closest = np.hypot(*answer(0.0))
     print(f"  distance     {closest:.12f} from the sun half-way, exactly {1 - ECCENTRICITY:.12f}")

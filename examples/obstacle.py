@@ -10,7 +10,7 @@ import numpy as np
 from show import canvas, picture, save
 
 import casadi_galerkin as cg
-from casadi_galerkin.plotting import COLORS
+from casadi_galerkin.solution.plotting import COLORS
 
 CENTRE, RADIUS, DURATION = (0.5, 0.05), 0.25, 1.0
 DIP = RADIUS - CENTRE[1]
@@ -52,9 +52,9 @@ def draw(path, name):
     axes = canvas("Round an obstacle", "x", "y", (6.0, 4.0), aspect="equal")
     turn = np.linspace(0, 2 * np.pi, 200)
     axes.fill(CENTRE[0] + RADIUS * np.cos(turn), CENTRE[1] + RADIUS * np.sin(turn), color="0.85")
-    axes.plot(*path.path(np.linspace(0, DURATION, 400)), label=f"path, cost {path.cost:.6f}")
+    axes.plot(*path(np.linspace(0, DURATION, 400)), label=f"path, cost {path.cost:.6f}")
     times = np.linspace(0, DURATION, 24)
-    axes.quiver(*path.path(times), *path.control(times), color=COLORS[1], width=0.004)
+    axes.quiver(*path(times), *path.control(times), color=COLORS[1], width=0.004)
     axes.legend()
     save(axes, name)
 

@@ -45,7 +45,7 @@ def draw(paths, name):
     axes = canvas("Stationary paths of a pendulum between the same ends", "t in s", "angle in rad", (7.0, 4.0))
     times = np.linspace(0, DURATION, 600)
     for index, path in sorted(paths.items()):
-        axes.plot(times, path.path(times)[0], label=f"Morse index {index}, action {path.action:.4f}")
+        axes.plot(times, path(times)[0], label=f"Morse index {index}, action {path.action:.4f}")
     axes.plot([0, DURATION], [0, ANGLE], "ko")
     axes.legend()
     save(axes, name)

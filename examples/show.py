@@ -19,7 +19,7 @@ def canvas(title, xlabel, ylabel, size=(6.0, 4.0), **settings):
     """Labelled Matplotlib axes in the colours of the package."""
     import matplotlib.pyplot as plt
 
-    from casadi_galerkin.plotting import COLORS
+    from casadi_galerkin.solution.plotting import COLORS
 
     axes = plt.subplots(figsize=size, layout="constrained")[1]
     axes.set_prop_cycle(color=COLORS)

@@ -40,7 +40,7 @@ def draw(paths, name):
     axes = canvas("Troesch's problem", "distance from the end, 1 - t", "x")
     for rate, path in paths.items():
         times = np.unique(np.concatenate((path.t, 1 - np.logspace(-14, 0, 500))))
-        (line,) = axes.plot(1 - times[:-1], path.path(times[:-1])[0], label=f"λ = {rate:g}")
+        (line,) = axes.plot(1 - times[:-1], path(times[:-1])[0], label=f"λ = {rate:g}")
         axes.plot(1 - path.t[:-1], path.x[0, :-1], ".", color=line.get_color())
     axes.set(xscale="log")
     axes.legend()

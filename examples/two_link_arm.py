@@ -39,7 +39,7 @@ def problem():
 
 def work(path):
     """Work of both torques in J, by quadrature where they are given."""
-    (upper, lower), (shoulder, elbow) = path.path(path.control.times, 1), path.control.values
+    (upper, lower), (shoulder, elbow) = path(path.control.times, 1), path.control.values
     weights = np.outer(np.diff(path.t), path.method.quadrature.weights).ravel()
     return weights @ ((shoulder - elbow) * upper + elbow * lower)
 

@@ -1,13 +1,23 @@
 """What a piecewise polynomial leaves out is found where it is, and new meshes spread it evenly."""
 
+from __future__ import annotations
+
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 import casadi_galerkin as cg
-from casadi_galerkin.adaptivity import FINEST, NEIGHBOURS, TARGET, equidistributed, interval_maxima, sizes, truncation
-from casadi_galerkin.calculus import DiscreteCalculus
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
+from casadi_galerkin.calculus.mesh_adaptation import (
+    FINEST,
+    NEIGHBOURS,
+    TARGET,
+    equidistributed,
+    interval_maxima,
+    truncation,
+)
+from casadi_galerkin.calculus.roundoff import component_sizes
 
 SHARP = 30.0  # the estimate may be this factor off the true interpolation error; measured up to 23
 ROUNDOFF = 2e-15
@@ -29,7 +39,7 @@ def test_truncation_is_near_the_interpolation_error(degree, function):
     path = interpolated(function, degree, mesh)
     for k, estimate in enumerate(truncation(path)):
         t = np.linspace(mesh[k], mesh[k + 1], 101)
-        error = np.max(np.abs(path(t)[0] - function(t))) / sizes(path)[0]
+        error = np.max(np.abs(path(t)[0] - function(t))) / component_sizes(path.values)[0]
         assert (error - ROUNDOFF) / SHARP < estimate < error * SHARP + ROUNDOFF
 
 
@@ -47,7 +57,7 @@ def test_truncation_does_not_see_the_unit_of_a_component():
 
 def test_size_of_a_vanishing_component_is_one():
     path = interpolated(lambda t: np.array([0 * t, 3 - t]), 4, np.linspace(0, 1, 3))
-    np.testing.assert_array_equal(sizes(path), [1.0, 3.0])
+    np.testing.assert_array_equal(component_sizes(path.values), [1.0, 3.0])
 
 
 def test_maxima_see_what_lies_between_the_nodes():

@@ -200,7 +200,7 @@ def test_a_guess_that_does_not_fit_is_refused(guess, kind, message):
 
 def test_a_path_of_other_components_is_refused_as_guess():
     other = cg.solve(problem(lagrangian=lambda t, x, v: ca.sumsqr(v), start=[0, 0], end=[1, 1]), METHOD, intervals=2)
-    for guess in (other, other.path):
+    for guess in (other, other.polynomial):
         with pytest.raises(ValueError, match=r"the guess must be a path of 1 component\(s\), got 2"):
             cg.solve(problem(), METHOD, intervals=2, guess=guess)
 
@@ -215,8 +215,8 @@ def test_a_path_of_other_components_is_refused_as_guess():
         ({"parameters": [1.0]}, ValueError, r"the problem has no parameters, got parameters=\[1.0\]"),
         ({"mesh": [0, 0.5, 1]}, ValueError, "this transcription has 4 intervals, got a mesh of 2"),
         ({"mesh": [0, 0.6, 0.5, 0.7, 1]}, ValueError, "the joints of a mesh must increase"),
-        ({"solver": "ipopt"}, TypeError, "solver must be rootfinder, ipopt or minimizer, got 'ipopt'"),
-        ({"solver": None}, TypeError, "solver must be rootfinder, ipopt or minimizer, got None"),
+        ({"solver": "ipopt"}, TypeError, "solver must be newton, rootfinder, ipopt or minimizer, got 'ipopt'"),
+        ({"solver": None}, TypeError, "solver must be newton, rootfinder, ipopt or minimizer, got None"),
         ({"finish": [1.0]}, TypeError, "unexpected keyword argument 'finish'"),
     ],
 )

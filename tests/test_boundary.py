@@ -6,10 +6,11 @@ import pytest
 from scenes import BY_NAME, SCENES, TROESCH, bratu, catenoid, kepler, oscillator, pendulum
 
 import casadi_galerkin as cg
-from casadi_galerkin import legendre
-from casadi_galerkin.boundary import Transcription
-from casadi_galerkin.newton import newton
-from casadi_galerkin.precision import ZERO
+from casadi_galerkin.boundary.transcription import Transcription
+from casadi_galerkin.calculus.roundoff import ZERO
+from casadi_galerkin.problems.legendre_transform import legendre_transform
+from casadi_galerkin.problems.legendre_transform import velocities as velocities_of_momenta
+from casadi_galerkin.solvers.solver import newton
 
 CLOSED_FORM = 1e-13  # relative to the largest value along the path
 # Measured roundoff where double precision does not allow 1e-13: condition numbers of the problems themselves.
@@ -41,7 +42,7 @@ def test_closed_form_is_reproduced_between_the_joints(scene, solved):
     times = np.sort(np.concatenate((scene.joints, np.random.default_rng(3).uniform(*scene.t_span, 200))))
     wanted = np.array(exact(times[None, :]))
     tolerance = CONDITION.get(scene.name, CLOSED_FORM)
-    for got, values in zip(solved[scene.name].path(times), wanted, strict=True):
+    for got, values in zip(solved[scene.name](times), wanted, strict=True):
         np.testing.assert_allclose(got, values, rtol=0, atol=tolerance * max(1, np.max(np.abs(values))))
 
 
@@ -57,7 +58,7 @@ def test_known_numbers_and_morse_index(scene, solved):
         if known is not None:
             np.testing.assert_allclose(got, known, rtol=0, atol=MOMENTUM * tolerance * size)
     for time, x in scene.values.items():
-        np.testing.assert_allclose(path.path(time), x, rtol=tolerance, atol=tolerance)
+        np.testing.assert_allclose(path(time), x, rtol=tolerance, atol=tolerance)
 
 
 @pytest.mark.parametrize("scene", [s for s in SCENES if s.conserved], ids=lambda s: s.name)
@@ -108,7 +109,7 @@ def test_morse_index_is_the_inertia_of_the_dense_hessian(name):
     scene = BY_NAME[name]
     tr = cg.transcribe(scene.problem, cg.Galerkin(4), 16)
     path = tr.solve(guess=scene.guess)
-    unknowns = path.path.values.T[1:-1].ravel()
+    unknowns = path.polynomial.values.T[1:-1].ravel()
     hessian = np.array(ca.DM(tr.hessian(unknowns, scene.start, scene.end, tr.mesh)))
     assert np.count_nonzero(np.linalg.eigvalsh(hessian) < 0) == path.morse_index
 
@@ -136,7 +137,7 @@ def test_velocities_are_found_where_the_slopes_of_the_path_are_beyond_the_lagran
     """A relativistic particle on few intervals: the derivative of the polynomial exceeds 1 at a joint."""
     problem = cg.BoundaryProblem(lambda t, x, v: -ca.sqrt(1 - v[0] ** 2) - 5 * x[0] ** 2, (0, 2), [0.0], [1.2])
     path = cg.solve(problem, cg.Galerkin(2), intervals=4)
-    assert np.max(np.abs(path.path(path.t, 1))) > 1
+    assert np.max(np.abs(path(path.t, 1))) > 1
     np.testing.assert_allclose(path.velocity, path.momentum / np.sqrt(1 + path.momentum**2), rtol=1e-14)
     assert np.isfinite(path.energy).all()
 
@@ -145,8 +146,8 @@ def test_a_velocity_that_does_not_exist_is_not_a_number():
     t, x, v = (ca.SX.sym(name) for name in "txv")
     lagrangian = ca.Function("L", [t, x, v], [ca.sqrt(1 + v**2)])  # momenta lie within ]-1, 1[
     momenta = np.array([[0.5, 2.0, -0.5]])
-    found = legendre.velocities(
-        legendre.legendre_transform(lagrangian), np.zeros(3), np.zeros((1, 3)), momenta, np.full((1, 3), 30.0)
+    found = velocities_of_momenta(
+        legendre_transform(lagrangian), np.zeros(3), np.zeros((1, 3)), momenta, np.full((1, 3), 30.0)
     )
     np.testing.assert_allclose(found, [[1 / np.sqrt(3), np.nan, -1 / np.sqrt(3)]], rtol=1e-14)
 
@@ -169,7 +170,7 @@ def test_periodic_forcing_of_an_oscillator_has_its_exact_answer(intervals):
     )
     path = cg.solve(problem, cg.Galerkin(24 if intervals < 3 else 14), intervals=intervals)
     t = np.linspace(0, 2 * np.pi, 101)
-    np.testing.assert_allclose(path.path(t)[0], np.cos(t), rtol=0, atol=5 * CLOSED_FORM)
+    np.testing.assert_allclose(path(t)[0], np.cos(t), rtol=0, atol=5 * CLOSED_FORM)
     assert path.x[0, 0] == path.x[0, -1]
     assert path.momentum[0, 0] == pytest.approx(path.momentum[0, -1], abs=1e-12)
 
@@ -185,7 +186,7 @@ def test_a_component_that_vanishes_is_found_from_a_guess_where_it_does_not(degre
     """Every Newton step takes 16 digits off what is left of it, which relative to itself never is at roundoff."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), [None], [None])
     path = cg.solve(problem, cg.Galerkin(degree), 4, guess=lambda t: [np.sin(t)])
-    assert np.abs(path.path.values).max() < ZERO
+    assert np.abs(path.polynomial.values).max() < ZERO
     assert path.solver == "Newton"
 
 
@@ -197,7 +198,7 @@ def test_periodic_path_through_a_fixed_point_has_a_kink_in_momentum_there():
     np.testing.assert_allclose(path.momentum[0, [0, -1]], [-np.tanh(1), np.tanh(1)], rtol=1e-12)
 
 
-@pytest.mark.parametrize("solver", [cg.rootfinder, cg.ipopt])
+@pytest.mark.parametrize("solver", [cg.newton, cg.rootfinder, cg.ipopt])
 def test_the_one_periodic_path_is_found_although_the_hessian_is_singular_at_the_guess(solver):
     """x'' = x³ - cos³t - cos t and y'' = -2 y + cos t have one periodic path, x = y = cos t, a saddle.
 
@@ -218,7 +219,7 @@ def test_the_one_periodic_path_is_found_although_the_hessian_is_singular_at_the_
     assert np.min(sizes) < 1e-14 * np.max(sizes)  # the first step of Newton's method leads nowhere
     path = tr.solve(solver=solver)
     t = np.linspace(0, 2 * np.pi, 101)
-    np.testing.assert_allclose(path.path(t), np.stack((np.cos(t), np.cos(t))), rtol=0, atol=CLOSED_FORM)
+    np.testing.assert_allclose(path(t), np.stack((np.cos(t), np.cos(t))), rtol=0, atol=CLOSED_FORM)
     assert path.morse_index == 3  # y = 1, cos t and sin t lower the action, whatever x does
 
 
@@ -275,7 +276,7 @@ def test_repeated_solves_equal_fresh_ones():
             change.get("parameters", [2.0, 0.0]),
         )
         again, fresh = tr.solve(**change), cg.solve(problem, cg.Galerkin(5), mesh=mesh)
-        np.testing.assert_array_equal(again.path.values, fresh.path.values)
+        np.testing.assert_array_equal(again.polynomial.values, fresh.polynomial.values)
         np.testing.assert_array_equal(again.momentum, fresh.momentum)
         np.testing.assert_array_equal(again.t, fresh.t)
         assert (again.action, again.iterations, again.morse_index) == (fresh.action, fresh.iterations, 0)
@@ -286,7 +287,7 @@ def test_a_problem_is_not_changed_by_solving_it():
     tr = cg.transcribe(scene.problem, cg.Galerkin(4), 5)
     first = tr.solve()
     tr.solve(start=[0.5], end=[2.0])
-    np.testing.assert_array_equal(tr.solve().path.values, first.path.values)
+    np.testing.assert_array_equal(tr.solve().polynomial.values, first.polynomial.values)
 
 
 def test_guesses_of_every_kind_lead_to_the_path_they_are_near():
@@ -297,7 +298,7 @@ def test_guesses_of_every_kind_lead_to_the_path_they_are_near():
     coarse = cg.solve(scene.problem, cg.Galerkin(3), intervals=25, guess=scene.guess)
     joints = np.stack([scene.guess(t) for t in wanted.t], axis=1)
     nodes = np.stack([scene.guess(t) for t in cg.DiscreteCalculus(tr.method, tr.mesh).node_times], axis=1)
-    guesses = [joints, joints.tolist(), nodes, wanted, wanted.path, coarse, lambda t: np.array(scene.guess(t))]
+    guesses = [joints, joints.tolist(), nodes, wanted, wanted.polynomial, coarse, lambda t: np.array(scene.guess(t))]
     for guess in guesses:
         path = tr.solve(guess=guess)
         assert path.action == pytest.approx(wanted.action, rel=1e-13)
@@ -326,7 +327,9 @@ def test_three_engines_agree(name, solved):
         path = solve(scene, solver=engine)
         assert path.solver == report
         size = np.max(np.abs(path.x))
-        np.testing.assert_allclose(path.path.values, solved[name].path.values, rtol=0, atol=CLOSED_FORM * size)
+        np.testing.assert_allclose(
+            path.polynomial.values, solved[name].polynomial.values, rtol=0, atol=CLOSED_FORM * size
+        )
 
 
 def test_the_minimizer_finds_the_minimum_where_newton_finds_a_saddle():
@@ -361,10 +364,10 @@ def test_one_component_does_not_end_the_iterations_of_another():
 
     tr = cg.transcribe(cg.BoundaryProblem(lagrangian, (0, 1), [1.0, 0.0], [2.0, 0.5]), cg.Galerkin(6), 20)
     path = tr.solve()
-    s = np.linspace(0, np.pi, path.path.values.shape[1])
+    s = np.linspace(0, np.pi, path.polynomial.values.shape[1])
     miss = np.array([0.28 * np.sin(s), 1e-3 * np.sin(2 * s)])
-    again = tr.solve(guess=path.path.values + miss)
-    assert np.max(np.abs(again.path.values - path.path.values)) < 1e-14
+    again = tr.solve(guess=path.polynomial.values + miss)
+    assert np.max(np.abs(again.polynomial.values - path.polynomial.values)) < 1e-14
 
 
 def test_components_that_vanish_along_a_periodic_path_are_found_from_afar():
@@ -491,7 +494,7 @@ def test_a_hessian_that_is_singular_on_the_path_but_not_beside_it_is_named(miss)
 
     problem = cg.BoundaryProblem(lagrangian, (0, 1), [0.5, 0.5], [1.0, 1.0], parameters=[0.0])
     tr = cg.transcribe(problem, cg.Galerkin(3), 1)
-    values = tr.solve().path.values
+    values = tr.solve().polynomial.values
     unknowns = tr.unknowns(values.T)
 
     def positive(stiffness):
@@ -534,7 +537,7 @@ def test_bratu_above_its_critical_value_fails_with_time_and_advice(rate):
     assert "Newton's method: " in str(error)
     assert "IPOPT on the action stopped with" in str(error)
     assert "there may be no path" in str(error)
-    assert error.path.values.shape == (1, 61)
+    assert error.path.polynomial.values.shape == (1, 61)
     assert error.residual > 50
     assert error.iterations > 0
 
@@ -550,7 +553,7 @@ def test_catenoid_above_its_critical_height_fails(half):
 @pytest.mark.parametrize("half", [0.66, 0.6627])
 def test_catenoid_just_below_its_critical_height_is_found(half):
     path = cg.solve(cg.BoundaryProblem(catenoid, (-half, half), [1.0], [1.0]), cg.Galerkin(8), intervals=16)
-    c = float(path.path(0.0)[0])
+    c = float(path(0.0)[0])
     assert c * np.cosh(half / c) == pytest.approx(1, rel=1e-12)
 
 
@@ -560,7 +563,7 @@ def test_a_lagrangian_not_finite_at_the_guess_is_named_with_its_time():
         cg.solve(problem, cg.Galerkin(2, quadrature=cg.lobatto(3)), intervals=2)
 
 
-@pytest.mark.parametrize("engine", [cg.rootfinder, cg.ipopt, cg.minimizer])
+@pytest.mark.parametrize("engine", [cg.newton, cg.rootfinder, cg.ipopt, cg.minimizer])
 def test_every_engine_names_a_guess_outside_the_lagrangians_domain(engine):
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - ca.sqrt(x[0] - t), (0, 1), [1.0], [0.5])
     with pytest.raises(cg.ConvergenceError, match=r"not finite at t = 0\.[67].*where x = .* and v = "):
@@ -633,10 +636,10 @@ def test_components_of_very_different_size_are_solved_together():
 def test_one_interval_of_high_degree_solves_too(degree):
     path = cg.solve(BY_NAME["short pendulum"].problem, cg.Galerkin(degree), intervals=1)
     assert path.action == pytest.approx(1.3310039926528, abs=1e-13)
-    np.testing.assert_allclose(path.path(0.5), 0.5643038922354, rtol=0, atol=2e-13)
+    np.testing.assert_allclose(path(0.5), 0.5643038922354, rtol=0, atol=2e-13)
 
 
-@pytest.mark.parametrize("engine", [cg.rootfinder, cg.ipopt, cg.minimizer])
+@pytest.mark.parametrize("engine", [cg.newton, cg.rootfinder, cg.ipopt, cg.minimizer])
 def test_one_interval_of_degree_one_between_fixed_ends_has_nothing_to_solve(engine):
     path = cg.solve(cg.BoundaryProblem(oscillator, (0, 1), [0.0], [1.0]), cg.Galerkin(1), intervals=1, solver=engine)
     assert path.action == 0.375  # (1² - (1/2)²)/2
@@ -646,7 +649,7 @@ def test_one_interval_of_degree_one_between_fixed_ends_has_nothing_to_solve(engi
 
 def test_fifty_thousand_intervals_keep_the_error_floor():
     path = cg.solve(BY_NAME["short pendulum"].problem, cg.Galerkin(2), intervals=50_000)
-    assert path.path(0.5)[0] == pytest.approx(0.5643038922354, abs=1e-12)  # given to 13 decimals
+    assert path(0.5)[0] == pytest.approx(0.5643038922354, abs=1e-12)  # given to 13 decimals
     assert path.action == pytest.approx(1.3310039926528, abs=1e-12)
     assert path.momentum[0, 0] == pytest.approx(1.1762198416929, abs=1e-10)  # differences over h = 2e-5
     assert path.iterations <= 4

@@ -41,7 +41,7 @@ def test_the_walk_comes_back_on_the_upper_branch(round_the_fold):
         upper = k >= fold.after
         assert path.morse_index == int(upper)
         assert path.parameters == (rate,)
-        np.testing.assert_allclose(path.path(0.5), height(rate, upper), rtol=1e3 * DISCRETE, atol=0)
+        np.testing.assert_allclose(path(0.5), height(rate, upper), rtol=1e3 * DISCRETE, atol=0)
 
 
 def test_a_target_before_the_fold_is_reached():
@@ -49,14 +49,14 @@ def test_a_target_before_the_fold_is_reached():
     assert branch.reached
     assert branch.folds == ()
     assert branch.parameters[-1, 0] == 3.5
-    np.testing.assert_allclose(branch.trajectories[-1].path(0.5), height(3.5, upper=False), rtol=1e-9, atol=0)
+    np.testing.assert_allclose(branch.trajectories[-1](0.5), height(3.5, upper=False), rtol=1e-9, atol=0)
     assert np.all(np.diff(branch.parameters[:, 0]) > 0)
 
 
 def test_a_walk_may_begin_on_the_upper_branch_and_go_down_in_the_parameter():
     branch = cg.continuation(bratu(2.0), [1.0], intervals=10, guess=lambda t: [12 * t * (1 - t)])
     assert branch.reached
-    np.testing.assert_allclose(branch.trajectories[-1].path(0.5), height(1.0, upper=True), rtol=1e-7, atol=0)
+    np.testing.assert_allclose(branch.trajectories[-1](0.5), height(1.0, upper=True), rtol=1e-7, atol=0)
 
 
 def test_two_parameters_walk_on_a_line():
@@ -65,7 +65,7 @@ def test_two_parameters_walk_on_a_line():
 
     problem = cg.BoundaryProblem(lagrangian, (0, 1), [0.0], [1.0], parameters=[1.0, 1.0])
     branch = cg.continuation(problem, [2.0, 8.0], intervals=8)
-    np.testing.assert_allclose(branch.trajectories[-1].path(0.5), np.sinh(1) / np.sinh(2), rtol=1e-12, atol=0)
+    np.testing.assert_allclose(branch.trajectories[-1](0.5), np.sinh(1) / np.sinh(2), rtol=1e-12, atol=0)
     np.testing.assert_allclose(branch.parameters[:, 1], 1 + 7 * (branch.parameters[:, 0] - 1), rtol=1e-14, atol=0)
 
 

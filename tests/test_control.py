@@ -38,7 +38,7 @@ def method(request):
 
 @pytest.fixture(params=[everything, cart_pole, minimum_time])
 def graph(request, method):
-    return cg.transcribe_control(request.param(), method, 4).graph
+    return cg.transcribe(request.param(), method, 4).graph
 
 
 @pytest.fixture
@@ -82,7 +82,7 @@ def test_hessian_is_casadis_own_with_no_nonzero_more(graph, somewhere):
 
 @pytest.mark.parametrize(("degree", "intervals"), [(1, 9), (4, 20), (7, 5)])
 def test_derivatives_are_block_sparse(degree, intervals):
-    program = cg.transcribe_control(cart_pole(), cg.Galerkin(degree), intervals).program
+    program = cg.transcribe(cart_pole(), cg.Galerkin(degree), intervals).program
     nodes, d = degree + 1, 2
     path = intervals * (nodes * d) ** 2 - (intervals - 1) * d**2 - 2 * d * nodes * d  # less the ends, which are given
     controls = intervals * degree * nodes  # the control pushes the cart only
@@ -98,7 +98,7 @@ def test_minimum_effort_is_exact(degree):
     path = cg.solve(double_integrator(), cg.Galerkin(degree), intervals=5)
     times = np.linspace(0, 1, 33)
     assert path.cost == pytest.approx(6, abs=1e-11)
-    assert path.path(0.25)[0] == pytest.approx(3 * 0.25**2 - 2 * 0.25**3, abs=1e-9 if degree > 2 else 1e-3)
+    assert path(0.25)[0] == pytest.approx(3 * 0.25**2 - 2 * 0.25**3, abs=1e-9 if degree > 2 else 1e-3)
     np.testing.assert_allclose(path.control(times)[0], 6 - 12 * times, rtol=0, atol=1e-10)
     np.testing.assert_allclose(path.costate(times)[0], -(6 - 12 * times), rtol=0, atol=1e-10)
     np.testing.assert_allclose(path.hamiltonian, -18, rtol=0, atol=1e-10)
@@ -189,7 +189,7 @@ def test_hamiltonian_is_the_mean_that_its_definition_says():
     integrand = problem.running_cost(t, x, v, u) + costate * force + rate * ca.gradient(lagrangian, v)
     mean = integrand - v * ca.gradient(integrand, v) - rate * ca.gradient(integrand, rate)
     function, times = ca.Function("mean", [t, x, v, u, costate, rate], [mean]), path.control.times
-    along = (path.path(times), path.path(times, 1), path.control.values, path.costate(times), path.costate(times, 1))
+    along = (path(times), path(times, 1), path.control.values, path.costate(times), path.costate(times, 1))
     values = np.array(function(times[None, :], *along)).reshape(6, -1)
     np.testing.assert_allclose(values @ path.method.quadrature.weights, path.hamiltonian, rtol=0, atol=ROUNDOFF)
 
@@ -274,16 +274,16 @@ def test_position_bounds_hold_at_the_nodes():
     problem = double_integrator(start_velocity=[-2.0], position_bounds=(-0.1, np.inf))
     path = cg.solve(problem, cg.Galerkin(3), intervals=20)
     assert cg.solve(double_integrator(start_velocity=[-2.0]), cg.Galerkin(3), intervals=20).x.min() < -0.15
-    assert path.path.values.min() == pytest.approx(-0.1, abs=1e-7)
-    assert path.path.values.min() >= -0.1
+    assert path.polynomial.values.min() == pytest.approx(-0.1, abs=1e-7)
+    assert path.polynomial.values.min() >= -0.1
 
 
 def test_everything_at_once_is_solved_and_verified():
     path = cg.solve(everything(), cg.Galerkin(3), intervals=10)
     values = path.problem.path_constraint[0].map(30)(
         path.control.times[None, :],
-        path.path(path.control.times),
-        path.path(path.control.times, 1),
+        path(path.control.times),
+        path(path.control.times, 1),
         path.control.values,
         np.tile(np.array(path.parameters)[:, None], (1, 30)),
     )
@@ -345,9 +345,9 @@ def test_warm_start_from_a_coarser_answer_saves_iterations():
 
 def test_warm_start_takes_duration_and_parameters():
     first = cg.solve(minimum_time(), cg.Galerkin(2), intervals=10)
-    again = cg.transcribe_control(minimum_time(), cg.Galerkin(2), 10)
+    again = cg.transcribe(minimum_time(), cg.Galerkin(2), 10)
     unknowns, data, _ = again._start(first)
-    assert again.layout.unpack(unknowns, data)["duration"][0] == pytest.approx(2, abs=SOLVED)
+    assert again.numbering.unpack(unknowns, data)["duration"][0] == pytest.approx(2, abs=SOLVED)
 
 
 @pytest.mark.parametrize("guess", [lambda t: [t], np.linspace(0, 1, 6)[None, :], "path"])
@@ -475,7 +475,7 @@ def test_graded_mesh_is_kept():
 
 
 def test_transcription_is_built_once_and_solved_often():
-    program = cg.transcribe_control(pendulum(3.0), cg.Galerkin(5), 10)
+    program = cg.transcribe(pendulum(3.0), cg.Galerkin(5), 10)
     first, second = program.solve(), program.solve(guess=lambda t: [3 * np.sin(t)])
     assert first.cost == pytest.approx(second.cost, abs=1e-11)
     assert second.build_seconds == first.build_seconds
@@ -496,7 +496,7 @@ def test_summary_and_plot(capsys):
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    path = cg.transcribe_control(minimum_time(), cg.Galerkin(2), 4).solve(verbose=1)
+    path = cg.transcribe(minimum_time(), cg.Galerkin(2), 4).solve(verbose=1)
     assert "cost        2" in capsys.readouterr().out
     axes = path.plot()
     assert [a.get_ylabel() for a in axes.figure.axes] == ["x[0]", "u[0]", "λ[0]"]

@@ -219,7 +219,7 @@ def test_what_is_not_finite_at_the_guess_is_named_with_its_time(name):
 def test_infeasible_problem_names_the_worst_violated_constraint():
     with pytest.raises(cg.ConvergenceError, match=r"Infeasible.* equation of motion of x\[0\] at t = ") as caught:
         cg.solve(double_integrator(control_bounds=(-1, 1)), cg.Galerkin(3), intervals=10)
-    assert caught.value.path.mesh[-1] == 1
+    assert caught.value.path.t[-1] == 1
     assert 0 < caught.value.iterations <= 500
 
 
@@ -265,6 +265,6 @@ def test_other_solvers_are_refused():
 
 def test_transcription_takes_control_problems_only():
     with pytest.raises(TypeError, match="ControlProblem"):
-        cg.transcribe_control(3, cg.Galerkin(2), 4)
+        cg.transcribe(3, cg.Galerkin(2), 4)
     with pytest.raises(TypeError, match="Galerkin"):
-        cg.transcribe_control(pendulum(3.0), 4, 4)
+        cg.transcribe(pendulum(3.0), 4, 4)

@@ -58,7 +58,7 @@ def test_thrust_is_the_primer_vector_and_costs_little_more_than_a_slow_spiral(sc
     module = scene("low_thrust")
     path = module.main()
     times = path.control.times
-    primer = -path.costate(times) * np.stack((np.ones_like(times), path.path(times)[0]))
+    primer = -path.costate(times) * np.stack((np.ones_like(times), path(times)[0]))
     np.testing.assert_allclose(path.control.values, primer, rtol=0, atol=1e-10)  # IPOPT's tolerance
     assert 1.02 < path.cost / module.SLOW_SPIRAL < 1.05
 
@@ -98,7 +98,7 @@ def test_vehicle_passes_below_at_the_exact_cost(scene):
     module = scene("obstacle")
     path = module.main()
     assert path.cost == pytest.approx(module.EXACT, abs=1e-9)
-    assert path.path(0.5) == pytest.approx([0.5, -0.2], abs=1e-6)
+    assert path(0.5) == pytest.approx([0.5, -0.2], abs=1e-6)
 
 
 def flown(rates, path, start):

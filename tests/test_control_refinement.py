@@ -53,12 +53,12 @@ def along_obstacle(s):
 @lru_cache
 def resolved(make, *arguments):
     path = cg.solve(make(*arguments), FINE, intervals=20)
-    return path.cost, path.path(path.t[0] + FRACTIONS * np.ptp(path.t))
+    return path.cost, path(path.t[0] + FRACTIONS * np.ptp(path.t))
 
 
 def true_error(path, cost, way):
     """Relative error of the cost and of the positions at the same fractions of the duration."""
-    found = path.path(path.t[0] + FRACTIONS * np.ptp(path.t))
+    found = path(path.t[0] + FRACTIONS * np.ptp(path.t))
     sizes = np.max(np.abs(way), axis=1, keepdims=True)
     return max(abs(path.cost / cost - 1), np.max(np.abs(found - way) / sizes))
 
@@ -150,7 +150,7 @@ def test_a_bound_of_the_position_is_touched_at_the_exact_cost(intervals, tol):
 
 def test_a_loose_tolerance_takes_less_work():
     loose, tight = (cg.solve(cart_pole(), tol=tol) for tol in (1e-3, 1e-8))
-    assert len(loose.path.values[0]) < len(tight.path.values[0])
+    assert len(loose.polynomial.values[0]) < len(tight.polynomial.values[0])
     assert loose.error_estimate > tight.error_estimate
 
 
@@ -172,9 +172,9 @@ LIMITS = {
 @pytest.mark.parametrize("name", LIMITS)
 def test_best_path_is_attached_when_a_limit_is_reached(name):
     limits, message = LIMITS[name]
-    with pytest.raises(cg.ControlLimitReached, match=message) as caught:
+    with pytest.raises(cg.LimitReached, match=message) as caught:
         cg.solve(cart_pole(), tol=1e-8, limits=limits)
-    best = caught.value.trajectory
+    best = caught.value.path
     assert best.cost == pytest.approx(58.8, abs=0.1)
     assert best.error_estimate > 1e-8
     assert cg.solve(cart_pole(), tol=1e-3, guess=best).error_estimate <= 1e-3

@@ -67,7 +67,7 @@ def test_catenoid_near_its_critical_height_has_a_stable_and_an_unstable_film(sce
     for film, bracket in ((wide, (merging, 1.0)), (narrow, (0.2, merging))):
         c = brentq(lambda c: c * np.cosh(h / c) - 1, *bracket, xtol=1e-15)
         # near the fold the films are ten times worse conditioned than the ends
-        np.testing.assert_allclose(film.path(0.0)[0], c, rtol=1e-12, atol=0)
+        np.testing.assert_allclose(film(0.0)[0], c, rtol=1e-12, atol=0)
 
 
 def test_great_circle_has_the_length_of_the_arc(scene):
@@ -79,7 +79,7 @@ def test_relativistic_particle_runs_on_a_circle_at_constant_speed(scene):
     module = scene("charged_particle")
     path = module.main()
     times = np.linspace(0, module.DURATION, 200)
-    np.testing.assert_allclose(path.path(times), module.exact(times), rtol=0, atol=ROUNDOFF)
+    np.testing.assert_allclose(path(times), module.exact(times), rtol=0, atol=ROUNDOFF)
     np.testing.assert_allclose(np.linalg.norm(path.velocity, axis=0), module.SPEED, rtol=ROUNDOFF, atol=0)
     np.testing.assert_allclose(path.energy, module.GAMMA, rtol=2 * ROUNDOFF, atol=0)
 
@@ -90,7 +90,7 @@ def test_brachistochrone_takes_the_time_of_the_cycloid(scene):
     assert path.action == pytest.approx(2.0, rel=ROUNDOFF, abs=0)
     angles = np.linspace(module.FIRST, module.LAST, 50)
     horizontal, depth = module.cycloid(angles)
-    found = path.path(horizontal.clip(path.t[0], path.t[-1]))[0]
+    found = path(horizontal.clip(path.t[0], path.t[-1]))[0]
     np.testing.assert_allclose(found, depth, rtol=5 * ROUNDOFF, atol=0)  # the start is steep: 1.2e-13 was seen there
 
 

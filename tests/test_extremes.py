@@ -59,7 +59,7 @@ def test_graph_of_a_ring_grows_linearly(few, many):
     """The Hessian's nonzeros and the instructions at a point, not seconds."""
     import casadi as ca
 
-    from casadi_galerkin.functional import pointwise
+    from casadi_galerkin.functional.pointwise import pointwise
 
     def size(d):
         x, v = ca.SX.sym("x", d), ca.SX.sym("v", d)

@@ -281,9 +281,10 @@ def test_derivatives_by_the_joints_are_those_of_the_action_through_the_graph():
         [0.7],
     )
     transcription = cg.transcribe(problem, cg.Galerkin(4), mesh=[0.0, 0.3, 0.9, 1.1, 2.0])
-    unknowns = np.random.default_rng(3).standard_normal(transcription.layout.free)
+    unknowns = np.random.default_rng(3).standard_normal(transcription.numbering.free)
     data = transcription.data(transcription.mesh)
-    slope, diagonal, beside = transcription.system.evaluate("timing", unknowns, data)
+    found = transcription.functional.function("joint_time_derivatives").call([unknowns, *data])
+    slope, diagonal, beside = (np.array(value).ravel() for value in found)
     symbols = transcription.functional.symbols
     hessian, gradient = ca.hessian(transcription.functional.action(), symbols["mesh"])
     graph = ca.Function("graph", list(symbols.values()), [gradient, hessian])

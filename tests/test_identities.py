@@ -121,7 +121,7 @@ def test_two_families_of_control_points_give_the_same_path(degree, other):
     a = cg.solve(problem, cg.Galerkin(degree), intervals=3)
     b = cg.solve(problem, cg.Galerkin(degree, control_points=points), intervals=3)
     t = np.linspace(0, 1, 50)
-    np.testing.assert_allclose(a.path(t), b.path(t), rtol=0, atol=IDENTITY)
+    np.testing.assert_allclose(a(t), b(t), rtol=0, atol=IDENTITY)
     np.testing.assert_allclose(a.momentum, b.momentum, rtol=0, atol=10 * IDENTITY)
     assert a.action == pytest.approx(b.action, rel=IDENTITY)
 
@@ -140,7 +140,7 @@ def test_adding_a_total_derivative_moves_nothing_once_the_quadrature_is_exact(de
     plain = cg.solve(cg.BoundaryProblem(pendulum, (0, 1), [0.2], [1.0]), method, intervals=5)
     moved = cg.BoundaryProblem(lambda t, x, v: pendulum(t, x, v) + gauge(t, x, v), (0, 1), [0.2], [1.0])
     path = cg.solve(moved, method, intervals=5)
-    np.testing.assert_allclose(path.path.values, plain.path.values, rtol=0, atol=IDENTITY)
+    np.testing.assert_allclose(path.polynomial.values, plain.polynomial.values, rtol=0, atol=IDENTITY)
     assert path.action - plain.action == pytest.approx(F(1, 1.0) - F(0, 0.2), abs=IDENTITY)
     shift = path.t * path.x[0] ** 2 - 2 * path.x[0]  # ∂F/∂x
     np.testing.assert_allclose(path.momentum[0] - plain.momentum[0], shift, rtol=0, atol=10 * IDENTITY)
@@ -150,7 +150,10 @@ def test_adding_a_total_derivative_moves_the_path_where_the_quadrature_is_not_ex
     method = cg.Galerkin(4)  # Gauss(4) is exact to degree 7, dF/dt has 12
     plain = cg.solve(cg.BoundaryProblem(pendulum, (0, 1), [0.2], [1.0]), method, intervals=1)
     moved = cg.BoundaryProblem(lambda t, x, v: pendulum(t, x, v) + gauge(t, x, v), (0, 1), [0.2], [1.0])
-    assert np.max(np.abs(cg.solve(moved, method, intervals=1).path.values - plain.path.values)) > 1e3 * IDENTITY
+    assert (
+        np.max(np.abs(cg.solve(moved, method, intervals=1).polynomial.values - plain.polynomial.values))
+        > 1e3 * IDENTITY
+    )
 
 
 @pytest.mark.parametrize(
@@ -179,18 +182,18 @@ def test_parabolas_are_reproduced_on_any_mesh(degree, rule, name):
     t = ca.SX.sym("t")
     exact = ca.Function("exact", [t], [ca.vertcat(*scene.path(t))])
     times = np.linspace(a, b, 40)
-    np.testing.assert_allclose(path.path(times), np.array(exact(times[None, :])), rtol=0, atol=IDENTITY * 5)
+    np.testing.assert_allclose(path(times), np.array(exact(times[None, :])), rtol=0, atol=IDENTITY * 5)
 
 
 def test_degree_one_does_not_reproduce_the_parabola_between_the_joints():
     path = cg.solve(cg.BoundaryProblem(gravity, (0, 2), [0, 0], [6, 1]), cg.Galerkin(1), intervals=4)
-    assert abs(path.path(0.25)[1] - (10.31 * 0.25 - 9.81 * 0.25**2 / 2)) > 0.1
+    assert abs(path(0.25)[1] - (10.31 * 0.25 - 9.81 * 0.25**2 / 2)) > 0.1
 
 
 def test_time_reversal_is_exact_for_symmetric_rules():
     forth = cg.solve(cg.BoundaryProblem(pendulum, (0, 1), [0.2], [1.0]), cg.Galerkin(3), intervals=5)
     back = cg.solve(cg.BoundaryProblem(pendulum, (0, 1), [1.0], [0.2]), cg.Galerkin(3), intervals=5)
-    np.testing.assert_allclose(back.path.values, forth.path.values[:, ::-1], rtol=0, atol=IDENTITY)
+    np.testing.assert_allclose(back.polynomial.values, forth.polynomial.values[:, ::-1], rtol=0, atol=IDENTITY)
     np.testing.assert_allclose(back.momentum, -forth.momentum[:, ::-1], rtol=0, atol=IDENTITY)
 
 

@@ -118,7 +118,7 @@ def test_figure_eight_is_a_choreography(scene):
     module = scene("figure_eight")
     path = module.main()
     times = np.linspace(0, module.PERIOD, 61)[:-1]
-    curves = module.bodies(path.path(times))
+    curves = module.bodies(path(times))
     for follower, shift in ((1, 20), (2, 40)):
         distances = [np.max(np.abs(np.roll(curves[k], -shift, axis=-1) - curves[0])) for k in (follower, 3 - follower)]
         assert min(distances) < PUBLISHED

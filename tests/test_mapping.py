@@ -2,7 +2,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadi_galerkin import mapping
+from casadi_galerkin.functional import mapping
 
 x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
 INSIDE = ca.Function("inside", [x], [ca.sin(x[0]) * x[1]], {"never_inline": True})
@@ -22,7 +22,7 @@ def test_rows_give_what_the_points_give(count, shared, called, monkeypatch):
     monkeypatch.setattr(mapping, "ROW", 5)
     f, random = function(called), np.random.default_rng(count)
     at = random.uniform(size=(2, count)), np.array([[1.7]]) if shared else random.uniform(size=(1, count))
-    rows, points = mapping.vectorised(f, count, shared), mapping.mapped(f, count, shared)
+    rows, points = mapping.by_rows(f, count, shared), mapping.one_by_one(f, count, shared)
     assert rows.name_in() == ["x", "p"]
     assert rows.name_out() == ["a", "b", "c"]
     for row, point in zip(rows.call(at), points.call(at), strict=True):
@@ -33,7 +33,7 @@ def test_rows_can_be_differentiated(monkeypatch):
     monkeypatch.setattr(mapping, "ROW", 5)
     f, count, at = function(), 13, np.random.default_rng(1).uniform(size=(2, 13))
     jacobians = []
-    for over in (mapping.vectorised, mapping.mapped):
+    for over in (mapping.by_rows, mapping.one_by_one):
         values, parameter = ca.MX.sym("x", 2, count), ca.MX.sym("p")
         jacobian = ca.jacobian(ca.sum2(over(f, count, (1,))(values, parameter)[0]), ca.veccat(values, parameter))
         jacobians.append(np.array(ca.Function("j", [values, parameter], [jacobian])(at, 1.7)))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import casadi_galerkin as cg
-from casadi_galerkin.nodes import barycentric_weights, differentiation_matrix, lagrange_values
+from casadi_galerkin.calculus.nodes import barycentric_weights, differentiation_matrix, lagrange_values
 
 FAMILIES = [cg.lobatto_points, cg.chebyshev_points, cg.equispaced_points]
 STABLE = FAMILIES[:2]

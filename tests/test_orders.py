@@ -94,7 +94,7 @@ def errors(problem, exact, method, intervals):
     t = np.linspace(*problem.t_span, 1001)
     xs, vs, _ = (np.array(values) for values in exact(t[None, :]))
     mean = lambda *parts: np.sqrt(sum(np.mean(part**2) for part in parts))  # noqa: E731
-    return mean(path.x - x, path.momentum - p), mean(path.path(t) - xs), mean(path.path(t, 1) - vs)
+    return mean(path.x - x, path.momentum - p), mean(path(t) - xs), mean(path(t, 1) - vs)
 
 
 def slopes(problem, exact, method, densities):
@@ -176,7 +176,7 @@ class Polished:
         self.m, self.h, self.partials = m, mpmath.mpf(SPAN) / intervals, PARTIALS[name]
         self.nodes = [mpmath.mpf(c) for c in (0, *method.control_points, 1)]
         self.points = [(w, *basis(self.nodes, q)) for q, w in exact_rule(family, n)]
-        self.x = [mpmath.mpf(value) for value in path.path.values[0]]
+        self.x = [mpmath.mpf(value) for value in path.polynomial.values[0]]
         for turn in range(3):  # 1e-13, 1e-26, 1e-52
             gradient, hessian = self.equations()
             step = mpmath.lu_solve(hessian[1:-1, 1:-1], -gradient[1:-1, 0])

@@ -42,7 +42,7 @@ def test_a_problem_made_of_a_lambda_is_solved_to_the_same_bits(problem):
         assert getattr(copy, name) == getattr(problem, name)
     method = cg.Galerkin(4)
     ours, theirs = (cg.solve(each, method, 8) for each in (problem, copy))
-    np.testing.assert_array_equal(theirs.path.values, ours.path.values)
+    np.testing.assert_array_equal(theirs.polynomial.values, ours.polynomial.values)
     np.testing.assert_array_equal(theirs.momentum, ours.momentum)
     assert theirs.action == ours.action
 
@@ -91,7 +91,7 @@ def test_a_path_keeps_everything(used):
         assert getattr(copy, name) == getattr(path, name)
     times = np.linspace(0, 2, 31)
     for order in (0, 1, 2):
-        np.testing.assert_array_equal(copy.path(times, order), path.path(times, order))
+        np.testing.assert_array_equal(copy(times, order), path(times, order))
     assert str(copy) == str(path)
     np.testing.assert_array_equal(cg.sensitivity(copy).end, cg.sensitivity(path).end)
 
@@ -132,8 +132,8 @@ def test_an_error_keeps_its_reason_and_the_attached_path(build):
     assert str(copy) == str(error)
     assert (copy.residual, copy.iterations) == (error.residual, error.iterations)
     assert error.path is not None
-    np.testing.assert_array_equal(copy.path.values, error.path.values)
-    np.testing.assert_array_equal(copy.path.mesh, error.path.mesh)
+    np.testing.assert_array_equal(copy.path.polynomial.values, error.path.polynomial.values)
+    np.testing.assert_array_equal(copy.path.t, error.path.t)
 
 
 def test_a_sweep_with_failures_keeps_both_kinds():
@@ -149,7 +149,7 @@ def test_a_sweep_with_failures_keeps_both_kinds():
 def test_a_solution_function_is_pickled_with_its_derivatives():
     path = cg.solve(swing(), cg.Galerkin(4), 8)
     f = cg.solution_function(swing(), cg.Galerkin(4), 8)
-    given = {"start": [0.1], "end": [1.0], "parameters": [0.9, 0.5], "guess": path.path.values}
+    given = {"start": [0.1], "end": [1.0], "parameters": [0.9, 0.5], "guess": path.polynomial.values}
     for one, other in ((f, there_and_back(f)), (f.jacobian(), there_and_back(f).jacobian())):
         for name, value in one(**given).items():
             np.testing.assert_array_equal(np.array(other(**given)[name]), np.array(value))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import casadi_galerkin as cg
-from casadi_galerkin.plotting import COLORS
+from casadi_galerkin.solution.plotting import COLORS
 
 
 @pytest.fixture(autouse=True)
@@ -45,7 +45,7 @@ def test_path_is_drawn_with_names_units_and_joints():
     assert axes.get_ylabel() == "width in m, height in m"
     lines = axes.get_lines()
     for i in (0, 1):
-        np.testing.assert_array_equal(lines[2 * i].get_ydata(), path.path(lines[2 * i].get_xdata())[i])
+        np.testing.assert_array_equal(lines[2 * i].get_ydata(), path(lines[2 * i].get_xdata())[i])
         np.testing.assert_array_equal(lines[2 * i + 1].get_xydata(), np.stack((path.t, path.x[i]), axis=1))
         assert lines[2 * i].get_color() == lines[2 * i + 1].get_color() == COLORS[i]
 
@@ -145,7 +145,7 @@ def test_a_component_that_is_not_there_is_refused(component):
 def test_pattern_shows_every_nonzero_of_the_hessian():
     transcription = planar()
     axes = transcription.plot_hessian()
-    size = transcription.layout.free
+    size = transcription.numbering.free
     shown = np.zeros((size, size), dtype=bool)
     columns, rows = axes.get_lines()[0].get_xydata().T.astype(int)
     shown[rows, columns] = True
@@ -176,7 +176,7 @@ def test_animation_moves_the_mechanism_along_the_path(tmp_path):
     bars = movie._fig.axes[0].get_lines()[1]  # as the last frame left them
     np.testing.assert_allclose(bars.get_xydata(), [[0, 0], [1, 0.5]], atol=1e-14)
     trail = movie._fig.axes[0].get_lines()[0].get_xydata()
-    np.testing.assert_array_equal(trail, path.path(np.linspace(0, 1, 10)).T)
+    np.testing.assert_array_equal(trail, path(np.linspace(0, 1, 10)).T)
     assert movie._fig.axes[0].get_title() == "t = 1.00"
 
 

@@ -46,13 +46,13 @@ def test_troeschs_slopes(scene):
 def test_the_layer_is_resolved(scene):
     module, path, _ = scene("boundary_layer")
     times = np.logspace(-7, 0, 1000)
-    np.testing.assert_allclose(path.path(times)[0], module.exact(times), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(path(times)[0], module.exact(times), rtol=0, atol=1e-9)
     assert np.count_nonzero(path.t < 10 * module.THICKNESS) > 2
 
 
 def test_the_comet_goes_round_the_sun(scene):
     module, path, _ = scene("near_collision")
-    np.testing.assert_allclose(path.path(0.0), [1 - module.ECCENTRICITY, 0], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(path(0.0), [1 - module.ECCENTRICITY, 0], rtol=0, atol=1e-9)
     np.testing.assert_allclose(path.energy, -0.5, rtol=0, atol=1e-8)
 
 

@@ -1,4 +1,4 @@
-"""What is kept between solves of one layout does not leak from one solve into another."""
+"""What is kept between solves of one numbering does not leak from one solve into another."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -58,7 +58,7 @@ QUADRATIC = {
 
 @pytest.mark.parametrize("name", QUADRATIC)
 def test_a_quadratic_lagrangian_takes_its_hessian_from_the_data_of_each_solve(name):
-    """The Hessian is evaluated once a solve, and shared in memory by all problems of a layout."""
+    """The Hessian is evaluated once a solve, and belongs to that solve."""
 
     def problem(p):
         return cg.BoundaryProblem(QUADRATIC[name], (0.0, 1.5), [0.0, 1.0], [1.0, -1.0], parameters=[p])
@@ -74,17 +74,17 @@ def test_a_quadratic_lagrangian_takes_its_hessian_from_the_data_of_each_solve(na
 
     def path_of(p, mesh):
         tr = cg.transcribe(problem(p), cg.Galerkin(3), mesh=mesh)
-        assert tr.system.quadratic
+        assert tr.stationarity.quadratic
         data = tr.data(tr.mesh)
-        gradient, hessian = (np.array(f(np.zeros(tr.layout.free), *data)) for f in (tr.gradient, tr.hessian))
-        return tr.values(-np.linalg.solve(hessian, gradient).ravel(), data).T
+        gradient, hessian = (np.array(f(np.zeros(tr.numbering.free), *data)) for f in (tr.gradient, tr.hessian))
+        return tr.emb(-np.linalg.solve(hessian, gradient).ravel(), data).values
 
     even, graded = np.linspace(0, 1.5, 6), 1.5 * np.linspace(0, 1, 6) ** 2
     tr, between = cg.transcribe(problem(0.3), cg.Galerkin(3), 5), cg.transcribe(other(9.81), cg.Galerkin(3), 5)
     for p, mesh in ((0.3, even), (0.7, even), (0.7, graded), (0.3, even)):
         path = tr.solve(parameters=[p], mesh=mesh)
         assert path.iterations == 2
-        np.testing.assert_allclose(path.path.values, path_of(p, mesh), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(path.polynomial.values, path_of(p, mesh), rtol=0, atol=1e-12)
         between.solve()
 
 
@@ -95,14 +95,13 @@ def test_a_lagrangian_that_is_not_quadratic_has_a_hessian_at_every_path():
         lambda t, x, v: v[0] ** 2 - x[0] ** 3,
     ):
         problem = cg.BoundaryProblem(lagrangian, (0.0, 1.0), [0.0], [1.0])
-        assert not cg.transcribe(problem, cg.Galerkin(2), 2).system.quadratic
+        assert not cg.transcribe(problem, cg.Galerkin(2), 2).stationarity.quadratic
 
 
 def test_the_joints_that_paths_and_transcriptions_share_cannot_be_written_to():
     tr = swing(1.0)
     path = tr.solve()
-    for joints in (tr.mesh, path.path.mesh):
+    for joints in (tr.mesh, path.t):
         with pytest.raises(ValueError, match="read-only"):
             joints[3] += 0.01
-    path.t[3] += 0.01  # the answer's own
     np.testing.assert_array_equal(tr.solve().t, np.linspace(0.0, 1.0, 21))

@@ -36,7 +36,7 @@ def numbers(path):
     fixed = {name: [value for value in getattr(problem, name) if value is not None] for name in ("start", "end")}
     given = {name: values for name, values in fixed.items() if values}
     given |= {} if problem.parameters is None else {"parameters": list(problem.parameters)}
-    return given | {"guess": path.path.values}
+    return given | {"guess": path.polynomial.values}
 
 
 def dense(value):
@@ -80,7 +80,7 @@ def test_function_without_parameters_on_a_periodic_path_has_the_guess_only():
     f, path = solved(cg.BoundaryProblem(forced, (0.0, 2 * np.pi), [None], periodic=True))
     assert [f.name_in(i) for i in range(f.n_in())] == ["guess"]
     exact = 0.8 * np.cos(path.t)[None, :]
-    np.testing.assert_allclose(f(path.path.values)[0], exact, rtol=0, atol=1e-9)  # N = 10 on a whole period
+    np.testing.assert_allclose(f(path.polynomial.values)[0], exact, rtol=0, atol=1e-9)  # N = 10 on a whole period
 
 
 def test_graded_meshes_are_taken_over():
@@ -94,7 +94,7 @@ def test_graded_meshes_are_taken_over():
 @pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
 def test_data_of_any_size_are_solved_to_roundoff(unit):
     f, path = solved(spring())
-    x = f(start=[0.4 * unit], end=[unit], parameters=[1.0, RATE**2], guess=path.path.values)["x"]
+    x = f(start=[0.4 * unit], end=[unit], parameters=[1.0, RATE**2], guess=path.polynomial.values)["x"]
     np.testing.assert_allclose(x, unit * path.x, rtol=0, atol=SAME * unit)
 
 
@@ -144,7 +144,7 @@ def derivatives(data, answer, order):
 
 def test_jacobian_is_that_of_the_closed_form():
     f, path = solved(spring())
-    ours = derivatives(*at_data(f, path.path.values), order=1)
+    ours = derivatives(*at_data(f, path.polynomial.values), order=1)
     for got, expected in zip(ours, derivatives(*closed_form(path.t), order=1), strict=True):
         np.testing.assert_allclose(got, expected, rtol=0, atol=AGREEMENT)
         assert np.abs(expected).max() > 0.1
@@ -152,7 +152,7 @@ def test_jacobian_is_that_of_the_closed_form():
 
 def test_jacobian_by_the_ends_is_propagated_by_the_state_transition_matrix():
     f, path = solved(spring())
-    dx, dp, _ = derivatives(*at_data(f, path.path.values), order=1)
+    dx, dp, _ = derivatives(*at_data(f, path.polynomial.values), order=1)
     states = np.stack([value.reshape(4, -1)[:2] for value in (dx, dp)])  # (x or p, by which end, joint)
     for i, t in enumerate(path.t):
         c, s = np.cos(RATE * t), np.sin(RATE * t)
@@ -163,7 +163,7 @@ def test_jacobian_by_the_ends_is_propagated_by_the_state_transition_matrix():
 
 def test_second_derivatives_are_those_of_the_closed_form():
     f, path = solved(spring())
-    ours = derivatives(*at_data(f, path.path.values), order=2)
+    ours = derivatives(*at_data(f, path.polynomial.values), order=2)
     for got, expected in zip(ours, derivatives(*closed_form(path.t), order=2), strict=True):
         np.testing.assert_allclose(got, expected, rtol=AGREEMENT, atol=AGREEMENT)
 
@@ -261,10 +261,10 @@ def test_function_survives_serialisation_with_its_derivatives(swing):
 def test_function_maps_over_many_data():
     f, path = solved(spring(), 4, 6)
     ends = np.linspace(0.5, 2.0, 7)[None, :]
-    repeated = [ca.repmat(ca.DM(path.path.values), 1, 7)]
+    repeated = [ca.repmat(ca.DM(path.polynomial.values), 1, 7)]
     many = f.map(7)(np.full((1, 7), 0.4), ends, np.tile([[1.0], [RATE**2]], (1, 7)), *repeated)[0]
     for k, x in enumerate(np.split(np.array(many), 7, axis=1)):
-        one = f(start=[0.4], end=[ends[0, k]], parameters=[1.0, RATE**2], guess=path.path.values)["x"]
+        one = f(start=[0.4], end=[ends[0, k]], parameters=[1.0, RATE**2], guess=path.polynomial.values)["x"]
         np.testing.assert_array_equal(x, np.array(one))
 
 
@@ -281,7 +281,7 @@ def bratu():
 @pytest.mark.parametrize("rate", [3.514, 3.6, 10.0])
 def test_without_a_solution_every_output_is_nan(rate, capfd):
     f, path = solved(bratu())
-    result = f(start=[0], end=[0], parameters=[rate], guess=path.path.values)
+    result = f(start=[0], end=[0], parameters=[rate], guess=path.polynomial.values)
     assert all(np.isnan(dense(value)).all() for value in result.values())
     assert capfd.readouterr() == ("", "")
 
@@ -289,13 +289,13 @@ def test_without_a_solution_every_output_is_nan(rate, capfd):
 def test_just_below_the_critical_value_there_is_a_solution():
     f, path = solved(bratu())
     near = cg.solve(bratu().varied((0.0, 1.0), (0.0,), (0.0,), (3.51,)), cg.Galerkin(8), 10)
-    result = f(start=[0], end=[0], parameters=[3.51], guess=path.path.values)
+    result = f(start=[0], end=[0], parameters=[3.51], guess=path.polynomial.values)
     np.testing.assert_allclose(result["x"], near.x, rtol=0, atol=1e-9)  # next to the fold, condition number 1e3
 
 
 def test_guess_that_is_not_finite_gives_nan(swing, capfd):
     f, path = swing
-    result = f(**{**numbers(path), "guess": np.full(path.path.values.shape, np.nan)})
+    result = f(**{**numbers(path), "guess": np.full(path.polynomial.values.shape, np.nan)})
     assert all(np.isnan(dense(value)).all() for value in result.values())
     assert capfd.readouterr() == ("", "")
 
@@ -303,7 +303,7 @@ def test_guess_that_is_not_finite_gives_nan(swing, capfd):
 def test_domain_left_gives_nan(capfd):
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.log(x[0]), (0.0, 1.0), [1.0], [2.0])
     f, path = solved(problem)
-    result = f(start=[-1], end=[2], guess=path.path.values)
+    result = f(start=[-1], end=[2], guess=path.polynomial.values)
     assert all(np.isnan(dense(value)).all() for value in result.values())
     assert capfd.readouterr() == ("", "")
 

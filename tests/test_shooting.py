@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import casadi_galerkin as cg
-from casadi_galerkin.precision import EPS
-from casadi_galerkin.shooting import MISS, Shooting, _met, chain
+from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.stepping.shooting import MISS, Shooting, _met, chain
 
 SAME = 1e-12  # the same discrete equations solved in two ways; conditions below 100
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import casadi_galerkin as cg
-from casadi_galerkin.stepping import PIECE
+from casadi_galerkin.stepping.stepper import PIECE
 
 DIGITS = 1e-14  # values of size 0.4 after 10 steps, computed in 40 digits
 SAME = 1e-13  # two ways of solving the same equations, relative to the path's size
@@ -106,7 +106,9 @@ def test_steps_are_the_global_solution_between_the_same_ends(scene, degree):
     for ours, theirs in ((stepped.x, whole.x), (stepped.momentum, whole.momentum)):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=SAME * np.max(np.abs(theirs)))
     assert stepped.action == pytest.approx(whole.action, rel=SAME, abs=SAME)
-    np.testing.assert_allclose(stepped.path.values, whole.path.values, rtol=0, atol=SAME * np.max(np.abs(whole.x)))
+    np.testing.assert_allclose(
+        stepped.polynomial.values, whole.polynomial.values, rtol=0, atol=SAME * np.max(np.abs(whole.x))
+    )
 
 
 @pytest.mark.parametrize("rule", [cg.gauss(4), cg.gauss(6), cg.lobatto(4), cg.lobatto(5), cg.radau(5)], ids=str)
@@ -126,7 +128,7 @@ def test_control_points_do_not_move_the_steps():
     )
     np.testing.assert_array_equal(lobatto.x, chebyshev.x)
     times = np.linspace(0, 1, 37)
-    np.testing.assert_allclose(lobatto.path(times), chebyshev.path(times), rtol=0, atol=SAME)
+    np.testing.assert_allclose(lobatto(times), chebyshev(times), rtol=0, atol=SAME)
 
 
 # degree, rule, order, intervals that show it above roundoff
@@ -252,7 +254,7 @@ def test_a_lagrangian_that_depends_on_time_reaches_its_exact_end():
     problem = cg.InitialProblem(damped, (0, 1), [1.0], velocity=[0.62075482816197670])
     path = cg.solve(problem, cg.Galerkin(8), intervals=8)
     assert path.x[0, -1] == pytest.approx(0, abs=2e-15)
-    assert path.path(0.5)[0] == pytest.approx(0.80683882876568644, abs=2e-15)
+    assert path(0.5)[0] == pytest.approx(0.80683882876568644, abs=2e-15)
 
 
 @pytest.mark.parametrize("intervals", [1, 2, PIECE, PIECE + 1, 2 * PIECE + 3])
@@ -266,8 +268,8 @@ def test_any_number_of_steps_is_the_same_as_one_after_the_other(intervals):
         rest = cg.InitialProblem(pendulum, (mesh[half], mesh[-1]), first.x[:, -1], first.momentum[:, -1])
         second = cg.solve(rest, cg.Galerkin(3), mesh=mesh[half:])
         np.testing.assert_allclose(second.x, whole.x[:, half:], rtol=0, atol=SAME)
-    assert whole.path.values.shape == (1, 3 * intervals + 1)
-    assert whole.path.values[0, ::3].tolist() == whole.x[0].tolist()
+    assert whole.polynomial.values.shape == (1, 3 * intervals + 1)
+    assert whole.polynomial.values[0, ::3].tolist() == whole.x[0].tolist()
 
 
 def test_momentum_and_velocity_start_the_same_path_when_momentum_is_nonlinear_in_velocity():
@@ -370,7 +372,7 @@ def test_a_collision_names_the_step_and_its_time_and_keeps_the_path_before_it():
     problem = cg.InitialProblem(kepler, (0, 2), [1.0, 0.0], velocity=[0.0, 0.0])  # falls in at t = π / √8 = 1.11
     with pytest.raises(cg.ConvergenceError, match=r"step 56 of 100, from t = 1.1 to 1.12, was not solved") as caught:
         cg.solve(problem, cg.Galerkin(4), intervals=100)
-    assert caught.value.path.mesh[-1] == pytest.approx(1.1)
+    assert caught.value.path.t[-1] == pytest.approx(1.1)
     assert not caught.value.residual <= 50
 
 

@@ -64,7 +64,7 @@ def identical(one, other):
     for a, b in zip(one, other, strict=True):
         assert type(a) is type(b)
         if isinstance(a, cg.Trajectory):
-            np.testing.assert_array_equal(a.path.values, b.path.values)
+            np.testing.assert_array_equal(a.polynomial.values, b.polynomial.values)
             assert (a.action, a.problem.start, a.problem.parameters) == (
                 b.action,
                 b.problem.start,
@@ -174,7 +174,7 @@ def test_a_process_pool_takes_ends_spans_guesses_and_tolerances(pool):
 def test_chunks_hold_everything_once_whatever_their_order_of_arrival(count, monkeypatch):
     from importlib import import_module
 
-    module = import_module("casadi_galerkin.sweep")
+    module = import_module("casadi_galerkin.studies.sweep")
     monkeypatch.setattr(module, "_answer", lambda solver, variation: variation["parameters"][0])
     executor = Recorder()
     size = min(50, -(-count // 64))
@@ -189,7 +189,7 @@ def test_chunks_hold_everything_once_whatever_their_order_of_arrival(count, monk
 def test_a_worker_builds_one_graph_for_all_its_chunks(monkeypatch):
     from importlib import import_module
 
-    module = import_module("casadi_galerkin.sweep")
+    module = import_module("casadi_galerkin.studies.sweep")
     built, transcribe = [], module.transcribe
     monkeypatch.setattr(module, "transcribe", lambda *given: built.append(1) or transcribe(*given))
     module._unpickled.cache_clear()
@@ -235,7 +235,7 @@ def test_threads_are_refused():
 def test_a_variation_that_does_not_fit_is_named_before_any_solve(variation, error, message, monkeypatch):
     from importlib import import_module
 
-    module = import_module("casadi_galerkin.sweep")
+    module = import_module("casadi_galerkin.studies.sweep")
     monkeypatch.setattr(module, "transcribe", lambda *given: pytest.fail("built before the input was checked"))
     with pytest.raises(error, match=message):
         cg.sweep(bratu(), [{}, variation], METHOD, INTERVALS)

@@ -9,7 +9,7 @@ import pytest
 from control_problems import double_integrator, pendulum_in_three
 
 import casadi_galerkin as cg
-from casadi_galerkin.trade_table import Row
+from casadi_galerkin.studies.trade_table import Row
 
 INTERVALS = (4, 8, 16, 32)
 BAND = 0.2  # of a fitted order
@@ -57,7 +57,7 @@ def test_errors_are_those_of_a_fresh_solve(oscillator, measured):
     worst = measured.rows[4]
     path = cg.solve(oscillator, worst.method, worst.intervals)
     at = np.linspace(0, 2, 4001)
-    between, joints = np.abs(path.path(at)[0] - np.sin(at)), np.abs(path.x[0] - np.sin(path.t))
+    between, joints = np.abs(path(at)[0] - np.sin(at)), np.abs(path.x[0] - np.sin(path.t))
     assert worst.error == pytest.approx(between.max(), rel=1e-3, abs=0)  # both sample a curve's maximum
     assert worst.joint_error == pytest.approx(joints.max(), rel=1e-5, abs=0)  # the component's size is 1
 
@@ -94,7 +94,7 @@ def test_fresh_solve_with_the_cheapest_method_meets_the_tolerance(pendulum, tol)
     chosen = cg.trade(pendulum, [cg.Galerkin(m) for m in (2, 4, 8)], (2, 4, 8, 16)).cheapest(tol)
     path = cg.solve(pendulum, chosen.method, chosen.intervals)
     fine = cg.solve(pendulum, cg.Galerkin(14), 12)
-    assert np.max(np.abs(path.path(TIMES) - fine.path(TIMES))) <= tol
+    assert np.max(np.abs(path(TIMES) - fine(TIMES))) <= tol
 
 
 def test_failed_cells_stay_with_their_reason():
@@ -143,7 +143,7 @@ def test_an_empty_grid_is_refused(pendulum):
 def test_what_does_not_fit_is_refused_before_any_cell(
     pendulum, methods, intervals, changes, error, message, monkeypatch
 ):
-    module = import_module("casadi_galerkin.trade")
+    module = import_module("casadi_galerkin.studies.trade")
     monkeypatch.setattr(module, "_first", lambda *given: pytest.fail("solved before the input was checked"))
     with pytest.raises(error, match=message):
         cg.trade(pendulum, methods, intervals, **changes)
@@ -176,7 +176,7 @@ def free(t, x, v):
     ids=["components", "span", "parameters", "scalar", "length", "nan", "text", "no path"],
 )
 def test_a_reference_that_does_not_fit_is_refused_before_any_cell(reference, error, message, monkeypatch):
-    module = import_module("casadi_galerkin.trade")
+    module = import_module("casadi_galerkin.studies.trade")
     monkeypatch.setattr(module, "_first", lambda *given: pytest.fail("solved before the reference was checked"))
     problem = cg.BoundaryProblem(free, (0.0, 1.0), [0.0, 0.0], [1.0, 1.0])
     with pytest.raises(error, match=message):

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 import casadi_galerkin as cg
-from casadi_galerkin.nodes import differentiation_matrix, lagrange_values
+from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -72,8 +72,8 @@ SCENES = {
 def ours(scene, intervals):
     """Build and solve with this package: cost and number of unknowns."""
     module, _, degree, quadrature, guess, *_ = SCENES[scene]
-    program = cg.transcribe_control(module.problem(), cg.Galerkin(degree, quadrature=quadrature), intervals)
-    return program.solve(guess=guess).cost, program.layout.unknowns
+    program = cg.transcribe(module.problem(), cg.Galerkin(degree, quadrature=quadrature), intervals)
+    return program.solve(guess=guess).cost, program.numbering.unknowns
 
 
 def by_hand(scene, intervals):

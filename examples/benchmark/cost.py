@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 import casadi_galerkin as cg
-from casadi_galerkin import algebra, layout, operators, stages
+from casadi_galerkin import algebra, numbering, operators, stages
 
 ECCENTRICITY, START = 0.6, (0.4, 0.0)  # from the pericentre, unit semi-major axis
 SMALL, REPEATS = 20, 15  # intervals of the small problem, runs of which the best counts
@@ -79,9 +79,9 @@ def arc(strength=1.0):
 
 
 def forget():
-    """Drop the graphs that depend on the layout alone."""
+    """Drop the graphs that depend on the numbering alone."""
     for kept in (
-        layout.kept,
+        numbering.kept,
         operators.embedding,
         operators.embedded,
         operators.boundary_terms,
@@ -97,8 +97,8 @@ def forget():
 def overhead(ledger, degree):
     """Milliseconds (outside, evaluating) of three kinds of solve.
 
-    The first of a Lagrangian, whose layout (method, intervals, which ends are fixed) was used before by another one;
-    the first of its layout; and one repeated with the same transcription.
+    The first of a Lagrangian, whose numbering (method, intervals, which ends are fixed) was used before by another one;
+    the first of its numbering; and one repeated with the same transcription.
     """
     method = cg.Galerkin(degree)
     cg.solve(arc(), method, SMALL)
@@ -110,18 +110,18 @@ def overhead(ledger, degree):
         transcription = cg.transcribe(arc(), method, SMALL)
         transcription.solve()
         again.append(ledger.outside(transcription.solve))
-    return {"first solve": min(known), "first of its layout": min(new), "repeated solve": min(again)}
+    return {"first solve": min(known), "first of its numbering": min(new), "repeated solve": min(again)}
 
 
 def stepper(intervals, degree=4):
     """A callable of one ∇S and ∇²S and one factorisation with solution."""
     transcription = cg.transcribe(arc(), cg.Galerkin(degree), intervals)
     point = transcription.critical_point()
-    system, unknowns = transcription.system, point.solution.unknowns
+    unknowns = point.solution.unknowns
 
     def step():
-        (gradient,) = system.evaluate("derivatives", unknowns, point.data)
-        system.solve(gradient)
+        with transcription.stationarity.linearization() as at:
+            at.solve(at.relinearize(unknowns, point.data))
 
     return step
 
@@ -147,7 +147,7 @@ def floor(intervals=SIZES[-1], degree=4):
     path = cg.solve(arc(), cg.Galerkin(degree), intervals)
     seconds = time.perf_counter() - began
     times = np.linspace(0, 1, 1001)
-    error = np.max(np.abs(path.path(times) - np.stack([exact(t) for t in times], axis=1)))
+    error = np.max(np.abs(path(times) - np.stack([exact(t) for t in times], axis=1)))
     unit = 1024**3 if sys.platform == "darwin" else 1024**2
     return seconds, error, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit, path
 

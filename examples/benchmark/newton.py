@@ -13,13 +13,13 @@ import time
 
 import casadi as ca
 import numpy as np
+from casadi_galerkin.mapping import compiled
 from scipy.linalg import lapack
 
 import casadi_galerkin as cg
-from casadi_galerkin.layout import clock
-from casadi_galerkin.mapping import compiled
-from casadi_galerkin.operators import embedding
-from casadi_galerkin.stages import Evaluator
+from casadi_galerkin.functional.embedding import embedding
+from casadi_galerkin.functional.numbering import clock
+from casadi_galerkin.solvers.buffers import Evaluator
 
 SIZES, DEGREES = (100, 1000, 10_000), (2, 4, 8)
 TURNS, SECONDS = 5, 0.3  # in which all are timed one after the other, and what one takes at least in all of them
@@ -94,8 +94,11 @@ def banded(transcription, unknowns, data):
 def points(transcription, unknowns, data):
     """A callable: both derivatives at all points, compiled in C."""
     functional = transcription.functional
-    at = (*clock(functional.layout, data[2]), *embedding(functional.layout)(np.concatenate((unknowns, *data[:2]))))
-    loop = Evaluator(compiled(functional.pointwise.derivatives, functional.layout.points, ()))
+    at = (
+        *clock(functional.numbering, data[2]),
+        *embedding(functional.numbering)(np.concatenate((unknowns, *data[:2]))),
+    )
+    loop = Evaluator(compiled(functional.pointwise.derivatives, functional.numbering.points, ()))
     given = [np.array(a).ravel(order="F") for a in at]
     return lambda: loop(*given)
 

@@ -29,8 +29,8 @@ import scipy
 from scipy.integrate import solve_bvp
 
 import casadi_galerkin as cg
-from casadi_galerkin.calculus import DiscreteCalculus
-from casadi_galerkin.nodes import differentiation_matrix, lagrange_values
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
+from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 
 ERRORS = (1e-6, 1e-9, 1e-12)
 DEGREES = (4, 5, 6, 8, 10, 12, 15, 20)
@@ -212,9 +212,9 @@ def truth(case):
         for degree in (18, 20)
     ]
     times = case.mesh(400)
-    difference = np.max(np.abs(paths[0].path(times) - paths[1].path(times)))
+    difference = np.max(np.abs(paths[0](times) - paths[1](times)))
     print(f"{case.name}: two reference solutions differ by {difference:.1e}")
-    return paths[1].path
+    return paths[1]
 
 
 def inside(mesh):
@@ -367,7 +367,7 @@ def smallest(case, exact):
             except cg.ConvergenceError:
                 continue
             times = inside(path.t)
-            difference = relative(path.path(times), exact(times))
+            difference = relative(path(times), exact(times))
             while missing and difference <= missing[0]:
                 found[missing.pop(0)].append((degree, intervals))
             if not missing:
@@ -438,7 +438,7 @@ def draw(figures, name):
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    from casadi_galerkin.plotting import COLORS
+    from casadi_galerkin.solution.plotting import COLORS
 
     names = list(dict.fromkeys(problem for problem, _ in figures))
     figure, panels = plt.subplots(1, len(names), figsize=(2.2 * len(names), 2.8), sharey=True, layout="constrained")

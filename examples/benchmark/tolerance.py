@@ -120,7 +120,7 @@ def kepler(eccentricity):
 def reference(case):
     """Give a case without a closed form a path of degree 20 on 60 intervals as its exact one."""
     problem = cg.BoundaryProblem(case.lagrangian, case.span, *case.ends)
-    path = cg.solve(problem, cg.Galerkin(20), 60).path
+    path = cg.solve(problem, cg.Galerkin(20), 60)
     case.exact = path
     return case
 
@@ -245,13 +245,13 @@ def row(case, tol):
         path = case.galerkin(tol)
     except cg.ConvergenceError:
         return {"case": case.name, "tol": tol, "error": np.nan, **dict.fromkeys(SHOWN, np.nan)}
-    error = case.error(path.path, path.t)
+    error = case.error(path, path.t)
     problem = cg.BoundaryProblem(case.lagrangian, case.span, *case.ends)
     built = cg.transcribe(problem, path.method, mesh=path.t)
     scipy_tol = matched(case, max(error, FLOOR), tol)
     times = {key: [] for key in SHOWN}
 
-    neighbour = 0.99 * path.path.values
+    neighbour = 0.99 * path.polynomial.values
     built.solve(guess=neighbour)
     for _ in range(REPEATS):
         forget()

@@ -1,0 +1,197 @@
+"""The two verbs, for every kind of problem: solve it, or build its graph to solve it often."""
+
+from __future__ import annotations
+
+from typing import overload
+
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.boundary.refinement import solve_to_tolerance
+from casadi_galerkin.boundary.transcription import Transcription, transcribed
+from casadi_galerkin.calculus.discrete_calculus import mesh_of
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.control.refinement import solve_control_to_tolerance
+from casadi_galerkin.control.transcription import ControlTranscription, check_solver, transcribed_control
+from casadi_galerkin.functional.mapping import one_by_one
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.initial_problem import InitialProblem
+from casadi_galerkin.problems.problem import check_types
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solution.limits import Limits
+from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solvers.solver import Solver, ipopt, newton
+from casadi_galerkin.stepping.initial_value import integrate
+
+
+@overload
+def solve(
+    problem: ControlProblem,
+    method: Galerkin | None = None,
+    intervals: int | None = None,
+    *,
+    tol: float | None = None,
+    mesh: ArrayLike | None = None,
+    guess: Guess | None = None,
+    solver: Solver | None = None,
+    limits: Limits | None = None,
+    verbose: int = 0,
+) -> ControlTrajectory: ...
+
+
+@overload
+def solve(
+    problem: BoundaryProblem | InitialProblem,
+    method: Galerkin | None = None,
+    intervals: int | None = None,
+    *,
+    tol: float | None = None,
+    mesh: ArrayLike | None = None,
+    guess: Guess | None = None,
+    solver: Solver | None = None,
+    limits: Limits | None = None,
+    verbose: int = 0,
+) -> Trajectory: ...
+
+
+def solve(
+    problem: BoundaryProblem | InitialProblem | ControlProblem,
+    method: Galerkin | None = None,
+    intervals: int | None = None,
+    *,
+    tol: float | None = None,
+    mesh: ArrayLike | None = None,
+    guess: Guess | None = None,
+    solver: Solver | None = None,
+    limits: Limits | None = None,
+    verbose: int = 0,
+) -> Trajectory:
+    """Solve a problem: with a fixed discretisation, or to a tolerance.
+
+    With `method` and `intervals` or `mesh`, this is `transcribe` followed by `Transcription.solve`.  With `tol`, the
+    degree and the mesh are chosen so that the estimated error of x, at the joints and between them and relative to
+    the largest value of each component, is at most `tol`; `method` then fixes the degree, and `intervals` or `mesh`
+    are where refinement begins.
+
+    An `InitialProblem` is solved step by step, with `method` and `intervals` or `mesh`; a `ControlProblem`, whose
+    answer is a ControlTrajectory, by IPOPT, with these or `tol`, and a `guess`.  Its `tol` bounds the relative errors
+    of cost and duration as well.
+
+    Parameters
+    ----------
+    problem : BoundaryProblem, InitialProblem or ControlProblem
+    method : Galerkin
+    intervals : number of equal intervals; or
+    mesh : (N + 1,) joints from t_span[0] to t_span[1]
+    tol : relative tolerance between 0 and 1; for boundary and control problems
+    guess : as for `Transcription.solve`; for boundary and control problems
+    solver : newton (the default), rootfinder, ipopt or minimizer for a BoundaryProblem, ipopt for a ControlProblem; each
+        also ``.with_options(...)``
+    limits : Limits that stop a refinement; only with `tol`
+    verbose : 1 prints a summary and, with `tol`, a line a level; 2 also the solver's lines
+
+    Examples
+    --------
+    >>> from casadi_galerkin import BoundaryProblem, Galerkin, solve
+    >>> problem = BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), start=[0.0], end=[1.0])
+    >>> path = solve(problem, Galerkin(degree=4), intervals=10)
+    >>> float(path(0.5)[0].round(6))
+    0.569747
+    """
+    if isinstance(problem, InitialProblem):
+        if guess is not None or tol is not None or limits is not None or solver is not None:
+            raise ValueError("an initial problem takes no tol, limits, guess or solver: it is solved step by step")
+        if method is None:
+            raise ValueError("give a method and intervals, got no method")
+        return integrate(problem, method, mesh_of(problem.t_span, intervals, mesh), verbose)
+    _check_limits(limits, tol)
+    if tol is not None:
+        path = _to_tolerance(problem, method, intervals, tol, mesh, guess, solver, limits or Limits(), verbose)
+        if verbose:
+            print(path)
+        return path
+    if method is None:
+        raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
+    if isinstance(problem, ControlProblem):
+        return transcribed_control(problem, method, intervals, mesh).solve(guess, solver or ipopt, verbose)
+    transcription = transcribed(problem, method, intervals, mesh, one_by_one)
+    return transcription.solve(guess=guess, solver=solver or newton, verbose=verbose)
+
+
+def _to_tolerance(
+    problem: BoundaryProblem | ControlProblem,
+    method: Galerkin | None,
+    intervals: int | None,
+    tol: float,
+    mesh: ArrayLike | None,
+    guess: Guess | None,
+    solver: Solver | None,
+    limits: Limits,
+    verbose: int,
+) -> Trajectory:
+    if isinstance(problem, ControlProblem):
+        check_solver(solver or ipopt)
+        return solve_control_to_tolerance(
+            problem, tol, method, intervals, mesh, guess, limits, solver or ipopt, verbose
+        )
+    return solve_to_tolerance(problem, tol, method, intervals, mesh, guess, solver or newton, limits, verbose)
+
+
+def _check_limits(limits: Limits | None, tol: float | None) -> None:
+    if limits is not None and not isinstance(limits, Limits):
+        raise TypeError(f"limits must be Limits, such as Limits(intervals=500), got {limits!r}")
+    if limits is not None and tol is None:
+        raise ValueError("limits stop a refinement: give tol with them")
+
+
+@overload
+def transcribe(
+    problem: BoundaryProblem, method: Galerkin, intervals: int | None = None, *, mesh: ArrayLike | None = None
+) -> Transcription: ...
+
+
+@overload
+def transcribe(
+    problem: ControlProblem, method: Galerkin, intervals: int | None = None, *, mesh: ArrayLike | None = None
+) -> ControlTranscription: ...
+
+
+def transcribe(
+    problem: BoundaryProblem | ControlProblem,
+    method: Galerkin,
+    intervals: int | None = None,
+    *,
+    mesh: ArrayLike | None = None,
+) -> Transcription | ControlTranscription:
+    """Build the graph of a problem once, to solve it often.
+
+    Parameters
+    ----------
+    problem : BoundaryProblem or ControlProblem
+    method : Galerkin
+    intervals : number of equal intervals; or
+    mesh : (N + 1,) joints from t_span[0] to t_span[1]
+
+    Returns
+    -------
+    Transcription, whose ``solve`` takes other ends, parameters, joints and guesses; or ControlTranscription, whose
+    ``solve`` takes other guesses
+
+    Raises
+    ------
+    TypeError, ValueError
+        naming what came and what was expected
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> fall = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 10 * x[0], (0, 1), start=[0.0], end=[0.0])
+    >>> transcription = cg.transcribe(fall, cg.Galerkin(degree=2), intervals=4)
+    >>> [float(transcription.solve(end=[height]).momentum[0, 0].round(6)) for height in (1.0, 2.0)]
+    [6.0, 7.0]
+    """
+    check_types(problem, method, BoundaryProblem, ControlProblem)
+    if isinstance(problem, ControlProblem):
+        return transcribed_control(problem, method, intervals, mesh)
+    return transcribed(problem, method, intervals, mesh)

@@ -1,0 +1,200 @@
+"""A start for Newton's method where it finds none: lower the action on a mesh that follows the path.
+
+Two things make a near-collision hard.  A step that is long compared with the distance to a singularity lands on its
+other side, where the action may be lower; and the time of the passage is a valley of the action that is nearly flat
+and sharply curved, because x at fixed times is far from linear in a shift of the path in time.
+
+Against the first, steps are damped by added inertia, and after every few the mesh is drawn to where the path turns.
+Against the second, steps act on times as well as on positions.  The part of a step along the path is taken as what
+it is, a shift in time: it moves the joints, and x at the nodes only takes the rest.  And between two such steps the
+joints alone are moved, at fixed x, so as to even out the jumps of the energy, ∂S/∂t_i = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from casadi_galerkin.boundary.transcription import Transcription
+from casadi_galerkin.calculus.mesh_adaptation import equidistributed, truncation
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.solution.errors import ConvergenceError
+from casadi_galerkin.solution.path import Path
+
+STEPS = 3  # between two meshes
+POOR, GOOD = 0.25, 0.75  # gain over the one promised below which a step is refused, above which the next may be longer
+RELAXED = 1e-13  # promised relative gain of the action below which a relaxation has ended
+LEAST, MOST = 1e-3, 1e12  # inertia that is added if any is, and at which no step will be found
+SQUEEZE = 0.5  # largest relative change of an interval in one step
+FINER = 2.0  # an interval is split into at most this many between two meshes
+MOST_INTERVALS = 120  # a path on its way needs no more; its front moves on
+SETTLED = 1e-4  # relative step at which Newton's method can take over
+
+
+def descend(
+    transcribed: Callable[[np.ndarray], Transcription],
+    path: PiecewisePolynomial,
+    tol: float,
+    leap: float,
+    levels: range,
+    out_of_time: Callable[[], bool],
+) -> PiecewisePolynomial:
+    """Lower the action of a path on meshes that resolve it to a tolerance, none with fewer intervals than the first.
+
+    Parameters
+    ----------
+    transcribed : joints -> Transcription for as many intervals, of the path's degree
+    path : PiecewisePolynomial that meets the ends
+    tol : relative size of what the path may leave out on an interval
+    leap : longest step, relative to the size of the path
+    levels : as many meshes at most
+    out_of_time : whether to stop now
+
+    Raises
+    ------
+    ConvergenceError
+        if no step lowers the action, or the time was up
+    """
+    inertia, fewest = 1.0, len(path.mesh) - 1
+    for _ in levels:
+        descent = ActionDescent(transcribed(path.mesh), path, inertia, leap)
+        ended = descent.run(STEPS)
+        path, inertia, error = descent.path, descent.inertia, truncation(descent.path)
+        if np.max(error) < 3 * tol and (ended or (descent.step < SETTLED and inertia == 0)):
+            break
+        if out_of_time():
+            raise ConvergenceError("the time was up before a path was found", Path(path))
+        mesh = equidistributed(path.mesh, error, len(path.nodes), tol, FINER, fewest)
+        if len(mesh) - 1 > MOST_INTERVALS:
+            mesh = np.interp(np.linspace(0, 1, MOST_INTERVALS + 1), np.linspace(0, 1, len(mesh)), mesh)
+        path = transcribed(mesh).guess_on_mesh(path, mesh)
+    return path
+
+
+class ActionDescent:
+    """Damped steps that lower the action, with the joints carried along.
+
+    Parameters
+    ----------
+    transcription : Transcription, for any mesh of as many intervals as `path` has
+    path : PiecewisePolynomial of the transcription's degree
+    inertia : added to the factor on ∂²L/∂v² (Levenberg and Marquardt in the kinetic metric)
+    leap : longest step, relative to the size of the path
+
+    Attributes
+    ----------
+    path, inertia : where it has come to; 0 where plain Newton steps are good
+    step : the last step relative to the size of the path
+    """
+
+    def __init__(self, transcription: Transcription, path: PiecewisePolynomial, inertia: float, leap: float) -> None:
+        self.transcription, self.path, self.inertia, self.leap = transcription, path, inertia, leap
+        self.step = np.inf
+
+    def arguments(self, path: PiecewisePolynomial) -> tuple[np.ndarray, Data]:
+        """Unknowns and data as the graph takes them."""
+        return self.transcription.unknowns(path.values.T), self.transcription.data(path.mesh)
+
+    def action(self, path: PiecewisePolynomial) -> float:
+        """Value of the discrete action; infinite where it is not defined."""
+        (value,) = self._at.evaluate("action", *self.arguments(path))[0]
+        return float(value) if np.isfinite(value) else np.inf
+
+    def run(self, steps: int) -> bool:
+        """Take some steps; True where no more can be gained.
+
+        Raises
+        ------
+        ConvergenceError
+            if no step lowers the action
+        """
+        with self.transcription.stationarity.linearization() as self._at:
+            self._action = self.action(self.path)
+            for _ in range(steps):
+                if not self.advance():
+                    return True
+                self.take(retimed(self.path, *self._at.evaluate("joint_time_derivatives", *self.arguments(self.path))))
+        return False
+
+    def take(self, path: PiecewisePolynomial) -> None:
+        """Go to a path if its action is lower."""
+        action = self.action(path)
+        if action < self._action:
+            self.path, self._action = path, action
+
+    def advance(self) -> bool:
+        """Take one step in x; False where it promises nothing."""
+        arguments = self.arguments(self.path)
+        sizes = self.transcription.stationarity.sizes(*arguments)
+        while self.inertia <= MOST:
+            g = self._at.relinearize(*arguments)
+            self._at.weight_inertia(*arguments, 1.0 + self.inertia)
+            (step,) = self._at.solve(g)
+            self.step = float(np.max(np.abs(step) / sizes))
+            promised = -float(g @ step)
+            if np.isfinite(self.step) and self.step <= self.leap and promised >= 0:
+                if promised <= RELAXED * abs(self._action):
+                    return False
+                before, change = self._action, self.transcription.change(step)
+                ways = moved(self.path, change), carried(self.path, change)
+                best = min(ways, key=self.action)
+                gain = 2 * (before - self.action(best)) / promised
+                if gain > POOR:
+                    self.take(best)
+                    if gain > GOOD:
+                        self.inertia = self.inertia / 3 if self.inertia > LEAST else 0.0
+                    return True
+            self.inertia = max(3 * self.inertia, LEAST)
+        raise ConvergenceError("no step lowers the action", Path(self.path))
+
+
+def moved(path: PiecewisePolynomial, change: np.ndarray) -> PiecewisePolynomial:
+    """Add a change of the node values, (d, N m + 1)."""
+    return PiecewisePolynomial(path.mesh, path.nodes, path.values + change)
+
+
+def carried(path: PiecewisePolynomial, change: np.ndarray) -> PiecewisePolynomial:
+    """Add a change of the node values, (d, N m + 1); its part along the path moves the joints instead.
+
+    Only the part of the speed above its mean counts, so that a slow path keeps its mesh.
+    """
+    degree, steps, node_times = path.degree, np.diff(path.mesh), path.times(path.nodes[:-1])
+    scale = component_sizes(path.values)[:, None]
+    velocity = path(node_times, 1)
+    fast, shifted = velocity[:, ::degree] / scale, change[:, ::degree] / scale
+    speed = np.sum(fast**2, axis=0)
+    mean = speed[:-1] @ steps / np.sum(steps)
+    shift = -np.sum(fast * shifted, axis=0) / (speed + mean + (mean == 0))
+    shift[[0, -1]] = 0.0
+    shift = squeezed(shift, steps)
+    along = np.interp(node_times, path.mesh, shift)
+    return PiecewisePolynomial(path.mesh + shift, path.nodes, path.values + change + along * velocity)
+
+
+def retimed(
+    path: PiecewisePolynomial, slope: np.ndarray, diagonal: np.ndarray, beside: np.ndarray
+) -> PiecewisePolynomial:
+    """Newton step of the inner joints at fixed node values.
+
+    `slope` (N + 1,), and `diagonal` (N + 1,) and `beside` (N,) of a tridiagonal matrix, are the action's derivatives by
+    all joints.
+    """
+    shift = np.zeros(len(slope))
+    pivots, rhs, upper = diagonal.tolist(), (-slope).tolist(), beside.tolist()
+    for i in range(2, len(shift) - 1):  # symmetric elimination without the ends; faster here than a dense solve
+        factor = upper[i - 1] / pivots[i - 1]
+        pivots[i] -= factor * upper[i - 1]
+        rhs[i] -= factor * rhs[i - 1]
+    for i in range(len(shift) - 2, 0, -1):
+        shift[i] = (rhs[i] - upper[i] * shift[i + 1]) / pivots[i]
+    if not np.all(np.isfinite(shift)):
+        return path
+    return PiecewisePolynomial(path.mesh + squeezed(shift, np.diff(path.mesh)), path.nodes, path.values)
+
+
+def squeezed(shift: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Shorten a shift of the joints so that no interval changes its length by more than `SQUEEZE` of it."""
+    return shift * (SQUEEZE / max(float(np.max(np.abs(np.diff(shift)) / steps)), SQUEEZE))

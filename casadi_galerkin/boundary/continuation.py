@@ -1,0 +1,268 @@
+"""Walk the parameters of a problem along a branch of its critical paths, round folds where there are any.
+
+The parameters move on the line p(s) = p_0 + s (p_1 - p_0) from the problem's own to the target.  The branch is
+followed by its arc length (H. B. Keller, "Numerical solution of bifurcation and nonlinear eigenvalue problems",
+1977): with z = (ξ, s) and the tangent ż, each step solves
+
+    ∇S(ξ, p(s)) = 0,    <ż, z - z_predicted> = 0
+
+by Newton's method, two solves with the same Hessian an iteration.  At a fold the Hessian is singular and ṡ changes
+its sign; the branch then leads back, with another Morse index.  The fold is found as the zero of ṡ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.boundary.transcription import CriticalPoint, Transcription, transcribed
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.numbers import numbers
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
+from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solvers.newton import Solution, verified
+
+FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.5, 1e-9  # of the arc length, in which the path counts by its size
+LONGER, SHORTER = 1.5, 0.5  # factors on the step after a correction in few iterations, and after one that failed
+FEW, MANY = 4, 10  # iterations of Newton's method
+CLOSE = 1e-8  # last Newton step after which the next one is at roundoff
+LEVEL = 1e-9  # |ṡ| at a fold; s itself is then exact to its square
+POINTS = 1000  # of a branch
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Where a branch turns back: parameters (n,), path, and number of paths of the branch before it."""
+
+    parameters: np.ndarray
+    path: Path
+    after: int
+
+
+@dataclass(frozen=True)
+class Branch:
+    """Critical paths along a line of parameters.
+
+    Attributes
+    ----------
+    parameters : (K, n), in the order of the walk
+    trajectories : K of them
+    folds : in the order of the walk
+    reached : whether the walk ended at the target; otherwise a fold led it back to the parameters it began with
+    """
+
+    parameters: np.ndarray
+    trajectories: tuple[Trajectory, ...]
+    folds: tuple[Fold, ...]
+    reached: bool
+
+    def __str__(self) -> str:
+        """Summarise the walk."""
+        end = "the target" if self.reached else "the start, on another branch"
+        lines = [f"Branch of {len(self.trajectories)} paths from {self.parameters[0]} to {self.parameters[-1]}, {end}"]
+        lines += [f"  fold at {fold.parameters}, after {fold.after} paths" for fold in self.folds]
+        return "\n".join(lines)
+
+
+def continuation(
+    problem: BoundaryProblem,
+    target: Sequence[float],
+    method: Galerkin | None = None,
+    intervals: int | None = None,
+    *,
+    mesh: ArrayLike | None = None,
+    guess: Guess | None = None,
+) -> Branch:
+    """Follow a path while the parameters walk from the problem's own to a target.
+
+    Where a fold lies between, the walk goes round it and ends where it began, on the other side of the fold.
+
+    Parameters
+    ----------
+    problem : BoundaryProblem with parameters
+    target : as many numbers as the problem has parameters
+    method : Galerkin; default degree 8
+    intervals : number of equal intervals; or
+    mesh : (N + 1,) joints; the mesh is the same for the whole branch
+    guess : for the first path, as for `solve`
+
+    Raises
+    ------
+    ConvergenceError
+        where the branch cannot be followed, with the last path attached
+    ValueError, TypeError
+        for input that does not fit
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> bratu = lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0])
+    >>> problem = BoundaryProblem(bratu, (0, 1), [0.0], [0.0], parameters=[1.0])
+    >>> continuation(problem, [4.0], intervals=10).folds[0].parameters.round(6)
+    array([3.513831])
+    """
+    if problem.parameters is None:
+        raise ValueError("continuation walks parameters: give the problem some")
+    aim = np.array(numbers("target", target, len(problem.parameters)))
+    if np.array_equal(aim, problem.parameters):
+        raise ValueError(f"the target must differ from the problem's parameters, got {target!r} for both")
+    transcription = transcribed(problem, method or Galerkin(8), intervals, mesh)
+    return Walk(transcription, aim).run(guess)
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point z of the branch with its tangent."""
+
+    z: np.ndarray
+    tangent: np.ndarray
+    trajectory: Trajectory
+
+
+class Walk:
+    """A walk under way."""
+
+    def __init__(self, transcription: Transcription, target: np.ndarray) -> None:
+        self.transcription, self.stationarity = transcription, transcription.stationarity
+        self.first = np.array(transcription.problem.parameters)
+        self.direction = target - self.first
+        self.weights = np.ones(transcription.numbering.free + 1)
+
+    def parameters(self, z: np.ndarray) -> np.ndarray:
+        """Parameters at a point z."""
+        return np.asarray(self.first + z[-1] * self.direction)
+
+    def data(self, z: np.ndarray) -> Data:
+        """The graph's other inputs at a point z."""
+        return self.transcription.data(self.transcription.mesh, parameters=self.parameters(z).tolist())
+
+    def directions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The Newton step at fixed s, and how ξ follows s."""
+        unknowns, data = z[:-1], self.data(z)
+        with self.stationarity.linearization() as at:
+            (rate,) = at.evaluate("sensitivity", unknowns, data, self.direction)
+            newton, follow = at.solve(at.relinearize(unknowns, data), rate)
+        return newton, follow
+
+    def verified(self, z: np.ndarray, iterations: int) -> Solution | None:
+        """A point as a solution, if its residuals are at their roundoff floors."""
+        unknowns, data = z[:-1], self.data(z)
+        with self.stationarity.linearization() as at:
+            at.newton_step(unknowns, data)
+            return verified(at, unknowns, data, iterations, "continuation")
+
+    def tangent(self, z: np.ndarray, forward: np.ndarray) -> np.ndarray:
+        """Unit tangent at a point of the branch, on the side of `forward`."""
+        direction = np.append(self.directions(z)[1], 1.0)
+        length = np.sqrt(direction**2 @ self.weights)
+        return np.asarray(direction * np.copysign(1 / length, (direction * forward) @ self.weights))
+
+    def corrected(self, z: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, Solution] | None:
+        """Newton's method within the plane through z across `normal`: point and solution; None if lost."""
+        start, normal = z, normal * self.weights
+        for iteration in range(1, MANY + 1):
+            newton, follow = self.directions(z)
+            ds = -(normal[:-1] @ newton + normal @ (z - start)) / (normal[:-1] @ follow + normal[-1])
+            step = np.append(newton + ds * follow, ds)
+            z = z + step
+            length = np.sqrt(step**2 @ self.weights)
+            if not np.isfinite(length) or length > LONGEST_STEP:
+                return None
+            if length < CLOSE:
+                solution = self.verified(z, iteration)
+                if solution is not None:
+                    return z, solution
+        return None
+
+    def path(self, z: np.ndarray) -> PiecewisePolynomial:
+        """The path that a point stands for."""
+        return self.transcription.emb(z[:-1], self.data(z))
+
+    def run(self, guess: Guess | None) -> Branch:
+        """Walk until the target, or the start, is met."""
+        start = self.transcription.critical_point(guess=guess)
+        z = np.append(start.solution.unknowns, 0.0)
+        size = np.max(np.abs(start.polynomial.values))
+        self.weights[:-1] = 1 / (len(z) * max(float(size), 1e-300) ** 2)
+        forward = np.append(np.zeros(len(z) - 1), 1.0)
+        points = [Point(z, self.tangent(z, forward), self.transcription.trajectory(start, 0.0))]
+        folds = []
+        for point in self.steps(points[0]):
+            before = points[-1]
+            if point.tangent[-1] * before.tangent[-1] < 0:
+                folds.append(self.fold(before, point, len(points)))
+            points.append(point)
+        parameters = np.array([self.parameters(point.z) for point in points])
+        return Branch(parameters, tuple(point.trajectory for point in points), tuple(folds), points[-1].z[-1] == 1)
+
+    def steps(self, point: Point) -> Iterator[Point]:
+        """Points one after the other, the steps as long as Newton's method allows."""
+        step = FIRST_STEP
+        for _ in range(POINTS):
+            found, step = self.step(point, step)
+            yield found
+            if found.z[-1] in (0.0, 1.0):
+                return
+            point = found
+        raise ConvergenceError(
+            f"the branch was not followed to its end within {POINTS} paths; the last parameters are "
+            f"{self.parameters(point.z)}. Its last path is attached to this error as `path`",
+            point.trajectory,
+        )
+
+    def step(self, point: Point, step: float) -> tuple[Point, float]:
+        """Take one step, shortened until it succeeds: the new point, and the next step."""
+        while step > SMALLEST_STEP:
+            predicted, normal = point.z + step * point.tangent, point.tangent
+            end = float(np.clip(predicted[-1], 0.0, 1.0))
+            if predicted[-1] != end:  # it would step over the end: meet it instead
+                share = (end - point.z[-1]) / point.tangent[-1]
+                predicted, normal = point.z + share * point.tangent, np.append(np.zeros(len(point.z) - 1), 1.0)
+                predicted[-1] = end
+            answer = self.corrected(predicted, normal)
+            try:
+                if answer is not None:
+                    z, solution = answer
+                    if predicted[-1] == end and normal is not point.tangent:
+                        z[-1] = end
+                    found = CriticalPoint(solution, self.data(z), self.path(z))
+                    trajectory = self.transcription.trajectory(found, 0.0)
+                    longer = min(LONGER * step, LONGEST_STEP) if solution.iterations <= FEW else step
+                    return Point(z, self.tangent(z, point.tangent), trajectory), longer
+            except ConjugatePointError:
+                pass  # it landed on a fold
+            step *= SHORTER
+        raise ConvergenceError(
+            f"the branch cannot be followed beyond the parameters {self.parameters(point.z)}: no step is short enough. "
+            "Another branch may cross it there. Its last path is attached to this error as `path`",
+            point.trajectory,
+        )
+
+    def fold(self, before: Point, after: Point, count: int) -> Fold:
+        """Find the zero of ṡ between two points, by the secant and bisection on the arc length from the first."""
+        low, high = 0.0, float((after.z - before.z) * before.tangent @ self.weights)
+        rates = [before.tangent[-1], after.tangent[-1]]
+        z, rate = before.z, before.tangent[-1]
+        for iteration in range(60):
+            if abs(rate) < LEVEL:
+                break
+            share = 0.5 if iteration % 3 == 2 else rates[0] / (rates[0] - rates[1])
+            middle = low + share * (high - low)
+            answer = self.corrected(before.z + middle * before.tangent, before.tangent)
+            if answer is None:
+                break
+            z = answer[0]
+            rate = self.tangent(z, before.tangent)[-1]
+            if rate * rates[0] > 0:
+                low, rates[0] = middle, rate
+            else:
+                high, rates[1] = middle, rate
+        return Fold(self.parameters(z), Path(self.path(z)), count)

@@ -1,0 +1,87 @@
+"""Why a boundary problem was not solved: what happened, where in time, how far it got, and what to try."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.functional.embedding import embedding
+from casadi_galerkin.functional.functional import Functional
+from casadi_galerkin.functional.numbering import Data, clock
+from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
+from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solvers.newton import Solution, SolveFailure
+from casadi_galerkin.solvers.stationarity import Stationarity, joined
+
+
+def not_finite(functional: Functional, unknowns: np.ndarray, data: Data) -> str:
+    """Say at which time the Lagrangian or its derivatives first are not finite."""
+    pointwise, numbering, parameters = functional.pointwise, functional.numbering, data[3:]
+    times, steps = clock(numbering, data[2])
+    x, slope = (np.array(a) for a in embedding(numbering)(joined(unknowns, data)))
+    for k in np.argsort(times, kind="stable"):
+        results = pointwise.first(times[k], steps[k], x[:, k], slope[:, k], *parameters)
+        if not all(np.all(np.isfinite(np.array(result))) for result in results):
+            v = slope[:, k] / steps[k]
+            return f"the Lagrangian is not finite at t = {times[k]:.6g}, where x = {x[:, k]} and v = {v}"
+    return "the Lagrangian overflows"
+
+
+def refuse_undefined(functional: Functional, solution: Solution, path: PiecewisePolynomial, data: Data) -> None:
+    """Raise if the action is not finite on a path that solves the equations."""
+    if math.isfinite(solution.action):
+        return
+    place = not_finite(functional, solution.unknowns, data)
+    raise ConvergenceError(
+        f"no path was found: the equations have a solution, but on it {place}. "
+        "Try a guess that stays where the Lagrangian is defined",
+        Path(path),
+        solution.residual,
+        solution.iterations,
+    )
+
+
+def conjugate(solution: Solution, path: PiecewisePolynomial, quotient: float) -> ConjugatePointError:
+    """Report that the second variation vanishes at a path that was found."""
+    return ConjugatePointError(
+        f"the second variation of the action vanishes (relative size {quotient:.0e}): the ends are conjugate points, "
+        "or a family of paths joins them. Move an end, change the time span, or fix a component that a symmetry leaves "
+        "free",
+        Path(path),
+        solution.residual,
+        solution.iterations,
+    )
+
+
+def explained(
+    stationarity: Stationarity, failure: SolveFailure, path: PiecewisePolynomial, data: Data
+) -> ConvergenceError:
+    """Report what a solver failed at; `path` is its last iterate."""
+    unknowns, numbering = failure.unknowns, stationarity.functional.numbering
+    times = DiscreteCalculus(numbering.method, data[2]).node_times
+    g, floor = (np.array(a).ravel() for a in stationarity.floor.call([unknowns, *data]))
+    residual = np.abs(g) / floor
+    worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
+    when = times[np.argmax((numbering.of_nodes == worst).any(axis=1))]
+    place = f"the largest residual is at t = {when:.6g}"
+    if not np.all(np.isfinite(g)):
+        place = not_finite(stationarity.functional, unknowns, data)
+    where = f"after {failure.iterations} iterations; {place}"
+    if failure.singular:
+        return ConjugatePointError(
+            f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free: "
+            "move an end, change the time span, or fix that component",
+            Path(path),
+            float(residual[worst]),
+            failure.iterations,
+        )
+    return ConvergenceError(
+        f"no path was found: {failure} ({where}). Try a guess nearer to the path, more intervals, "
+        "or a shorter time span; there may be no path between these ends",
+        Path(path),
+        float(residual[worst]),
+        failure.iterations,
+    )

@@ -1,0 +1,177 @@
+"""From a tolerance to a degree and a mesh.
+
+The degree follows from the tolerance alone, the mesh from the path: solve, read off where the Legendre coefficients
+have not decayed, spread the intervals so that they have (`mesh_adaptation`), solve again from the last path.  Once they
+have, the path is put into the space of degree m + 2 on the same mesh, and Newton steps there, the whole path at
+once, estimate its error in the joints and between them: measured 0.9 to 1.1 times the true error on the
+reference problems, 0.4 to 15 times near collisions.  Legendre coefficients alone miss the error in the joints, the
+strong Euler-Lagrange residual needs the norm of an inverse to become one.  Only a path that passes is returned.
+
+Where the Hessian is nearly singular, this error is a multiple of what the path leaves out, and has the shape of the
+softest variation, not that of its cause.  A new mesh therefore spreads what is left out, scaled to the error.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.boundary.first_path import first_path_strategies, following, mesh_for_guess
+from casadi_galerkin.boundary.levels import Levels
+from casadi_galerkin.boundary.transcription import CriticalPoint
+from casadi_galerkin.calculus.discrete_calculus import mesh_of
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.mesh_adaptation import (
+    FEWER,
+    FEWEST,
+    FINEST,
+    degree_for,
+    equidistributed,
+    interval_maxima,
+    of_degree,
+    truncation,
+)
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.problem import check_types
+from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
+from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solution.limits import Limits, check_tolerance
+from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solution.refinement import Estimate, Refinement
+from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solvers.solver import SolverLike
+
+FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
+RISE = 3  # degrees that a level may gain on the one before
+HIGHER = 2  # degrees added for the error estimate; two, because one adds nothing to a path of the other parity
+SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
+SMALLEST_SPLIT = 1.2  # where Newton's method does not follow even a mesh this little finer, it has lost the path
+
+
+class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
+    """One refinement of a boundary problem under way; arguments as for `solve`."""
+
+    roundoff_level, stalls = 1e-9, 2
+
+    def __init__(
+        self, problem: BoundaryProblem, tol: float, method: Galerkin | None, limits: Limits, verbose: int
+    ) -> None:
+        super().__init__(tol, limits, verbose)
+        self.method, self.fixed = method or of_degree(degree_for(tol)), method is not None
+        self.levels, self.patience = Levels(problem), math.inf
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of the solver in all levels."""
+        return self.levels.iterations
+
+    def solved(self, level: CriticalPoint) -> tuple[int, float]:
+        """Iterations of the solver on one level, and the residual it left."""
+        return level.solution.iterations, level.solution.residual
+
+    def path(self, level: CriticalPoint, error: float) -> Path:
+        """The path of a level, which was verified on its own mesh only."""
+        return Path(level.polynomial)
+
+    def estimate(self, level: CriticalPoint) -> Estimate[np.ndarray]:
+        """What the path leaves out on every interval; where that is below the tolerance, its error."""
+        path = level.polynomial
+        left_out = truncation(path)
+        suits = not self.fixed or path.degree == self.method.degree
+        if not (suits and np.max(left_out) <= self.tol):
+            return Estimate(float(np.max(left_out)), False, "Legendre coefficients", left_out)
+        error = self.error(path)
+        return Estimate(
+            error, True, f"degree {path.degree + HIGHER}", left_out * (error / max(np.max(left_out), 1e-300))
+        )
+
+    def error(self, path: PiecewisePolynomial) -> float:
+        """Largest error on a path, relative to the size of its components: two Newton steps as a geometric series."""
+        higher = of_degree(path.degree + HIGHER)
+        steps = self.levels.transcription(higher, path.mesh).corrections(path)
+        sizes = component_sizes(path.values)[:, None]
+        first, second = (float(np.max(interval_maxima(step) / sizes)) for step in steps)
+        return first / (1 - min(SLOWEST, second / first)) if first > 0 else 0.0
+
+    def improve(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> CriticalPoint:
+        """Solve on the equidistributed mesh; where Newton's method does not follow, on one changed less.
+
+        The degree rises by at most `RISE`; an analytic path's error then falls to the power of the orders' ratio.
+        """
+        finest, degree, method = FINEST, level.polynomial.degree, self.method
+        if degree + RISE < method.degree or (degree > method.degree and not self.fixed):
+            method = of_degree(min(degree + RISE, max(degree, method.degree)))
+        order = method.degree + 1
+        expected = estimate.detail ** (order / (degree + 1))
+        fewer = FEWER if method.degree == degree else 1.0  # where the graph is built anew, it may as well be small
+        while True:
+            mesh = equidistributed(level.polynomial.mesh, expected, order, self.tol, finest, fewer=fewer)
+            self.check_intervals(len(mesh) - 1, level, float(np.max(estimate.detail)))
+            try:
+                return self.levels.solve(method, mesh, level.polynomial, following)
+            except ConvergenceError:
+                finest, self.patience = np.sqrt(finest), self.patience - 1
+                if finest < SMALLEST_SPLIT or self.patience < 0:
+                    raise
+
+    def run(self, mesh: np.ndarray, guess: Guess | None, solver: SolverLike) -> Trajectory:
+        """Refine the first path found that can be followed."""
+        if guess is not None:
+            mesh = mesh_for_guess(self.levels, self.method, guess, mesh)
+        failures = []
+        given = (self.method, mesh, guess, solver, self.limits.every_level, self.out_of_time)
+        for strategy, self.patience in first_path_strategies(self.levels, *given):
+            try:
+                return self.finish(*self.refine(strategy()))
+            except LimitReached:
+                raise
+            except ConvergenceError as failure:
+                failures.append(failure)
+        raise failures[-1]
+
+    def finish(self, point: CriticalPoint, error: float) -> Trajectory:
+        """Wrap the path that passed."""
+        method = self.method if self.fixed else of_degree(point.polynomial.degree)
+        path = self.levels.transcription(method, point.polynomial.mesh).trajectory(point, 0.0)
+        build_seconds = self.levels.build_seconds
+        return replace(
+            path,
+            iterations=self.iterations,
+            build_seconds=build_seconds,
+            solve_seconds=time.perf_counter() - self.began - build_seconds,
+            error_estimate=error,
+        )
+
+
+def first_mesh(
+    problem: BoundaryProblem, tol: float, method: Galerkin | None, intervals: int | None, mesh: ArrayLike | None
+) -> np.ndarray:
+    """Joints where a refinement begins; refuses what does not fit, see `solve` for the arguments."""
+    check_tolerance(tol)
+    first = of_degree(degree_for(tol)) if method is None else method
+    check_types(problem, first, BoundaryProblem)
+    if intervals is None and mesh is None:
+        intervals = max(FEWEST, math.ceil(FIRST_NODES / first.degree))
+    return mesh_of(problem.t_span, intervals, mesh)
+
+
+def solve_to_tolerance(
+    problem: BoundaryProblem,
+    tol: float,
+    method: Galerkin | None,
+    intervals: int | None,
+    mesh: ArrayLike | None,
+    guess: Guess | None,
+    solver: SolverLike,
+    limits: Limits,
+    verbose: int,
+) -> Trajectory:
+    """Solve a boundary problem to a tolerance; see `solve` for the arguments."""
+    joints = first_mesh(problem, tol, method, intervals, mesh)
+    return BoundaryRefinement(problem, tol, method, limits, verbose).run(joints, guess, solver)

@@ -1,0 +1,170 @@
+"""Derivatives of solutions by their data: a whole solve as a CasADi Function, and the sensitivities of one path.
+
+Let ξ(d) solve ∇S(ξ, d) = 0 for the data d, ends and parameters.  Where ∇²S is regular, the implicit function theorem
+gives its derivative from the same matrix that Newton's method used:
+
+    ∇²S ∂ξ/∂d = -∂∇S/∂d.
+
+CasADi's rootfinder knows this rule and applies it to itself, so that `solution_function` has derivatives of any
+order CasADi allows, forward and reverse.  `sensitivity` is the rule by hand: one factorisation, all data at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.boundary.transcription import transcribed
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solvers.rootfinder import embeddable
+from casadi_galerkin.solvers.stationarity import ROUNDOFF, Stationarity
+
+
+def solution_function(
+    problem: BoundaryProblem,
+    method: Galerkin,
+    intervals: int | None = None,
+    *,
+    mesh: ArrayLike | None = None,
+    guess: Guess | None = None,
+) -> ca.Function:
+    """Turn the boundary solve into a differentiable Function, to embed in larger graphs, to serialise, to map.
+
+    The problem is solved once as it stands, so that one that cannot be solved is refused here and not in the middle
+    of an optimisation, and so that the residuals can be measured by the sizes of their terms.
+
+    Parameters
+    ----------
+    problem : BoundaryProblem
+    method : Galerkin
+    intervals : number of equal intervals; or
+    mesh : (N + 1,) joints from t_span[0] to t_span[1]
+    guess : for the first solve, as for `Transcription.solve`
+
+    Returns
+    -------
+    Function (start, end, parameters, guess) -> (x, momentum, action), inputs by these names
+
+    start, end : the components that the problem fixes, in their order; left out where it fixes none
+    parameters : all; left out where the problem has none
+    guess : (d, N m + 1), values at all nodes, such as ``path.polynomial.values`` of an earlier path; those at fixed
+        components are not used.  It chooses among several solutions, and has no derivative
+    x, momentum : (d, N + 1), at the joints
+    action : scalar
+
+    The Function runs CasADi's Newton method and has none of the rescues of `solve`: the guess should be a path for
+    data nearby.  Where the answer does not pass the check that `solve` makes, all outputs are NaN, which IPOPT takes
+    for a step too far; nothing unverified is returned.  That a Hessian is singular, it does not tell.
+
+    Raises
+    ------
+    ConvergenceError, ConjugatePointError, ValueError, TypeError
+        as for `solve`
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> oscillator = lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0] ** 2 / 2
+    >>> problem = cg.BoundaryProblem(oscillator, (0, 1), start=[0.0], end=[1.0], parameters=[1.0])
+    >>> f = cg.solution_function(problem, cg.Galerkin(degree=4), intervals=10)
+    >>> path = cg.solve(problem, cg.Galerkin(degree=4), intervals=10)
+    >>> float(f(start=[0], end=[2], parameters=[1], guess=path.polynomial.values)["x"][0, 5].full()[0, 0].round(6))
+    1.139494
+    """
+    transcription = transcribed(problem, method, intervals, mesh)
+    point = transcription.critical_point(guess=guess)
+    transcription.trajectory(point, 0.0)  # refuses a singular Hessian
+    functional, numbering, unknowns = transcription.functional, transcription.numbering, point.solution.unknowns
+    floor = transcription.stationarity.floor
+    weights = EPS / np.array(floor.call([unknowns, *point.data])[1]).ravel()
+    names = [name for name in ("start", "end", "parameters") if name in floor.name_in()]
+    data = {name: floor.mx_in(name) for name in names}
+    joints = {"mesh": ca.DM(point.data[2])}
+    nodes = ca.MX.sym("guess", problem.dimension, numbering.of_nodes.shape[0])
+    root = embeddable(functional, weights)(guess=ca.vec(nodes)[numbering.place.tolist()], **joints, **data)["unknowns"]
+    summary = transcription.summary(unknowns=root, **joints, **data)
+    u = ca.vertcat(root, data["start"], data["end"])
+    x = ca.reshape(u[numbering.of_nodes[:: method.degree].ravel().tolist()], problem.dimension, -1)
+    verified = _check(transcription.stationarity)(unknowns=root, **joints, **data)["verified"]
+    inputs = {name: symbol for name, symbol in data.items() if symbol.numel()} | {"guess": nodes}
+    outputs = {"x": x, "momentum": summary["momentum"], "action": summary["action"]}
+    checked = [ca.if_else(verified, value, np.nan) for value in outputs.values()]
+    return ca.Function("solution", list(inputs.values()), checked, list(inputs), list(outputs))
+
+
+def _check(stationarity: Stationarity) -> ca.Function:
+    """(unknowns, *data) -> whether all residuals are within `ROUNDOFF` of their floor; without derivatives."""
+    floor = stationarity.floor
+    symbols, names = floor.mx_in(), [floor.name_in(i) for i in range(floor.n_in())]
+    residual, least = floor.call(symbols)
+    worst = ca.norm_inf(residual / least)
+    passed = ca.logic_and(worst <= ROUNDOFF, ca.norm_1(residual) < np.inf)  # a maximum may lose a NaN, a sum does not
+    return ca.Function("check", symbols, [passed], names, ["verified"], {"is_diff_out": [False]})
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Derivatives of a path at its joints by the data of its problem.
+
+    Attributes
+    ----------
+    t : (N + 1,), joints
+    parameters : (d, N + 1, number of parameters), ∂x_i/∂p_j, in units of x[i] over units of p[j]
+    start, end : (d, N + 1, number of components that the problem fixes there), in units of x over units of x
+    """
+
+    t: np.ndarray
+    parameters: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+
+
+def sensitivity(path: Trajectory) -> Sensitivity:
+    """Derivatives of a solution by parameters and ends, by one factorisation of its Hessian.
+
+    Parameters
+    ----------
+    path : Trajectory of a BoundaryProblem; found to a tolerance or on a fixed discretisation
+
+    Returns
+    -------
+    Sensitivity, whose columns are zero-sized for what the problem has not
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), start=[0.0], end=[1.0])
+    >>> float(cg.sensitivity(cg.solve(problem, cg.Galerkin(degree=2), intervals=4)).end[0, 1, 0].round(9))
+    0.25
+    """
+    if not isinstance(path, Trajectory):
+        raise TypeError(f"sensitivity takes a Trajectory, got {type(path).__name__}")
+    problem = path.problem
+    if not isinstance(problem, BoundaryProblem):
+        raise TypeError(f"sensitivity takes the path of a BoundaryProblem, got one of {type(problem).__name__}")
+    transcription = transcribed(problem, path.method, None, path.t)
+    numbering, symbols = transcription.numbering, dict(_named(transcription.gradient))
+    data = ca.vertcat(*(symbols[name] for name in ("start", "end", "parameters") if name in symbols))
+    matrix, gradient = transcription.functional.function("derivatives").call(list(symbols.values()))
+    change = -ca.solve(matrix, ca.densify(ca.jacobian(gradient, data)), "qr")
+    unknowns = path.polynomial.values.ravel(order="F")[numbering.place]
+    ends = [np.array([value for value in end if value is not None]) for end in (problem.start, problem.end)]
+    given = [unknowns, *ends, path.t] + ([] if problem.parameters is None else [np.array(problem.parameters)])
+    derivative = np.array(ca.Function("sensitivity", list(symbols.values()), [change]).call(given)[0])
+    fixed = np.eye(numbering.size - numbering.free, data.numel())
+    by_u = np.concatenate((derivative.reshape(numbering.free, -1), fixed))
+    x = by_u[numbering.of_nodes[:: path.method.degree]].transpose(1, 0, 2)  # (d, N + 1, data)
+    start, end = len(numbering.fixed_start), len(numbering.fixed_start) + len(numbering.fixed_end)
+    return Sensitivity(path.t, x[:, :, end:], x[:, :, :start], x[:, :, start:end])
+
+
+def _named(function: ca.Function) -> list[tuple[str, ca.MX]]:
+    """Names and new symbols of the inputs of a Function."""
+    return [(function.name_in(i), symbol) for i, symbol in enumerate(function.mx_in())]

@@ -1,0 +1,142 @@
+"""The discrete calculus: time scale T, embedding emb_m, derivative Δ_m, anti-derivative ∫ Δ_w (paper, sections 2, 3).
+
+Values X̄ at all nodes, joints and control points, stand for the continuous piecewise polynomial
+x̄ = emb_m(X̄) of degree m.  Everything here is linear in X̄, and so is one sparse matrix and one vector:
+
+    (x̄, dx̄/dt) at all quadrature points  =  E X̄,          ∫ f Δ_w t  =  ω · f.
+
+Where the paper's text has to be read with care, this module follows the mathematics:
+
+* the sum over interval k in the anti-derivative carries the factor h_k (the text leaves it out);
+* the derivative at a quadrature point q = 1 is that of *this* interval's polynomial, not of the next one's;
+* control points are c_{i,j} = t_i + c_j h_i, and the time scale may be graded: h_i = t_{i+1} - t_i.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.numbers import real_array
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
+
+
+def time_scale(mesh: ArrayLike) -> np.ndarray:
+    """Check the joints a = t_0 < ... < t_N = b of a time scale T; shape (N + 1,), N >= 1."""
+    joints = real_array("the joints of a mesh", mesh)
+    if joints.ndim != 1 or joints.size < 2:
+        raise ValueError(f"a mesh is a sequence of at least 2 joints, got shape {joints.shape}")
+    if not np.all(np.isfinite(joints)):
+        raise ValueError("the joints of a mesh must be finite")
+    if np.any(np.diff(joints) <= 0):
+        i = int(np.argmax(np.diff(joints) <= 0))
+        raise ValueError(
+            f"the joints of a mesh must increase, got t[{i}] = {joints[i]} and t[{i + 1}] = {joints[i + 1]}"
+        )
+    joints.flags.writeable = False  # transcriptions and paths share them
+    return joints
+
+
+class DiscreteCalculus:
+    """The discrete differential and integral calculus of a method on a time scale.
+
+    Parameters
+    ----------
+    method : Galerkin
+    mesh : (N + 1,) increasing joints t_0 ... t_N
+
+    Attributes
+    ----------
+    mesh : (N + 1,), the time scale T
+    """
+
+    def __init__(self, method: Galerkin, mesh: ArrayLike) -> None:
+        self.method, self.mesh = method, time_scale(mesh)
+        self._element, self._nodes = method.element, (len(self.mesh) - 1) * method.degree + 1
+
+    @cached_property
+    def node_times(self) -> np.ndarray:
+        """Joints and control points in the order of time; (N m + 1,)."""
+        return np.append(times_at(self.mesh, self._element.nodes[:-1]), self.mesh[-1])
+
+    @cached_property
+    def node_parts(self) -> np.ndarray:
+        """The same times as parts of the whole time, from 0 to 1; (N m + 1,)."""
+        return np.asarray((self.node_times - self.mesh[0]) / (self.mesh[-1] - self.mesh[0]))
+
+    @cached_property
+    def quadrature_times(self) -> np.ndarray:
+        """Quadrature points, interval by interval; (N r,)."""
+        return times_at(self.mesh, self._element.points)
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """ω = h_i w_k, so that ``weights @ f`` is ∫_a^b f Δ_w t; (N r,)."""
+        return np.outer(np.diff(self.mesh), self._element.weights).ravel()
+
+    def emb(self, values: ArrayLike) -> PiecewisePolynomial:
+        """Embedding emb_m: node values X̄ of shape (d, N m + 1) to the path x̄ (paper, section 2)."""
+        array = real_array("node values", values)
+        if array.ndim != 2 or array.shape[1] != self._nodes:
+            raise ValueError(f"node values must have the shape (d, {self._nodes}), got {array.shape}")
+        return PiecewisePolynomial(self.mesh, self._element.nodes, array)
+
+    def delta(self, values: ArrayLike) -> np.ndarray:
+        """Discrete derivative Δ_m: right derivative of emb_m(X̄) at t_0 ... t_{N-1}; shape (d, N)."""
+        return self.emb(values)(self.mesh[:-1], 1)
+
+    def integral(self, f: ArrayLike) -> np.ndarray:
+        """Anti-derivative ∫_a^{t_i} f Δ_w t at all joints, from f at the quadrature points.
+
+        Parameters
+        ----------
+        f : (..., N r), values in the order of `quadrature_times`
+
+        Returns
+        -------
+        (..., N + 1), zero at t_0
+        """
+        array = real_array("values at the quadrature points", f)
+        if array.shape[-1:] != self.weights.shape:
+            raise ValueError(
+                f"values at the quadrature points must have the shape (..., {len(self.weights)}), got {array.shape}"
+            )
+        per_interval = (array * self.weights).reshape(*array.shape[:-1], len(self.mesh) - 1, -1).sum(axis=-1)
+        return np.concatenate((np.zeros((*array.shape[:-1], 1)), np.cumsum(per_interval, axis=-1)), axis=-1)
+
+    def operator(self) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """The sparse matrix E of emb_m and its derivative at the quadrature points.
+
+        Returns
+        -------
+        (entries, (rows, columns)) of the matrix of shape (2 N r, N m + 1), the triplet form that
+        ``scipy.sparse.coo_array`` takes.  Applied to the node values of one component it gives x̄ at all
+        quadrature points, then dx̄/dt at all of them, each of this interval's polynomial.
+        """
+        element, steps = self._element, np.diff(self.mesh)
+        r, m, n = len(element.points), self.method.degree, len(steps)
+        rows = np.broadcast_to(np.arange(n * r).reshape(n, r, 1), (n, r, m + 1))
+        columns = np.broadcast_to(m * np.arange(n)[:, None, None] + np.arange(m + 1), (n, r, m + 1))
+        values = np.broadcast_to(element.values, (n, r, m + 1))
+        slopes = element.slopes / steps[:, None, None]
+        entries = np.concatenate((values.ravel(), slopes.ravel()))
+        return entries, (np.concatenate((rows.ravel(), n * r + rows.ravel())), np.concatenate((columns.ravel(),) * 2))
+
+
+def mesh_of(t_span: tuple[float, float], intervals: int | None, mesh: ArrayLike | None) -> np.ndarray:
+    """Joints from a number of equal intervals, or from the joints themselves; exactly one must be given."""
+    if (intervals is None) == (mesh is None):
+        raise ValueError(f"give either intervals or mesh, got intervals={intervals!r} and mesh={mesh!r}")
+    if mesh is None:
+        if isinstance(intervals, bool) or not isinstance(intervals, (int, np.integer)):
+            raise TypeError(f"intervals must be a whole number, got {intervals!r}")
+        if intervals < 1:
+            raise ValueError(f"intervals must be at least 1, got {intervals}")
+        return time_scale(np.linspace(*t_span, int(intervals) + 1))
+    joints = time_scale(mesh)
+    if (joints[0], joints[-1]) != t_span:
+        raise ValueError(f"the mesh must run from {t_span[0]} to {t_span[1]}, got {joints[0]} to {joints[-1]}")
+    return joints

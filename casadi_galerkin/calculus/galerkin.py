@@ -1,0 +1,124 @@
+"""A Galerkin method as data: degree, control points and quadrature, and its reference interval (paper, section 2)."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from casadi_galerkin.calculus.nodes import _degree, differentiation_matrix, lagrange_values, lobatto_points
+from casadi_galerkin.calculus.numbers import real_array
+from casadi_galerkin.calculus.piecewise_polynomial import times_at
+from casadi_galerkin.calculus.quadrature import Quadrature, gauss
+
+LEBESGUE_WARNING = 50.0  # equispaced points pass it at degree 11; Lobatto points stay below 5 at degree 100
+
+
+@dataclass(frozen=True)
+class Element:
+    """The reference interval [0, 1]: Lagrange polynomials of the m + 1 nodes at the r quadrature points.
+
+    Attributes
+    ----------
+    nodes : (m + 1,), 0 and 1 among them
+    points, weights : (r,), the quadrature
+    values, slopes : (r, m + 1), l_j(q_k) and l_j'(q_k)
+    """
+
+    nodes: np.ndarray
+    points: np.ndarray
+    weights: np.ndarray
+    values: np.ndarray
+    slopes: np.ndarray
+
+
+@dataclass(frozen=True)
+class Galerkin:
+    """A Galerkin method as data: degree, control points and quadrature.
+
+    Parameters
+    ----------
+    degree : int >= 1, degree m of the polynomial on every interval
+    control_points : increasing sequence of m - 1 numbers in ]0, 1[; default ``lobatto_points(degree)``
+    quadrature : Quadrature with r >= m points; default ``gauss(degree)``
+
+    The order at the joints is min(2m, u) with u the order of the quadrature (S. Ober-Blöbaum and M. Vermeeren,
+    "Superconvergence of Galerkin variational integrators", 2021); between the joints the position is of order
+    min(m + 1, u) and the velocity of order m; with ``lobatto(m)`` one less of each.  With r < m points the equations
+    still have a solution, but a wrong one: each interval adds a spurious critical direction, so it is refused.
+    """
+
+    degree: int
+    control_points: tuple[float, ...]
+    quadrature: Quadrature
+
+    def __init__(
+        self,
+        degree: int,
+        control_points: Sequence[float] | np.ndarray | None = None,
+        quadrature: Quadrature | None = None,
+    ) -> None:
+        degree = _degree(degree)
+        points = _control_points(degree, control_points)
+        rule = gauss(degree) if quadrature is None else quadrature
+        if not isinstance(rule, Quadrature):
+            raise TypeError(f"quadrature must be a Quadrature such as gauss(3), got {rule!r}")
+        if len(rule) < degree:
+            raise ValueError(
+                f"a path of degree {degree} needs at least {degree} quadrature points, got {len(rule)}: "
+                "with fewer the discrete equations have solutions that are silently wrong"
+            )
+        object.__setattr__(self, "degree", degree)
+        object.__setattr__(self, "control_points", points)
+        object.__setattr__(self, "quadrature", rule)
+
+    @property
+    def order(self) -> int:
+        """Order at the joints, min(2m, u)."""
+        return min(2 * self.degree, self.quadrature.order)
+
+    @cached_property
+    def element(self) -> Element:
+        """The reference interval of this method."""
+        nodes = np.concatenate(([0.0], self.control_points, [1.0]))
+        points = np.array(self.quadrature.points)
+        values = lagrange_values(nodes, points)
+        return Element(nodes, points, np.array(self.quadrature.weights), values, values @ differentiation_matrix(nodes))
+
+    def __str__(self) -> str:
+        """Degree and rule; where control points are not Lobatto's, or the rule not Gauss's, where their points lie."""
+        rule, usual = self.quadrature, self.control_points == tuple(lobatto_points(self.degree).tolist())
+        control = "" if usual else f"control {_points(self.control_points, True)}, "
+        points = _points(rule.points, rule != gauss(len(rule)))
+        return f"degree {self.degree}, {control}{len(rule)} quadrature {points} of order {rule.order}"
+
+
+def _points(points: tuple[float, ...], placed: bool) -> str:
+    """Points in words, with the first and the last if they are to be placed."""
+    if len(points) == 1:
+        return f"point at {points[0]:.4g}" if placed else "point"
+    return f"points from {points[0]:.4g} to {points[-1]:.4g}" if placed else "points"
+
+
+def _control_points(degree: int, given: Sequence[float] | np.ndarray | None) -> tuple[float, ...]:
+    if given is None:
+        return tuple(lobatto_points(degree).tolist())
+    points = real_array("control points", given)
+    if points.shape != (degree - 1,):
+        raise ValueError(f"degree {degree} takes {degree - 1} control points, got an array of shape {points.shape}")
+    if not np.all((points > 0) & (points < 1)) or np.any(np.diff(points) <= 0):
+        raise ValueError(f"control points must increase within ]0, 1[, got {points}")
+    nodes = np.concatenate(([0.0], points, [1.0]))
+    between = times_at(nodes, np.linspace(0.1, 0.9, 9))
+    lebesgue = np.abs(lagrange_values(nodes, between)).sum(axis=1).max()
+    if lebesgue > LEBESGUE_WARNING:
+        warnings.warn(
+            f"these control points magnify roundoff {lebesgue:.1e} times (Lebesgue constant); "
+            f"lobatto_points({degree}) gives the same path without that loss",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+    return tuple(points.tolist())

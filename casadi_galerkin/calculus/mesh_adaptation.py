@@ -1,0 +1,114 @@
+"""Where a piecewise polynomial is too coarse, and a mesh that is not: arrays in, arrays out.
+
+The size of what a path of degree m leaves out on an interval is read off the decay of its Legendre coefficients
+there; a new mesh spreads it evenly (equidistribution).  Nothing here knows what problem the path solves.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.nodes import lagrange_values
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import component_sizes
+
+FINEST = 32.0  # an interval is split into at most this many at once
+COARSEST = 4.0  # and at most this many are merged
+NEIGHBOURS = 8.0  # largest ratio of densities of neighbouring intervals of a new mesh
+FEWEST = 4  # intervals of a new mesh
+FEWER = 3.0  # factor of too many intervals from which the number of intervals is lowered
+GROWTH = 1.25  # least factor by which the number of intervals grows, if it does
+TARGET = 0.3  # a new mesh aims at this part of the tolerance
+
+
+@lru_cache(32)
+def of_degree(degree: int) -> Galerkin:
+    """The default method of a degree, kept with its basis."""
+    return Galerkin(degree)
+
+
+def degree_for(tol: float) -> int:
+    """Degree for a tolerance, from low for a loose to high for a tight one."""
+    return int(np.clip(np.ceil(2 - np.log10(tol)), 4, 14))
+
+
+@lru_cache(maxsize=64)
+def _to_legendre(nodes: tuple[float, ...]) -> np.ndarray:
+    """Matrix from values at the nodes of [0, 1] to Legendre coefficients."""
+    return np.linalg.inv(legendre.legvander(2 * np.array(nodes) - 1, len(nodes) - 1))
+
+
+@lru_cache(maxsize=64)
+def _to_samples(nodes: tuple[float, ...]) -> np.ndarray:
+    """Matrix from values at the nodes of [0, 1] to values at four times as many points."""
+    return lagrange_values(np.array(nodes), np.linspace(0, 1, 4 * len(nodes) - 3))
+
+
+def truncation(path: PiecewisePolynomial) -> np.ndarray:
+    """Estimate what a path of its degree leaves out on each interval, relative to the size of the components; (N,).
+
+    The Legendre coefficients of an analytic function fall geometrically.  Their rate is taken from the last four,
+    in pairs because of parity, and the first coefficient left out follows from the last two with it.
+    """
+    m = len(path.nodes) - 1
+    local = path.local / component_sizes(path.values)[:, None, None]
+    coefficients = np.abs(local @ _to_legendre(tuple(path.nodes.tolist())).T)  # (d, N, m + 1)
+    if m < 3:
+        return np.asarray(np.max(coefficients[:, :, -1], axis=0))
+    last = np.maximum(coefficients[:, :, -1], coefficients[:, :, -2])
+    before = np.maximum(coefficients[:, :, -3], coefficients[:, :, -4])
+    rate = np.sqrt(np.minimum(last / np.maximum(before, 1e-300), 1.0))
+    following = rate * np.maximum(coefficients[:, :, -1], rate * coefficients[:, :, -2])
+    return np.asarray(np.max(following, axis=0))
+
+
+def interval_maxima(path: PiecewisePolynomial) -> np.ndarray:
+    """Largest size of every component on every interval, (d, N), sampled between the nodes as well."""
+    return np.asarray(np.max(np.abs(path.local @ _to_samples(tuple(path.nodes.tolist())).T), axis=2))
+
+
+def equidistributed(
+    mesh: np.ndarray,
+    error: np.ndarray,
+    order: int,
+    tol: float,
+    finest: float = FINEST,
+    fewest: int = FEWEST,
+    fewer: float = FEWER,
+) -> np.ndarray:
+    """Joints of a new mesh on which every interval's error should be a fraction of the tolerance.
+
+    Parameters
+    ----------
+    mesh : (N + 1,)
+    error : (N,), errors of the present intervals, which fall with the step to the power `order`
+    order : int
+    tol : tolerance
+    finest : largest number of intervals that one is split into
+    fewest : least number of intervals of the new mesh
+    fewer : factor of too many intervals from which their number is lowered
+
+    Returns
+    -------
+    (N' + 1,) joints with the same ends; N' = N where that is about enough, so that no graph need be built anew
+    """
+    wanted = np.clip((error / (TARGET * tol)) ** (1.0 / order), 1 / COARSEST, finest)
+    density = wanted / np.diff(mesh)
+    for i in range(1, len(density)):
+        density[i] = max(density[i], density[i - 1] / NEIGHBOURS)
+    for i in range(len(density) - 2, -1, -1):
+        density[i] = max(density[i], density[i + 1] / NEIGHBOURS)
+    cumulated = np.concatenate(([0.0], np.cumsum(density * np.diff(mesh))))
+    count = max(fewest, int(np.ceil(cumulated[-1])))
+    before = len(mesh) - 1
+    if before / fewer < count <= before:
+        count = before
+    elif count > before:
+        count = max(count, int(np.ceil(GROWTH * before)))
+    joints = np.interp(np.linspace(0.0, cumulated[-1], count + 1), cumulated, mesh)
+    joints[0], joints[-1] = mesh[0], mesh[-1]
+    return np.asarray(joints)

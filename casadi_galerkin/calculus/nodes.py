@@ -1,0 +1,65 @@
+"""Control points C in ]0, 1[ and barycentric Lagrange interpolation on the nodes {0} ∪ C ∪ {1}.
+
+The m - 1 control points and the two ends are the m + 1 nodes of the Lagrange polynomials l_0 ... l_m of one
+interval (paper, section 2).  Their choice changes conditioning, never the solution.  Formulas after
+J.-P. Berrut and L. N. Trefethen, "Barycentric Lagrange interpolation", SIAM Review 46 (2004).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from casadi_galerkin.calculus.quadrature import lobatto
+
+
+def lobatto_points(degree: int) -> np.ndarray:
+    """Control points of the given degree >= 1 at the inner Gauss-Lobatto points; shape (degree - 1,)."""
+    return np.array(lobatto(_degree(degree) + 1).points[1:-1])
+
+
+def chebyshev_points(degree: int) -> np.ndarray:
+    """Control points at the inner Chebyshev points (1 - cos(jπ/m))/2, m = degree >= 1; shape (degree - 1,)."""
+    return np.sin(np.pi / 2 * np.arange(1, _degree(degree)) / degree) ** 2
+
+
+def equispaced_points(degree: int) -> np.ndarray:
+    """Equally spaced control points j/m, m = degree >= 1; shape (degree - 1,).  Ill-conditioned above 10."""
+    return np.arange(1, _degree(degree)) / degree
+
+
+def _degree(degree: int) -> int:
+    if isinstance(degree, bool) or not isinstance(degree, (int, np.integer)):
+        raise TypeError(f"degree must be a whole number, got {degree!r}")
+    if degree < 1:
+        raise ValueError(f"degree must be at least 1, got {degree}")
+    return int(degree)
+
+
+def barycentric_weights(nodes: np.ndarray) -> np.ndarray:
+    """Weights 1/Π_{k≠j}(s_j - s_k) of distinct nodes, scaled so that the largest is 1; shape of `nodes`."""
+    gaps = nodes[:, None] - nodes[None, :]
+    np.fill_diagonal(gaps, 1.0)
+    logs = -np.log(np.abs(gaps)).sum(axis=1)  # the plain product leaves the range of doubles near degree 500
+    return np.asarray(np.prod(np.sign(gaps), axis=1) * np.exp(logs - logs.max()))
+
+
+def lagrange_values(nodes: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Lagrange polynomials l_j(s_k) of the nodes; shape (len(s), len(nodes)).  Rows sum to 1."""
+    gaps = s[:, None] - nodes[None, :]
+    hit = gaps == 0
+    gaps[hit] = 1.0
+    terms = barycentric_weights(nodes) / gaps
+    rows = hit.any(axis=1)
+    terms[rows] = hit[rows]
+    return np.asarray(terms / terms.sum(axis=1, keepdims=True))
+
+
+def differentiation_matrix(nodes: np.ndarray) -> np.ndarray:
+    """Derivatives l_j'(s_k) at the nodes themselves; square.  Rows sum to zero by construction."""
+    weights = barycentric_weights(nodes)
+    gaps = nodes[:, None] - nodes[None, :]
+    np.fill_diagonal(gaps, 1.0)
+    matrix = weights[None, :] / weights[:, None] / gaps
+    np.fill_diagonal(matrix, 0.0)
+    np.fill_diagonal(matrix, -matrix.sum(axis=1))
+    return np.asarray(matrix)

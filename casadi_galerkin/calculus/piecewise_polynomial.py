@@ -1,0 +1,85 @@
+"""A continuous piecewise polynomial, evaluated and differentiated."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
+from casadi_galerkin.calculus.numbers import real_array
+
+
+def times_within(mesh: np.ndarray, t: ArrayLike) -> np.ndarray:
+    """Times t as an array; refuses one that lies outside of the mesh by more than its rounding."""
+    times = real_array("times", t)
+    slack = 1e-12 * (mesh[-1] - mesh[0])
+    if np.any(~((times >= mesh[0] - slack) & (times <= mesh[-1] + slack))):
+        raise ValueError(f"times must lie within [{mesh[0]}, {mesh[-1]}], got {t!r}")
+    return times
+
+
+def times_at(mesh: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """Times at the same parts, (K,) from 0 to 1, of every interval; (N K,)."""
+    return np.asarray((mesh[:-1, None] + np.diff(mesh)[:, None] * parts).ravel())
+
+
+class PiecewisePolynomial:
+    """A continuous path x̄ in P^m_T given by its values X̄ at all nodes.
+
+    Parameters
+    ----------
+    mesh : (N + 1,), the joints
+    nodes : (m + 1,), nodes of the reference interval, 0 and 1 among them
+    values : (d, N m + 1), values at joints and control points in the order of time
+    """
+
+    def __init__(self, mesh: np.ndarray, nodes: np.ndarray, values: np.ndarray) -> None:
+        self.mesh, self.nodes, self.values = mesh, nodes, values
+
+    @property
+    def degree(self) -> int:
+        """Degree m of the polynomial on every interval."""
+        return len(self.nodes) - 1
+
+    def times(self, parts: np.ndarray) -> np.ndarray:
+        """Times at these parts from [0, 1[ of every interval, and the last joint."""
+        return np.append(times_at(self.mesh, parts), self.mesh[-1])
+
+    @property
+    def local(self) -> np.ndarray:
+        """Values at the nodes of every interval, (d, N, m + 1)."""
+        m = self.degree
+        return np.asarray(self.values[:, m * np.arange(len(self.mesh) - 1)[:, None] + np.arange(m + 1)])
+
+    def at(self, nodes: np.ndarray) -> np.ndarray:
+        """Node values (d, N m' + 1) on the same mesh with other nodes: no times, so no roundoff of theirs."""
+        inner = self.local @ lagrange_values(self.nodes, nodes[:-1]).T
+        return np.concatenate((inner.reshape(len(self.values), -1), self.values[:, -1:]), axis=1)
+
+    def __call__(self, t: ArrayLike, nu: int = 0) -> np.ndarray:
+        """Value, or derivative of order `nu`, at times t within the mesh; shape (d,) + t.shape.
+
+        At a joint the derivative is the right one, at the last joint the left one.
+        """
+        if isinstance(nu, bool) or not isinstance(nu, (int, np.integer)) or nu < 0:
+            raise ValueError(f"nu must be a whole number from 0 on, got {nu!r}")
+        times = times_within(self.mesh, t)
+        flat = times.ravel()
+        m = self.degree
+        steps = np.diff(self.mesh)
+        i = np.clip(np.searchsorted(self.mesh, flat, side="right") - 1, 0, len(steps) - 1)
+        basis = lagrange_values(self.nodes, np.clip((flat - self.mesh[i]) / steps[i], 0.0, 1.0))
+        if nu:
+            slopes = np.linalg.matrix_power(differentiation_matrix(self.nodes), nu)
+            basis = basis @ slopes / steps[i, None] ** nu
+        local = self.values[:, i[:, None] * m + np.arange(m + 1)]
+        if nu:  # a derivative does not see a constant; without it the roundoff is that of the differences
+            local = local - local[:, :, :1]
+        return np.asarray(np.einsum("dkj,kj->dk", local, basis).reshape((len(self.values), *times.shape)))
+
+    def __repr__(self) -> str:
+        """Say of what degree it is, and over which time."""
+        return (
+            f"PiecewisePolynomial of {len(self.values)} component(s) and degree {self.degree} on "
+            f"[{self.mesh[0]:g}, {self.mesh[-1]:g}], {len(self.mesh) - 1} intervals"
+        )

@@ -1,0 +1,177 @@
+"""Quadrature rules (Q, w) on [0, 1].
+
+A rule replaces the integral of f over [0, 1] by the sum of w(q) f(q) over the points q in Q, with weights
+that sum to 1 (paper, section 3.2).  Two differences from the text, both stated where they matter:
+
+* Q need not hold 0 and 1: a Gauss rule is the paper's with the weights 0 at both ends, and only points of
+  nonzero weight are stored.
+* ``w(0) = w(1) = 1/2`` is the :func:`trapezoid`, not the mid-point rule, whose one point is 1/2.
+  Their functionals agree only where the Lagrangian is affine in x on the step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.calculus.numbers import real_array
+
+SUM_TOLERANCE = 1e-12  # weights come from tables with about 13 digits, or from arithmetic to 1e-15
+EXACTNESS_TOLERANCE = 1e-10  # on Legendre polynomials, of slopes up to n (n + 1), so that 12 digits of a table do
+
+
+@dataclass(frozen=True)
+class Quadrature:
+    """A quadrature rule (Q, w) on [0, 1].
+
+    Parameters
+    ----------
+    points : increasing sequence of r numbers in [0, 1]
+    weights : sequence of r numbers that sum to 1; points of weight 0 are dropped
+
+    Examples
+    --------
+    >>> Quadrature([0.0, 0.5, 1.0], [1 / 6, 2 / 3, 1 / 6]).exactness
+    3
+    """
+
+    points: tuple[float, ...]
+    weights: tuple[float, ...]
+
+    def __init__(self, points: ArrayLike, weights: ArrayLike) -> None:
+        q, w = real_array("points", points), real_array("weights", weights)
+        if q.ndim != 1 or q.shape != w.shape or q.size == 0:
+            raise ValueError(f"points and weights must be two equally long sequences, got {q.shape} and {w.shape}")
+        if not (np.all(np.isfinite(q)) and np.all(np.isfinite(w))):
+            raise ValueError("points and weights must be finite numbers")
+        if q[0] < 0 or q[-1] > 1 or np.any(np.diff(q) <= 0):
+            raise ValueError(f"points must increase within [0, 1], got {q}")
+        if abs(w.sum() - 1) > SUM_TOLERANCE:
+            raise ValueError(f"weights must sum to 1, got a sum of {float(w.sum())!r}")
+        keep = w != 0
+        object.__setattr__(self, "points", tuple(q[keep].tolist()))
+        object.__setattr__(self, "weights", tuple(w[keep].tolist()))
+
+    def __len__(self) -> int:
+        """Number r of points of nonzero weight."""
+        return len(self.points)
+
+    @property
+    def exactness(self) -> int:
+        """Highest degree up to which every polynomial is integrated exactly."""
+        q, w = np.array(self.points), np.array(self.weights)
+        # No rule with r points is exact beyond degree 2r - 1, so degree 2r always fails.
+        moments = legendre.legvander(2 * q - 1, 2 * len(q)).T @ w
+        moments[0] -= 1
+        return int(np.argmax(np.abs(moments) > EXACTNESS_TOLERANCE)) - 1
+
+    @property
+    def order(self) -> int:
+        """Order u of the rule: exactness + 1 (2r for Gauss, 2r - 1 for Radau, 2r - 2 for Lobatto)."""
+        return self.exactness + 1
+
+
+def _roots(
+    size: int, derivative: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], start: np.ndarray
+) -> np.ndarray:
+    """Newton's method for `size` simple roots in ]-1, 1[, from starting values good to a few digits."""
+    x = start.astype(float)
+    for _ in range(20 if size else 0):
+        value, slope = derivative(x)
+        step = value / slope
+        x = x - step
+        if np.max(np.abs(step)) < 1e-15:
+            break
+    return x
+
+
+def _legendre(n: int, x: np.ndarray) -> np.ndarray:
+    """Legendre polynomials P_0 ... P_n at x, shape (n + 1,) + x.shape."""
+    return legendre.legvander(x, max(n, 1)).T
+
+
+def _jacobi_roots(n: int, alpha: float, beta: float) -> np.ndarray:
+    """Roots of the Jacobi polynomial P_n^(alpha, beta), increasing: eigenvalues of its Jacobi matrix."""
+    if n == 0:
+        return np.zeros(0)
+    k = np.arange(1, n)
+    s = 2 * k + alpha + beta
+    off = 2 / s * np.sqrt(k * (k + alpha) * (k + beta) * (k + alpha + beta) / ((s + 1) * (s - 1)))
+    k = np.arange(n)
+    s = 2 * k + alpha + beta
+    with np.errstate(invalid="ignore", divide="ignore"):
+        diagonal = (beta**2 - alpha**2) / (s * (s + 2))
+    diagonal[0] = (beta - alpha) / (alpha + beta + 2)
+    return np.linalg.eigvalsh(np.diag(diagonal) + np.diag(off, 1) + np.diag(off, -1))
+
+
+def _count(n: int, least: int, name: str) -> int:
+    if isinstance(n, bool) or not isinstance(n, (int, np.integer)):
+        raise TypeError(f"{name} takes a whole number of points, got {n!r}")
+    if n < least:
+        raise ValueError(f"{name} needs at least {least} point{'s' if least > 1 else ''}, got {n}")
+    return int(n)
+
+
+def _from_symmetric_interval(x: np.ndarray, w: np.ndarray) -> Quadrature:
+    return Quadrature((1 + x) / 2, w / w.sum())
+
+
+@lru_cache(maxsize=128)
+def gauss(n: int) -> Quadrature:
+    """Gauss-Legendre rule with n >= 1 points, of order 2n."""
+    n = _count(n, 1, "gauss")
+    return _from_symmetric_interval(*legendre.leggauss(n))
+
+
+@lru_cache(maxsize=128)
+def lobatto(n: int) -> Quadrature:
+    """Gauss-Lobatto rule with n >= 2 points, both ends among them, of order 2n - 2.
+
+    ``lobatto(2)`` is the trapezoidal rule, ``lobatto(3)`` Simpson's.
+    """
+    n = _count(n, 2, "lobatto")
+
+    def slope(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        p = _legendre(n - 1, x)  # (1 - x^2) P'_k = k (P_{k-1} - x P_k), differentiated once more below
+        first = (n - 1) * (p[n - 2] - x * p[n - 1]) / (1 - x**2)
+        return first, (2 * x * first - n * (n - 1) * p[n - 1]) / (1 - x**2)
+
+    inner = _roots(n - 2, slope, _jacobi_roots(n - 2, 1.0, 1.0))
+    x = np.concatenate(([-1.0], (inner - inner[::-1]) / 2, [1.0]))
+    return _from_symmetric_interval(x, 1 / _legendre(n - 1, x)[n - 1] ** 2)
+
+
+@lru_cache(maxsize=128)
+def radau(n: int) -> Quadrature:
+    """Gauss-Radau rule with n >= 1 points, the right end among them, of order 2n - 1."""
+    n = _count(n, 1, "radau")
+
+    def value(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        p = _legendre(n, x)  # the points are the roots of P_{n-1} - P_n
+        lower = (n - 1) * (p[max(n - 2, 0)] - x * p[n - 1])
+        return p[n - 1] - p[n], (lower - n * (p[n - 1] - x * p[n])) / (1 - x**2)
+
+    inner = _roots(n - 1, value, _jacobi_roots(n - 1, 1.0, 0.0))
+    x = np.append(inner, 1.0)
+    return _from_symmetric_interval(x, (1 + x) / _legendre(n - 1, x)[n - 1] ** 2)
+
+
+def midpoint() -> Quadrature:
+    """Mid-point rule: one point, 1/2; order 2.  The same as ``gauss(1)``."""
+    return Quadrature((0.5,), (1.0,))
+
+
+def trapezoid() -> Quadrature:
+    """Trapezoidal rule, w(0) = w(1) = 1/2; order 2.  The same as ``lobatto(2)``."""
+    return Quadrature((0.0, 1.0), (0.5, 0.5))
+
+
+def left_rectangle() -> Quadrature:
+    """Left rectangle rule, w(0) = 1; order 1."""
+    return Quadrature((0.0,), (1.0,))

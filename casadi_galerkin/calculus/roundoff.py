@@ -1,0 +1,13 @@
+"""What a double can tell."""
+
+import numpy as np
+
+EPS = float(np.finfo(float).eps)
+TINY = float(np.finfo(float).tiny)
+ZERO = 1e-150  # size below which a component counts as zero everywhere: its square, an energy, underflows
+
+
+def component_sizes(values: np.ndarray) -> np.ndarray:
+    """Largest value of each row of (d, K), to which errors are relative; 1 for a component that is zero; (d,)."""
+    largest = np.max(np.abs(values), axis=1)
+    return np.where(largest >= ZERO, largest, 1.0)

@@ -1,0 +1,103 @@
+"""How wrong an optimal path is, and on which mesh it would be less so, from the same mesh with degree m + 2.
+
+The relative changes of cost and duration and the largest change of x, at the same fraction of the duration and relative
+to the size of its component, make D; with q the ratio of what the two paths leave out (`truncation`), the estimated
+error is D / (1 - q).
+
+Two things that both degrees miss alike are added.  A switch from bound to bound is due where the switching function
+∂(ℓ + λ·F)/∂u is zero: with the joint next to it elsewhere, no quadrature point may lie between and tell.  And bounds
+of positions hold at nodes only: passing one by ε between them moves the path by about √ε.
+
+The new mesh spreads what the finer path has beyond degree m evenly.  Where a higher degree does not help the path has
+a kink, and intervals are split as for order 2.  Where a control switches inside an interval its impulse ∫ u dt tells
+when, and a joint is moved there; the intervals on both sides shrink with the time by which the switch is not due there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, truncation
+from casadi_galerkin.calculus.piecewise_polynomial import times_at
+from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.control.switching import switches
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+
+SLOWEST = 2 / 3  # q where a jump or a constraint at points keeps the higher degree from gaining much
+STUBBORN = 0.25  # an interval whose truncation falls by less with the higher degree is not smooth
+KINK_ORDER = 2  # a jump of the acceleration inside a step h moves x by h²
+FINEST = 8.0  # parts of one interval at once; a kink needs few levels and leaves few intervals behind
+LEAST = 1e-3  # of the target: intervals beside a switch that is not late may grow, as far as a mesh lets them
+ROUNDOFF = 1e-15  # of positions relative to their size
+
+
+def sampled(path: ControlTrajectory, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Times (N, K) at and between the joints, and positions there (d, N, K)."""
+    times = times_at(path.t, np.linspace(0, 1, 4 * degree + 1)).reshape(len(path.t) - 1, -1)
+    return times, path(times)
+
+
+def change_of_degree(path: ControlTrajectory, higher: ControlTrajectory) -> float:
+    """Relative error of cost, duration and positions, D / (1 - q)."""
+    degree = path.method.degree
+    change = (
+        np.abs(sampled(higher, degree)[1] - sampled(path, degree)[1])
+        / component_sizes(path.polynomial.values)[:, None, None]
+    )
+    cost = abs(higher.cost - path.cost) / (abs(higher.cost) or 1.0)
+    duration = abs(np.ptp(higher.t) / np.ptp(path.t) - 1)
+    coarse, fine = (float(np.max(truncation(p.polynomial))) for p in (path, higher))
+    at_points = path.problem.path_constraint is not None or len(switches(higher)) > 0
+    ratio = SLOWEST if at_points else min(fine / max(coarse, fine, 1e-300), SLOWEST)
+    return float(max(cost, duration, np.max(change)) / (1 - ratio))
+
+
+def estimated_error(path: ControlTrajectory, higher: ControlTrajectory) -> float:
+    """Relative error of cost, duration and positions from the same mesh with degree m + 2."""
+    late = [abs(s.due - s.joint) / np.ptp(higher.t) for s in switches(higher)]
+    return float(max(change_of_degree(path, higher), *late, np.sqrt(np.max(excess(path))), 0.0))
+
+
+def excess(path: ControlTrajectory) -> np.ndarray:
+    """By how much positions leave their bounds between the nodes, relative to the components' sizes; (N,)."""
+    low, high = (np.array(side)[:, None, None] for side in path.problem.position_bounds)
+    times, _ = sampled(path, path.method.degree)
+    slopes = path(times, 1)
+    change = slopes[:, :, :-1] - slopes[:, :, 1:]
+    part = np.clip(slopes[:, :, :-1] / np.where(change != 0, change, 1.0), 0.0, 1.0)
+    turning = times[:, :-1] + part * np.diff(times)  # where a component turns, or one end of the sample
+    positions = np.stack([path(when)[i] for i, when in enumerate(turning)])
+    beyond = (
+        np.maximum(np.maximum(low - positions, positions - high), 0.0)
+        / component_sizes(path.polynomial.values)[:, None, None]
+    )
+    return np.asarray(np.max(np.where(beyond > ROUNDOFF, beyond, 0.0), axis=(0, 2)))
+
+
+def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
+    """What a path has on each interval that a lower degree has not, relative to the components' sizes; (N,)."""
+    calculus = DiscreteCalculus(Galerkin(degree), path.t)
+    times, positions = sampled(path, degree)
+    change = positions - calculus.emb(path(calculus.node_times))(times)
+    return np.asarray(np.max(np.abs(change) / component_sizes(path.polynomial.values)[:, None, None], axis=(0, 2)))
+
+
+def better_mesh(path: ControlTrajectory, higher: ControlTrajectory, tol: float) -> np.ndarray:
+    """Joints, in the time of the higher path, on which the error should be below the tolerance."""
+    order, target, found = path.method.degree + 1, TARGET * tol, switches(higher)
+    error = beyond_degree(higher, path.method.degree)
+    error *= change_of_degree(path, higher) / max(np.max(error), 1e-300)
+    kinked = (truncation(higher.polynomial) > STUBBORN * truncation(path.polynomial)) & (error > target)
+    error[kinked] = target * (error[kinked] / target) ** (order / KINK_ORDER)
+    outside = np.sqrt(excess(path))  # of the order of the distance to the nearest node, so of order 1
+    error = np.maximum(error, target * (outside / target) ** order)
+    for s in found:
+        i = int(np.argmin(np.abs(higher.t - s.joint)))
+        error[max(i - 1, 0) : i + 1] = target * max(abs(s.due - s.joint) / np.ptp(higher.t) / target, LEAST) ** order
+    mesh = equidistributed(higher.t, error, order, tol, FINEST)
+    for s in found:
+        best = s.due if s.when == s.joint else s.when
+        mesh[1 + np.argmin(np.abs(mesh[1:-1] - best))] = best
+    return mesh

@@ -1,0 +1,80 @@
+"""Where controls switch from bound to bound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+
+AT_BOUND = 0.05  # of the bounds' distance: a switch is from one bound to the other within this
+
+
+NEAR = 2  # intervals within which it happens
+
+
+ZOOMS = 4  # of 32 parts each, in search of a zero: 1e-6 of the bracket, then linear
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A control goes from bound to bound: the time its impulse tells, the nearest joint, when it is due."""
+
+    when: float
+    joint: float
+    due: float
+
+
+def switching_function(path: ControlTrajectory, times: np.ndarray) -> np.ndarray:
+    """∂(ℓ + λ·F)/∂u along the path, (n, K)."""
+    problem, d = path.problem, path.problem.dimension
+    symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d), ca.SX.sym("u", problem.controls)]
+    costate = ca.SX.sym("costate", d)
+    cost, force = (with_parameters(f, path.parameters) for f in (problem.running_cost, problem.force))
+    total = cost(*symbols) + ca.dot(costate, force(*symbols))
+    slope = ca.Function("slope", [*symbols, costate], [ca.densify(ca.gradient(total, symbols[3]))]).map(len(times))
+    along = (path(times), path(times, 1), path.control(times), path.costate(times))
+    return np.array(slope(times[None, :], *along))
+
+
+def switches(path: ControlTrajectory) -> list[Switch]:
+    """All switches of all controls."""
+    found, r = [], len(path.method.quadrature)
+    for i, (u, low, high) in enumerate(zip(path.control.values, *path.problem.control_bounds, strict=True)):
+        if not 0 < high - low < np.inf:
+            continue
+        slack = AT_BOUND * (high - low)
+        side = np.where(u >= high - slack, 1, np.where(u <= low + slack, -1, 0))
+        bound = np.flatnonzero(side)
+        for k in np.flatnonzero(side[bound[1:]] != side[bound[:-1]]):
+            first, last = bound[k] // r, bound[k + 1] // r
+            if last - first <= NEAR:
+                ends = (high, low) if side[bound[k]] > 0 else (low, high)
+                found.append(switch(path, i, max(first - 1, 0), min(last + 1, len(path.t) - 2), *ends))
+    return found
+
+
+def switch(path: ControlTrajectory, i: int, first: int, last: int, before: float, after: float) -> Switch:
+    """The switch of control i within some intervals: its impulse there is that of a jump at the time sought."""
+    r, steps = len(path.method.quadrature), np.diff(path.t)[first : last + 1]
+    local = path.control.values[i].reshape(-1, r)[first : last + 1]
+    means = local @ np.array(path.method.quadrature.weights)
+    when = float(path.t[first] + steps @ (means - after) / (before - after))
+    due = zero(path, i, path.control.times[first * r], path.control.times[last * r + r - 1])
+    return Switch(when, float(path.t[np.argmin(np.abs(path.t - when))]), due if np.isfinite(due) else when)
+
+
+def zero(path: ControlTrajectory, i: int, first: float, last: float) -> float:
+    """Where the switching function of control i changes its sign; NaN if it does not."""
+    for _ in range(ZOOMS):
+        times = np.linspace(first, last, 33)
+        values = switching_function(path, times)[i]
+        changes = np.flatnonzero(values[1:] * values[:-1] <= 0)
+        if len(changes) == 0:
+            return np.nan
+        first, last = times[changes[0]], times[changes[0] + 1]
+        before, after = values[changes[0]], values[changes[0] + 1]
+    return float(first + (last - first) * before / (before - after)) if before != after else float(first)

@@ -1,0 +1,194 @@
+"""The discrete Euler-Lagrange equations of one interval, with given position and momentum at its start.
+
+Discrete Hamilton's principle on one interval, S'(δ) = p_1·δ(1) - p_0·δ(0) for every polynomial δ of degree m, is what
+the global equations (euler1), (euler2) of the paper say between one joint and the next.  Unknown are the slopes s_i of
+the path at the m Gauss points, because they are increments: roundoff is then that of x_1 - x_0.  With l_i the
+Lagrange polynomials of these points, ψ_i their integrals from 0, b_i = ψ_i(1), and (f, g)_k the weighted
+derivatives w_k ∂L̂/∂(x, x') of the pulled-back Lagrangian at the quadrature points q_k,
+
+    x̄(q) = x_0 + Σ ψ_i(q) s_i,     x̄'(q) = Σ l_i(q) s_i,     x_1 = x_0 + Σ b_i s_i
+    p_1 = p_0 + Σ f_k                                                       δ = 1
+    R_j = b_j p_1 - Σ ( ψ_j(q_k) f_k + l_j(q_k) g_k ) = 0                   δ = ψ_j.
+
+The same rounded ψ, l and b stand in the path and in the equations, so a symmetry of L conserves its momentum map
+up to the rounding of single operations, which drifts like a random walk.  A force adds its virtual work
+h w_k F_k·δ(q_k) (Lagrange-d'Alembert), that is, h w_k F_k to f_k.  The choice of control points does not enter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
+from casadi_galerkin.calculus.quadrature import gauss
+from casadi_galerkin.calculus.roundoff import EPS, TINY
+from casadi_galerkin.functional.pointwise import pulled_back
+
+DOUBLINGS = 4  # of Newton's iterations, to at most 16; 1 to 8 were measured, the most at the largest steps
+# a relative Newton step that is not worth taking; the estimate of the next one was measured up to 60 times too small
+SMALLEST_STEP = 0.01 * EPS
+# CasADi's QR calls a matrix with a pivot below an absolute 1e-12 singular, whatever its units, and gives up
+NO_CUTOFF = {"eps": 0.0}
+NEAR = 1e-8  # relative Newton step below which only rounding keeps the next one from being far smaller
+TAYLOR = 2  # terms of the velocity carried on as prediction; with 3 and more, large steps reached other solutions
+
+
+@dataclass(frozen=True)
+class SlopeBasis:
+    """Polynomials of degree m - 1 by their values at the m Gauss points, and their integrals from 0.
+
+    Attributes
+    ----------
+    points : (m,), Gauss points on [0, 1]
+    weights : (m,), b_i, the integrals over [0, 1]
+    """
+
+    points: np.ndarray
+    weights: np.ndarray
+
+    def slopes(self, c: np.ndarray) -> np.ndarray:
+        """l_i(c); (len(c), m)."""
+        return lagrange_values(self.points, c)
+
+    def values(self, c: np.ndarray) -> np.ndarray:
+        """ψ_i(c), the integral of l_i from 0 to c; (len(c), m)."""
+        m = len(self.points)
+        scaled = lagrange_values(self.points, np.outer(c, self.points).ravel()).reshape(len(c), m, m)
+        return np.asarray(c[:, None] * np.einsum("l,cli->ci", self.weights, scaled))
+
+    def taylor(self, terms: int) -> np.ndarray:
+        """Taylor coefficients at c = 1, as many as given but no more than m; (terms, m)."""
+        row, rows = self.slopes(np.ones(1)), []
+        for k in range(min(terms, len(self.points))):
+            rows.append(row)
+            row = row @ differentiation_matrix(self.points) / (k + 1)
+        return np.concatenate(rows)
+
+
+def slope_basis(degree: int) -> SlopeBasis:
+    """Slope basis of paths of degree m."""
+    rule = gauss(degree)
+    return SlopeBasis(np.array(rule.points), np.array(rule.weights))
+
+
+def _points(lagrangian: ca.Function, force: ca.Function | None) -> ca.Function:
+    """(t, h, x, x', sizes) -> L̂, its derivatives with h F added (2d,), their Jacobian, and the sizes that round them.
+
+    `sizes` (2d,) are those of the terms that were summed to (x, x'), which
+    may cancel.
+    """
+    d = lagrangian.size1_in(1)
+    t, h, x, slope = ca.SX.sym("t"), ca.SX.sym("h"), ca.SX.sym("x", d), ca.SX.sym("slope", d)
+    at, terms = ca.vertcat(x, slope), ca.SX.sym("terms", 2 * d)
+    action = pulled_back(lagrangian, t, h, x, slope)
+    values = ca.densify(ca.gradient(action, at))
+    if force is not None:
+        values[:d] += h * force(t, x, slope / h)
+    jacobian = ca.jacobian(values, at)
+    sizes = ca.densify(ca.fabs(values) + ca.mtimes(ca.fabs(jacobian), terms))
+    return ca.Function("points", [t, h, x, slope, terms], [action, values, jacobian, sizes], {"cse": True})
+
+
+@dataclass(frozen=True)
+class Interval:
+    """The equations of one interval: Functions of (s, x, p, t, h), s of shape (d, m).
+
+    Attributes
+    ----------
+    system : -> R, ∂R/∂s
+    check : -> |R| over its roundoff floor, action of the interval
+    end : -> x_1, p_1, Taylor coefficients of the velocity at the end (d, terms)
+    """
+
+    system: ca.Function
+    check: ca.Function
+    end: ca.Function
+
+    def jacobian(self) -> ca.Function:
+        """∂(x_1, p_1)/∂(x_0, p_0) of the step, (2d, 2d), by the implicit function theorem on R = 0."""
+        d, m = self.system.size_in(0)
+        column, x, p, t, h = symbols = [
+            ca.SX.sym(name, size) for name, size in zip("sxpth", (d * m, d, d, 1, 1), strict=True)
+        ]
+        inputs, start = [ca.reshape(column, d, m), x, p, t, h], ca.vertcat(x, p)
+        (residual, by_s), ends = self.system(*inputs), ca.vertcat(*self.end(*inputs)[:2])
+        direction = ca.SX.sym("direction", d * m, 2 * d)
+        parts = [by_s, ca.jacobian(residual, start), ca.jacobian(ends, start)]
+        partial = ca.Function("partial", symbols, [ca.densify(part) for part in parts])
+        along = ca.Function("along", [*symbols, direction], [ca.jtimes(ends, column, direction)])
+        at = [ca.MX.sym(name, *self.system.size_in(i)) for i, name in enumerate("sxpth")]
+        by_s, by_start, direct = partial(ca.vec(at[0]), *at[1:])
+        response = -ca.solve(by_s, by_start, "qr", NO_CUTOFF)
+        return ca.Function("step_jacobian", at, [direct + along(ca.vec(at[0]), *at[1:], response)])
+
+
+def interval(lagrangian: ca.Function, force: ca.Function | None, method: Galerkin) -> Interval:
+    """Write the equations of one interval (see the module) as SX Functions."""
+    d, m, element, basis = lagrangian.size1_in(1), method.degree, method.element, slope_basis(method.degree)
+    q, w, b = element.points, element.weights[:, None], basis.weights
+    values, slopes = basis.values(q), basis.slopes(q)
+    s, x, p = ca.SX.sym("s", d, m), ca.SX.sym("x", d), ca.SX.sym("p", d)
+    t, h = ca.SX.sym("t"), ca.SX.sym("h")
+    at = [t + h * ca.DM(q).T, ca.repmat(h, 1, len(q)), x + s @ ca.DM(values).T, s @ ca.DM(slopes).T]
+    size = ca.fabs(s)
+    summed = ca.vertcat(ca.repmat(ca.fabs(x), 1, len(q)) + size @ ca.DM(abs(values)).T, size @ ca.DM(abs(slopes)).T)
+    action, gradient, jacobian, sizes = _points(lagrangian, force).map(len(q)).call([*at, summed])
+    f, g = ca.vertsplit(gradient * ca.repmat(ca.DM(w).T, 2 * d, 1), d)
+    end = p + ca.sum2(f)
+    residual = ca.vec(end @ ca.DM(b).T - f @ ca.DM(values) - g @ ca.DM(slopes))
+    points = ca.diagcat(*ca.horzsplit(jacobian, 2 * d))
+    by_s = _spread(w * (b - values), -w * slopes, d).T @ points @ _spread(values, slopes, d)
+    f_size, g_size = ca.vertsplit(sizes * ca.repmat(ca.DM(w).T, 2 * d, 1), d)
+    terms = (ca.fabs(p) + ca.sum2(f_size)) @ ca.DM(b).T + f_size @ ca.DM(abs(values)) + g_size @ ca.DM(abs(slopes))
+    taylor = basis.taylor(TAYLOR)
+    velocity = (s @ ca.DM(taylor).T) / ca.repmat(h ** ca.DM(range(1, len(taylor) + 1)).T, d, 1)
+
+    def function(name: str, *outputs: ca.SX) -> ca.Function:
+        return ca.Function(name, [s, x, p, t, h], [ca.densify(output) for output in outputs])
+
+    return Interval(
+        function("system", residual, by_s),
+        function("check", ca.fabs(residual) / (EPS * ca.vec(terms) + TINY), action @ ca.DM(w)),
+        function("end", x + s @ ca.DM(b), end, velocity),
+    )
+
+
+def _spread(by_x: np.ndarray, by_slope: np.ndarray, d: int) -> ca.DM:
+    """Coefficients of (x, x') at the quadrature points, alike for all components: (2 d r, d columns), sparse."""
+    pairs = np.stack((by_x, by_slope), axis=1).reshape(2 * len(by_x), -1)
+    return ca.sparsify(ca.DM(np.kron(pairs, np.eye(d))))
+
+
+def newton_iteration(system: ca.Function) -> ca.Function:
+    """(s, x, p, t, h) -> s where R = 0, number of iterations: Newton's method, at most 2^`DOUBLINGS` iterations.
+
+    Steps that converge quadratically, |ds| = c |ds_before|², end when the next, |ds| (|ds| / |ds_before|)², would be
+    below roundoff, or when near it they no longer shrink; all relative to the size of the component.  Each doubling
+    does the iterations of the one before, and does them again if they did not end: of all conditionals only a few are
+    evaluated.
+    """
+    names = [system.name_in(i) for i in range(5)]
+    inputs = [ca.MX.sym(name, *system.size_in(i)) for i, name in enumerate(names)]
+    d, m = inputs[0].shape
+    s, ds, x, before = ca.SX.sym("s", d, m), ca.SX.sym("ds", d, m), ca.SX.sym("x", d), ca.SX.sym("before")
+    size = [ca.fabs(x[i]) + ca.mmax(ca.fabs(s[i, :])) + ca.mmax(ca.fabs(ds[i, :])) + TINY for i in range(d)]
+    relative = ca.mmax(ca.fabs(ds) / ca.repmat(ca.vertcat(*size), 1, m))
+    large = relative * ca.fmin(1, relative / before) ** 2 > SMALLEST_STEP  # false if it is not a number
+    stalled = ca.logic_and(ca.logic_and(before > 0, before <= NEAR), relative > before / 2)
+    unfinished = ca.logic_and(large, ca.logic_not(stalled))
+    update = ca.Function("update", [s, ds, x, before], [s + ds, relative, unfinished, 1])
+    residual, by_s = system(*inputs)
+    last, step = ca.MX.sym("last"), ca.reshape(-ca.solve(by_s, residual, "qr", NO_CUTOFF), d, m)
+    state = [inputs[0], last, *inputs[1:]]
+    newton = ca.Function("newton", state, update.call([inputs[0], step, inputs[1], last]))
+    done = ca.Function("done", state, [*state[:2], 0, 0])
+    for _ in range(DOUBLINGS):
+        *values, more, count = newton.call(state)
+        *values, more, further = ca.Function.if_else("again", newton, done).call([more, *values, *inputs[1:]])
+        newton = ca.Function("newton", state, [*values, more, count + further])
+    values, _, _, count = newton.call([inputs[0], ca.MX(0), *inputs[1:]])
+    return ca.Function("newton", inputs, [values, count])

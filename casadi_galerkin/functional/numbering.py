@@ -1,0 +1,102 @@
+"""Which unknown is which value of a path: the numbering that graphs, arrays and answers share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from casadi_galerkin.calculus.galerkin import Galerkin
+
+KEPT = 8  # a graph of 1e5 intervals holds some 100 MB
+
+Data = tuple[np.ndarray, ...]  # what a path is found for: start, end, mesh and, if there are some, parameters
+
+
+@dataclass(frozen=True)
+class Numbering:
+    """Which entry of the vector u stands for which value of the path: X̄ = P ξ + c as a numbering.
+
+    u holds the free values ξ in the order of time, then the fixed components of the start, then those of the end.
+
+    Parameters
+    ----------
+    method : Galerkin
+    intervals : int, N
+    dimension : int, d
+    fixed_start, fixed_end : indices of the components that are given at the ends
+    periodic : bool, whether the last joint is the first one; `fixed_start` then holds for both
+    """
+
+    method: Galerkin
+    intervals: int
+    dimension: int
+    fixed_start: tuple[int, ...] = ()
+    fixed_end: tuple[int, ...] = ()
+    periodic: bool = False
+
+    @cached_property
+    def of_nodes(self) -> np.ndarray:
+        """Entry of u at every node in the order of time; (N m + 1, d)."""
+        nodes = np.zeros((self.intervals * self.method.degree + 1, self.dimension), dtype=np.int64)
+        given = np.zeros(nodes.shape, dtype=bool)
+        given[0, list(self.fixed_start)] = True
+        if self.periodic:
+            given[-1] = True  # numbered with the first joint, below
+        else:
+            given[-1, list(self.fixed_end)] = True
+        nodes[~given] = np.arange(np.count_nonzero(~given))
+        starts = self.free + np.arange(len(self.fixed_start))
+        nodes[0, list(self.fixed_start)] = starts
+        if self.periodic:
+            nodes[-1] = nodes[0]
+        else:
+            nodes[-1, list(self.fixed_end)] = self.free + len(starts) + np.arange(len(self.fixed_end))
+        return nodes
+
+    @cached_property
+    def component(self) -> np.ndarray:
+        """Component of the path that every entry of u is a value of; (size,)."""
+        component = np.zeros(self.size, dtype=np.int64)
+        component[self.of_nodes] = np.arange(self.dimension)
+        return component
+
+    @cached_property
+    def place(self) -> np.ndarray:
+        """Where every unknown stands among the node values, component fastest; (free,)."""
+        return np.unique(self.of_nodes, return_index=True)[1][: self.free]  # of a periodic joint the first
+
+    @cached_property
+    def free(self) -> int:
+        """Number of unknowns, the length of ξ."""
+        joints = self.intervals * self.method.degree + (0 if self.periodic else 1)
+        return joints * self.dimension - len(self.fixed_start) - len(self.fixed_end)
+
+    @property
+    def size(self) -> int:
+        """Length of u."""
+        return self.free + len(self.fixed_start) + len(self.fixed_end)
+
+    @property
+    def local(self) -> np.ndarray:
+        """Entry of u at every local node; (m + 1, N, d)."""
+        m = self.method.degree
+        return np.asarray(self.of_nodes[m * np.arange(self.intervals)[None, :] + np.arange(m + 1)[:, None]])
+
+    @property
+    def points(self) -> int:
+        """Number of quadrature points, N r."""
+        return self.intervals * len(self.method.quadrature)
+
+
+@lru_cache(KEPT)
+def kept(numbering: Numbering) -> Numbering:
+    """The first numbering that was equal to this one, with what it has found out."""
+    return numbering
+
+
+def clock(numbering: Numbering, mesh: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times t and steps h at the quadrature points, (N r,) each."""
+    points, steps = numbering.method.element.points, np.diff(mesh)
+    return (mesh[:-1] + np.multiply.outer(points, steps)).ravel(), np.tile(steps, len(points))

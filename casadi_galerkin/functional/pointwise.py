@@ -1,0 +1,102 @@
+"""The pulled-back Lagrangian at one point, with its derivatives, as SX Functions.
+
+On the reference interval, with the slope x' = h v, the Lagrangian is L̂(t, h, x, x') = h L(t, x, x'/h).  It holds the
+step, so that the sum over an interval needs no factor h, and nothing linear in the graph depends on the mesh.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property, lru_cache
+
+import casadi as ca
+
+from casadi_galerkin.functional.numbering import KEPT
+
+CSE = {"cse": True}  # costs more to find than it saves, but for the Hessian: a tenth of its instructions
+
+
+def pulled_back(lagrangian: ca.Function, t: ca.SX, h: ca.SX, x: ca.SX, slope: ca.SX, *parameters: ca.SX) -> ca.SX:
+    """L̂(t, h, x, x'[, p]) = h L(t, x, x'/h[, p])."""
+    return h * lagrangian(t, x, slope / h, *parameters)
+
+
+class Pointwise:
+    """L̂(t, h, x, x'[, p]) at one point with its first and second derivatives.
+
+    Parameters
+    ----------
+    lagrangian : Function (t, x, v[, p]) -> scalar
+
+    Attributes
+    ----------
+    pattern : Sparsity (d, d), symmetric, that holds every second-derivative block
+    stored : the same, or its lower triangle where that tells all: without a block of x and x'
+    blocks : which of (0, 0), (0, 1), (1, 0), (1, 1) are not structurally zero; 0 stands for x and 1 for x'
+    kinetic : whether no ∂²L̂/∂x'_i² is structurally zero
+    quadratic : whether second derivatives depend on neither x nor x', so that Newton's equations have but one matrix
+    """
+
+    def __init__(self, lagrangian: ca.Function) -> None:
+        t, h = ca.SX.sym("t"), ca.SX.sym("h")
+        d = lagrangian.size1_in(1)
+        x, slope = ca.SX.sym("x", d), ca.SX.sym("slope", d)
+        parameters = [ca.SX.sym("p", lagrangian.size1_in(3))] if lagrangian.n_in() == 4 else []
+        self._inputs = {"t": t, "h": h, "x": x, "slope": slope} | ({"p": parameters[0]} if parameters else {})
+        self._value = pulled_back(lagrangian, t, h, x, slope, *parameters)
+        self._hessian, gradient = ca.hessian(self._value, ca.vertcat(x, slope))
+        ends = [0, d, 2 * d]
+        self._slopes = dict(zip(("fx", "fv"), ca.vertsplit(ca.densify(gradient), ends), strict=True))
+        rows = ca.blocksplit(self._hessian, ends, ends)
+        self._cells = {(i, j): cell for i, row in enumerate(rows) for j, cell in enumerate(row)}
+        self.blocks = tuple(key for key, cell in self._cells.items() if cell.nnz())
+        if not self.blocks:
+            raise ValueError("the Lagrangian is linear in x and v: no path makes its action stationary, or all do")
+        self.pattern = ca.Sparsity.diag(d)  # the matrix must have a diagonal even where L ignores a component
+        for key in self.blocks:
+            sparsity = self._cells[key].sparsity()
+            self.pattern = self.pattern + sparsity + sparsity.T
+        self.stored = self.pattern if (0, 1) in self.blocks else ca.tril(self.pattern)
+        kinetic = self._cells[1, 1].sparsity()
+        self.kinetic = all(kinetic.has_nz(i, i) for i in range(d))
+        self.quadratic = not ca.depends_on(self._hessian, ca.vertcat(x, slope))
+
+    @cached_property
+    def first(self) -> ca.Function:
+        """L̂, ∂L̂/∂x and ∂L̂/∂x'."""
+        return self._function("first", {"f": self._value, **self._slopes})
+
+    @cached_property
+    def derivatives(self) -> ca.Function:
+        """What `first` has, and second derivatives in the order of `blocks`, each the column of its `stored` entries.
+
+        They are one Function, because a call costs as much as evaluating a small Lagrangian.
+        """
+        columns = {f"block{i}{j}": ca.project(self._cells[i, j], self.stored).nz[:] for i, j in self.blocks}
+        return self._function("derivatives", {"f": self._value, **self._slopes, **columns}, CSE)
+
+    @cached_property
+    def curvature(self) -> ca.Function:
+        """With z = (y, y') as a further input, zᵀ∇²L̂ z and |z|ᵀ|∇²L̂||z|."""
+        z = ca.SX.sym("z", self._hessian.shape[0])
+        size = ca.fabs(z)
+        terms = [ca.bilin(self._hessian, z, z), ca.bilin(ca.fabs(self._hessian), size, size)]
+        return ca.Function("curvature", [*self._inputs.values(), z], terms)
+
+    @cached_property
+    def time_derivatives(self) -> ca.Function:
+        """Derivatives of L̂ at fixed x and x': by t, by h, and the second ones by tt, th and hh."""
+        hessian, gradient = ca.hessian(self._value, ca.vertcat(self._inputs["t"], self._inputs["h"]))
+        entries = (gradient[0], gradient[1], hessian[0, 0], hessian[0, 1], hessian[1, 1])
+        return ca.Function("time_derivatives", list(self._inputs.values()), [ca.densify(entry) for entry in entries])
+
+    def _function(self, name: str, outputs: dict[str, ca.SX], options: dict[str, bool] | None = None) -> ca.Function:
+        inputs = self._inputs
+        return ca.Function(
+            name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs), options or {}
+        )
+
+
+@lru_cache(KEPT)
+def pointwise(lagrangian: ca.Function) -> Pointwise:
+    """Derive the pointwise Functions of a Lagrangian; the last ones are kept."""
+    return Pointwise(lagrangian)

@@ -1,0 +1,78 @@
+"""A path from a position and a momentum, or velocity, at the start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+from casadi_galerkin.calculus.numbers import numbers, time_span
+from casadi_galerkin.problems.callables import Traceable, trace_force, trace_lagrangian
+
+
+@dataclass(frozen=True)
+class InitialProblem:
+    """A path from a position and a momentum, or velocity, at the start.
+
+    Parameters
+    ----------
+    lagrangian : callable (t, x, v) or, with parameters, (t, x, v, p) -> scalar, as for `BoundaryProblem`
+    t_span : (t_0, t_N), in the unit of time of the Lagrangian
+    position : d numbers, x(t_0)
+    momentum : d numbers, p(t_0) = ∂L/∂v; or
+    velocity : d numbers, v(t_0)
+    parameters : numbers passed to the callables as p; default none
+    force : callable of the same arguments -> d generalised forces, that do the virtual work F·δx
+        (Lagrange-d'Alembert); default none
+
+    Raises
+    ------
+    TypeError, ValueError
+        naming what came and what was expected
+
+    Examples
+    --------
+    >>> InitialProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), [1.0], velocity=[0.0]).dimension
+    1
+    """
+
+    lagrangian: ca.Function
+    t_span: tuple[float, float]
+    position: tuple[float, ...]
+    momentum: tuple[float, ...] | None
+    velocity: tuple[float, ...] | None
+    parameters: tuple[float, ...] | None
+    force: ca.Function | None
+
+    def __init__(
+        self,
+        lagrangian: Traceable,
+        t_span: Sequence[float],
+        position: Sequence[float],
+        momentum: Sequence[float] | None = None,
+        velocity: Sequence[float] | None = None,
+        parameters: Sequence[float] | None = None,
+        force: Traceable | None = None,
+    ) -> None:
+        checked_position = numbers("position", position)
+        d = len(checked_position)
+        if (momentum is None) == (velocity is None):
+            raise ValueError(f"give either momentum or velocity, got momentum={momentum!r} and velocity={velocity!r}")
+        checked_parameters = None if parameters is None else numbers("parameters", parameters)
+        values = {
+            "lagrangian": trace_lagrangian(lagrangian, d, checked_parameters),
+            "t_span": time_span(t_span),
+            "position": checked_position,
+            "momentum": None if momentum is None else numbers("momentum", momentum, d),
+            "velocity": None if velocity is None else numbers("velocity", velocity, d),
+            "parameters": checked_parameters,
+            "force": None if force is None else trace_force(force, d, checked_parameters),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def dimension(self) -> int:
+        """Number d of coordinates."""
+        return len(self.position)

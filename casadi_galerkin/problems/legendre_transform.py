@@ -1,0 +1,90 @@
+"""The Legendre transform p = ∂L/∂v, and the velocities that belong to given momenta."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.roundoff import EPS
+
+ITERATIONS = 100
+FOUND = 1e-9  # relative step below which a velocity that roundoff keeps from settling counts as found
+UNDETERMINED = 1e-14  # part of the largest singular value of ∂²L/∂v² below which a direction of v has no momentum
+
+
+def legendre_transform(lagrangian: ca.Function) -> ca.Function:
+    """(t, x, v) -> p = ∂L/∂v (d,), mass matrix ∂²L/∂v² (d, d)."""
+    symbols = [ca.SX.sym(lagrangian.name_in(i), lagrangian.size1_in(i)) for i in range(3)]
+    mass, momentum = ca.hessian(lagrangian(*symbols), symbols[2])
+    return ca.Function("legendre", symbols, [ca.densify(momentum), ca.densify(mass)])
+
+
+def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Velocities v (d, K) -> momenta (d, K), mass matrices (K, d, d)."""
+    d, count = x.shape
+    mapped = transform.map(count)
+
+    def at(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        momenta, masses = (np.array(a) for a in mapped(t[None, :], x, v))
+        return momenta, masses.reshape(d, count, d).transpose(1, 0, 2)
+
+    return at
+
+
+def convex(transform: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> bool:
+    """Whether ∂²L/∂v² has no negative eigenvalue at any of many points; arguments as for `velocities`."""
+    eigenvalues = np.linalg.eigvalsh(_at(transform, t, x)(v)[1])
+    return bool(np.all(eigenvalues[:, 0] >= -UNDETERMINED * np.abs(eigenvalues).max(axis=1)))
+
+
+def velocities(
+    transform: ca.Function, t: np.ndarray, x: np.ndarray, momentum: np.ndarray, guess: np.ndarray
+) -> np.ndarray:
+    """Velocities v with ∂L/∂v(t, x, v) = p at many points; NaN where none was found.
+
+    Newton's method from a guess, or from rest where L is not defined at it; each step is halved until the next one is
+    shorter.
+
+    Parameters
+    ----------
+    transform : `legendre_transform` of L
+    t : (K,)
+    x, momentum, guess : (d, K)
+    """
+    count = x.shape[1]
+    at = _at(transform, t, x)
+
+    def step(v: np.ndarray, inverse: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Newton's step at v and the inverse mass matrices (K, d, d), these or given ones."""
+        found, masses = at(v)
+        if inverse is None:
+            masses[~np.isfinite(masses).all(axis=(1, 2))] = 0.0
+            inverse = np.linalg.pinv(masses, rcond=UNDETERMINED, hermitian=True)
+        return np.einsum("kij,jk->ik", inverse, momentum - found), inverse
+
+    v, (whole, inverse) = guess, step(guess)
+    undefined = ~np.isfinite(whole).all(axis=0)
+    if undefined.any():
+        v = np.where(undefined, 0.0, guess)
+        whole, inverse = step(v)
+    last = np.full(count, np.inf)
+    for _ in range(ITERATIONS):
+        length, size = np.max(np.abs(whole), axis=0), np.max(np.abs(v), axis=0)
+        settled = (length <= 4 * EPS * size) | ((length <= FOUND * size) & (length >= last / 2))
+        if (settled | np.isnan(length)).all():
+            break
+        damping = np.where(settled, 0.0, 1.0)
+        while True:
+            after = np.max(np.abs(step(v + damping * whole, inverse)[0]), axis=0)
+            refused = ~(after <= (1 - damping / 4) * length) & (damping > EPS) & (length > FOUND * size)
+            if not refused.any():
+                break
+            damping[refused] /= 2
+        v, last = v + damping * whole, length
+        whole, inverse = step(v)
+    found, masses = at(v)
+    sizes = np.abs(momentum) + np.abs(found) + np.einsum("kij,jk->ik", np.abs(masses), np.abs(v))
+    missed = (np.abs(momentum - found) > FOUND * sizes).any(axis=0)  # where ∂²L/∂v² vanishes, there are no steps
+    return np.where(settled & ~missed, v, np.nan)

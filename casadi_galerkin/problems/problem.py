@@ -1,0 +1,30 @@
+"""What every problem has in common."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import casadi as ca
+
+from casadi_galerkin.calculus.galerkin import Galerkin
+
+
+class Problem(Protocol):
+    """What an answer keeps of the problem that it solves."""
+
+    @property
+    def lagrangian(self) -> ca.Function:
+        """Function (t, x, v) or, with parameters, (t, x, v, p)."""
+
+    @property
+    def parameters(self) -> tuple[float, ...] | None:
+        """Values of p."""
+
+
+def check_types(problem: object, method: object, *kinds: type) -> None:
+    """Refuse what is no problem of these kinds, or no method."""
+    if not isinstance(problem, kinds):
+        expected = " or ".join(kind.__name__ for kind in kinds)
+        raise TypeError(f"problem must be a {expected}, got {type(problem).__name__}")
+    if not isinstance(method, Galerkin):
+        raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")

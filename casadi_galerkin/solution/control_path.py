@@ -1,0 +1,80 @@
+"""Controls as functions of time: polynomials between quadrature points, in numbers and as a CasADi expression."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.polynomial.legendre import legvander
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.calculus.nodes import lagrange_values
+from casadi_galerkin.calculus.piecewise_polynomial import times_at, times_within
+from casadi_galerkin.calculus.roundoff import EPS
+
+SAME_TIME = 4 * EPS  # of the largest time: what t_i + h q may be past the joint for q = 1
+
+
+class ControlPath:
+    """Controls between their values at the quadrature points: degree r - 1 an interval, free to jump at joints.
+
+    At a joint they are those of the interval after it, of the one before where the rule has a point at 1 and none at 0
+    (Radau): so times at the quadrature points give the values there.  A rule with both (Lobatto) has two values at a
+    joint, of which the later one is taken.
+
+    Parameters
+    ----------
+    mesh : (N + 1,), the joints
+    points : (r,), quadrature points of the reference interval
+    values : (n, N r), controls at the quadrature points in the order of time
+    """
+
+    def __init__(self, mesh: np.ndarray, points: np.ndarray, values: np.ndarray) -> None:
+        self.mesh, self.points, self.values = mesh, points, values
+
+    def __call__(self, t: ArrayLike) -> np.ndarray:
+        """Controls at times t within the mesh; shape (n,) + t.shape."""
+        times = times_within(self.mesh, t)
+        flat = times.ravel()
+        r, steps = len(self.points), np.diff(self.mesh)
+        i = np.searchsorted(self._changes, flat, side="right")
+        basis = lagrange_values(self.points, np.clip((flat - self.mesh[i]) / steps[i], 0.0, 1.0))
+        local = self.values[:, i[:, None] * r + np.arange(r)]
+        return np.asarray(np.einsum("nkj,kj->nk", local, basis).reshape((len(self.values), *times.shape)))
+
+    @property
+    def times(self) -> np.ndarray:
+        """The quadrature points in time, (N r,)."""
+        return times_at(self.mesh, self.points)
+
+    def at(self, s: np.ndarray) -> np.ndarray:
+        """Controls at fractions s (K,) of every interval, by its own polynomial, joints included; (n, N K)."""
+        local = self.values.reshape(len(self.values), -1, len(self.points))
+        return np.asarray((local @ lagrange_values(self.points, s).T).reshape(len(self.values), -1))
+
+    @property
+    def _changes(self) -> np.ndarray:
+        """Times from which the next interval's polynomial holds, (N - 1,)."""
+        before = self.points[-1] == 1 and self.points[0] > 0
+        return self.mesh[1:-1] + (SAME_TIME * np.max(np.abs(self.mesh)) if before else 0.0)
+
+    def expression(self, t: ca.SX) -> ca.SX:
+        """The same as a CasADi expression of a scalar t, (n,).
+
+        Legendre series, summed by Clenshaw's recurrence, with coefficients that switch at joints: those of monomials
+        leave two or three digits at degree 40.
+        """
+        r, changes, steps = len(self.points), self._changes.tolist(), np.diff(self.mesh)
+        local = self.values.reshape(len(self.values), len(steps), r)
+        coefficients = np.linalg.solve(legvander(2 * self.points - 1, r - 1), local.reshape(-1, r).T)
+
+        def switched(values: np.ndarray) -> ca.SX:
+            return ca.pw_const(t, changes, values.tolist()) if changes else ca.SX(values[0])
+
+        s = 2 * (t - switched(self.mesh[:-1])) / switched(steps) - 1
+        total = after = [ca.SX(0) for _ in self.values]
+        for k in reversed(range(r)):
+            first, second = (2 * k + 1) / (k + 1) * s, (k + 1) / (k + 2)
+            rows = coefficients[k].reshape(len(self.values), -1)
+            following = [switched(row) + first * b - second * c for row, b, c in zip(rows, total, after, strict=True)]
+            total, after = following, total
+        return ca.vertcat(*total)

@@ -1,0 +1,80 @@
+"""What a user gives beside the problem: a method, a mesh, and a guess in any of its forms, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
+from casadi_galerkin.calculus.numbers import real_array
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.solution.path import Path
+
+Guess = Callable[[float], ArrayLike] | ArrayLike | Path | PiecewisePolynomial
+
+
+def sampled(name: str, function: Callable[[float], ArrayLike], times: np.ndarray, dimension: int) -> np.ndarray:
+    """Values (d, K) of a path that is given as a callable."""
+    columns = [real_array(f"values of {name}", function(float(t))) for t in times]
+    shapes = {column.shape for column in columns}
+    if shapes != {(dimension,)}:
+        raise ValueError(f"{name} must return an array of shape ({dimension},), got {shapes.pop()}")
+    return np.stack(columns, axis=1)
+
+
+def meeting_ends(values: np.ndarray, parts: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Bend a guess to meet the fixed ends by adding a straight line.
+
+    A component that is free at one end is moved there as at the other; one that is free at both stays.
+
+    Parameters
+    ----------
+    values : (K, d), the guess
+    parts : (K,), its times as parts of the whole time, from 0 to 1
+    ends : (2, d), what is given at the ends, NaN where a component is free
+
+    Returns
+    -------
+    (K, d)
+    """
+    moves = ends - values[[0, -1]]
+    moves = np.where(np.isnan(moves), moves[::-1], moves)
+    first, last = np.where(np.isnan(moves), 0.0, moves)
+    if not (np.count_nonzero(first) or np.count_nonzero(last)):
+        return values
+    return np.asarray(values + first + np.multiply.outer(parts, last - first))
+
+
+def given_values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:
+    """Values (d, N m + 1) of a guess as it was given; refuses what does not fit or is not finite."""
+    values = _values(guess, calculus, dimension)
+    finite = np.isfinite(values)
+    if np.count_nonzero(finite) < finite.size:  # a third of the time that `all` takes
+        i = int(np.argmin(finite.all(axis=0)))
+        raise ValueError(f"the guess must be finite, got {values[:, i]} at t = {calculus.node_times[i]}")
+    return values
+
+
+def _values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:
+    times, d = calculus.node_times, dimension
+    if isinstance(guess, (Path, PiecewisePolynomial)):
+        path = guess.polynomial if isinstance(guess, Path) else guess
+        old = path.mesh
+        if len(path.values) != d:
+            raise ValueError(f"the guess must be a path of {d} component(s), got {len(path.values)}")
+        same = old[0] == times[0] and old[-1] == times[-1]
+        stretched = old[0] + calculus.node_parts * (old[-1] - old[0])
+        return path(times if same else np.clip(stretched, old[0], old[-1]))
+    if callable(guess):
+        return sampled("the guess", guess, times, d)
+    array = real_array("the guess", guess)
+    if array.shape == (d, len(times)):
+        return array
+    if array.shape == (d, len(calculus.mesh)):
+        return np.stack([np.interp(times, calculus.mesh, row) for row in array])
+    raise ValueError(
+        f"the guess must have the shape ({d}, {len(calculus.mesh)}) for values at the joints or "
+        f"({d}, {len(times)}) at all nodes, got {array.shape}"
+    )

@@ -1,0 +1,45 @@
+"""What stops a refinement."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What stops a refinement that does not reach its tolerance; ``math.inf`` stops nothing.
+
+    Parameters
+    ----------
+    intervals : most intervals of a mesh
+    seconds : longest time, checked between levels
+    levels : most meshes
+    """
+
+    intervals: float = 20_000
+    seconds: float = 120.0
+    levels: float = 80
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not value > 0:
+                raise ValueError(f"the limit of {name} must be a positive number, got {value!r}")
+        for name in ("intervals", "levels"):
+            value = getattr(self, name)
+            if value != math.inf and value != int(value):
+                raise ValueError(f"the limit of {name} must be a whole number or inf, got {value!r}")
+
+    @property
+    def every_level(self) -> range:
+        """Numbers of the levels."""
+        return range(sys.maxsize if self.levels == math.inf else int(self.levels))
+
+
+def check_tolerance(tol: float) -> None:
+    """Refuse a relative tolerance that is none."""
+    if isinstance(tol, bool) or not isinstance(tol, (int, float)) or not 0 < tol < 1:
+        raise ValueError(f"tol must be a number between 0 and 1, got {tol!r}")

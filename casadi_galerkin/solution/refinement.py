@@ -1,0 +1,141 @@
+"""The driver of every refinement: estimate the error, stop, or solve on a better mesh.
+
+What is estimated and how, and what a better mesh is, the wings say; the loop, its limits and its report are here.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from casadi_galerkin.solution.errors import LimitReached
+from casadi_galerkin.solution.limits import Limits, check_tolerance
+from casadi_galerkin.solution.path import Path
+
+Level = TypeVar("Level")
+Detail = TypeVar("Detail")
+
+
+@dataclass(frozen=True)
+class Estimate(Generic[Detail]):
+    """How wrong a path is.
+
+    Attributes
+    ----------
+    error : largest relative error
+    trusted : whether a path may be accepted for it; else it only says where a mesh is too coarse
+    source : what it was estimated from, in words
+    detail : what the next mesh is made from
+    """
+
+    error: float
+    trusted: bool
+    source: str
+    detail: Detail
+
+
+class Refinement(ABC, Generic[Level, Detail]):
+    """One refinement under way, and what it has cost.
+
+    Parameters
+    ----------
+    tol : relative tolerance
+    limits : Limits
+    verbose : 1 prints a line a level
+
+    Attributes
+    ----------
+    roundoff_level : error below which one that no longer falls is at the roundoff floor
+    stalls : levels in which it has to stand still for that
+    """
+
+    roundoff_level: float
+    stalls: int
+
+    def __init__(self, tol: float, limits: Limits, verbose: int) -> None:
+        check_tolerance(tol)
+        self.tol, self.limits, self.verbose = tol, limits, verbose
+        self.began = time.perf_counter()
+
+    @property
+    @abstractmethod
+    def iterations(self) -> int:
+        """Iterations of the solver in all levels."""
+
+    @abstractmethod
+    def estimate(self, level: Level) -> Estimate[Detail]:
+        """How wrong the path of a level is."""
+
+    @abstractmethod
+    def improve(self, level: Level, estimate: Estimate[Detail]) -> Level:
+        """Solve on a better mesh."""
+
+    @abstractmethod
+    def path(self, level: Level, error: float) -> Path:
+        """What is attached to the error where the refinement is stopped."""
+
+    @abstractmethod
+    def solved(self, level: Level) -> tuple[int, float]:
+        """Iterations of the solver on one level, and the residual it left."""
+
+    def out_of_time(self) -> bool:
+        """Whether the time is up."""
+        return time.perf_counter() - self.began > self.limits.seconds
+
+    def refine(self, level: Level) -> tuple[Level, float]:
+        """Solve on better and better meshes until the estimated error is below the tolerance; returns both.
+
+        Raises
+        ------
+        LimitReached
+            with the best path attached
+        """
+        best, smallest, stalled = level, np.inf, 0
+        for number in self.limits.every_level:
+            estimate = self.estimate(level)
+            self._report(number, level, estimate)
+            if estimate.trusted and estimate.error <= self.tol:
+                return level, estimate.error
+            stalled += estimate.trusted and smallest / 2 < estimate.error < self.roundoff_level
+            if stalled == self.stalls:
+                floor = min(estimate.error, smallest)
+                raise self.stopped(f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here", best, floor)
+            if self.out_of_time():
+                raise self.stopped(f"{self.limits.seconds:g} seconds have passed", level, estimate.error)
+            if estimate.trusted and estimate.error < smallest:
+                best, smallest = level, estimate.error
+            level = self.improve(level, estimate)
+        raise self.stopped(f"{self.limits.levels:g} levels were not enough", level, estimate.error)
+
+    def check_intervals(self, count: int, level: Level, error: float) -> None:
+        """Stop before a mesh of more intervals than allowed."""
+        if count > self.limits.intervals:
+            raise self.stopped(f"the mesh would need {count} intervals", level, error)
+
+    def stopped(self, reason: str, level: Level, error: float) -> LimitReached:
+        """Say how far it got; the best path is attached."""
+        path = self.path(level, error)
+        return LimitReached(
+            f"tolerance {self.tol:g} was not reached: {reason}. The best path has {len(path.t) - 1} intervals "
+            f"and an estimated error of {error:.1e}; it is attached to this error as `path`. "
+            "Try a looser tolerance, a guess nearer to the path, or higher limits",
+            path,
+            self.solved(level)[1],
+            self.iterations,
+        )
+
+    def _report(self, number: int, level: Level, estimate: Estimate[Detail]) -> None:
+        """Print one line a level."""
+        if not self.verbose:
+            return
+        if number == 0:
+            print(f"{'Level':>7}{'Degree':>8}{'Intervals':>11}{'Iterations':>12}{'Max error':>12}  Estimated from")
+        polynomial = self.path(level, estimate.error).polynomial
+        print(
+            f"{number:7d}{polynomial.degree:8d}{len(polynomial.mesh) - 1:11d}{self.solved(level)[0]:12d}"
+            f"{estimate.error:12.2e}  {estimate.source}"
+        )

@@ -1,0 +1,166 @@
+"""The answer: a path that can be evaluated everywhere, with its momenta, energy and the report of the solve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
+from casadi_galerkin.problems.problem import Problem
+from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solution.plotting import FRAMES_A_SECOND, animate_linkage, plot_phase
+
+if TYPE_CHECKING:
+    from matplotlib.animation import FuncAnimation
+    from matplotlib.axes import Axes
+
+
+def _no_index() -> None:
+    """Steps have none."""
+
+
+@dataclass(frozen=True, repr=False)
+class Trajectory(Path):
+    """A critical point of the discrete action: ``path(t)`` is its position, ``path(t, 1)`` its derivative.
+
+    Attributes
+    ----------
+    t : (N + 1,), joints
+    x : (d, N + 1), positions at the joints
+    polynomial : PiecewisePolynomial, the path between the joints; its `values` (d, N m + 1) are the node values
+    momentum : (d, N + 1), by the discrete Legendre transform p_0 = -∂S/∂x_0, ..., p_N = ∂S/∂x_N; of order min(2m, u)
+    action : value of the discrete action
+    iterations : of the solver
+    residual : largest residual over its own roundoff floor
+    solver : what found it
+    build_seconds, solve_seconds : spent on building the graph and on the solve
+    method : Galerkin
+    problem : what was solved, with the ends, parameters and times that it was solved for
+    error_estimate : estimated relative error of the path between the joints; only with a tolerance
+    count_negative : finds `morse_index`
+    """
+
+    momentum: np.ndarray
+    action: float
+    iterations: int
+    residual: float
+    solver: str
+    build_seconds: float
+    solve_seconds: float
+    method: Galerkin
+    problem: Problem
+    error_estimate: float | None = None
+    count_negative: Callable[[], int | None] = field(default=_no_index, repr=False)
+
+    @cached_property
+    def morse_index(self) -> int | None:
+        """Number of negative eigenvalues of the action's Hessian, 0 for a local minimum; found when first asked for.
+
+        None for steps, and where ∂²L/∂v² is not positive at every joint, so that no finer mesh has a finite index.
+        """
+        return self.count_negative()
+
+    @property
+    def lagrangian(self) -> ca.Function:
+        """L(t, x, v[, p]) as a CasADi Function of one point."""
+        return self.problem.lagrangian
+
+    @property
+    def parameters(self) -> tuple[float, ...] | None:
+        """Values of the Lagrangian's parameters p."""
+        return self.problem.parameters
+
+    @cached_property
+    def velocity(self) -> np.ndarray:
+        """Velocities at the joints that belong to the momenta, p = ∂L/∂v; (d, N + 1), of order min(2m, u).
+
+        NaN where none was found.  The derivative of the polynomial itself, ``path(t, 1)``, is of order m only.
+        """
+        transform = legendre_transform(self._lagrangian)
+        return velocities(transform, self.t, self.x, self.momentum, self(self.t, 1))
+
+    @cached_property
+    def energy(self) -> np.ndarray:
+        """Energy p·v - L at the joints, from positions and momenta; (N + 1,)."""
+        mapped = self._lagrangian.map(len(self.t))
+        lagrangian = np.array(mapped(self.t[None, :], self.x, self.velocity)).ravel()
+        return np.asarray(np.sum(self.momentum * self.velocity, axis=0) - lagrangian)
+
+    def _title(self) -> str:
+        index = "" if self.morse_index is None else f", Morse index {self.morse_index}"
+        return f"Degree {self.method.degree} on {len(self.t) - 1} intervals: action {self.action:.6g}{index}"
+
+    def plot_phase(self, component: int = 0, axes: Axes | None = None, labels: tuple[str, str] | None = None) -> Axes:
+        """Draw one component against its momentum, the start as a larger dot; returns the Matplotlib axes.
+
+        Dots are the momenta of the discrete Legendre transform; between them the line is ∂L/∂v along the polynomial,
+        which is of order m only and may jump at the joints of a coarse mesh.
+
+        Parameters
+        ----------
+        component : which, from 0 to d - 1
+        axes : Matplotlib axes to draw into, so that several paths make one portrait; default a new figure
+        labels : names of position and momentum with units
+        """
+        if not 0 <= component < len(self.x):
+            raise ValueError(f"component must be from 0 to {len(self.x) - 1}, got {component!r}")
+        times = self._fine()
+        along = legendre_transform(self._lagrangian).map(len(times))(times[None, :], self(times), self(times, 1))
+        x, p = self(times)[component], np.array(along[0])[component]
+        names = (f"x[{component}]", f"p[{component}]") if labels is None else labels
+        return plot_phase(x, p, self.x[component], self.momentum[component], names, axes)
+
+    def animate(
+        self,
+        points: Callable[[np.ndarray], ArrayLike],
+        axes: Axes | None = None,
+        seconds: float | None = None,
+        unit: str = "",
+    ) -> FuncAnimation:
+        """Move a planar mechanism along the path; returns Matplotlib's FuncAnimation, to show or to save.
+
+        Parameters
+        ----------
+        points : x (d, K) -> (n, 2, K), places in the plane of the n ends of a chain of bars, fixed ones included
+        axes : Matplotlib axes to draw into, labelled by their owner; default a new figure
+        seconds : how long it runs; default the duration of the path, taken as seconds
+        unit : of the time shown in the title
+        """
+        duration = float(self.t[-1] - self.t[0]) if seconds is None else seconds
+        count = max(2, round(FRAMES_A_SECOND * duration))
+        times = np.linspace(self.t[0], self.t[-1], count)
+        places = np.asarray(points(self(times)), dtype=float)
+        if places.ndim != 3 or places.shape[1:] != (2, count):
+            raise ValueError(f"points must return an array of shape (n, 2, {count}), got {places.shape}")
+        return animate_linkage(times, places, duration / count, axes, unit)
+
+    @property
+    def _lagrangian(self) -> ca.Function:
+        """L(t, x, v) with the parameters put in."""
+        return with_parameters(self.lagrangian, self.parameters)
+
+    def __repr__(self) -> str:
+        """Summarise path and solve in a few lines."""
+        size, energy = len(self.x), self.energy
+        saddle = "no Morse index" if self.morse_index is None else f"a saddle of Morse index {self.morse_index}"
+        kind = "a local minimum" if self.morse_index == 0 else saddle
+        return "\n".join(
+            [
+                f"Trajectory of {size} component{'s' if size > 1 else ''} on [{self.t[0]:g}, {self.t[-1]:g}], "
+                f"{len(self.t) - 1} intervals",
+                f"  method      {self.method}",
+                f"  action      {self.action:.15g}, {kind}",
+                f"  energy      {energy[0]:.12g} at the start, varies by {np.ptp(energy):.1e}",
+                f"  solver      {self.solver}, {self.iterations} iterations, residual {self.residual:.1g} of its "
+                "roundoff floor",
+                f"  seconds     {self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve",
+            ]
+        )

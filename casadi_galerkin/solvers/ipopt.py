@@ -1,0 +1,122 @@
+"""IPOPT on the action, or on its stationarity conditions; Newton's method finishes and verifies what it finds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.functional.functional import Functional
+from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
+from casadi_galerkin.solvers.second_variation import negative_eigenvalues
+from casadi_galerkin.solvers.stationarity import Stationarity
+
+DEFAULTS = {"sb": "yes", "tol": 1e-10, "max_iter": 500}
+POLISHING = 20  # iterations that Newton's method gets from where IPOPT stopped
+
+
+def stationary_point(
+    stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0, **options: Any
+) -> Solution:
+    """IPOPT on the stationarity conditions as constraints under a constant objective; arguments as of a `Solver`."""
+    return _interior_point(stationarity, guess, data, verbose, minimize=False, options=options)
+
+
+def minimum(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0, **options: Any) -> Solution:
+    """IPOPT on the action itself: finds a minimum, or fails where there is none; arguments as of a `Solver`."""
+    solution = _interior_point(stationarity, guess, data, verbose, minimize=True, options=options)
+    index = negative_eigenvalues(stationarity, solution.unknowns, data)
+    if index != 0:
+        reason = f"IPOPT on the action ended at a path that is no minimum (Morse index {index})"
+        raise SolveFailure(reason, solution.unknowns, solution.iterations)
+    return solution
+
+
+def rescue(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int, minimize: bool) -> Solution:
+    """IPOPT with fewer iterations, where Newton's method failed; rescues were measured to take 4 to 40."""
+    return _interior_point(stationarity, guess, data, verbose, minimize, {"max_iter": 100})
+
+
+def _interior_point(
+    stationarity: Stationarity,
+    guess: np.ndarray,
+    data: Data,
+    verbose: int,
+    minimize: bool,
+    options: Mapping[str, Any],
+) -> Solution:
+    name = "IPOPT on the action" if minimize else "IPOPT"
+    sizes, unit = _units(stationarity, guess, data)
+    bounds = {} if minimize else {"lbg": 0.0, "ubg": 0.0}
+    with stationarity.linearization() as at:
+        key = f"ipopt {minimize} {verbose > 1} {sorted(options.items())}"
+        solver = at.keep(key, lambda: _nlpsol(stationarity.functional, minimize, verbose, options))
+        answer = solver(x0=guess / sizes, p=np.concatenate((*data, sizes, [unit])), **bounds)
+        stats = solver.stats()
+    iterations, status = int(stats["iter_count"]), str(stats["return_status"]).replace("_", " ")
+    x = sizes * np.array(answer["x"]).ravel()
+    if not np.all(np.isfinite(x)):
+        raise SolveFailure(f"{name} stopped with '{status}' at a point that is not finite", guess, iterations)
+    try:
+        polished = damped_newton(stationarity, x, data, verbose, POLISHING)
+    except SolveFailure as failure:
+        if stats["success"]:
+            status += f", then Newton's method: {failure}"
+        singular = failure.singular and bool(stats["success"])
+        raise SolveFailure(f"{name} stopped with '{status}'", x, iterations, singular) from None
+    total = iterations + polished.iterations
+    return replace(polished, iterations=total, report=f"{name}, then Newton")
+
+
+def _units(stationarity: Stationarity, guess: np.ndarray, data: Data) -> tuple[np.ndarray, float]:
+    """What the unknowns are measured by at a guess, and the action: the median of the terms of ∇S so measured.
+
+    The largest term would not do: on a graded mesh it belongs to its shortest interval.
+    """
+    floor = np.array(stationarity.floor.call([guess, *data])[1]).ravel()
+    sizes = stationarity.sizes(guess, data)
+    unit = float(np.median(sizes * floor / EPS)) if len(guess) else 1.0
+    return sizes, unit if 0 < unit < np.inf else 1.0
+
+
+def _nlpsol(functional: Functional, minimize: bool, verbose: int, given: Mapping[str, Any]) -> ca.Function:
+    """IPOPT with all derivatives supplied from the one graph.
+
+    Its tolerances are absolute, so unknowns and action are measured by units that follow the data as parameters.
+    """
+    slope = functional.function("gradient")
+    n, *lengths = [slope.size1_in(i) for i in range(slope.n_in())]
+    x, p = ca.MX.sym("x", n), ca.MX.sym("p", sum(lengths) + n + 1)
+    *data, sizes, unit = ca.vertsplit(p, np.cumsum([0, *lengths, n, 1]).tolist())
+    arguments, rows = [sizes * x, *data], sizes / unit
+    gradient = rows * slope(*arguments)
+    hessian = ca.mtimes(ca.mtimes(ca.diag(rows), functional.function("hessian")(*arguments)), ca.diag(sizes))
+    factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0 if minimize else n)
+    upper = factor * ca.triu(hessian) if minimize else ca.MX(n, n)  # the constraints' curvature is left out
+    options = {
+        "hess_lag": ca.Function("hess_lag", [x, p, factor, multipliers], [upper]),
+        "print_time": False,
+        "calc_lam_p": False,
+        "show_eval_warnings": verbose > 1,  # IPOPT shortens a step that leaves the Lagrangian's domain
+        "ipopt": {"print_level": 5 if verbose > 1 else 0, **DEFAULTS, **given},
+    }
+    if minimize:
+        action = functional.function("action")(*arguments) / unit
+        options["grad_f"] = ca.Function("grad_f", [x, p], [action, gradient])
+        return ca.nlpsol("minimizer", "ipopt", {"x": x, "p": p, "f": action}, options)
+    options["jac_g"] = ca.Function("jac_g", [x, p], [gradient, hessian])
+    return ca.nlpsol("stationary", "ipopt", {"x": x, "p": p, "f": 0, "g": gradient}, options)
+
+
+def check_option(name: str, value: object) -> None:
+    """Refuse what IPOPT does not know; it is asked."""
+    x = ca.MX.sym("x")
+    try:
+        ca.nlpsol("asked", "ipopt", {"x": x, "f": x**2}, {"ipopt": {"print_level": 0, "sb": "yes", name: value}})
+    except (RuntimeError, NotImplementedError, TypeError) as error:
+        raise ValueError(f"IPOPT has no option {name} that takes {value!r}") from error

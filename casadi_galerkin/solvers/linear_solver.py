@@ -1,0 +1,182 @@
+"""The linear algebra of Newton's method as Functions that depend on the Hessian's sparsity alone.
+
+They are kept for all Lagrangians with that sparsity.  Nothing in them is written by a solve.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property, lru_cache
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.roundoff import EPS, TINY, ZERO
+from casadi_galerkin.functional.embedding import hessian_pattern
+from casadi_galerkin.functional.numbering import KEPT, Numbering
+
+LOCAL = 1e-3  # part of a right-hand side that a solution may miss; below such a step, no line search is needed
+METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 times faster than QR, which is for where it fails
+
+
+class LinearSolver:
+    """Functions of ∇²S, ∇S and u = (ξ, start, end).
+
+    Parameters
+    ----------
+    numbering : Numbering
+    colind, row : pattern of the second-derivative blocks, as for `hessian_pattern`
+
+    Attributes
+    ----------
+    sparsity : Sparsity of ∇²S
+    """
+
+    def __init__(self, numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...]) -> None:
+        self.numbering, self.sparsity = numbering, hessian_pattern(numbering, colind, row).sparsity
+        self._generic_rhs = ca.DM(np.cos(1.0 + np.arange(numbering.free)))  # has no symmetry
+        self._kept: dict[tuple[str, ...], ca.Function] = {}
+
+    def symbols(self, *names: str) -> dict[str, ca.MX]:
+        """Symbols by name: the matrix ∇²S, u, a damping, or a vector of one number per unknown."""
+        shapes = {"matrix": (self.sparsity,), "u": (self.numbering.size,), "damping": (1,)}
+        return {name: ca.MX.sym(name, *shapes.get(name, (self.numbering.free,))) for name in names}
+
+    def _function(self, name: str, inputs: dict[str, ca.MX], outputs: dict[str, ca.MX]) -> ca.Function:
+        return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))
+
+    @cached_property
+    def _ldl(self) -> ca.Linsol:
+        """LDLᵀ without pivoting, whose symbolic part is done once."""
+        return ca.Linsol("ldl", "ldl", self.sparsity)
+
+    def _solution(self, method: str, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
+        """Solution of ∇²S Y = -B."""
+        return -(self._ldl.solve(matrix, rhs) if method == "ldl" else ca.solve(matrix, rhs, method))
+
+    def _defect(self, matrix: ca.MX, y: ca.MX, rhs: ca.MX) -> ca.MX:
+        """‖∇²S y + b‖₁ - LOCAL ‖b‖₁: the linear system is solved where this is at most zero."""
+        return ca.norm_1(ca.vec(ca.mac(matrix, y, rhs))) - LOCAL * ca.norm_1(ca.vec(rhs))  # sums keep a NaN
+
+    def solutions(self, method: str, columns: int) -> ca.Function:
+        """(matrix, rhs) -> (y, defect): solutions of ∇²S y = -b for several right-hand sides at once."""
+        key = ("solutions", method, str(columns))
+        if key not in self._kept:
+            inputs = self.symbols("matrix") | {"rhs": ca.MX.sym("rhs", self.numbering.free, columns)}
+            matrix, rhs = inputs.values()
+            y = self._solution(method, matrix, rhs)
+            self._kept[key] = self._function(
+                "solutions", inputs, {"solutions": y, "solutions_defect": self._defect(matrix, y, rhs)}
+            )
+        return self._kept[key]
+
+    def newton_step(self, method: str) -> ca.Function:
+        """(matrix, gradient, u) -> (step, softest_direction, sizes, norm, defect).
+
+        The Newton step; the solution for a generic right-hand side, which leans to the softest direction; what the
+        unknowns are measured by; and the largest step relative to that.
+        """
+        key = ("newton_step", method)
+        if key not in self._kept:
+            inputs = self.symbols("matrix", "gradient", "u")
+            matrix, gradient, u = inputs.values()
+            scale = self.largest(u)
+            scaled_rhs = self._generic_rhs / self._measure(scale)
+            step, softest = ca.horzsplit(self._solution(method, matrix, ca.horzcat(gradient, scaled_rhs)))
+            whole = ca.vertcat(step, ca.MX.zeros(self.numbering.size - self.numbering.free))
+            sizes = self._measure(ca.fmax(scale, self.largest(whole)))
+            outputs = {"step": step, "softest_direction": softest, "sizes": sizes, "norm": ca.norm_inf(step / sizes)}
+            outputs["defect"] = self._defect(matrix, step, gradient)
+            self._kept[key] = self._function("newton_step", inputs, outputs)
+        return self._kept[key]
+
+    def simplified_step(self, method: str) -> ca.Function:
+        """(matrix, gradient, step, sizes, damping) -> (simplified, length, nonlinearity, defect).
+
+        The step from a trial point with the Hessian of the last iterate; its largest entry relative to `sizes`; and how
+        far it is from the rest of the Newton step that was damped, which would be all of it on a linear problem.
+        """
+        key = ("simplified_step", method)
+        if key not in self._kept:
+            inputs = self.symbols("matrix", "gradient", "step", "sizes", "damping")
+            matrix, gradient, step, sizes, damping = inputs.values()
+            y = self._solution(method, matrix, gradient)
+            nonlinearity = ca.norm_inf((y - (1 - damping) * step) / sizes)
+            outputs = {"simplified": y, "length": ca.norm_inf(y / sizes), "nonlinearity": nonlinearity}
+            outputs["defect"] = self._defect(matrix, y, gradient)
+            self._kept[key] = self._function("simplified_step", inputs, outputs)
+        return self._kept[key]
+
+    @cached_property
+    def largest(self) -> ca.Function:
+        """Largest size of each component along a path, from its vector u; (d,)."""
+        inputs = self.symbols("u")
+        of_nodes = self.numbering.of_nodes[: self.numbering.size // self.numbering.dimension]
+        values = ca.reshape(inputs["u"].get_nz(False, of_nodes.T.ravel().tolist()), of_nodes.shape)
+        return self._function("largest", inputs, {"scale": ca.vertcat(*map(ca.norm_inf, ca.horzsplit(values)))})
+
+    def _expanded(self, scale: ca.MX) -> ca.MX:
+        """Take one value per component to one value per unknown."""
+        return ca.vec(scale.get_nz(False, self.numbering.component[: self.numbering.free].tolist()))
+
+    def _measure(self, scale: ca.MX) -> ca.MX:
+        """What each unknown is measured by: the size of its component, or one where that is zero."""
+        return self._expanded(ca.if_else(scale < ZERO, 1.0, scale))
+
+    @cached_property
+    def sizes(self) -> ca.Function:
+        """Measure the unknowns: u -> (sizes, scaled_rhs), the latter a right-hand side without symmetry."""
+        inputs = self.symbols("u")
+        sizes = self._measure(self.largest(inputs["u"]))
+        return self._function("sizes", inputs, {"sizes": sizes, "scaled_rhs": self._generic_rhs / sizes})
+
+    @cached_property
+    def abs_hessian_product(self) -> ca.Function:
+        """|∇²S||y|, the largest change of the gradient for changes of these sizes."""
+        inputs = self.symbols("matrix", "change")
+        return self._function("abs_hessian_product", inputs, {"product": ca.mtimes(*map(ca.fabs, inputs.values()))})
+
+    @cached_property
+    def floor(self) -> ca.Function:
+        """(matrix, u, terms) -> (floor, scale, product): the roundoff floor of every entry of ∇S.
+
+        It is eps times the sizes of the terms that ∇S sums, and times |∇²S||ξ|, because the rounding of ξ itself
+        counts.  |ξ| stands for the size of each unknown's component along the path.  A component that counts as zero
+        is measured by `ZERO`: relative to itself, what is left of it never is at roundoff.
+        """
+        inputs = self.symbols("matrix", "u", "terms")
+        matrix, u, terms = inputs.values()
+        scale = ca.fmax(self._expanded(self.largest(u)), ZERO)
+        product = ca.mtimes(ca.fabs(matrix), scale)
+        outputs = {"floor": EPS * (terms + product) + TINY, "scale": scale, "product": product}
+        return self._function("floor", inputs, outputs)
+
+    @cached_property
+    def verification(self) -> ca.Function:
+        """(gradient, matrix, u, terms, softest_direction) -> (residual, regularity).
+
+        The largest entry of ∇S over its roundoff floor, and yᵀ∇²S y for y = `softest_direction` over a bound of
+        |y|ᵀ|∇²S||y|.  Where the latter is zero or NaN it tells nothing: a component's only unknown has but one term in
+        the Hessian, which cannot tell whether it is small.
+        """
+        inputs = self.symbols("gradient", "matrix", "u", "terms", "softest_direction")
+        gradient, matrix, u, terms, y = inputs.values()
+        floor, scale, product = self.floor(matrix, u, terms)
+        ratios = gradient / floor
+        residual = ca.norm_inf(ratios) + 0 * ca.sum1(ratios)  # sums keep a NaN
+        y = y / ca.norm_inf(y / scale)
+        quotient = ca.fabs(ca.bilin(matrix, y, y)) / ca.dot(scale, product)
+        comparable = ca.mmin(scale) > ZERO if self.numbering.free > self.numbering.dimension else ca.MX(0)
+        outputs = {"residual": residual, "regularity": ca.if_else(comparable, quotient, 0)}
+        return self._function("verification", inputs, outputs)
+
+    def negative_eigenvalues(self, matrix: ca.DM) -> int:
+        """Number of negative eigenvalues of a regular matrix of this sparsity, from the inertia of its LDLᵀ factors."""
+        factors = ca.Linsol("inertia", "ldl", self.sparsity)  # its own: a Linsol keeps what it factored last
+        factors.nfact(matrix)
+        return int(factors.neig(matrix))
+
+
+@lru_cache(KEPT)
+def linear_solver(numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...]) -> LinearSolver:
+    """The linear algebra for all Lagrangians whose Hessian has this sparsity; arguments as for `LinearSolver`."""
+    return LinearSolver(numbering, colind, row)

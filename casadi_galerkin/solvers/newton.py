@@ -1,0 +1,183 @@
+"""Newton's method with a line search that does not see the scaling of equations or unknowns.
+
+The natural monotonicity test: P. Deuflhard, "Newton Methods for Nonlinear Problems", 2004, algorithm NLEQ-ERR.
+
+A solution is accepted if every residual is within `ROUNDOFF` times its own roundoff floor, eps times the sizes of
+the terms it sums and of what the rounding of the unknowns themselves does to it, |H||ξ|, with H of the last iterate.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadi_galerkin.calculus.roundoff import EPS, TINY
+from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.solvers import threads
+from casadi_galerkin.solvers.linear_solver import LOCAL
+from casadi_galerkin.solvers.second_variation import SINGULAR, softest
+from casadi_galerkin.solvers.stationarity import ROUNDOFF, Iterate, Linearization, Stationarity
+
+NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
+SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if the next one is so much shorter
+STRONG_CONTRACTION = 0.1  # the same for a long first step: from a straight line, all steps are long
+NEARLY_FULL = 0.5  # forecast from which a short step is first tried in full: forecasts are cautious
+SMALLEST_DAMPING = 1e-7
+DRIFT = 10.0  # change of the second variation over that which the last two steps show; along families at most 0.7
+
+
+class SolveFailure(Exception):
+    """A solver's own report that it stopped; carries the last iterate."""
+
+    def __init__(self, reason: str, unknowns: np.ndarray, iterations: int, singular: bool = False) -> None:
+        super().__init__(reason)
+        self.unknowns, self.iterations, self.singular = unknowns, iterations, singular
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A verified critical point.
+
+    Attributes
+    ----------
+    unknowns : ξ
+    iterations : Newton (and IPOPT) iterations together
+    residual : largest residual over its own roundoff floor
+    report : what was used to find it
+    action, momentum : S, and the momenta at the joints, component fastest
+    regularity : second variation along a direction that leans to the softest one, over a bound of its terms in the
+        last iterate's Hessian, less what may have changed since: far above zero only where the Hessian is regular; may
+        be zero, negative or NaN even there
+    """
+
+    unknowns: np.ndarray
+    iterations: int
+    residual: float
+    report: str
+    action: float
+    momentum: np.ndarray
+    regularity: float
+
+
+@threads.single
+def damped_newton(
+    stationarity: Stationarity,
+    guess: np.ndarray,
+    data: Data,
+    verbose: int = 0,
+    max_iter: int = 200,
+    linear_solver: str | None = None,
+) -> Solution:
+    """Newton's method with natural monotonicity line search.
+
+    A short full step is accepted at once if the next one is much shorter, which needs no solution beyond the next
+    iteration's own.  Where steps are long or shrink by less, full ones were measured to jump to other paths.
+
+    Arguments and failures are those of a `Solver`.
+    """
+    with stationarity.linearization(linear_solver) as linear:
+        return _iterate(linear, guess, data, verbose, max_iter)
+
+
+def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int, max_iter: int) -> Solution:
+    at, damping = linear.newton_step(guess, data), 1.0
+    if not (math.isfinite(at.norm) or np.isfinite(linear.gradient).all()):
+        raise SolveFailure("the gradient of the action is not finite at the guess", guess, 0)
+    last = math.sqrt(at.norm)  # the first step is taken for one of quadratic convergence
+    for iteration in range(1, max_iter + 1):
+        if not math.isfinite(at.norm):
+            finite = bool(np.isfinite(linear.matrix).all())
+            raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=finite)
+        end = _end(linear, at, last, data)
+        if end is not None:
+            drift = DRIFT * (at.norm + min(1.0, at.norm / max(last, TINY)) ** 2)
+            solution = verified(linear, end, data, iteration, "Newton", drift)
+            if solution is not None:
+                _report(iteration, at.norm, damping, verbose)
+                return solution
+        last, trial, forecast = at.norm, None, 1.0
+        short = last < SHORT
+        if damping == 1.0 and (short or iteration == 1):
+            trial = linear.newton_step(at.unknowns + at.step, data, again=True)
+            contracts = trial.norm <= last * (CONTRACTION if short else STRONG_CONTRACTION)
+            if not (contracts or (last < LOCAL and math.isfinite(trial.norm))):
+                trial = None
+                linear.relinearize(at.unknowns, data)
+        if trial is None:
+            if short and damping > NEARLY_FULL:
+                damping = 1.0
+            x, simplified, damping = _line_search(linear, at, damping, data, iteration)
+            trial = linear.newton_step(x, data, again=True)
+            forecast = min(1.0, damping * _forecast(at.step, simplified, trial))
+        _report(iteration, last, damping, verbose)
+        at, damping = trial, forecast
+    raise SolveFailure(
+        f"no convergence in {max_iter} iterations, last relative step {at.norm:.1e}", at.unknowns, max_iter
+    )
+
+
+def _report(iteration: int, norm: float, damping: float, verbose: int) -> None:
+    if verbose > 1:
+        print(f"  {iteration:4d}   step {norm:9.2e}   damping {damping:7.1e}")
+
+
+def _end(linear: Linearization, at: Iterate, last: float, data: Data) -> np.ndarray | None:
+    """Where Newton's method may end: with a step after which the next is below roundoff, or that is roundoff itself.
+
+    The residuals alone do not tell: at 1e5 intervals they are at roundoff while the path is off by 1e-9.  Nor do the
+    last two steps where they are of different components: the next one is taken for no less than this one's square.
+    """
+    if at.norm < NEAR:
+        shrinks = at.norm**2 <= EPS and at.norm**3 <= EPS * last**2
+        return at.unknowns + at.step if shrinks or at.norm >= last / 2 else None
+    if not (last < LOCAL and last <= at.norm):
+        return None
+    # A nearly singular Hessian makes steps of this length out of roundoff: right but for the softest direction.
+    soft, quotient = softest(linear, at.unknowns, data)
+    if quotient > max(SINGULAR, EPS / at.norm):
+        return None
+    soft, step = soft / at.sizes, at.step / at.sizes
+    return np.asarray(at.unknowns + at.sizes * (step - soft * ((soft @ step) / max(soft @ soft, TINY))))
+
+
+def _forecast(step: np.ndarray, simplified: np.ndarray, now: Iterate) -> float:
+    """Factor on the last damping (Deuflhard, eq. 3.47)."""
+    if not math.isfinite(now.norm):
+        return 1.0  # the next iteration ends with that
+    before, after, nonlinearity = (
+        np.abs(np.array((step, simplified, simplified - now.step)) / now.sizes).max(axis=1).tolist()
+    )
+    return float(before * after / max(nonlinearity * now.norm, 1e-300))
+
+
+def _line_search(
+    linear: Linearization, at: Iterate, damping: float, data: Data, iteration: int
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Shorten the step until the next one, with the same matrix, is shorter: new x, that step, damping."""
+    while damping >= SMALLEST_DAMPING:
+        trial = at.unknowns + damping * at.step
+        simplified, length, nonlinearity = linear.simplified_step(trial, data, at, damping)
+        if length <= (1 - damping / 4) * at.norm:
+            return trial, simplified, damping
+        damping = min(
+            damping / 2, at.norm * damping**2 / (2 * max(nonlinearity, 1e-300))
+        )  # half where it is not a number
+    if softest(linear, at.unknowns, data)[1] < SINGULAR:
+        raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=True)
+    raise SolveFailure("the line search found no step that leads on", at.unknowns, iteration)
+
+
+def verified(
+    linear: Linearization, x: np.ndarray, data: Data, iterations: int, report: str, drift: float = 0.0
+) -> Solution | None:
+    """Judge the residuals at x by their roundoff floors: a solution, or None.
+
+    Hessian and softest direction are those of the last `newton_step`, at x or before a step that changed the second
+    variation by up to `drift` of its terms.
+    """
+    action, momentum, residual, regularity = linear.verification(x, data)
+    if not residual <= ROUNDOFF:
+        return None
+    return Solution(x, iterations, residual, report, action, momentum, regularity - drift)

@@ -1,0 +1,106 @@
+"""CasADi's own rootfinder on the same graph.
+
+Its ``newton`` plugin takes full steps, or with ``line_search`` shorter ones that lower the residual, until an absolute
+residual is reached.  So the residuals are measured by the sizes of the terms that they sum.  It reports NaN as success,
+and from a straight line it diverges on large swings: what it finds is verified as any other answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.functional.functional import Functional
+from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
+from casadi_galerkin.solvers.stationarity import Stationarity
+
+NEARLY = 1e-9  # residual over the sizes of its terms from which two Newton steps reach roundoff
+VERIFYING = 3  # iterations of the package's own Newton method, which has to end there
+DEFAULTS = {"linear_solver": "qr", "max_iter": 50, "abstol": NEARLY}
+
+
+def casadi_newton(functional: Functional, options: Mapping[str, Any]) -> tuple[ca.Function, ca.Function]:
+    """CasADi's Newton method as two rootfinders (guess, *data, rows) -> ξ, one after the other.
+
+    The first reduces the residual to `NEARLY` of the sizes of its terms, or stops at its limit of iterations; two more
+    steps from there, whatever the residual, take it to roundoff.  Neither is stopped by an error, which would print all
+    inputs and end a map over many at the first of them; an answer may be NaN, or no solution.  `rows` are factors on
+    the rows of ∇S = 0: one over the sizes of the terms that they sum.
+    """
+    derivatives = functional.function("derivatives")
+    symbols, names = derivatives.mx_in(), [derivatives.name_in(i) for i in range(derivatives.n_in())]
+    matrix, gradient = derivatives.call(symbols)
+    rows = ca.MX.sym("rows", gradient.numel())
+    symbols, names = [*symbols, rows], [*names, "rows"]
+    residual = ca.Function("residual", symbols, [rows * gradient], names, ["residual"])
+    scaled = [ca.mtimes(ca.diag(rows), matrix), rows * gradient]
+    common = {
+        "jacobian_function": ca.Function("jacobian", symbols, scaled, names, ["matrix", "residual"]),
+        "show_eval_warnings": False,
+        "error_on_fail": False,
+        "abstolStep": 0.0,  # it is absolute, whatever the unit of x
+    }
+    near = ca.rootfinder("near", "newton", residual, {**common, **DEFAULTS, **options})
+    last = ca.rootfinder("last", "newton", residual, {**common, "linear_solver": "qr", "abstol": 0.0, "max_iter": 2})
+    return near, last
+
+
+def embeddable(functional: Functional, weights: np.ndarray) -> ca.Function:
+    """CasADi's Newton method as a Function (guess, *data) -> ξ, differentiable by the implicit function theorem.
+
+    The answer is not verified.
+
+    Parameters
+    ----------
+    functional : Functional
+    weights : factor on every row of ∇S = 0, one over the sizes of the terms it sums
+    """
+    near, last = casadi_newton(functional, {})
+    derivatives = functional.function("derivatives")
+    symbols, names = derivatives.mx_in(), [derivatives.name_in(i) for i in range(derivatives.n_in())]
+    rows = ca.DM(weights)
+    root = last(near(*symbols, rows), *symbols[1:], rows)
+    return ca.Function("root", symbols, [root], ["guess", *names[1:]], ["unknowns"])
+
+
+def casadi_root(
+    stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0, **options: Any
+) -> Solution:
+    """CasADi's Newton method, verified; arguments and failures are those of a `Solver`."""
+    floor = np.array(stationarity.floor.call([guess, *data])[1]).ravel()
+    rows = EPS / floor
+    with stationarity.linearization() as at:
+        near, last = at.keep(
+            f"rootfinder {sorted(options.items())}", lambda: casadi_newton(stationarity.functional, options)
+        )
+        root = last(near(guess, *data, rows), *data, rows)
+        iterations = sum(int(solver.stats()["iter_count"]) for solver in (near, last))
+    x = np.array(root).ravel()
+    try:
+        if not np.all(np.isfinite(x)):
+            raise SolveFailure("it is not finite", guess, iterations)
+        solution = damped_newton(stationarity, x, data, verbose, VERIFYING)
+    except SolveFailure as failure:
+        raise SolveFailure(
+            f"the answer of CasADi's rootfinder could not be verified: {failure}; cg.newton has a line search and "
+            "rescues",
+            failure.unknowns,
+            iterations,
+            failure.singular,
+        ) from None
+    return replace(solution, iterations=iterations, report="CasADi's rootfinder")
+
+
+def check_option(name: str, value: object) -> None:
+    """Refuse what CasADi's Newton method does not know; it is asked."""
+    x = ca.MX.sym("x")
+    try:
+        ca.rootfinder("asked", "newton", {"x": x, "g": x}, {name: value})
+    except (RuntimeError, NotImplementedError, TypeError) as error:
+        raise ValueError(f"CasADi's rootfinder has no option {name} that takes {value!r}") from error

@@ -1,0 +1,62 @@
+"""The second variation of the action: its softest direction, which tells conjugate points, and the Morse index."""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.solvers.stationarity import Linearization, Stationarity, joined
+
+SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
+AGREED = 1e-3  # part of the assembled yᵀ∇²S y that the points must find; families 7e-7 at most, regular paths 1 - 1e-5
+
+
+def softest(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.ndarray, float]:
+    """Direction of the smallest second variation relative to the sizes of its terms, and that; 0 at a conjugate point.
+
+    Three inverse iterations, weighted by the sizes of the Hessian's rows, find the direction y; the pointwise sums
+    give its quotient yᵀ∇²S y / Σ |z|ᵀ|∇²L̂||z|, which does not depend on scales or on the mesh.  Where a free
+    component enters L by its velocity alone, y is a constant, and its terms are roundoff of which nothing cancels:
+    the assembled Hessian then makes more of y than the points do.  The Hessian at `unknowns` is left.
+    """
+    if len(unknowns) == 0:
+        return unknowns, np.inf  # nothing can vary
+    at.relinearize(unknowns, data)
+    linear = at.stationarity.linear_solver
+    sizes, rhs = (np.array(a).ravel() for a in linear.sizes(joined(unknowns, data)))
+    matrix = ca.DM(linear.sparsity, at.matrix)
+    weights = np.array(linear.abs_hessian_product(matrix, sizes)).ravel() / sizes
+    y = force = np.zeros(len(unknowns))
+    for _ in range(3):
+        (solved,) = at.solve(rhs)
+        if not np.isfinite(solved).all():
+            return y, 0.0  # singular to the last digit
+        largest = np.max(np.abs(solved / sizes))
+        y, force = solved / largest, rhs / largest  # ∇²S y = -force
+        rhs = weights * y
+    signed, positive = (float(value[0]) for value in at.evaluate("curvature", unknowns, data, y))
+    regular = math.isfinite(signed) and AGREED * abs(y @ force) < positive < math.inf
+    return y, abs(signed) / positive if regular else 0.0
+
+
+def smallest_second_variation(stationarity: Stationarity, unknowns: np.ndarray, data: Data) -> float:
+    """Smallest second variation relative to the sizes of its terms, as `softest` finds it."""
+    with stationarity.linearization() as at:
+        return softest(at, unknowns, data)[1]
+
+
+def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data: Data) -> int | None:
+    """Morse index: number of negative eigenvalues of the Hessian.
+
+    None where the kinetic energy is indefinite by structure, such as v_0 v_1: the index then grows without bound
+    as the mesh is refined, and LDLᵀ without pivoting does not find it.
+    """
+    if not stationarity.allows_ldl:
+        return None
+    if len(unknowns) == 0:
+        return 0
+    matrix = stationarity.functional.function("derivatives").call([unknowns, *data])[0]
+    return stationarity.linear_solver.negative_eigenvalues(matrix)

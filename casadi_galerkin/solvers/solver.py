@@ -1,0 +1,117 @@
+"""The solvers by name: each takes the stationarity conditions and a guess, and returns what was verified, or raises.
+
+`newton`, the default, is Newton's method with a line search.  Where it fails, IPOPT first minimises the action (long
+pendulum swings: 10 iterations where the stationarity conditions alone took 60 to 500), then solves the stationarity
+conditions; Newton's method finishes from where it stopped.  `rootfinder` is CasADi's own.  `ipopt` takes the equations
+as constraints under a constant objective; `minimizer` minimises the action, so it finds minima only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+
+import casadi_galerkin.solvers.ipopt as interior_point
+import casadi_galerkin.solvers.rootfinder as casadi_rootfinder
+from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
+from casadi_galerkin.solvers.stationarity import Stationarity
+
+SolverLike: TypeAlias = Callable[[Stationarity, np.ndarray, Data, int], Solution]
+
+
+@dataclass(frozen=True)
+class Solver:
+    """A way to solve the stationarity conditions ∇S = 0, with its options.
+
+    Attributes
+    ----------
+    name : such as "newton"
+    options : what `with_options` has set
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> cg.ipopt.with_options(max_iter=50)
+    cg.ipopt.with_options(max_iter=50)
+    """
+
+    name: str
+    _run: Callable[..., Solution] = field(repr=False)
+    _check: Callable[[str, object], None] = field(repr=False)
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __call__(self, stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0) -> Solution:
+        """Solve from a guess.
+
+        Parameters
+        ----------
+        stationarity : Stationarity
+        guess : first iterate ξ
+        data : values of the other inputs of the graph: start, end, mesh and, if there are some, parameters
+        verbose : 2 prints a line an iteration
+
+        Raises
+        ------
+        SolveFailure
+            if no point was found that can be verified
+        """
+        return self._run(stationarity, guess, data, verbose, **self.options)
+
+    def with_options(self, **options: Any) -> Solver:
+        """The same solver with options of what is underneath, added to those it has.
+
+        `newton` takes `max_iter`, the most iterations, and `linear_solver`, one of CasADi's such as "qr" or "csparse";
+        `rootfinder` all options of CasADi's ``newton`` rootfinder; `ipopt` and `minimizer` all options of IPOPT.
+
+        Raises
+        ------
+        ValueError
+            naming the option that the solver does not have, or the value that it does not take
+        """
+        for name, value in options.items():
+            self._check(name, value)
+        return replace(self, options={**self.options, **options})
+
+    def __repr__(self) -> str:
+        """Write it as it is called."""
+        given = ", ".join(f"{name}={value!r}" for name, value in self.options.items())
+        return f"cg.{self.name}" + (f".with_options({given})" if given else "")
+
+
+def _newton(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0, **options: Any) -> Solution:
+    """Newton's method, then IPOPT on the action, then on its gradient."""
+    try:
+        return damped_newton(stationarity, guess, data, verbose, **options)
+    except SolveFailure as failure:
+        if failure.iterations == 0:
+            raise
+        reasons, iterations = [f"Newton's method: {failure}"], failure.iterations
+        for minimize in (True, False):
+            try:
+                return interior_point.rescue(stationarity, guess, data, verbose, minimize)
+            except SolveFailure as another:
+                reasons.append(str(another))
+                iterations += another.iterations
+        raise SolveFailure("; ".join(reasons), failure.unknowns, iterations, failure.singular) from None
+
+
+def _check_newton(name: str, value: object) -> None:
+    if name == "max_iter":
+        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+            raise ValueError(f"max_iter must be a whole number from 1 on, got {value!r}")
+    elif name == "linear_solver":
+        if not isinstance(value, str) or not ca.has_linsol(value):
+            raise ValueError(f"linear_solver must be one that CasADi has, such as 'qr' or 'csparse', got {value!r}")
+    else:
+        raise ValueError(f"newton takes the options max_iter and linear_solver, got {name}")
+
+
+newton = Solver("newton", _newton, _check_newton)
+rootfinder = Solver("rootfinder", casadi_rootfinder.casadi_root, casadi_rootfinder.check_option)
+ipopt = Solver("ipopt", interior_point.stationary_point, interior_point.check_option)
+minimizer = Solver("minimizer", interior_point.minimum, interior_point.check_option)

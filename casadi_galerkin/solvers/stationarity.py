@@ -1,0 +1,298 @@
+"""The stationarity conditions ∇S(ξ) = 0 of one discrete functional: all that Newton's method needs, in three Functions.
+
+    newton_step      ξ, data                                 ->  ∇S, ∇²S; step, softest_direction, sizes, norm
+    simplified_step  ξ, data, ∇²S, step, sizes, damping      ->  simplified, length, nonlinearity
+    verification     ξ, data, ∇²S, softest_direction         ->  S, momenta, residual, regularity
+
+They are Functions of the functional's one graph.  The `Stationarity` holds them; nobody writes to it, so it may be
+shared.  The arrays that a solve writes belong to a `Linearization`, which one solve has for itself: what the first
+Function writes is where the others read, ∇²S is evaluated once an iteration, and it is never copied.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any, NamedTuple, TypeVar, cast
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.functional.functional import Functional, Parts
+from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.solvers.buffers import Evaluator
+from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
+
+Built = TypeVar("Built")
+
+ROUNDOFF = 50.0  # accepted residual over its roundoff floor; correct solutions were measured at 0.01 to 5
+
+
+class Iterate(NamedTuple):
+    """A point with its Newton step.
+
+    Attributes
+    ----------
+    unknowns : ξ
+    step : -∇²S⁻¹ ∇S
+    sizes : what the unknowns are measured by
+    norm : largest step relative to them; NaN where the step is not finite
+    """
+
+    unknowns: np.ndarray
+    step: np.ndarray
+    sizes: np.ndarray
+    norm: float
+
+
+class Stationarity:
+    """Stationarity conditions of a functional at (ξ, *data), data being (start, end, mesh[, parameters]).
+
+    Parameters
+    ----------
+    functional : Functional
+
+    Attributes
+    ----------
+    linear_solver : LinearSolver for the functional's Hessian
+    allows_ldl : whether LDLᵀ without pivoting can work: False where ∂²L/∂v_i² is structurally zero for some i
+    quadratic : whether the Hessian depends on the data alone
+    """
+
+    def __init__(self, functional: Functional) -> None:
+        self.functional = functional
+        self.linear_solver = linear_solver(*functional.pattern_key)
+        self.allows_ldl, self.quadratic = functional.pointwise.kinetic, functional.pointwise.quadratic
+        self._idle: list[Linearization] = []
+
+    @contextmanager
+    def linearization(self, linear_solver: str | None = None) -> Iterator[Linearization]:
+        """Lend the arrays of an earlier solve, or new ones, to a solve.
+
+        They come back only where it ended well: what an interrupt or an error left half written is dropped.
+
+        Parameters
+        ----------
+        linear_solver : name of a CasADi linear solver; default LDLᵀ, and QR where that fails
+        """
+        try:
+            lent = self._idle.pop()
+        except IndexError:  # none yet, or all lent to other threads
+            lent = Linearization(self)
+        lent.methods = (linear_solver,) if linear_solver else METHODS if self.allows_ldl else METHODS[1:]
+        yield lent
+        self._idle.append(lent)
+
+    def newton_step(self, method: str) -> ca.Function:
+        """(ξ, data) -> ∇S, ∇²S, and what `LinearSolver.newton_step` gives."""
+
+        def parts() -> Parts:
+            matrix, gradient = self.functional.derivatives()
+            known = {"matrix": matrix, "gradient": gradient}
+            return self._solved({}, known, self.linear_solver.newton_step(method))
+
+        return self.functional.keep(f"newton_step {method}", parts)
+
+    def newton_step_again(self, method: str) -> ca.Function:
+        """The same with ∇²S as a further input, for a quadratic Lagrangian, whose ∇²S is that of the last iterate."""
+
+        def parts() -> Parts:
+            inputs = self.linear_solver.symbols("matrix")
+            known = {"gradient": self.functional.gradient()}
+            return self._solved(inputs, known, self.linear_solver.newton_step(method))
+
+        return self.functional.keep(f"newton_step_again {method}", parts)
+
+    def simplified_step(self, method: str) -> ca.Function:
+        """(ξ, data, matrix, step, sizes, damping) -> ∇S, and what `LinearSolver.simplified_step` gives."""
+
+        def parts() -> Parts:
+            inputs = self.linear_solver.symbols("matrix", "step", "sizes", "damping")
+            known = {"gradient": self.functional.gradient()}
+            return self._solved(inputs, known, self.linear_solver.simplified_step(method))
+
+        return self.functional.keep(f"simplified_step {method}", parts)
+
+    def _solved(self, inputs: dict[str, ca.MX], known: dict[str, ca.MX], solver: ca.Function) -> Parts:
+        """Join an evaluation of the graph with what is solved from it."""
+        available = known | inputs | {"u": self.functional.u}
+        found = solver.call([available[solver.name_in(i)] for i in range(solver.n_in())])
+        outputs = known | dict(zip(solver.name_out(), found, strict=True))
+        return inputs, list(outputs), list(outputs.values())
+
+    @property
+    def verification(self) -> ca.Function:
+        """(ξ, data, matrix, softest_direction) -> (action, momentum, residual, regularity)."""
+
+        def parts() -> Parts:
+            inputs = self.linear_solver.symbols("matrix", "softest_direction")
+            matrix, softest = inputs.values()
+            action, momentum, gradient, terms = self.functional.first_variation()
+            judged = self.linear_solver.verification(gradient, matrix, self.functional.u, terms, softest)
+            return inputs, ["action", "momentum", "residual", "regularity"], [action, momentum, *judged]
+
+        return self.functional.keep("verification", parts)
+
+    @property
+    def floor(self) -> ca.Function:
+        """(ξ, data) -> gradient ∇S, and floor, the roundoff floor of every entry of it."""
+
+        def parts() -> Parts:
+            _, _, gradient, terms = self.functional.first_variation()
+            floor = self.linear_solver.floor(self.functional.hessian(), self.functional.u, terms)[0]
+            return {}, ["gradient", "floor"], [gradient, floor]
+
+        return self.functional.keep("floor", parts)
+
+    def sizes(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
+        """What each unknown is measured by: the size of its component in the path, or one where that is zero."""
+        return np.array(self.linear_solver.sizes(joined(unknowns, data))[0]).ravel()
+
+
+class Linearization:
+    """The arrays of one solve: ∇S, ∇²S and what was found with them at the last iterate.
+
+    Attributes
+    ----------
+    methods : names of the linear solvers to try, in order
+    """
+
+    def __init__(self, stationarity: Stationarity) -> None:
+        self.stationarity, self.methods = stationarity, METHODS
+        self._arrays: dict[str, np.ndarray] = {}
+        self._evaluators: dict[str, Evaluator] = {}
+        self._kept: dict[str, Any] = {}
+        self._data: Data | None = None
+
+    def keep(self, key: str, build: Callable[[], Built]) -> Built:
+        """A CasADi solver, built when it is first asked for: two solves must not share one."""
+        if key not in self._kept:
+            self._kept[key] = build()
+        return cast(Built, self._kept[key])
+
+    @property
+    def gradient(self) -> np.ndarray:
+        """∇S as it was last evaluated."""
+        return self._arrays["gradient"]
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Nonzeros of ∇²S as it was last evaluated."""
+        return self._arrays["matrix"]
+
+    def _array(self, name: str, size: int) -> np.ndarray:
+        """The array of a name, made when it is first asked for."""
+        if name not in self._arrays:
+            self._arrays[name] = np.zeros(size)
+        return self._arrays[name]
+
+    def _evaluator(self, key: str, build: Callable[[], ca.Function]) -> Evaluator:
+        """A Function whose inputs and outputs are the arrays of their names."""
+        if key not in self._evaluators:
+            function = build()
+            for names, size in ((function.name_in(), function.nnz_in), (function.name_out(), function.nnz_out)):
+                for i, name in enumerate(names):
+                    self._array(name, size(i))
+            self._evaluators[key] = Evaluator(function, self._arrays)
+        return self._evaluators[key]
+
+    def _run(self, key: str, build: Callable[[], ca.Function], unknowns: np.ndarray, data: Data) -> None:
+        """Evaluate a Function of (ξ, data, ...) at a point."""
+        evaluator = self._evaluator(key, build)
+        if data is not self._data:  # the same tuple in all iterations
+            for name, values in zip(list(self.stationarity.functional.symbols)[1:], data, strict=True):
+                self._arrays[name][:] = values
+            self._data = data
+        self._arrays["unknowns"][:] = unknowns
+        evaluator.run()
+
+    def _solve(
+        self, build: Callable[[str], ca.Function], unknowns: np.ndarray, data: Data, step: str, *measures: str
+    ) -> None:
+        """Evaluate and solve by the first method that succeeds; the measures are NaN where none does."""
+        for method in self.methods:
+            key = f"{build.__name__} {method}"
+            self._evaluator(key, partial(build, method))
+            for name in (*measures, "defect"):
+                self._arrays[name][:] = np.nan  # what stays where CasADi's QR gives up
+            self._run(key, partial(build, method), unknowns, data)
+            if self._arrays["defect"][0] <= 0:
+                return
+            if not np.isfinite(self.gradient).all():
+                break
+        solved = math.isfinite(self._arrays["defect"][0]) and np.any(self._arrays[step])
+        if not solved:  # CasADi's QR answers a rank-deficient system with zeros
+            for name in measures:
+                self._arrays[name][:] = np.nan
+
+    def newton_step(self, unknowns: np.ndarray, data: Data, again: bool = False) -> Iterate:
+        """The Newton step and its measures; its norm is NaN where the Hessian is singular to the last digit.
+
+        ∇²S is left; if it was already that of the same data, `again` spares a quadratic Lagrangian its evaluation.
+        """
+        kept = again and self.stationarity.quadratic
+        build = self.stationarity.newton_step_again if kept else self.stationarity.newton_step
+        self._solve(build, unknowns, data, "step", "norm")
+        step, sizes, norm = (self._arrays[name] for name in ("step", "sizes", "norm"))
+        return Iterate(unknowns, step.copy(), sizes.copy(), norm.item())
+
+    def relinearize(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
+        """Evaluate ∇S and ∇²S, and leave them; returns ∇S."""
+        self._run("derivatives", lambda: self.stationarity.functional.function("derivatives"), unknowns, data)
+        return self.gradient.copy()
+
+    def simplified_step(
+        self, unknowns: np.ndarray, data: Data, at: Iterate, damping: float
+    ) -> tuple[np.ndarray, float, float]:
+        """Simplified Newton step: the gradient at a trial point, the Hessian at the last iterate `at`.
+
+        Returns
+        -------
+        the step, its length and its nonlinearity (`LinearSolver.simplified_step`); NaN where the gradient is not finite
+        or the Hessian is singular to the last digit
+        """
+        for name, value in (("step", at.step), ("sizes", at.sizes), ("damping", damping)):
+            self._array(name, np.size(value))[:] = value
+        self._solve(self.stationarity.simplified_step, unknowns, data, "simplified", "length", "nonlinearity")
+        found, length, nonlinearity = (self._arrays[name] for name in ("simplified", "length", "nonlinearity"))
+        return found.copy(), length.item(), nonlinearity.item()
+
+    def verification(self, unknowns: np.ndarray, data: Data) -> tuple[float, np.ndarray, float, float]:
+        """S, momenta at the joints, residual and regularity; Hessian and softest direction are of the last iterate."""
+        self._run("verification", lambda: self.stationarity.verification, unknowns, data)
+        names = "action", "momentum", "residual", "regularity"
+        action, momentum, residual, regularity = (self._arrays[name] for name in names)
+        return action.item(), momentum.copy(), residual.item(), regularity.item()
+
+    def evaluate(self, name: str, unknowns: np.ndarray, data: Data, *further: np.ndarray | float) -> list[np.ndarray]:
+        """Evaluate one of the functional's own Functions, without a change of ∇S and ∇²S; returns copies."""
+        if name not in self._evaluators:
+            self._evaluators[name] = Evaluator(self.stationarity.functional.function(name))
+        return self._evaluators[name](unknowns, *data, *further)
+
+    def weight_inertia(self, unknowns: np.ndarray, data: Data, factor: float) -> None:
+        """Leave ∇²S with ∂²L/∂v² times a factor: a large one makes it positive definite where that is."""
+        self._array("inertia", 1)[:] = factor
+        self._run("heavier", lambda: self.stationarity.functional.function("heavier"), unknowns, data)
+
+    def solve(self, *rhs: np.ndarray) -> list[np.ndarray]:
+        """Solutions of ∇²S y = -b with ∇²S as it was left; not finite where that is singular to the last digit."""
+        columns, linear = len(rhs), self.stationarity.linear_solver
+        for method in self.methods:
+            key = f"solutions {method} {columns}"
+            if key not in self._evaluators:
+                self._evaluators[key] = Evaluator(linear.solutions(method, columns), {"matrix": self.matrix})
+            y, defect = self._evaluators[key](np.concatenate(rhs))
+            if defect[0] <= 0:
+                break
+        else:
+            if not np.any(y):  # CasADi's QR answers a rank-deficient system with zeros
+                y[:] = np.nan
+        return list(y.reshape(columns, -1))
+
+
+def joined(unknowns: np.ndarray, data: Data) -> np.ndarray:
+    """The vector u = (ξ, start, end) of the numbering."""
+    return np.concatenate((unknowns, *data[:2]))

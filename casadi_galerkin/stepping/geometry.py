@@ -1,0 +1,109 @@
+"""Geometry of a path: energy, momentum maps, and the Jacobians of its steps as maps of (x, p).
+
+Without forces each step is symplectic, AᵀΩA = Ω with Ω = [0 1; -1 0], whatever its length, so det A = 1; a symmetry
+x -> x + ε ξ(x) of L conserves its momentum map p·ξ(x) (E. Noether).  Energy is not conserved but, at fixed step
+lengths, stays within a band of the method's order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.callables import Traceable, trace, with_parameters
+from casadi_galerkin.problems.initial_problem import InitialProblem
+from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.stepping.stepper import Stepper
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """What a path conserves.
+
+    Attributes
+    ----------
+    energy_error : largest difference of the energy from its value at the start
+    energy_drift : change of the energy over the whole path along its least-squares line
+    momentum_map : (N + 1,), p·ξ(x) at the joints; None if no symmetry was given
+    jacobians : (N, 2d, 2d), ∂(x_{i+1}, p_{i+1})/∂(x_i, p_i)
+    """
+
+    energy_error: float
+    energy_drift: float
+    momentum_map: np.ndarray | None
+    jacobians: np.ndarray
+
+    @property
+    def determinants(self) -> np.ndarray:
+        """Of the steps' Jacobians, (N,): 1 without forces."""
+        return np.asarray(np.linalg.det(self.jacobians))
+
+    @property
+    def symplecticity_defects(self) -> np.ndarray:
+        """Largest entry of AᵀΩA - Ω, (N,): 0 without forces."""
+        d = self.jacobians.shape[1] // 2
+        omega = np.block([[np.zeros((d, d)), np.eye(d)], [-np.eye(d), np.zeros((d, d))]])
+        defect = self.jacobians.transpose(0, 2, 1) @ omega @ self.jacobians - omega
+        return np.asarray(np.max(np.abs(defect), axis=(1, 2)))
+
+    def __str__(self) -> str:
+        """Summarise in a few lines."""
+        determinant = self.determinants[np.argmax(np.abs(self.determinants - 1))]
+        lines = [
+            f"energy         error up to {self.energy_error:.1e}, drift {self.energy_drift:.1e} over the path",
+            f"symplecticity  defect up to {np.max(self.symplecticity_defects):.1e}, determinant {determinant:.15g}",
+        ]
+        if self.momentum_map is not None:
+            spread = np.ptp(self.momentum_map)
+            lines.append(f"momentum map   {self.momentum_map[0]:.15g} at the start, varies by {spread:.1e}")
+        return "\n".join(lines)
+
+
+def geometry(path: Trajectory, symmetry: Traceable | None = None) -> Geometry:
+    """Measure what a path conserves.
+
+    Parameters
+    ----------
+    path : Trajectory of a BoundaryProblem or InitialProblem, solved globally or stepwise
+    symmetry : callable x -> (d,), the generator ξ(x) = dx/dε of a symmetry, such as ``lambda x: [-x[1], x[0]]`` of
+        rotations in the plane
+
+    Raises
+    ------
+    TypeError, ValueError
+        for a symmetry that does not return d components, or a path of another problem
+    """
+    if not isinstance(path, Trajectory):
+        raise TypeError(f"geometry takes a Trajectory, got {type(path).__name__}")
+    if not isinstance(path.problem, (BoundaryProblem, InitialProblem)):
+        raise TypeError(
+            "geometry takes the path of a BoundaryProblem or an InitialProblem, got one of "
+            f"{type(path.problem).__name__}: solve an InitialProblem with its replayed controls as force"
+        )
+    duration = path.t[-1] - path.t[0]
+    error = path.energy - path.energy[0]
+    drift = np.polyfit((path.t - path.t[0]) / duration, error, 1)[0]
+    momentum = None
+    if symmetry is not None:
+        generator = trace("symmetry", symmetry, {"x": len(path.x)}, len(path.x))
+        momentum = np.sum(path.momentum * np.array(generator.map(len(path.t))(path.x)), axis=0)
+    return Geometry(float(np.max(np.abs(error))), float(drift), momentum, jacobians(path.problem, path))
+
+
+def jacobians(problem: InitialProblem | BoundaryProblem, path: Trajectory) -> np.ndarray:
+    """∂(x_{i+1}, p_{i+1})/∂(x_i, p_i) of every interval of a path, (N, 2d, 2d)."""
+    force = problem.force if isinstance(problem, InitialProblem) else None
+    stepper = Stepper(
+        with_parameters(problem.lagrangian, problem.parameters),
+        None if force is None else with_parameters(force, problem.parameters),
+        path.method,
+    )
+    nodes, m = path.method.element.nodes, path.method.degree
+    slopes = lagrange_values(nodes, stepper.basis.points) @ differentiation_matrix(nodes)
+    columns = m * np.arange(len(path.t) - 1)[:, None] + np.arange(m + 1)
+    values = path.polynomial.values[:, columns]
+    s = (values - values[:, :, :1]) @ slopes.T
+    return stepper.jacobians(path.t, path.x, path.momentum, s.reshape(problem.dimension, -1))

@@ -1,0 +1,140 @@
+"""Initial problems: the start from position and momentum or velocity, and the path from the rolled steps."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.initial_problem import InitialProblem
+from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
+from casadi_galerkin.problems.problem import check_types
+from casadi_galerkin.solution.errors import ConvergenceError
+from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solvers.stationarity import ROUNDOFF
+from casadi_galerkin.stepping.stepper import Roll, Stepper
+
+DEGENERATE = 1e-13  # reciprocal condition of the scaled mass matrix below which no velocity belongs to a momentum
+
+
+def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbose: int = 0) -> Trajectory:
+    """Solve an initial problem step by step.
+
+    Where a path meets a singularity, a step of a certain length may still have a solution, beyond it: the discrete
+    equations do not see what lies between quadrature points.  The energy then jumps.
+
+    Parameters
+    ----------
+    problem : InitialProblem
+    method : Galerkin
+    mesh : (N + 1,) joints
+    verbose : 1 prints a summary
+
+    Raises
+    ------
+    ConvergenceError
+        naming the first step whose equations were not solved, and its time
+    ValueError
+        for a degenerate Lagrangian
+    """
+    check_types(problem, method, InitialProblem)
+    began = time.perf_counter()
+    p, v = start_state(problem)
+    force = None if problem.force is None else with_parameters(problem.force, problem.parameters)
+    stepper = Stepper(with_parameters(problem.lagrangian, problem.parameters), force, method)
+    roll = verified(stepper.roll(np.array(problem.position), p, v, mesh), stepper)
+    build = stepper.build_seconds
+    path = trajectory(
+        problem, stepper, roll, int(roll.iterations.sum()), "step by step", build, time.perf_counter() - began - build
+    )
+    if verbose:
+        print(path)
+    return path
+
+
+def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
+    """Momentum and velocity (d,) at the start, one from the other through p = ∂L/∂v."""
+    legendre = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
+    x, start = np.array(problem.position), problem.t_span[0]
+    if problem.velocity is not None:
+        v = np.array(problem.velocity)
+        p, mass = (np.array(a) for a in legendre(start, x, v))
+        refuse_degenerate(mass, x, v)
+        return p.ravel(), v
+    p, rest = np.array(problem.momentum), np.zeros(len(x))
+    refuse_degenerate(legendre(start, x, rest)[1].full(), x, rest)
+    v = velocities(legendre, np.array([start]), x[:, None], p[:, None], rest[:, None])[:, 0]
+    if np.isnan(v).any():
+        raise ValueError(f"no velocity was found that has the momentum {p} at the start, x = {x}; give the velocity")
+    refuse_degenerate(legendre(start, x, v)[1].full(), x, v)
+    return p, v
+
+
+def refuse_degenerate(mass: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
+    """Raise a ValueError if the mass matrix is singular, whatever the units of the components."""
+    where = f"at the start, x = {x}, v = {v}"
+    if not np.all(np.isfinite(mass)):
+        raise ValueError(f"the lagrangian must be finite with its derivatives {where}; its mass matrix is {mass}")
+    rows = np.sqrt(np.max(np.abs(mass), axis=1))
+    if np.all(rows > 0):
+        singular = np.linalg.svd(mass / rows[:, None] / rows, compute_uv=False)
+        if singular[-1] > DEGENERATE * singular[0]:
+            return
+    raise ValueError(
+        f"the lagrangian is degenerate: its mass matrix ∂²L/∂v² is singular {where}, so its momenta do not determine "
+        f"the velocities; got {mass.tolist()}"
+    )
+
+
+def verified(roll: Roll, stepper: Stepper) -> Roll:
+    """Return the roll if all of its steps were solved to roundoff; else name the first that was not."""
+    good, n = roll.verified, len(roll.mesh) - 1
+    if good == n:
+        return roll
+    start, end = roll.mesh[good : good + 2]
+    raise ConvergenceError(
+        f"step {good + 1} of {n}, from t = {start:.6g} to {end:.6g}, was not solved: its residual is "
+        f"{roll.residual[good]:.1e} of its roundoff floor, {ROUNDOFF:g} is accepted. Take shorter steps there; "
+        "the path may run into a collision or another singularity",
+        Path(path_of(roll, stepper, good)) if good else None,
+        float(roll.residual[good]),
+        int(np.nansum(roll.iterations[: good + 1])),
+    )
+
+
+def path_of(roll: Roll, stepper: Stepper, count: int) -> PiecewisePolynomial:
+    """The path of the first intervals, as many as given."""
+    nodes, m, d = stepper.method.element.nodes, stepper.method.degree, stepper.dimension
+    slopes = roll.slopes[:, : count * m].reshape(d, count, m)
+    inner = roll.x[:, :count, None] + slopes @ stepper.basis.values(nodes[:-1]).T
+    values = np.column_stack((inner.reshape(d, -1), roll.x[:, count]))
+    return PiecewisePolynomial(roll.mesh[: count + 1], nodes, values)
+
+
+def trajectory(
+    problem: InitialProblem | BoundaryProblem,
+    stepper: Stepper,
+    roll: Roll,
+    iterations: int,
+    solver: str,
+    build_seconds: float,
+    solve_seconds: float,
+) -> Trajectory:
+    """Wrap verified steps as an answer; there is no Hessian of the whole action, so no Morse index."""
+    return Trajectory(
+        polynomial=path_of(roll, stepper, len(roll.mesh) - 1),
+        momentum=roll.p,
+        action=float(roll.action.sum()),
+        iterations=iterations,
+        residual=float(roll.residual.max()),
+        solver=solver,
+        build_seconds=build_seconds,
+        solve_seconds=solve_seconds,
+        method=stepper.method,
+        problem=problem,
+    )

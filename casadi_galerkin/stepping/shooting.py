@@ -1,0 +1,265 @@
+"""Boundary problems solved stepwise: single shooting on the start of the path.
+
+Unknown z are the start momenta and, where the start is left free, the start positions; wanted is that the path meets
+its end.  The derivative of the joint values by z is the product of the steps' Jacobians, exact by the implicit function
+theorem.  Newton's method has the line search of the global solve, the natural monotonicity test.
+
+Shooting can be no better than that product: it magnifies the rounding of z.  Where the growth comes near 1/eps, no z
+that a computer holds meets the end, and `shoot` says so.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.calculus.discrete_calculus import mesh_of
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.legendre_transform import legendre_transform
+from casadi_galerkin.problems.problem import check_types
+from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
+from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solvers.newton import SMALLEST_DAMPING
+from casadi_galerkin.solvers.stationarity import ROUNDOFF
+from casadi_galerkin.stepping.initial_value import path_of, trajectory
+from casadi_galerkin.stepping.stepper import Roll, Stepper
+
+ITERATIONS = 50
+MISS = EPS**0.5  # accepted miss of the end over the size of the path: half of the digits
+SINGULAR = 1e-14  # smallest singular value of the derivative, over the terms it sums, taken for dependence on the start
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One path from a start z.
+
+    Attributes
+    ----------
+    roll : Roll
+    miss : (n,), what is wanted to vanish
+    floor : (n,), what the rounding of the start and of the end do to it; nearer Newton's method need not come
+    stepper : Stepper that went the path
+    steps : (N, 2d, 2d), Jacobians of the steps
+    wanted : (2d,), which of (x_N, p_N) have to meet the end
+    by_z : (n, n), its derivative
+    terms : (n, n), sizes of the terms that the derivative sums
+    growth : (N + 1, 2d, 2d), derivatives of (x_i, p_i) by (x_0, p_0)
+    """
+
+    roll: Roll
+    miss: np.ndarray
+    floor: np.ndarray
+    stepper: Stepper
+    steps: np.ndarray
+    wanted: np.ndarray
+    by_z: np.ndarray
+    terms: np.ndarray
+    growth: np.ndarray
+
+    @property
+    def path(self) -> PiecewisePolynomial:
+        """The path from joint to joint."""
+        return path_of(self.roll, self.stepper, len(self.steps))
+
+    @property
+    def residual(self) -> float:
+        """Largest residual of a step, or miss of the end, over its roundoff floor.
+
+        The floor of the miss is the rounding of the states at all joints, carried on to the end.
+        """
+        states = np.abs(np.concatenate((self.roll.x, self.roll.p)))
+        onward = chain(self.steps[::-1].transpose(0, 2, 1))[::-1].transpose(0, 2, 1)  # ∂(x_N, p_N)/∂(x_i, p_i)
+        with np.errstate(over="ignore", invalid="ignore"):
+            floor = EPS * np.einsum("iab,bi->a", np.abs(onward), states) + np.finfo(float).tiny
+        ratios = np.abs(self.miss) / floor[self.wanted]
+        return float(max(np.max(self.roll.residual), np.max(ratios, initial=0.0)))
+
+
+class Shooting:
+    """The boundary problem as equations in the start.
+
+    Free are all start momenta of components that are given, and all start positions of those that are not; a periodic
+    path has all momenta free, and no condition on a momentum of a component that is given.
+    """
+
+    def __init__(self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray) -> None:
+        self.problem, self.mesh = problem, mesh
+        self.stepper = Stepper(with_parameters(problem.lagrangian, problem.parameters), None, method)
+        d = problem.dimension
+        self.given = np.array([np.nan if value is None else value for value in problem.start])
+        self.end = np.array([np.nan if value is None else value for value in problem.end])
+        free = np.isnan(self.given)
+        self.free = np.concatenate((free, ~free | problem.periodic))  # which of (x_0, p_0) are unknown
+        wanted = np.isnan(self.end)
+        self.wanted = np.concatenate((~wanted | problem.periodic, free if problem.periodic else wanted))
+        self.base = np.concatenate((np.nan_to_num(self.given), np.zeros(d)))
+
+    def start(self, z: np.ndarray) -> np.ndarray:
+        """(x_0, p_0), (2d,)."""
+        state = self.base.copy()
+        state[self.free] = z
+        return state
+
+    def velocity(self, roll: Roll) -> np.ndarray:
+        """Velocity of a path at its start, (d,)."""
+        first = roll.slopes[:, : self.stepper.method.degree] @ self.stepper.basis.slopes(np.zeros(1)).T
+        return np.asarray(first.ravel() / (self.mesh[1] - self.mesh[0]))
+
+    def shoot(self, z: np.ndarray, velocity: np.ndarray) -> Shot | None:
+        """The path from z, or None if one of its steps fails; `velocity` predicts the first step."""
+        d, start = self.problem.dimension, self.start(z)
+        roll = self.stepper.roll(start[:d], start[d:], velocity, self.mesh)
+        if roll.verified < len(roll.mesh) - 1:
+            return None
+        steps = self.stepper.jacobians(self.mesh, roll.x, roll.p, roll.slopes)
+        growth = chain(steps)
+        states = np.concatenate((roll.x, roll.p))
+        shift = np.eye(2 * d) * self.problem.periodic
+        aim = start if self.problem.periodic else np.concatenate((np.nan_to_num(self.end), np.zeros(d)))
+        floor = EPS * (np.abs(growth[-1]) @ np.abs(start) + np.max(np.abs(states), axis=1))
+        terms = np.abs(steps[-1]) @ np.abs(growth[-2]) + shift
+        chosen = np.ix_(self.wanted, self.free)
+        miss = (states[:, -1] - aim)[self.wanted]
+        judged = (miss, floor[self.wanted], self.stepper, steps, self.wanted)
+        return Shot(roll, *judged, (growth[-1] - shift)[chosen], terms[chosen], growth)
+
+
+def chain(jacobians: np.ndarray) -> np.ndarray:
+    """Products of the steps' Jacobians (N, n, n) up to every joint; (N + 1, n, n), the first the identity."""
+    products = np.empty((len(jacobians) + 1, *jacobians.shape[1:]))
+    products[0] = np.eye(len(products[0]))
+    with np.errstate(over="ignore", invalid="ignore"):  # the growth may leave the range of doubles
+        for step, before, after in zip(jacobians, products, products[1:], strict=False):
+            np.matmul(step, before, out=after)
+    return products
+
+
+def shoot(
+    problem: BoundaryProblem,
+    method: Galerkin,
+    intervals: int | None = None,
+    *,
+    mesh: ArrayLike | None = None,
+    guess: Trajectory | None = None,
+) -> Trajectory:
+    """Solve a boundary problem stepwise, by single shooting.
+
+    The end is met to roundoff, which is not the roundoff of the end: it is that of every joint, carried on to the end,
+    where it has grown as the path makes it grow.  `Trajectory.residual` is the largest residual of a step, or miss of
+    the end, over that floor, and accepted up to 50; `Trajectory.solver` gives the miss itself.  Where the growth was
+    1e7 it was 2e-9 of the path's size; above 1.5e-8, half of the digits, it is refused.  `solve` has no such loss.
+
+    Parameters
+    ----------
+    problem : BoundaryProblem
+    method : Galerkin
+    intervals : number of equal intervals; or
+    mesh : (N + 1,) joints from t_span[0] to t_span[1]
+    guess : Trajectory, whose start is the first start; default the straight line between the ends
+
+    Raises
+    ------
+    ConvergenceError
+        with the measured growth and the last path, if Newton's method fails or no start meets the end
+    """
+    check_types(problem, method, BoundaryProblem)
+    if guess is not None and (not isinstance(guess, Trajectory) or len(guess.x) != problem.dimension):
+        raise TypeError(f"guess must be a Trajectory of {problem.dimension} component(s), got {guess!r}")
+    began = time.perf_counter()
+    shooting = Shooting(problem, method, mesh_of(problem.t_span, intervals, mesh))
+    shot, iterations = _newton(shooting, *_guess(problem, guess))
+    build = shooting.stepper.build_seconds
+    seconds = time.perf_counter() - began - build
+    solver = f"single shooting, misses the end by {np.max(np.abs(shot.miss), initial=0.0):.1e}"
+    path = trajectory(problem, shooting.stepper, shot.roll, iterations, solver, build, seconds)
+    return replace(path, residual=shot.residual)
+
+
+def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarray, np.ndarray]:
+    """(x_0, p_0) and velocity of the guess, or of the straight line; a free end takes the value of the other."""
+    if guess is not None:
+        return np.concatenate((guess.x[:, 0], guess.momentum[:, 0])), guess.velocity[:, 0]
+    start, end = (np.array([np.nan if a is None else a for a in side]) for side in (problem.start, problem.end))
+    x = np.nan_to_num(np.where(np.isnan(start), end, start))
+    v = np.nan_to_num((end - start) / (problem.t_span[1] - problem.t_span[0]))
+    legendre = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
+    return np.concatenate((x, np.array(legendre(problem.t_span[0], x, v)[0]).ravel())), v
+
+
+def _newton(shooting: Shooting, state: np.ndarray, velocity: np.ndarray) -> tuple[Shot, int]:
+    """Newton's method with natural monotonicity line search: the shot that meets the end, and its iterations."""
+    z = state[shooting.free]
+    shot = shooting.shoot(z, velocity)
+    if shot is None:
+        raise ConvergenceError("shooting failed: the steps of the first path, a straight line at its start, failed")
+    for iteration in range(ITERATIONS):
+        if np.all(np.abs(shot.miss) <= shot.floor):
+            return _met(shooting, shot, iteration), iteration
+        step = _direction(shot, shot.miss, iteration)
+        trial, damping = _line_search(shooting, shot, z, step)
+        if trial is None:
+            return _met(shooting, shot, iteration), iteration
+        z, shot = z + damping * step, trial
+    raise _failure(f"no convergence in {ITERATIONS} iterations", shot, ITERATIONS)
+
+
+def _line_search(shooting: Shooting, shot: Shot, z: np.ndarray, step: np.ndarray) -> tuple[Shot | None, float]:
+    """Halve the step until the next one, with the same derivative, is shorter; no shot if none is."""
+    sizes = np.max(np.abs(np.concatenate((shot.roll.x, shot.roll.p))), axis=1)[shooting.free]
+    scale = np.maximum(np.maximum(np.abs(z), np.abs(step)), MISS * sizes + np.finfo(float).tiny)
+    velocity, damping = shooting.velocity(shot.roll), 1.0
+    smallest = 1.0 if np.all(np.abs(shot.miss) <= ROUNDOFF * shot.floor) else SMALLEST_DAMPING
+    while damping >= smallest:
+        trial = shooting.shoot(z + damping * step, velocity)
+        if trial is not None and np.all(np.isfinite(trial.miss)):
+            shorter = np.max(np.abs(_direction(shot, trial.miss)) / scale)
+            if shorter <= (1 - damping / 4) * np.max(np.abs(step) / scale):
+                return trial, damping
+        damping /= 2
+    return None, 0.0
+
+
+def _direction(shot: Shot, miss: np.ndarray, iteration: int = 0) -> np.ndarray:
+    """Newton step by z; rows and columns are scaled first, as their units differ."""
+    rows = np.max(shot.terms, axis=1)
+    scaled = shot.by_z / np.where(rows > 0, rows, 1.0)[:, None]
+    columns = np.max(np.abs(shot.terms) / np.where(rows > 0, rows, 1.0)[:, None], axis=0)
+    scaled = scaled / np.where(columns > 0, columns, 1.0)
+    if not np.all(np.isfinite(scaled)) or np.linalg.svd(scaled, compute_uv=False)[-1] <= SINGULAR:
+        if np.max(np.abs(shot.growth)) < 1 / MISS:
+            reason = "the end does not depend on the start: the ends are conjugate points"
+            raise ConjugatePointError(reason, Path(shot.path), shot.residual, iteration)
+        raise _failure("the end does not depend on the start to the last digit", shot, iteration)
+    return np.asarray(np.linalg.solve(scaled, -miss / rows) / columns)
+
+
+def _met(shooting: Shooting, shot: Shot, iteration: int) -> Shot:
+    """Return the shot, one that cannot be bettered, if it meets the end to its roundoff and in half of the digits."""
+    sizes = np.max(np.abs(np.concatenate((shot.roll.x, shot.roll.p))), axis=1)[shooting.wanted]
+    sizes = np.where(sizes > 0, sizes, 1.0)
+    missed, moved = (float(np.max(np.abs(a) / sizes, initial=0.0)) for a in (shot.miss, shot.floor))
+    if missed <= MISS and shot.residual <= ROUNDOFF:
+        return shot
+    reason = (
+        f"the end is missed by {missed:.1e} of the path's size, the rounding of the start alone moves it {moved:.1e}"
+    )
+    raise _failure(reason, shot, iteration)
+
+
+def _failure(reason: str, shot: Shot, iteration: int) -> ConvergenceError:
+    growth = float(np.max(np.abs(shot.growth)))
+    return ConvergenceError(
+        f"shooting failed: {reason} (iteration {iteration}). A change of the start grows up to {growth:.1e} times "
+        f"along the path, and a double keeps 1 part in {1 / EPS:.1e}. Solve it globally, with `solve`",
+        Path(shot.path),
+        shot.residual,
+        iteration,
+    )

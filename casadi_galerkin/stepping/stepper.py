@@ -1,0 +1,152 @@
+"""The step (x, p) -> (x, p) of one interval, rolled forward.
+
+Newton's iteration is part of the graph, started from the Taylor polynomial of the interval before; `mapaccum` rolls
+the step over a piece of up to `PIECE` intervals, and all of these are verified from their residuals, which are computed
+anew.  Python runs once a piece, whatever the number of intervals.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.functional.interval import TAYLOR, interval, newton_iteration, slope_basis
+from casadi_galerkin.solvers.buffers import Evaluator
+from casadi_galerkin.solvers.stationarity import ROUNDOFF
+
+PIECE = 64  # intervals rolled without Python; longer pieces were not faster, and took longer to build
+
+
+@dataclass(frozen=True)
+class Roll:
+    """Steps one after the other, each verified on its own.
+
+    Attributes
+    ----------
+    mesh : (N + 1,), joints
+    x, p : (d, N + 1), at the joints
+    slopes : (d, N m), s of all intervals
+    iterations : (N,), of Newton's method
+    residual : (N,), largest residual of each step over its roundoff floor; not finite where a step failed, or left the
+        domain of the Lagrangian
+    action : (N,), of each interval
+    """
+
+    mesh: np.ndarray
+    x: np.ndarray
+    p: np.ndarray
+    slopes: np.ndarray
+    iterations: np.ndarray
+    residual: np.ndarray
+    action: np.ndarray
+
+    @property
+    def verified(self) -> int:
+        """Number of steps before the first that failed."""
+        failed = ~(self.residual <= ROUNDOFF)
+        return int(np.argmax(failed)) if failed.any() else len(failed)
+
+
+class Stepper:
+    """The step of a Lagrangian, built once and rolled as often as wanted.
+
+    Parameters
+    ----------
+    lagrangian : Function (t, x, v) -> scalar
+    force : Function (t, x, v) -> (d,), or None
+    method : Galerkin
+    """
+
+    def __init__(self, lagrangian: ca.Function, force: ca.Function | None, method: Galerkin) -> None:
+        began = time.perf_counter()
+        self.method = method
+        self.dimension, self.basis = lagrangian.size1_in(1), slope_basis(method.degree)
+        self.interval = interval(lagrangian, force, method)
+        self._step = self._predicted(newton_iteration(self.interval.system))
+        self._pieces: dict[tuple[str, int], Evaluator] = {}
+        self.build_seconds = time.perf_counter() - began
+
+    def _predicted(self, newton: ca.Function) -> ca.Function:
+        """(x, p, velocity, t, h) -> (x, p, velocity, s, iterations), the velocity by its Taylor coefficients."""
+        d, powers = self.dimension, ca.DM(range(min(TAYLOR, self.method.degree))).T
+        sizes = {"x": d, "p": d, "velocity": (d, powers.numel()), "t": 1, "h": 1}
+        x, p, velocity, t, h = (ca.MX.sym(name, *np.atleast_1d(size)) for name, size in sizes.items())
+        basis = ca.repmat(ca.DM(self.basis.points), 1, powers.numel()) ** ca.repmat(powers, self.method.degree, 1)
+        guess = (velocity * ca.repmat(h ** (powers + 1), d, 1)) @ basis.T
+        s, iterations = newton(guess, x, p, t, h)
+        ends = self.interval.end(s, x, p, t, h)
+        return ca.Function("step", [x, p, velocity, t, h], [*ends, s, iterations])
+
+    def _rolled(self, count: int) -> ca.Function:
+        """Steps rolled forward, then all of them verified; inputs as `_predicted`, with t and h (1, count)."""
+        rolled = self._step.mapaccum("rolled", count, 3)
+        inputs = [ca.MX.sym(f"in{i}", *rolled.size_in(i)) for i in range(5)]
+        x, p, velocity, s, iterations = rolled(*inputs)
+        before = [ca.horzcat(first, later[:, :-1]) for first, later in zip(inputs[:2], (x, p), strict=True)]
+        ratio, action = self.interval.check.map(count)(s, *before, *inputs[3:])
+        last = velocity[:, velocity.shape[1] - self._step.size2_in(2) :]
+        return ca.Function("piece", inputs, [x, p, last, s, iterations, ratio, action])
+
+    def _piece(self, name: str, count: int) -> Evaluator:
+        if (name, count) not in self._pieces:
+            began = time.perf_counter()
+            function = self._rolled(count) if name == "roll" else self.interval.jacobian().map(count)
+            self._pieces[name, count] = Evaluator(function)
+            self.build_seconds += time.perf_counter() - began
+        return self._pieces[name, count]
+
+    def roll(self, x: np.ndarray, p: np.ndarray, velocity: np.ndarray, mesh: np.ndarray) -> Roll:
+        """Step from (x, p), (d,) each, through all joints of the mesh (N + 1,); `velocity` (d,) predicts the first.
+
+        Nothing is raised: where a step fails, `Roll.residual` is large or not finite.
+        """
+        d, m, n = self.dimension, self.method.degree, len(mesh) - 1
+        size, t, h = _pieces(mesh)
+        piece = self._piece("roll", size)
+        taylor = np.zeros(self._step.numel_in(2))
+        taylor[:d] = velocity
+        state, found = (x, p, taylor), []
+        for i in range(0, len(h), size):
+            *outputs, action = piece(*state, t[i : i + size], h[i : i + size])
+            rolled_x, rolled_p, taylor = outputs[:3]
+            state = (rolled_x[-d:], rolled_p[-d:], taylor)
+            found.append((rolled_x, rolled_p, *outputs[3:], action))
+        xs, ps, s, iterations, ratio, action = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+        return Roll(
+            mesh,
+            np.column_stack((x, xs.reshape(-1, d).T[:, :n])),
+            np.column_stack((p, ps.reshape(-1, d).T[:, :n])),
+            s.reshape(-1, d).T[:, : n * m],
+            iterations[:n],
+            np.where(np.isnan(action), np.nan, ratio.reshape(-1, m * d).max(axis=1))[:n],
+            action[:n],
+        )
+
+    def jacobians(self, mesh: np.ndarray, x: np.ndarray, p: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        """∂(x_{i+1}, p_{i+1})/∂(x_i, p_i) of every step, (N, 2d, 2d); arguments as in `Roll`."""
+        d, m, n = self.dimension, self.method.degree, len(mesh) - 1
+        size, t, h = _pieces(mesh)
+        piece = self._piece("jacobian", size)
+        pad = len(h) - n
+        columns = [
+            np.pad(a, ((0, 0), (0, k * pad)), mode="edge") for a, k in ((slopes, m), (x[:, :n], 1), (p[:, :n], 1))
+        ]
+        parts = []
+        for i in range(0, len(h), size):
+            local = [a[:, k * i : k * (i + size)].ravel(order="F") for a, k in zip(columns, (m, 1, 1), strict=True)]
+            parts.append(piece(*local, t[i : i + size], h[i : i + size])[0])
+        matrices = np.concatenate(parts).reshape(-1, 2 * d, 2 * d)
+        return np.asarray(matrices.transpose(0, 2, 1)[:n])
+
+
+def _pieces(mesh: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+    """Intervals a piece, and the starts and lengths of intervals, the last one repeated to fill the last piece."""
+    n = len(mesh) - 1
+    count = -(-n // PIECE)
+    size = -(-n // count)
+    pad = (0, count * size - n)
+    return size, np.pad(mesh[:-1], pad, mode="edge"), np.pad(np.diff(mesh), pad, mode="edge")

@@ -1,0 +1,132 @@
+"""Errors of a path against a reference: one that is given, or a solve several digits finer.
+
+The own error of such a solve is the difference of two independent ones, of other degrees on other meshes, which are
+refined until that difference is far below the errors it has to tell apart or no longer falls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_galerkin._solve import solve
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.piecewise_polynomial import times_at
+from casadi_galerkin.calculus.quadrature import gauss
+from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.initial_problem import InitialProblem
+from casadi_galerkin.solution.guess import Guess, sampled
+from casadi_galerkin.solution.trajectory import Trajectory
+
+SAMPLES = 2000  # times at which errors are taken, and at least 4 on every interval
+LOOKS, SLACK = 5, 1e-12  # times at which a callable is tried; part of the time span by which ends may differ
+FINER_DEGREE, LEAST_DEGREE = 4, 8  # degrees that a reference has more than the methods, and its least one
+FINER, ROUNDOFF, DOUBLINGS = 1e-2, 1e-14, 4  # part of the least error that a reference's own may be; its floor
+
+Problem: TypeAlias = BoundaryProblem | InitialProblem | ControlProblem
+Reference: TypeAlias = Trajectory | Callable[[float], ArrayLike]
+
+
+def check_reference(problem: Problem, given: Reference) -> None:
+    """Refuse a reference that is no path of the problem."""
+    d, span = problem.dimension, problem.t_span
+    if not isinstance(given, Trajectory) and callable(given):
+        values = sampled("the reference", given, np.linspace(*span, LOOKS), d)
+        if not np.all(np.isfinite(values)):
+            raise ValueError(f"the reference must be finite on {span}, got {values.tolist()}")
+        return
+    if not isinstance(given, Trajectory):
+        raise TypeError(f"the reference must be a Trajectory or a callable t -> ({d},), got {given!r}")
+    if len(given.x) != d:
+        raise ValueError(f"the reference must be a path of {d} component(s), got {len(given.x)}")
+    wanted, got = (len(parameters or ()) for parameters in (problem.parameters, given.parameters))
+    if wanted != got:
+        raise ValueError(f"the reference must have {wanted} parameter(s), got {got}")
+    free = isinstance(problem, ControlProblem) and problem.duration_bounds is not None
+    if not free and not np.allclose(given.t[[0, -1]], span, rtol=0, atol=SLACK * (span[1] - span[0])):
+        raise ValueError(f"the reference must run from {span[0]} to {span[1]}, got {given.t[0]} to {given.t[-1]}")
+
+
+class ReferenceSolution:
+    """What errors are differences to: path, action and energy by parts of the time span, and their sizes.
+
+    Parts, because a control problem may leave the duration free.
+    """
+
+    def __init__(self, problem: Problem, given: Reference, parameters: tuple[float, ...] | None) -> None:
+        if isinstance(given, Trajectory):
+            self._path, self._exact, parameters = given.polynomial, None, given.parameters
+        else:
+            calculus = DiscreteCalculus(Galerkin(LEAST_DEGREE), np.linspace(*problem.t_span, SAMPLES // 4 + 1))
+            self._exact, self._dimension = given, problem.dimension
+            self._path = calculus.emb(self._sampled(calculus.node_times))
+        self._lagrangian = with_parameters(problem.lagrangian, parameters)
+        times = times_at(self._path.mesh, np.array(gauss(LEAST_DEGREE).points))
+        weights = np.outer(np.diff(self._path.mesh), gauss(LEAST_DEGREE).weights).ravel()
+        values, kinetic = self._terms(times)
+        self.action = given.action if isinstance(given, Trajectory) else float(weights @ values)
+        self.action_size = float(weights @ np.abs(values))
+        self.energy_size = float(np.max(np.abs(values) + np.abs(kinetic)))
+        self.sizes = component_sizes(self._path.values)[:, None]
+
+    def _sampled(self, times: np.ndarray) -> np.ndarray:
+        """Values (d, K) of a callable reference."""
+        assert self._exact is not None
+        return sampled("the reference", self._exact, times, self._dimension)
+
+    def _times(self, part: np.ndarray) -> np.ndarray:
+        first, last = self._path.mesh[[0, -1]]
+        return np.asarray(np.clip(first + part * (last - first), first, last))
+
+    def at(self, part: np.ndarray) -> np.ndarray:
+        """Positions (d, K)."""
+        times = self._times(part)
+        return self._path(times) if self._exact is None else self._sampled(times)
+
+    def _terms(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """L and p·v along the path, (K,) each."""
+        t, x, v = symbols = self._lagrangian.sx_in()
+        value = self._lagrangian(*symbols)
+        terms = ca.Function("terms", [t, x, v], [value, ca.jtimes(value, v, v)]).map(len(times))
+        first, second = terms(times[None, :], self._path(times), self._path(times, 1))
+        return np.array(first).ravel(), np.array(second).ravel()
+
+    def errors(self, path: Trajectory) -> tuple[float, float, float, float]:
+        """Errors of a path, all relative: at the joints and between them, at the joints, of action and energy."""
+        joints = (path.t - path.t[0]) / (path.t[-1] - path.t[0])
+        inside = np.linspace(0.0, 1.0, max(4, SAMPLES // len(joints)) + 1)[1:-1]
+        between = times_at(joints, inside)
+        times = np.clip(path.t[0] + between * (path.t[-1] - path.t[0]), path.t[0], path.t[-1])
+        joint_error = float(np.max(np.abs(path.x - self.at(joints)) / self.sizes))
+        error = float(np.max(np.abs(path(times) - self.at(between)) / self.sizes))
+        lagrangian, kinetic = self._terms(self._times(joints))
+        energy_error = float(np.max(np.abs(path.energy - (kinetic - lagrangian))))
+        action_error = abs(path.action - self.action) / self.action_size
+        return max(error, joint_error), joint_error, action_error, energy_error / self.energy_size
+
+
+def finer(problem: Problem, paths: Sequence[Trajectory], guess: Guess | None) -> tuple[Trajectory, float]:
+    """A path several digits finer than the given ones, and its own error from a second one of another degree."""
+    degree = max(LEAST_DEGREE, FINER_DEGREE + max(path.method.degree for path in paths))
+    intervals = max(4, max((len(path.t) - 1) * path.method.degree for path in paths) // degree)
+    best, estimate = paths[0], np.inf
+    for _ in range(DOUBLINGS):
+        other = solve(problem, Galerkin(degree), 5 * intervals // 4, guess=guess)
+        fine = solve(problem, Galerkin(degree + 1), 2 * intervals, guess=guess)
+        truth = ReferenceSolution(problem, fine, None)
+        difference = truth.errors(other)[0]
+        if difference >= estimate:
+            break
+        best, estimate = fine, difference
+        if estimate <= max(ROUNDOFF, FINER * min(truth.errors(path)[0] for path in paths)):
+            break
+        intervals *= 2
+    return best, estimate

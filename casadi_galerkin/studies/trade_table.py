@@ -1,0 +1,144 @@
+"""What a trade of speed against accuracy has measured: its table, what is best in it, and its picture."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.solution.plotting import plot_work_precision
+from casadi_galerkin.studies.reference import ROUNDOFF
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+PLATEAU = 30.0  # errors below so many times the floor take no part in the fit of an order
+
+
+@dataclass(frozen=True)
+class Row:
+    """One cell of a trade: a method on so many intervals, its cost and its errors.
+
+    Attributes
+    ----------
+    method, intervals : as `solve` takes them
+    unknowns : node values and controls solved for
+    build_seconds, solve_seconds : the first building, and the median of repeated warm solves
+    iterations : of the solver
+    error : largest error of the path, at the joints and between them, relative to the size of each component
+    joint_error : the same at the joints
+    action_error : of the action, relative to ∫ |L| dt
+    energy_error : largest error of the energy at the joints, relative to the largest of its terms |p·v| + |L|
+    failure : why there is no answer; the numbers above are then NaN or 0.  None if there is one
+    """
+
+    method: Galerkin
+    intervals: int
+    unknowns: int = 0
+    build_seconds: float = np.nan
+    solve_seconds: float = np.nan
+    iterations: int = 0
+    error: float = np.nan
+    joint_error: float = np.nan
+    action_error: float = np.nan
+    energy_error: float = np.nan
+    failure: str | None = None
+
+
+@dataclass(frozen=True)
+class Trade:
+    """Speed against accuracy of one problem.
+
+    Attributes
+    ----------
+    rows : all cells, methods slowest
+    reference : what the errors are differences to
+    reference_error : its own estimated relative error; 0 where it was given
+    """
+
+    rows: tuple[Row, ...]
+    reference: str
+    reference_error: float
+
+    def front(self) -> list[Row]:
+        """Rows that no other row beats in both time and error (the Pareto set), fastest first."""
+        chosen: list[Row] = []
+        for row in sorted(self._solved(), key=lambda row: (row.solve_seconds, row.error)):
+            if not chosen or row.error < chosen[-1].error:
+                chosen.append(row)
+        return chosen
+
+    def cheapest(self, tol: float) -> Row:
+        """Fastest row whose error, with that of the reference, is at most `tol`; ValueError if there is none."""
+        good = [row for row in self._solved() if row.error + self.reference_error <= tol]
+        if good:
+            return min(good, key=lambda row: row.solve_seconds)
+        best = min((row.error for row in self._solved()), default=np.nan)
+        raise ValueError(
+            f"no row has an error of at most {tol:g}: the least is {best:.1e}, the reference's own "
+            f"{self.reference_error:.1e}. Trade with more intervals or higher degrees"
+        )
+
+    def order(self, method: Galerkin) -> float | None:
+        """Order of the error in 1/N, fitted to the rows of a method above roundoff; None with fewer than 3."""
+        rows = [row for row in self._solved() if row.method == method and row.error > PLATEAU * self.floor]
+        if len({row.intervals for row in rows}) < 3:
+            return None
+        logs = np.log([[row.intervals, row.error] for row in rows])
+        return float(-np.polyfit(logs[:, 0], logs[:, 1], 1)[0])
+
+    @property
+    def floor(self) -> float:
+        """Error below which rows cannot be told apart: roundoff, or the reference's own error."""
+        return max(self.reference_error, ROUNDOFF)
+
+    def _solved(self) -> list[Row]:
+        return [row for row in self.rows if row.failure is None]
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw errors over seconds, a line a method, with fitted orders and the floor; returns the Matplotlib axes."""
+        lines = []
+        for method in dict.fromkeys(row.method for row in self._solved()):
+            rows, order = [row for row in self._solved() if row.method == method], self.order(method)
+            label = str(method) if order is None else f"{method}: error ~ N^-{order:.1f}"
+            lines.append((label, [row.solve_seconds for row in rows], [row.error for row in rows]))
+        return plot_work_precision(lines, self.floor, axes)
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write all rows to a file of comma-separated values, the method in words and by its degree."""
+        names = [entry.name for entry in fields(Row)]
+        with Path(path).open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["degree", *names])
+            writer.writerows([row.method.degree, *(getattr(row, name) for name in names)] for row in self.rows)
+
+    def __str__(self) -> str:
+        """Readable table; the front is marked with a star."""
+        front = self.front()
+        width = max(len(str(row.method)) for row in self.rows)
+        heads = [
+            "intervals",
+            "unknowns",
+            "build/ms",
+            "solve/ms",
+            "iterations",
+            "error",
+            "at-joints",
+            "action",
+            "energy",
+        ]
+        lines = [f"  {'method':{width}}" + "".join(f"{head:>11}" for head in heads)]
+        for row in self.rows:
+            line = f"{'*' if row in front else ' '} {row.method!s:{width}}{row.intervals:11d}"
+            if row.failure is not None:
+                lines.append(f"{line}  failed: {row.failure}")
+                continue
+            seconds = "".join(f"{1e3 * value:11.3f}" for value in (row.build_seconds, row.solve_seconds))
+            errors = (row.error, row.joint_error, row.action_error, row.energy_error)
+            numbers = f"{row.unknowns:11d}{seconds}{row.iterations:11d}" + "".join(f"{e:11.1e}" for e in errors)
+            lines.append(line + numbers)
+        return "\n".join([*lines, f"reference: {self.reference}", "*: no other row is both faster and more accurate"])
