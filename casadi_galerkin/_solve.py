@@ -86,8 +86,8 @@ def solve(
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     tol : relative tolerance between 0 and 1; for boundary and control problems
     guess : as for `Transcription.solve`; for boundary and control problems
-    solver : newton (the default), rootfinder, ipopt or minimizer for a BoundaryProblem, ipopt for a ControlProblem; each
-        also ``.with_options(...)``
+    solver : newton (the default), rootfinder, ipopt or minimizer for a BoundaryProblem, ipopt for a ControlProblem;
+        each also ``.with_options(...)``
     limits : Limits that stop a refinement; only with `tol`
     verbose : 1 prints a summary and, with `tol`, a line a level; 2 also the solver's lines
 

@@ -75,7 +75,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """Iterations of the solver on one level, and the residual it left."""
         return level.solution.iterations, level.solution.residual
 
-    def path(self, level: CriticalPoint, error: float) -> Path:
+    def path(self, level: CriticalPoint, error: float) -> Path:  # noqa: ARG002
         """The path of a level, which was verified on its own mesh only."""
         return Path(level.polynomial)
 
@@ -126,7 +126,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             mesh = mesh_for_guess(self.levels, self.method, guess, mesh)
         failures = []
         given = (self.method, mesh, guess, solver, self.limits.every_level, self.out_of_time)
-        for strategy, self.patience in first_path_strategies(self.levels, *given):
+        for strategy, patience in first_path_strategies(self.levels, *given):
+            self.patience = patience
             try:
                 return self.finish(*self.refine(strategy()))
             except LimitReached:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -15,10 +14,11 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.boundary.failure_report import conjugate, explained, refuse_undefined
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.numbers import components, numbers
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.functional import Functional
-from casadi_galerkin.functional.mapping import by_rows, one_by_one
+from casadi_galerkin.functional.mapping import Mapping, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data, Numbering
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
@@ -103,7 +103,7 @@ class Transcription:
         """S, momenta (d, N + 1) at all joints, ∇S and the sizes of the terms it sums, of the same inputs."""
         return self.functional.function("summary")
 
-    @cached_property
+    @lazy
     def _calculus(self) -> DiscreteCalculus:
         return DiscreteCalculus(self.method, self.mesh)
 
@@ -191,7 +191,8 @@ class Transcription:
         unknowns, steps = self.unknowns(path.at(self.method.element.nodes).T), []
         with self.stationarity.linearization() as at:
             for _ in range(2):
-                steps.extend(at.solve(at.relinearize(unknowns, data)))
+                found = at.newton_step(unknowns, data)
+                steps.append(found.step if np.isfinite(found.norm) else np.full_like(unknowns, np.nan))
                 unknowns = unknowns + steps[-1]
         return [calculus.emb(self.change(step)) for step in steps]
 
@@ -212,7 +213,7 @@ class Transcription:
             return self._stated
         return self._given(joints, start, end, parameters)
 
-    @cached_property
+    @lazy
     def _stated(self) -> Data:
         """The data of the problem itself."""
         return self._given(self.mesh, None, None, None)
@@ -246,15 +247,16 @@ class Transcription:
 
     def _guess(self, guess: Guess | None, calculus: DiscreteCalculus, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) of a guess, bent to meet the fixed ends."""
-        d = self.problem.dimension
-        ends = np.full((2, d), np.nan)
-        ends[0, list(self.numbering.fixed_start)] = data[0]
-        ends[1, list(self.numbering.fixed_end)] = data[1]
-        if self.problem.periodic:
-            ends[1] = ends[0]
-        parts = calculus.node_parts
+        d, parts = self.problem.dimension, calculus.node_parts
+        ends = np.append(joined(np.zeros(self.numbering.free), data), np.nan)[self._given_ends]
         values = np.zeros((len(parts), d)) if guess is None else given_values(guess, calculus, d).T
         return meeting_ends(values, parts, ends)
+
+    @lazy
+    def _given_ends(self) -> np.ndarray:
+        """Entries (2, d) of (u, NaN) that are given at the ends, NaN's where none is."""
+        ends = self.numbering.of_nodes[[0, -1]]
+        return np.where(ends >= self.numbering.free, ends, self.numbering.size)
 
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""

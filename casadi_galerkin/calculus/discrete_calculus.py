@@ -14,12 +14,11 @@ Where the paper's text has to be read with care, this module follows the mathema
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.numbers import real_array
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 
@@ -57,22 +56,22 @@ class DiscreteCalculus:
         self.method, self.mesh = method, time_scale(mesh)
         self._element, self._nodes = method.element, (len(self.mesh) - 1) * method.degree + 1
 
-    @cached_property
+    @lazy
     def node_times(self) -> np.ndarray:
         """Joints and control points in the order of time; (N m + 1,)."""
         return np.append(times_at(self.mesh, self._element.nodes[:-1]), self.mesh[-1])
 
-    @cached_property
+    @lazy
     def node_parts(self) -> np.ndarray:
         """The same times as parts of the whole time, from 0 to 1; (N m + 1,)."""
         return np.asarray((self.node_times - self.mesh[0]) / (self.mesh[-1] - self.mesh[0]))
 
-    @cached_property
+    @lazy
     def quadrature_times(self) -> np.ndarray:
         """Quadrature points, interval by interval; (N r,)."""
         return times_at(self.mesh, self._element.points)
 
-    @cached_property
+    @lazy
     def weights(self) -> np.ndarray:
         """ω = h_i w_k, so that ``weights @ f`` is ∫_a^b f Δ_w t; (N r,)."""
         return np.outer(np.diff(self.mesh), self._element.weights).ravel()

@@ -5,10 +5,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import _degree, differentiation_matrix, lagrange_values, lobatto_points
 from casadi_galerkin.calculus.numbers import real_array
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
@@ -80,7 +80,7 @@ class Galerkin:
         """Order at the joints, min(2m, u)."""
         return min(2 * self.degree, self.quadrature.order)
 
-    @cached_property
+    @lazy
     def element(self) -> Element:
         """The reference interval of this method."""
         nodes = np.concatenate(([0.0], self.control_points, [1.0]))

@@ -16,12 +16,12 @@ The multipliers λ are a discrete path: (Θᵀλ)_k = w_k (δx, δx') is its emb
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.control.numbering import ControlNumbering
 from casadi_galerkin.control.pointwise import places
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -137,14 +137,14 @@ class ControlGraph:
     def _name(self, name: str, outputs: list[ca.MX], *extra: ca.MX) -> ca.Function:
         return ca.Function(name, [self.unknowns, self.data, *extra], outputs)
 
-    @cached_property
+    @lazy
     def gradient(self) -> ca.Function:
         """(unknowns, data) -> f, ∇f."""
         gradients = self._stack(self._evaluate("gradient", self.at, self.weights))
         total = ca.mtimes(self.numbering.derivative.T, gradients)
         return self._name("gradient", [self.cost, ca.densify(total)])
 
-    @cached_property
+    @lazy
     def jacobian(self) -> ca.Function:
         """(unknowns, data) -> G, ∇G."""
         blocks = self._blocks([place.jacobian_pattern for place in self.places], self._evaluate("jacobian", self.at))
@@ -156,7 +156,7 @@ class ControlGraph:
         everywhere = ca.mtimes(self.test, multipliers)
         return [factor * w for w in self.weights], self._split(everywhere, [p.rows.numel() for p in self.places])
 
-    @cached_property
+    @lazy
     def hessian(self) -> ca.Function:
         """(unknowns, data, φ, λ) -> upper half of ∇²f̄."""
         factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", self.equations.numel())

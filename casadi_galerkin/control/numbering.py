@@ -21,13 +21,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.lazy import lazy
 
 
 def sparse(rows: np.ndarray, columns: np.ndarray, entries: np.ndarray, shape: tuple[int, int]) -> ca.DM:
@@ -71,7 +71,7 @@ class ControlNumbering:
         """Number of nodes, N m + 1."""
         return self.intervals * self.method.degree + 1
 
-    @cached_property
+    @lazy
     def _free(self) -> dict[str, np.ndarray]:
         """Every field of ξ, and which of its entries are unknowns."""
         d = self.dimension
@@ -88,7 +88,7 @@ class ControlNumbering:
             "fractions": np.zeros(self.intervals + 1, dtype=bool),
         }
 
-    @cached_property
+    @lazy
     def fields(self) -> dict[str, np.ndarray]:
         """Entry of ξ that each entry of a field has."""
         numbering: dict[str, np.ndarray] = {}
@@ -102,12 +102,12 @@ class ControlNumbering:
             numbering[name] = index
         return numbering
 
-    @cached_property
+    @lazy
     def unknowns(self) -> int:
         """Number of unknowns."""
         return sum(int(np.count_nonzero(free)) for free in self._free.values())
 
-    @cached_property
+    @lazy
     def size(self) -> int:
         """Length of ξ."""
         return sum(free.size for free in self._free.values())
@@ -140,7 +140,7 @@ class ControlNumbering:
         parameters = local + 1 + np.arange(self.parameters if self.free_parameters else 0)
         return np.concatenate((np.arange(local), duration, parameters)).astype(np.int64)
 
-    @cached_property
+    @lazy
     def _element(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Entries of E on a time scale of unit steps: entry, point, whether it is a slope, node."""
         unit = DiscreteCalculus(self.method, np.arange(self.intervals + 1.0))
@@ -148,7 +148,7 @@ class ControlNumbering:
         slope, point = np.divmod(rows, self.points)
         return entries, point, slope, nodes
 
-    @cached_property
+    @lazy
     def matrix(self) -> ca.DM:
         """A: (N r points, then the ends) x ξ."""
         f = self.fields
@@ -181,7 +181,7 @@ class ControlNumbering:
             (share + 1, f[left + 1], one),
         ]
 
-    @cached_property
+    @lazy
     def differentiated(self) -> ca.DM:
         """Rows of A that are differentiated by, of all points and of the ends x ξ."""
         inner, ends = self.active(2 * self.dimension + self.controls), self.active(4 * self.dimension)
@@ -189,12 +189,12 @@ class ControlNumbering:
         rows = np.append((starts + inner).ravel(), self.points * self.point_rows + ends)
         return self.matrix[rows.tolist(), :]
 
-    @cached_property
+    @lazy
     def derivative(self) -> ca.DM:
         """Ê: the same by unknowns only."""
         return self.differentiated[:, : self.unknowns]
 
-    @cached_property
+    @lazy
     def test(self) -> ca.DM:
         """Θᵀ: (x, x', path constraints at all points, momenta at the two ends) x equations."""
         d, c = self.dimension, self.constraints

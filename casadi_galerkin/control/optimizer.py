@@ -14,6 +14,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.solvers.threads import within_ipopt
+
 ITERATION_LIMIT = 500  # the scenes take 5 to 100; a problem without a bound from below walks on for ever
 TOLERANCE = 1e-12  # of IPOPT's scaled optimality error; at 1e-10 costs were seen to be wrong by 3e-9
 ACCEPTABLE = 1e-9  # good enough where roundoff keeps IPOPT from TOLERANCE for ACCEPTABLE_ITERATIONS
@@ -104,14 +106,15 @@ def interior_point(program: Program, verbose: int, given: Mapping[str, Any]) -> 
 
 def optimize(solver: ca.Function, guess: np.ndarray, data: np.ndarray, limits: ProgramBounds) -> Optimum:
     """Run the solver from a guess."""
-    answer = solver(
-        x0=guess,
-        p=data,
-        lbx=limits.lower,
-        ubx=limits.upper,
-        lbg=limits.equations_lower,
-        ubg=limits.equations_upper,
-    )
+    with within_ipopt:
+        answer = solver(
+            x0=guess,
+            p=data,
+            lbx=limits.lower,
+            ubx=limits.upper,
+            lbg=limits.equations_lower,
+            ubg=limits.equations_upper,
+        )
     stats = solver.stats()
     x, multipliers = (np.array(answer[key]).ravel() for key in ("x", "lam_g"))
     status = str(stats["return_status"]).replace("_", " ")

@@ -10,11 +10,11 @@ at the ends c = τ, the terminal cost, and e = [p_0, p_N] with p = ∂L/∂v(t, 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.control.numbering import ControlNumbering
 from casadi_galerkin.problems.control_problem import ControlProblem
 
@@ -47,24 +47,24 @@ class PointwiseTerms:
         function = ca.Function(self.name, inputs, [ca.densify(output)])
         return function.map(self.count) if self.count > 1 else function
 
-    @cached_property
+    @lazy
     def value(self) -> ca.Function:
         """(z, weight) -> weighted cost, one a place."""
         weight = ca.SX.sym("weight")
         return self._function([self.z, weight], weight * self.cost)
 
-    @cached_property
+    @lazy
     def gradient(self) -> ca.Function:
         """(z, weight) -> weighted gradient of the cost."""
         weight = ca.SX.sym("weight")
         return self._function([self.z, weight], weight * ca.gradient(self.cost, self._by))
 
-    @cached_property
+    @lazy
     def equations(self) -> ca.Function:
         """Rows of (z)."""
         return self._function([self.z], self.rows)
 
-    @cached_property
+    @lazy
     def _jacobian(self) -> ca.SX:
         return ca.jacobian(self.rows, self._by)
 
@@ -73,18 +73,18 @@ class PointwiseTerms:
         """Pattern of the derivatives of the rows at one place."""
         return self._jacobian.sparsity()
 
-    @cached_property
+    @lazy
     def jacobian(self) -> ca.Function:
         """Nonzeros of the derivatives of the rows, of (z)."""
         return self._function([self.z], ca.vertcat(*self._jacobian.nonzeros()))
 
-    @cached_property
+    @lazy
     def _lagrangian(self) -> tuple[list[ca.SX], ca.SX]:
         """Inputs (z, weight, multipliers), and the weighted cost with the multiplied rows."""
         weight, multipliers = ca.SX.sym("weight"), ca.SX.sym("multipliers", self.rows.numel())
         return [self.z, weight, multipliers], weight * self.cost + ca.dot(multipliers, self.rows)
 
-    @cached_property
+    @lazy
     def _hessian(self) -> ca.SX:
         return ca.hessian(self._lagrangian[1], self._by)[0]
 
@@ -93,7 +93,7 @@ class PointwiseTerms:
         """Pattern of the second derivatives at one place."""
         return self._hessian.sparsity()
 
-    @cached_property
+    @lazy
     def hessian(self) -> ca.Function:
         """(z, weight, multipliers) -> nonzeros of the second derivatives of the Lagrangian."""
         return self._function(self._lagrangian[0], ca.vertcat(*self._hessian.nonzeros()))

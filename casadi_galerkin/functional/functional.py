@@ -19,6 +19,7 @@ from typing import TypeAlias
 
 import casadi as ca
 
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.functional.embedding import (
     assembly,
     boundary_terms,
@@ -67,51 +68,67 @@ class Functional:
         self._functions: dict[str, ca.Function] = {}
         self.build_seconds = time.perf_counter() - began
 
-    @property
+    @lazy
     def symbols(self) -> dict[str, ca.MX]:
         """Unknowns ξ, start, end, mesh and, if the Lagrangian has some, parameters, by name."""
         return embedded(self.numbering).symbols | {symbol.name(): symbol for symbol in self._parameters}
 
-    @property
+    @lazy
     def u(self) -> ca.MX:
         """The vector u = (ξ, start, end) of the numbering."""
         return embedded(self.numbering).u
 
-    @property
+    @lazy
     def _at(self) -> list[ca.MX]:
         return [*embedded(self.numbering).points, *self._parameters]
 
-    def _at_points(self, name: str) -> list[ca.MX]:
-        function = getattr(self.pointwise, name)
+    def _at_points(self, function: ca.Function) -> list[ca.MX]:
         return list(self._mapping(function, self.numbering.points, self._shared).call(self._at))
+
+    @lazy
+    def _second(self) -> list[ca.MX]:
+        """L̂, its first and its second derivatives at all points."""
+        return self._at_points(self.pointwise.derivatives)
+
+    @lazy
+    def _first(self) -> list[ca.MX]:
+        """L̂ and its first derivatives at all points.
+
+        One by one, so little is solved that building them apart would cost more than it saves.
+        """
+        return self._second[:3] if self._mapping is one_by_one else self._at_points(self.pointwise.first)
+
+    @lazy
+    def _gradient(self) -> ca.MX:
+        return integration(self.numbering)(*self._first[1:])
+
+    @lazy
+    def _derivatives(self) -> tuple[ca.MX, ca.MX]:
+        same = self._mapping is one_by_one
+        return self.hessian(), self._gradient if same else integration(self.numbering)(*self._second[1:3])
 
     def action(self) -> ca.MX:
         """S: scalar."""
-        return summation(self.numbering)(self._at_points("first")[0])
+        return summation(self.numbering)(self._first[0])
 
     def gradient(self) -> ca.MX:
         """∇S with respect to the free values ξ."""
-        return integration(self.numbering)(*self._at_points("first")[1:])
+        return self._gradient
 
     def first_variation(self) -> list[ca.MX]:
         """S, momenta at the joints, ∇S with respect to the free values ξ, and sizes of the terms that it sums."""
-        f, by_x, by_slope = self._at_points("first")
-        gradient = integration(self.numbering)(by_x, by_slope)
-        momenta, terms = boundary_terms(self.numbering)(by_x, by_slope)
-        return [summation(self.numbering)(f), momenta, gradient, terms]
+        momenta, terms = boundary_terms(self.numbering)(*self._first[1:])
+        return [self.action(), momenta, self._gradient, terms]
 
     def derivatives(self) -> tuple[ca.MX, ca.MX]:
         """∇²S and ∇S with respect to the free values ξ, in one pass over the points."""
-        _, by_x, by_slope, *values = self._at_points("derivatives")
-        return self._assembled(values), integration(self.numbering).call([by_x, by_slope])[0]
+        return self._derivatives
 
     def hessian(self, inertia: ca.MX | float = 1.0) -> ca.MX:
         """∇²S with respect to the free values ξ: sparse, symmetric, both halves stored; ∂²L/∂v² times `inertia`."""
-        values = zip(self.pointwise.blocks, self._at_points("derivatives")[3:], strict=True)
-        return self._assembled([inertia * value if block == (1, 1) else value for block, value in values])
-
-    def _assembled(self, values: list[ca.MX]) -> ca.MX:
-        return assembly(*self.pattern_key, self.pointwise.blocks).call(values)[0]
+        values = zip(self.pointwise.blocks, self._second[3:], strict=True)
+        weighted = [inertia * value if block == (1, 1) else value for block, value in values]
+        return assembly(*self.pattern_key, self.pointwise.blocks).call(weighted)[0]
 
     def joint_time_derivatives(self) -> tuple[ca.MX, ca.MX, ca.MX]:
         """∂S/∂t_i, ∂²S/∂t_i² and ∂²S/∂t_i∂t_{i+1} by the joints, at fixed node values; the first are energy jumps."""

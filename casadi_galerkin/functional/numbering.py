@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.lazy import lazy
 
 KEPT = 8  # a graph of 1e5 intervals holds some 100 MB
 
@@ -36,7 +37,7 @@ class Numbering:
     fixed_end: tuple[int, ...] = ()
     periodic: bool = False
 
-    @cached_property
+    @lazy
     def of_nodes(self) -> np.ndarray:
         """Entry of u at every node in the order of time; (N m + 1, d)."""
         nodes = np.zeros((self.intervals * self.method.degree + 1, self.dimension), dtype=np.int64)
@@ -55,19 +56,19 @@ class Numbering:
             nodes[-1, list(self.fixed_end)] = self.free + len(starts) + np.arange(len(self.fixed_end))
         return nodes
 
-    @cached_property
+    @lazy
     def component(self) -> np.ndarray:
         """Component of the path that every entry of u is a value of; (size,)."""
         component = np.zeros(self.size, dtype=np.int64)
         component[self.of_nodes] = np.arange(self.dimension)
         return component
 
-    @cached_property
+    @lazy
     def place(self) -> np.ndarray:
         """Where every unknown stands among the node values, component fastest; (free,)."""
         return np.unique(self.of_nodes, return_index=True)[1][: self.free]  # of a periodic joint the first
 
-    @cached_property
+    @lazy
     def free(self) -> int:
         """Number of unknowns, the length of ξ."""
         joints = self.intervals * self.method.degree + (0 if self.periodic else 1)

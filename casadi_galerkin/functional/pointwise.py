@@ -6,10 +6,11 @@ step, so that the sum over an interval needs no factor h, and nothing linear in 
 
 from __future__ import annotations
 
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import casadi as ca
 
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.functional.numbering import KEPT
 
 CSE = {"cse": True}  # costs more to find than it saves, but for the Hessian: a tenth of its instructions
@@ -60,12 +61,12 @@ class Pointwise:
         self.kinetic = all(kinetic.has_nz(i, i) for i in range(d))
         self.quadratic = not ca.depends_on(self._hessian, ca.vertcat(x, slope))
 
-    @cached_property
+    @lazy
     def first(self) -> ca.Function:
         """L̂, ∂L̂/∂x and ∂L̂/∂x'."""
         return self._function("first", {"f": self._value, **self._slopes})
 
-    @cached_property
+    @lazy
     def derivatives(self) -> ca.Function:
         """What `first` has, and second derivatives in the order of `blocks`, each the column of its `stored` entries.
 
@@ -74,7 +75,7 @@ class Pointwise:
         columns = {f"block{i}{j}": ca.project(self._cells[i, j], self.stored).nz[:] for i, j in self.blocks}
         return self._function("derivatives", {"f": self._value, **self._slopes, **columns}, CSE)
 
-    @cached_property
+    @lazy
     def curvature(self) -> ca.Function:
         """With z = (y, y') as a further input, zᵀ∇²L̂ z and |z|ᵀ|∇²L̂||z|."""
         z = ca.SX.sym("z", self._hessian.shape[0])
@@ -82,7 +83,7 @@ class Pointwise:
         terms = [ca.bilin(self._hessian, z, z), ca.bilin(ca.fabs(self._hessian), size, size)]
         return ca.Function("curvature", [*self._inputs.values(), z], terms)
 
-    @cached_property
+    @lazy
     def time_derivatives(self) -> ca.Function:
         """Derivatives of L̂ at fixed x and x': by t, by h, and the second ones by tt, th and hh."""
         hessian, gradient = ca.hessian(self._value, ca.vertcat(self._inputs["t"], self._inputs["h"]))

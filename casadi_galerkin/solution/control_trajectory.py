@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.quadrature import gauss
@@ -93,7 +93,7 @@ class ControlTrajectory(Trajectory):
                 "without points at both ends, such as gauss or radau, to replay it"
             )
 
-    @cached_property
+    @lazy
     def dynamics_defect(self) -> np.ndarray:
         """How far the equations of motion are missed between the points, one number an interval; (N,).
 
@@ -112,7 +112,7 @@ class ControlTrajectory(Trajectory):
         size = np.abs(self.momentum).max(axis=1) + np.abs(impulse).max(axis=(1, 2))
         return np.asarray((defect / np.where(size > 0, size, 1.0)[:, None]).max(axis=0))
 
-    @cached_property
+    @lazy
     def control_overshoot(self) -> np.ndarray:
         """Largest excess of the controls over their bounds between the points, over the bounds' width; (N,).
 

@@ -40,10 +40,13 @@ def meeting_ends(values: np.ndarray, parts: np.ndarray, ends: np.ndarray) -> np.
     (K, d)
     """
     moves = ends - values[[0, -1]]
-    moves = np.where(np.isnan(moves), moves[::-1], moves)
-    first, last = np.where(np.isnan(moves), 0.0, moves)
-    if not (np.count_nonzero(first) or np.count_nonzero(last)):
+    free = np.isnan(moves)
+    if np.count_nonzero(free):
+        moves = np.where(free, moves[::-1], moves)
+        moves[np.isnan(moves)] = 0.0
+    if not np.count_nonzero(moves):
         return values
+    first, last = moves
     return np.asarray(values + first + np.multiply.outer(parts, last - first))
 
 

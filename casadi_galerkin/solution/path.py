@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.solution.plotting import plot_path
 
@@ -37,7 +37,7 @@ class Path:
         """Joints, (N + 1,)."""
         return self.polynomial.mesh
 
-    @cached_property
+    @lazy
     def x(self) -> np.ndarray:
         """Positions at the joints, (d, N + 1)."""
         return self.polynomial.values[:, :: self.polynomial.degree].copy()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
 from casadi_galerkin.problems.problem import Problem
@@ -60,7 +60,7 @@ class Trajectory(Path):
     error_estimate: float | None = None
     count_negative: Callable[[], int | None] = field(default=_no_index, repr=False)
 
-    @cached_property
+    @lazy
     def morse_index(self) -> int | None:
         """Number of negative eigenvalues of the action's Hessian, 0 for a local minimum; found when first asked for.
 
@@ -78,7 +78,7 @@ class Trajectory(Path):
         """Values of the Lagrangian's parameters p."""
         return self.problem.parameters
 
-    @cached_property
+    @lazy
     def velocity(self) -> np.ndarray:
         """Velocities at the joints that belong to the momenta, p = ∂L/∂v; (d, N + 1), of order min(2m, u).
 
@@ -87,7 +87,7 @@ class Trajectory(Path):
         transform = legendre_transform(self._lagrangian)
         return velocities(transform, self.t, self.x, self.momentum, self(self.t, 1))
 
-    @cached_property
+    @lazy
     def energy(self) -> np.ndarray:
         """Energy p·v - L at the joints, from positions and momenta; (N + 1,)."""
         mapped = self._lagrangian.map(len(self.t))

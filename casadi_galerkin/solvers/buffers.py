@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.solvers import threads
+from casadi_galerkin.solvers.threads import one_thread
 
 
 class Evaluator:
@@ -21,33 +22,31 @@ class Evaluator:
     Attributes
     ----------
     inputs, outputs : arrays of what is not bound
+    run : evaluates from and to all arrays, without a look at whether it was aborted
     """
 
     def __init__(self, function: ca.Function, bound: Mapping[str, np.ndarray] | None = None) -> None:
         self._function = function  # the buffer does not keep it alive
-        self._buffer, self._run = function.buffer()
+        self._buffer, self.run = function.buffer()
         names = (function.name_in(), function.name_out())
         sizes = (function.nnz_in, function.nnz_out)
         own: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
         for side, bind in enumerate((self._buffer.set_arg, self._buffer.set_res)):
             for i, name in enumerate(names[side]):
-                array = None if bound is None else bound.get(name)
+                array: Any = None if bound is None else bound.get(name)
                 if array is None:
                     array = np.zeros(sizes[side](i))
                     own[side].append(array)
                 bind(i, memoryview(array))
         self.inputs, self.outputs = own
 
-    def run(self) -> None:
-        """Evaluate from and to all arrays; NaN in the outputs that are not bound where CasADi gave up."""
-        threads.alone(self._run)
-        if self._buffer.ret():  # aborted, as CasADi's QR does on a small pivot: the arrays hold an earlier answer
-            for array in self.outputs:
-                array[:] = np.nan
-
     def __call__(self, *arguments: np.ndarray) -> list[np.ndarray]:
         """Evaluate; the returned arrays are copies."""
         for target, argument in zip(self.inputs, arguments, strict=True):
             target[:] = argument
-        self.run()
+        with one_thread():
+            self.run()
+        if self._buffer.ret():  # aborted, as CasADi's QR does on a small pivot: the arrays hold an earlier answer
+            for array in self.outputs:
+                array[:] = np.nan
         return [array.copy() for array in self.outputs]

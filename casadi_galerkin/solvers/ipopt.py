@@ -15,6 +15,7 @@ from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 from casadi_galerkin.solvers.stationarity import Stationarity
+from casadi_galerkin.solvers.threads import within_ipopt
 
 DEFAULTS = {"sb": "yes", "tol": 1e-10, "max_iter": 500}
 POLISHING = 20  # iterations that Newton's method gets from where IPOPT stopped
@@ -56,7 +57,8 @@ def _interior_point(
     with stationarity.linearization() as at:
         key = f"ipopt {minimize} {verbose > 1} {sorted(options.items())}"
         solver = at.keep(key, lambda: _nlpsol(stationarity.functional, minimize, verbose, options))
-        answer = solver(x0=guess / sizes, p=np.concatenate((*data, sizes, [unit])), **bounds)
+        with within_ipopt:
+            answer = solver(x0=guess / sizes, p=np.concatenate((*data, sizes, [unit])), **bounds)
         stats = solver.stats()
     iterations, status = int(stats["iter_count"]), str(stats["return_status"]).replace("_", " ")
     x = sizes * np.array(answer["x"]).ravel()

@@ -5,11 +5,12 @@ They are kept for all Lagrangians with that sparsity.  Nothing in them is writte
 
 from __future__ import annotations
 
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.roundoff import EPS, TINY, ZERO
 from casadi_galerkin.functional.embedding import hessian_pattern
 from casadi_galerkin.functional.numbering import KEPT, Numbering
@@ -44,7 +45,7 @@ class LinearSolver:
     def _function(self, name: str, inputs: dict[str, ca.MX], outputs: dict[str, ca.MX]) -> ca.Function:
         return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))
 
-    @cached_property
+    @lazy
     def _ldl(self) -> ca.Linsol:
         """LDLᵀ without pivoting, whose symbolic part is done once."""
         return ca.Linsol("ldl", "ldl", self.sparsity)
@@ -106,7 +107,7 @@ class LinearSolver:
             self._kept[key] = self._function("simplified_step", inputs, outputs)
         return self._kept[key]
 
-    @cached_property
+    @lazy
     def largest(self) -> ca.Function:
         """Largest size of each component along a path, from its vector u; (d,)."""
         inputs = self.symbols("u")
@@ -122,20 +123,20 @@ class LinearSolver:
         """What each unknown is measured by: the size of its component, or one where that is zero."""
         return self._expanded(ca.if_else(scale < ZERO, 1.0, scale))
 
-    @cached_property
+    @lazy
     def sizes(self) -> ca.Function:
         """Measure the unknowns: u -> (sizes, scaled_rhs), the latter a right-hand side without symmetry."""
         inputs = self.symbols("u")
         sizes = self._measure(self.largest(inputs["u"]))
         return self._function("sizes", inputs, {"sizes": sizes, "scaled_rhs": self._generic_rhs / sizes})
 
-    @cached_property
+    @lazy
     def abs_hessian_product(self) -> ca.Function:
         """|∇²S||y|, the largest change of the gradient for changes of these sizes."""
         inputs = self.symbols("matrix", "change")
         return self._function("abs_hessian_product", inputs, {"product": ca.mtimes(*map(ca.fabs, inputs.values()))})
 
-    @cached_property
+    @lazy
     def floor(self) -> ca.Function:
         """(matrix, u, terms) -> (floor, scale, product): the roundoff floor of every entry of ∇S.
 
@@ -150,7 +151,7 @@ class LinearSolver:
         outputs = {"floor": EPS * (terms + product) + TINY, "scale": scale, "product": product}
         return self._function("floor", inputs, outputs)
 
-    @cached_property
+    @lazy
     def verification(self) -> ca.Function:
         """(gradient, matrix, u, terms, softest_direction) -> (residual, regularity).
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.numbering import Data
-from casadi_galerkin.solvers import threads
 from casadi_galerkin.solvers.linear_solver import LOCAL
 from casadi_galerkin.solvers.second_variation import SINGULAR, softest
 from casadi_galerkin.solvers.stationarity import ROUNDOFF, Iterate, Linearization, Stationarity
@@ -61,7 +60,6 @@ class Solution:
     regularity: float
 
 
-@threads.single
 def damped_newton(
     stationarity: Stationarity,
     guess: np.ndarray,
@@ -104,7 +102,7 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
             contracts = trial.norm <= last * (CONTRACTION if short else STRONG_CONTRACTION)
             if not (contracts or (last < LOCAL and math.isfinite(trial.norm))):
                 trial = None
-                linear.relinearize(at.unknowns, data)
+                linear.newton_step(at.unknowns, data)  # leaves its Hessian again
         if trial is None:
             if short and damping > NEARLY_FULL:
                 damping = 1.0

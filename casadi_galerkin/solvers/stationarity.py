@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from typing import Any, NamedTuple, TypeVar, cast
 
 import casadi as ca
@@ -24,6 +23,7 @@ from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.buffers import Evaluator
 from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
+from casadi_galerkin.solvers.threads import one_thread
 
 Built = TypeVar("Built")
 
@@ -82,7 +82,8 @@ class Stationarity:
         except IndexError:  # none yet, or all lent to other threads
             lent = Linearization(self)
         lent.methods = (linear_solver,) if linear_solver else METHODS if self.allows_ldl else METHODS[1:]
-        yield lent
+        with one_thread():
+            yield lent
         self._idle.append(lent)
 
     def newton_step(self, method: str) -> ca.Function:
@@ -160,9 +161,11 @@ class Linearization:
     """
 
     def __init__(self, stationarity: Stationarity) -> None:
-        self.stationarity, self.methods = stationarity, METHODS
+        self.stationarity = stationarity
+        self.methods: tuple[str, ...] = METHODS
         self._arrays: dict[str, np.ndarray] = {}
-        self._evaluators: dict[str, Evaluator] = {}
+        self._evaluators: dict[tuple[str, ...], Evaluator] = {}
+        self._inputs = list(stationarity.functional.symbols)[1:]
         self._kept: dict[str, Any] = {}
         self._data: Data | None = None
 
@@ -188,21 +191,19 @@ class Linearization:
             self._arrays[name] = np.zeros(size)
         return self._arrays[name]
 
-    def _evaluator(self, key: str, build: Callable[[], ca.Function]) -> Evaluator:
-        """A Function whose inputs and outputs are the arrays of their names."""
-        if key not in self._evaluators:
-            function = build()
-            for names, size in ((function.name_in(), function.nnz_in), (function.name_out(), function.nnz_out)):
-                for i, name in enumerate(names):
-                    self._array(name, size(i))
-            self._evaluators[key] = Evaluator(function, self._arrays)
+    def _bind(self, key: tuple[str, ...], function: ca.Function) -> Evaluator:
+        """Let a Function read and write the arrays of the names of its inputs and outputs."""
+        for names, size in ((function.name_in(), function.nnz_in), (function.name_out(), function.nnz_out)):
+            for i, name in enumerate(names):
+                self._array(name, size(i))
+        self._evaluators[key] = Evaluator(function, self._arrays)
         return self._evaluators[key]
 
-    def _run(self, key: str, build: Callable[[], ca.Function], unknowns: np.ndarray, data: Data) -> None:
+    def _run(self, evaluator: Evaluator, unknowns: np.ndarray, data: Data) -> None:
         """Evaluate a Function of (ξ, data, ...) at a point."""
-        evaluator = self._evaluator(key, build)
         if data is not self._data:  # the same tuple in all iterations
-            for name, values in zip(list(self.stationarity.functional.symbols)[1:], data, strict=True):
+            self._data = None  # an interrupt may come between two arrays
+            for name, values in zip(self._inputs, data, strict=True):
                 self._arrays[name][:] = values
             self._data = data
         self._arrays["unknowns"][:] = unknowns
@@ -212,20 +213,25 @@ class Linearization:
         self, build: Callable[[str], ca.Function], unknowns: np.ndarray, data: Data, step: str, *measures: str
     ) -> None:
         """Evaluate and solve by the first method that succeeds; the measures are NaN where none does."""
+        arrays = self._arrays
         for method in self.methods:
-            key = f"{build.__name__} {method}"
-            self._evaluator(key, partial(build, method))
-            for name in (*measures, "defect"):
-                self._arrays[name][:] = np.nan  # what stays where CasADi's QR gives up
-            self._run(key, partial(build, method), unknowns, data)
-            if self._arrays["defect"][0] <= 0:
+            key = build.__name__, method
+            evaluator = self._evaluators.get(key) or self._bind(key, build(method))
+            for name in (*measures, "defect") if method != METHODS[0] else ():
+                arrays[name][:] = np.nan  # what stays where CasADi's QR gives up
+            self._run(evaluator, unknowns, data)
+            if arrays["defect"][0] <= 0:
                 return
             if not np.isfinite(self.gradient).all():
                 break
-        solved = math.isfinite(self._arrays["defect"][0]) and np.any(self._arrays[step])
+        solved = math.isfinite(arrays["defect"][0]) and np.any(arrays[step])
         if not solved:  # CasADi's QR answers a rank-deficient system with zeros
             for name in measures:
-                self._arrays[name][:] = np.nan
+                arrays[name][:] = np.nan
+
+    def _evaluated(self, name: str, build: Callable[[], ca.Function], unknowns: np.ndarray, data: Data) -> None:
+        """Evaluate a Function on the arrays of the names of its inputs and outputs."""
+        self._run(self._evaluators.get((name,)) or self._bind((name,), build()), unknowns, data)
 
     def newton_step(self, unknowns: np.ndarray, data: Data, again: bool = False) -> Iterate:
         """The Newton step and its measures; its norm is NaN where the Hessian is singular to the last digit.
@@ -235,12 +241,12 @@ class Linearization:
         kept = again and self.stationarity.quadratic
         build = self.stationarity.newton_step_again if kept else self.stationarity.newton_step
         self._solve(build, unknowns, data, "step", "norm")
-        step, sizes, norm = (self._arrays[name] for name in ("step", "sizes", "norm"))
-        return Iterate(unknowns, step.copy(), sizes.copy(), norm.item())
+        arrays = self._arrays
+        return Iterate(unknowns, arrays["step"].copy(), arrays["sizes"].copy(), arrays["norm"].item())
 
     def relinearize(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Evaluate ∇S and ∇²S, and leave them; returns ∇S."""
-        self._run("derivatives", lambda: self.stationarity.functional.function("derivatives"), unknowns, data)
+        self._evaluated("derivatives", lambda: self.stationarity.functional.function("derivatives"), unknowns, data)
         return self.gradient.copy()
 
     def simplified_step(
@@ -261,27 +267,28 @@ class Linearization:
 
     def verification(self, unknowns: np.ndarray, data: Data) -> tuple[float, np.ndarray, float, float]:
         """S, momenta at the joints, residual and regularity; Hessian and softest direction are of the last iterate."""
-        self._run("verification", lambda: self.stationarity.verification, unknowns, data)
+        self._evaluated("verification", lambda: self.stationarity.verification, unknowns, data)
         names = "action", "momentum", "residual", "regularity"
         action, momentum, residual, regularity = (self._arrays[name] for name in names)
         return action.item(), momentum.copy(), residual.item(), regularity.item()
 
-    def evaluate(self, name: str, unknowns: np.ndarray, data: Data, *further: np.ndarray | float) -> list[np.ndarray]:
+    def evaluate(self, name: str, unknowns: np.ndarray, data: Data, *further: np.ndarray) -> list[np.ndarray]:
         """Evaluate one of the functional's own Functions, without a change of ∇S and ∇²S; returns copies."""
-        if name not in self._evaluators:
-            self._evaluators[name] = Evaluator(self.stationarity.functional.function(name))
-        return self._evaluators[name](unknowns, *data, *further)
+        key = name, "apart"
+        if key not in self._evaluators:
+            self._evaluators[key] = Evaluator(self.stationarity.functional.function(name))
+        return self._evaluators[key](unknowns, *data, *further)
 
     def weight_inertia(self, unknowns: np.ndarray, data: Data, factor: float) -> None:
         """Leave ∇²S with ∂²L/∂v² times a factor: a large one makes it positive definite where that is."""
         self._array("inertia", 1)[:] = factor
-        self._run("heavier", lambda: self.stationarity.functional.function("heavier"), unknowns, data)
+        self._evaluated("heavier", lambda: self.stationarity.functional.function("heavier"), unknowns, data)
 
     def solve(self, *rhs: np.ndarray) -> list[np.ndarray]:
         """Solutions of ∇²S y = -b with ∇²S as it was left; not finite where that is singular to the last digit."""
         columns, linear = len(rhs), self.stationarity.linear_solver
         for method in self.methods:
-            key = f"solutions {method} {columns}"
+            key = "solutions", method, str(columns)
             if key not in self._evaluators:
                 self._evaluators[key] = Evaluator(linear.solutions(method, columns), {"matrix": self.matrix})
             y, defect = self._evaluators[key](np.concatenate(rhs))

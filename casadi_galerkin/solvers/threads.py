@@ -1,22 +1,23 @@
-"""How many threads the OpenBLAS that comes with CasADi may use.
+"""What CasADi shares with the whole process: the threads of its OpenBLAS, and the lock of IPOPT.
 
 From some 250,000 multiplications on it shares a product among all cores.  Those of a Newton iteration are small: on two
 cores it was no faster and took twice the processor time, and beside another busy pool of threads, such as SciPy's, a
-solve took 22 ms instead of 3.  IPOPT's linear solver uses the same library, so the number is put back.
+solve took 22 ms instead of 3.  Other users of the library are not asked, so the number is put back.
+
+CasADi lets one thread at a time into IPOPT, by a lock of its own.  A process that is forked meanwhile would find it
+taken for ever: a fork waits until IPOPT is left.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
-from functools import partial, wraps
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import ParamSpec, TypeVar
 
 import casadi as ca
-
-Arguments = ParamSpec("Arguments")
-Result = TypeVar("Result")
 
 LIBRARY = "libcasadi-tp-openblas.so.0"  # on Linux; where it is not found, nothing is changed
 
@@ -32,23 +33,22 @@ def _functions() -> tuple[Callable[[], int], Callable[[int], object]]:
 count, use = _functions()
 
 
-def alone(call: Callable[[], Result]) -> Result:
-    """Call with one thread; within another such call, nothing changes."""
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let products use one thread; within another such block, nothing changes."""
     several = count()
     if several == 1:
-        return call()  # another thread may be at work, and will put the number back
-    use(1)
+        yield  # another thread may be at work, and will put the number back
+        return
     try:
-        return call()
+        use(1)
+        yield
     finally:
         use(several)
 
 
-def single(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Let a function use one thread."""
-
-    @wraps(function)
-    def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-        return alone(partial(function, *args, **kwargs))
-
-    return limited
+within_ipopt = threading.RLock()  # held wherever IPOPT is called
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(
+        before=within_ipopt.acquire, after_in_parent=within_ipopt.release, after_in_child=within_ipopt.release
+    )

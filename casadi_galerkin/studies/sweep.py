@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from casadi_galerkin._solve import solve, transcribe
 from casadi_galerkin.boundary.refinement import first_mesh
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.numbers import components, numbers, time_span
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -62,22 +63,22 @@ class Sweep:
         """Number of the variation -> error, for those without an answer."""
         return {i: answer for i, answer in enumerate(self.answers) if not isinstance(answer, Trajectory)}
 
-    @cached_property
+    @lazy
     def t(self) -> np.ndarray:
         """Joints, (variations, N + 1); NaN where there is no answer."""
         return self._stacked("t")
 
-    @cached_property
+    @lazy
     def x(self) -> np.ndarray:
         """Positions at the joints, (variations, d, N + 1); NaN where there is no answer."""
         return self._stacked("x")
 
-    @cached_property
+    @lazy
     def momentum(self) -> np.ndarray:
         """Momenta at the joints, (variations, d, N + 1); NaN where there is no answer."""
         return self._stacked("momentum")
 
-    @cached_property
+    @lazy
     def action(self) -> np.ndarray:
         """Values of the action, (variations,); NaN where there is no answer."""
         return self._stacked("action")
