@@ -3,6 +3,9 @@
 Two catenoids x = c cosh(t/c) with c cosh(h/c) = 1 span the rings at t = -h and h; the wide one is stable, the narrow
 one is not.  At h = 0.66274 they become one, and beyond there is none.  Either area is π c (2 h + c sinh(2 h/c)); two
 discs of radius 1 have less, 2π, so the wide film is a local minimum only.
+
+IPOPT finds both: minimising the area it finds the wide film, and solving the stationarity conditions the narrow one,
+which is a saddle that no minimiser holds on to.
 """
 
 import casadi as ca
@@ -28,7 +31,10 @@ def main(plot=None):
     """Solve from a wide and a narrow guess; returns the two films."""
     problem = cg.BoundaryProblem(lagrangian, (-HALF_DISTANCE, HALF_DISTANCE), start=[1.0], end=[1.0])
     film = cg.transcribe(problem, cg.Galerkin(degree=8), intervals=16)
-    films = [film.solve(guess=sagging(depth)) for depth in (0.3, 0.6)]
+    films = [
+        film.solve(guess=sagging(0.3), solver=cg.minimizer),
+        film.solve(guess=sagging(0.6), solver=cg.ipopt),
+    ]
     if plot:
         draw(films, plot)
     return films

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import brentq
 
-from casadi_galerkin import BoundaryProblem
+import casadi_galerkin as cg
 
 MU = 398600.4418  # km^3/s^2, Earth
 
@@ -46,8 +46,11 @@ class Scene:
     intervals: int = 10
 
     @property
-    def problem(self) -> BoundaryProblem:
-        return BoundaryProblem(self.lagrangian, self.t_span, self.start, self.end)
+    def problem(self) -> cg.BoundaryProblem:
+        return cg.BoundaryProblem(self.lagrangian, self.t_span, self.start, self.end)
+
+    def solve(self, **options: Any) -> cg.Trajectory:
+        return cg.solve(self.problem, cg.Galerkin(self.degree), mesh=self.joints, guess=self.guess, **options)
 
     @property
     def joints(self) -> np.ndarray:
@@ -61,6 +64,12 @@ def energy(lagrangian: Callable[..., Any]) -> Callable[..., Any]:
 
 def oscillator(t, x, v):
     return v[0] ** 2 / 2 - x[0] ** 2 / 2
+
+
+def oscillator_problem(**changes):
+    """The oscillator from 0 to 1 in unit time, or with other data."""
+    fields = {"lagrangian": oscillator, "t_span": (0.0, 1.0), "start": [0.0], "end": [1.0]} | changes
+    return cg.BoundaryProblem(**fields)
 
 
 def pendulum(t, x, v):

@@ -2,10 +2,10 @@
 
 import importlib
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import EXAMPLES
 
 import casadi_galerkin as cg
 
@@ -16,7 +16,7 @@ extreme = pytest.mark.extreme
 
 @pytest.fixture(scope="module")
 def extremes():
-    folder = str(Path(__file__).parents[1] / "examples" / "benchmark")
+    folder = str(EXAMPLES / "benchmark")
     sys.path.insert(0, folder)
     yield importlib.import_module("extremes")
     sys.path.remove(folder)

@@ -13,8 +13,8 @@ import casadi as ca
 import mpmath
 import numpy as np
 import pytest
+from rules import FAMILIES, polynomial
 from scenes import pendulum
-from test_quadrature import FAMILIES, polynomial
 
 import casadi_galerkin as cg
 

@@ -7,8 +7,18 @@ import sys
 import casadi as ca
 import numpy as np
 import pytest
+from control_problems import everything
 
 import casadi_galerkin as cg
+
+
+def test_problem_and_answer_survive_pickling():
+    problem = pickle.loads(pickle.dumps(everything()))
+    path = cg.solve(problem, cg.Galerkin(3), intervals=4)
+    again = pickle.loads(pickle.dumps(path))
+    assert again.cost == path.cost
+    np.testing.assert_array_equal(again.control(0.7), path.control(0.7))
+    np.testing.assert_array_equal(again.dynamics_defect, path.dynamics_defect)
 
 
 def there_and_back(value):

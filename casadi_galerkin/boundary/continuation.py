@@ -47,7 +47,7 @@ class Fold:
     after: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Branch:
     """Critical paths along a line of parameters.
 
@@ -64,7 +64,7 @@ class Branch:
     folds: tuple[Fold, ...]
     reached: bool
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """Summarise the walk."""
         end = "the target" if self.reached else "the start, on another branch"
         lines = [f"Branch of {len(self.trajectories)} paths from {self.parameters[0]} to {self.parameters[-1]}, {end}"]
@@ -201,7 +201,9 @@ class Walk:
                 folds.append(self.fold(before, point, len(points)))
             points.append(point)
         parameters = np.array([self.parameters(point.z) for point in points])
-        return Branch(parameters, tuple(point.trajectory for point in points), tuple(folds), points[-1].z[-1] == 1)
+        return Branch(
+            parameters, tuple(point.trajectory for point in points), tuple(folds), bool(points[-1].z[-1] == 1)
+        )
 
     def steps(self, point: Point) -> Iterator[Point]:
         """Points one after the other, the steps as long as Newton's method allows."""

@@ -18,7 +18,7 @@ from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import damped_newton
-from casadi_galerkin.solvers.solver import SolverLike, newton
+from casadi_galerkin.solvers.solver import Solver, SolverLike, newton
 
 PATIENCE = 2  # meshes on which a first path may be lost before another is looked for; a false one was seen to creep
 ITERATIONS = 40  # of Newton's method from an earlier path; where it took more it was measured to wander
@@ -26,7 +26,11 @@ DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
 LEAPS = 0.02, 0.1  # of a descent: short ones stay on their side of a singularity, long ones arrive
 GUESS_LEVELS, GUESS_INTERVALS, GUESS_TOLERANCE = 10, 200, 1e-4
 
-following = partial(damped_newton, max_iter=ITERATIONS)  # Newton's method from an earlier path
+
+def following(solver: SolverLike) -> SolverLike:
+    """Newton's method from an earlier path, with the options of `solver` if that is Newton's method, too."""
+    own = solver.options if isinstance(solver, Solver) and solver.name == newton.name else {}
+    return partial(damped_newton, **{"max_iter": ITERATIONS, **own})
 
 
 def mesh_for_guess(levels: Levels, method: Galerkin, guess: Guess, mesh: np.ndarray) -> np.ndarray:
@@ -57,8 +61,8 @@ def first_path_strategies(
 
     Newton's method on the coarse mesh; a descent of the action; whatever `solver` tries.
     """
-    if solver == newton:
-        yield partial(levels.solve, method, mesh, guess, damped_newton), PATIENCE
+    if isinstance(solver, Solver) and solver.name == newton.name:
+        yield partial(levels.solve, method, mesh, guess, partial(damped_newton, **solver.options)), PATIENCE
         count = max(DESCENT_INTERVALS + 1, len(mesh))
         joints = np.interp(np.linspace(0, 1, count), np.linspace(0, 1, len(mesh)), mesh)
         for leap in LEAPS:
@@ -79,4 +83,4 @@ def _by_descent(
     transcribed = partial(levels.transcription, method, mapping=by_rows)
     path = transcribed(mesh).guess_on_mesh(guess, mesh)
     path = descend(transcribed, path, DESCENT_TOLERANCE, leap, every_level, out_of_time)
-    return levels.solve(method, path.mesh, path, following)
+    return levels.solve(method, path.mesh, path, following(newton))

@@ -45,7 +45,7 @@ from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.refinement import Estimate, Refinement
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.solvers.solver import SolverLike
+from casadi_galerkin.solvers.solver import SolverLike, newton
 
 FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
 RISE = 3  # degrees that a level may gain on the one before
@@ -65,6 +65,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         super().__init__(tol, limits, verbose)
         self.method, self.fixed = method or of_degree(degree_for(tol)), method is not None
         self.levels, self.patience = Levels(problem), math.inf
+        self.following: SolverLike = following(newton)
 
     @property
     def iterations(self) -> int:
@@ -114,7 +115,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             mesh = equidistributed(level.polynomial.mesh, expected, order, self.tol, finest, fewer=fewer)
             self.check_intervals(len(mesh) - 1, level, float(np.max(estimate.detail)))
             try:
-                return self.levels.solve(method, mesh, level.polynomial, following)
+                return self.levels.solve(method, mesh, level.polynomial, self.following)
             except ConvergenceError:
                 finest, self.patience = np.sqrt(finest), self.patience - 1
                 if finest < SMALLEST_SPLIT or self.patience < 0:
@@ -122,6 +123,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     def run(self, mesh: np.ndarray, guess: Guess | None, solver: SolverLike) -> Trajectory:
         """Refine the first path found that can be followed."""
+        self.following = following(solver)
         if guess is not None:
             mesh = mesh_for_guess(self.levels, self.method, guess, mesh)
         failures = []

@@ -109,7 +109,7 @@ def _check(stationarity: Stationarity) -> ca.Function:
     return ca.Function("check", symbols, [passed], names, ["verified"], {"is_diff_out": [False]})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Sensitivity:
     """Derivatives of a path at its joints by the data of its problem.
 
@@ -124,6 +124,16 @@ class Sensitivity:
     parameters: np.ndarray
     start: np.ndarray
     end: np.ndarray
+
+    def __repr__(self) -> str:
+        """Say what was differentiated by what, and the largest derivative."""
+        d, joints, _ = self.parameters.shape
+        lines = [f"Sensitivity of {d} component(s) at {joints} joints"]
+        for name in ("parameters", "start", "end"):
+            values = getattr(self, name)
+            if values.size:
+                lines.append(f"  by {values.shape[2]} number(s) of {name}: up to {np.max(np.abs(values)):.3g}")
+        return "\n".join(lines)
 
 
 def sensitivity(path: Trajectory) -> Sensitivity:

@@ -124,6 +124,11 @@ class DiscreteCalculus:
         entries = np.concatenate((values.ravel(), slopes.ravel()))
         return entries, (np.concatenate((rows.ravel(), n * r + rows.ravel())), np.concatenate((columns.ravel(),) * 2))
 
+    def __repr__(self) -> str:
+        """Name the method and the time scale."""
+        span = f"[{self.mesh[0]:g}, {self.mesh[-1]:g}]"
+        return f"DiscreteCalculus of {self.method} on {span}, {len(self.mesh) - 1} intervals"
+
 
 def mesh_of(t_span: tuple[float, float], intervals: int | None, mesh: ArrayLike | None) -> np.ndarray:
     """Joints from a number of equal intervals, or from the joints themselves; exactly one must be given."""

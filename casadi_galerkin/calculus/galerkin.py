@@ -35,7 +35,7 @@ class Element:
     slopes: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Galerkin:
     """A Galerkin method as data: degree, control points and quadrature.
 
@@ -87,6 +87,10 @@ class Galerkin:
         points = np.array(self.quadrature.points)
         values = lagrange_values(nodes, points)
         return Element(nodes, points, np.array(self.quadrature.weights), values, values @ differentiation_matrix(nodes))
+
+    def __repr__(self) -> str:
+        """Name the method."""
+        return f"Galerkin({self})"
 
     def __str__(self) -> str:
         """Degree and rule; where control points are not Lobatto's, or the rule not Gauss's, where their points lie."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -30,8 +30,10 @@ def numbers(name: str, values: Sequence[float], length: int | None = None) -> tu
 
 def components(name: str, values: Sequence[float | None], length: int | None = None) -> tuple[float | None, ...]:
     """Check a sequence of finite numbers in which None stands for a free component."""
-    if isinstance(values, ca.DM) and values.is_vector():
-        values = values.full().ravel()
+    full = getattr(values, "full", None)
+    if callable(full):  # a casadi DM, whose vectors are matrices of one column or row
+        array = np.asarray(full())
+        values = cast("Sequence[float]", array.ravel() if 1 in array.shape else array)
     if isinstance(values, (str, bytes)) or not hasattr(values, "__len__") or not hasattr(values, "__getitem__"):
         raise TypeError(f"{name} must be a sequence of numbers, one for each component, got {values!r}")
     if isinstance(values, np.ndarray) and values.ndim != 1:

@@ -25,7 +25,7 @@ SUM_TOLERANCE = 1e-12  # weights come from tables with about 13 digits, or from 
 EXACTNESS_TOLERANCE = 1e-10  # on Legendre polynomials, of slopes up to n (n + 1), so that 12 digits of a table do
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Quadrature:
     """A quadrature rule (Q, w) on [0, 1].
 
@@ -60,6 +60,11 @@ class Quadrature:
     def __len__(self) -> int:
         """Number r of points of nonzero weight."""
         return len(self.points)
+
+    def __repr__(self) -> str:
+        """Number of points, where they begin and end, and order."""
+        size = len(self)
+        return f"Quadrature of {size} point(s) from {self.points[0]:.4g} to {self.points[-1]:.4g}, order {self.order}"
 
     @property
     def exactness(self) -> int:

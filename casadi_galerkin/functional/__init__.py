@@ -1,1 +1,8 @@
-"""TODO."""
+"""The one graph: the discrete functional S(X̄) = ∫ L(t, x̄, dx̄/dt) Δ_w t (paper, eq. dislag) and its derivatives.
+
+`functional` says the paper's sentence: embed (`embedding`), evaluate pointwise (`pointwise`, `mapping`), integrate
+(`embedding` again).  Its gradient holds the discrete Euler-Lagrange equations (paper, eqs. euler1 and euler2).
+`numbering` says which unknown is which value of the path, and `interval` writes the same equations as a map of one
+interval.
+This folder imports `calculus` and `problems`.
+"""

@@ -10,9 +10,10 @@ import numpy as np
 
 from casadi_galerkin.calculus.numbers import components, numbers, time_span
 from casadi_galerkin.problems.callables import Traceable, trace_lagrangian
+from casadi_galerkin.problems.problem import shown
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class BoundaryProblem:
     """A path between two configurations that makes the action ∫ L(t, x, dx/dt) dt stationary.
 
@@ -73,6 +74,14 @@ class BoundaryProblem:
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        """State the problem without its Lagrangian."""
+        ends = "periodic, " if self.periodic else f"end {shown(self.end)}, "
+        return (
+            f"BoundaryProblem of {self.dimension} component(s) on {self.t_span}: start {shown(self.start)}, {ends}"
+            f"parameters {shown(self.parameters)}"
+        )
 
     @property
     def dimension(self) -> int:

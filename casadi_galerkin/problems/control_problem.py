@@ -18,6 +18,7 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import components, numbers, real_array, time_span
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.callables import Traceable, trace, trace_lagrangian
+from casadi_galerkin.problems.problem import shown
 
 Limit: TypeAlias = float | Sequence[float]
 Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
@@ -48,7 +49,7 @@ def bounds(name: str, value: tuple[Limit, Limit] | None, size: int) -> Bounds:
     return tuple(low.tolist()), tuple(high.tolist())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ControlProblem:
     """The cheapest path of a controlled Lagrangian system between two states.
 
@@ -145,6 +146,16 @@ class ControlProblem:
         self._check_parameters()
         self._check_ends()
         self._check_guesses()
+
+    def __repr__(self) -> str:
+        """State the problem without its callables."""
+        free = "" if self.duration_bounds is None else f", duration within {self.duration_bounds}"
+        return (
+            f"ControlProblem of {self.dimension} component(s) and {self.controls} control(s) on {self.t_span}{free}:\n"
+            f"  start {shown(self.start)}, velocity {shown(self.start_velocity)}\n"
+            f"  end {shown(self.end)}, velocity {shown(self.end_velocity)}\n"
+            f"  parameters {shown(self.parameters)}"
+        )
 
     @property
     def dimension(self) -> int:

@@ -9,9 +9,10 @@ import casadi as ca
 
 from casadi_galerkin.calculus.numbers import numbers, time_span
 from casadi_galerkin.problems.callables import Traceable, trace_force, trace_lagrangian
+from casadi_galerkin.problems.problem import shown
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class InitialProblem:
     """A path from a position and a momentum, or velocity, at the start.
 
@@ -71,6 +72,14 @@ class InitialProblem:
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        """State the problem without its Lagrangian."""
+        start = f"velocity {shown(self.velocity)}" if self.momentum is None else f"momentum {shown(self.momentum)}"
+        return (
+            f"InitialProblem of {self.dimension} component(s) on {self.t_span}: position {shown(self.position)}, "
+            f"{start}, {'no force' if self.force is None else 'with a force'}, parameters {shown(self.parameters)}"
+        )
 
     @property
     def dimension(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import casadi as ca
@@ -28,3 +29,13 @@ def check_types(problem: object, method: object, *kinds: type) -> None:
         raise TypeError(f"problem must be a {expected}, got {type(problem).__name__}")
     if not isinstance(method, Galerkin):
         raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
+
+
+MOST_SHOWN = 6  # numbers of a repr
+
+
+def shown(values: Sequence[object] | None) -> str:
+    """Numbers in a repr: all of a few, the first of many."""
+    if values is None or len(values) <= MOST_SHOWN:
+        return repr(values)
+    return f"({', '.join(map(repr, values[:MOST_SHOWN]))}, ... {len(values)} in all)"

@@ -41,6 +41,13 @@ class ControlPath:
         local = self.values[:, i[:, None] * r + np.arange(r)]
         return np.asarray(np.einsum("nkj,kj->nk", local, basis).reshape((len(self.values), *times.shape)))
 
+    def __repr__(self) -> str:
+        """Number of controls, and where they are given."""
+        return (
+            f"ControlPath of {len(self.values)} control(s) at {len(self.points)} points in each of "
+            f"{len(self.mesh) - 1} intervals of [{self.mesh[0]:g}, {self.mesh[-1]:g}]"
+        )
+
     @property
     def times(self) -> np.ndarray:
         """The quadrature points in time, (N r,)."""

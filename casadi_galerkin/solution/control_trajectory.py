@@ -27,7 +27,7 @@ CONTINUOUS = 1e-8  # of the largest control: what the solver leaves between two 
 SHOWN_OVERSHOOT = 1e-3  # of the bounds' width; less is no reason for another mesh
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class ControlTrajectory(Trajectory):
     """An optimal path of a controlled system: a `Trajectory` with more to it.
 
@@ -178,7 +178,7 @@ class ControlTrajectory(Trajectory):
         top.set_title(f"Degree {self.method.degree} on {len(self.t) - 1} intervals: cost {self.cost:.6g}")
         return top
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """Summarise path and solve in a few lines."""
         size, n = len(self.x), len(self.control.values)
         return "\n".join(

@@ -95,7 +95,8 @@ class Refinement(ABC, Generic[Level, Detail]):
             with the best path attached
         """
         best, smallest, stalled = level, np.inf, 0
-        for number in self.limits.every_level:
+        number = 0
+        while True:
             estimate = self.estimate(level)
             self._report(number, level, estimate)
             if estimate.trusted and estimate.error <= self.tol:
@@ -106,10 +107,12 @@ class Refinement(ABC, Generic[Level, Detail]):
                 raise self.stopped(f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here", best, floor)
             if self.out_of_time():
                 raise self.stopped(f"{self.limits.seconds:g} seconds have passed", level, estimate.error)
+            if number + 1 >= self.limits.levels:
+                words = "level was" if self.limits.levels == 1 else "levels were"
+                raise self.stopped(f"{self.limits.levels:g} {words} not enough", level, estimate.error)
             if estimate.trusted and estimate.error < smallest:
                 best, smallest = level, estimate.error
-            level = self.improve(level, estimate)
-        raise self.stopped(f"{self.limits.levels:g} levels were not enough", level, estimate.error)
+            level, number = self.improve(level, estimate), number + 1
 
     def check_intervals(self, count: int, level: Level, error: float) -> None:
         """Stop before a mesh of more intervals than allowed."""

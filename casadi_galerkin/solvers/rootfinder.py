@@ -23,6 +23,7 @@ from casadi_galerkin.solvers.stationarity import Stationarity
 NEARLY = 1e-9  # residual over the sizes of its terms from which two Newton steps reach roundoff
 VERIFYING = 3  # iterations of the package's own Newton method, which has to end there
 DEFAULTS = {"linear_solver": "qr", "max_iter": 50, "abstol": NEARLY}
+OWN = "jacobian_function", "error_on_fail", "show_eval_warnings"  # options that are set here
 
 
 def casadi_newton(functional: Functional, options: Mapping[str, Any]) -> tuple[ca.Function, ca.Function]:
@@ -47,7 +48,7 @@ def casadi_newton(functional: Functional, options: Mapping[str, Any]) -> tuple[c
         "abstolStep": 0.0,  # it is absolute, whatever the unit of x
     }
     near = ca.rootfinder("near", "newton", residual, {**common, **DEFAULTS, **options})
-    last = ca.rootfinder("last", "newton", residual, {**common, "linear_solver": "qr", "abstol": 0.0, "max_iter": 2})
+    last = ca.rootfinder("last", "newton", residual, {**common, **DEFAULTS, **options, "abstol": 0.0, "max_iter": 2})
     return near, last
 
 
@@ -99,6 +100,8 @@ def casadi_root(
 
 def check_option(name: str, value: object) -> None:
     """Refuse what CasADi's Newton method does not know; it is asked."""
+    if name in OWN:
+        raise ValueError(f"the option {name} of CasADi's rootfinder is set by the package, got {value!r}")
     x = ca.MX.sym("x")
     try:
         ca.rootfinder("asked", "newton", {"x": x, "g": x}, {name: value})

@@ -65,8 +65,9 @@ class Solver:
     def with_options(self, **options: Any) -> Solver:
         """The same solver with options of what is underneath, added to those it has.
 
-        `newton` takes `max_iter`, the most iterations, and `linear_solver`, one of CasADi's such as "qr" or "csparse";
-        `rootfinder` all options of CasADi's ``newton`` rootfinder; `ipopt` and `minimizer` all options of IPOPT.
+        `newton` takes `max_iter`, the most iterations before its rescues begin, and `linear_solver`, one of CasADi's,
+        such as "qr" or "csparse"; `rootfinder` takes all options of CasADi's ``newton`` rootfinder; `ipopt` and
+        `minimizer` take all options of IPOPT, after which Newton's method still polishes and verifies.
 
         Raises
         ------

@@ -71,7 +71,7 @@ class Stationarity:
     def linearization(self, linear_solver: str | None = None) -> Iterator[Linearization]:
         """Lend the arrays of an earlier solve, or new ones, to a solve.
 
-        They come back only where it ended well: what an interrupt or an error left half written is dropped.
+        They come back, but after an interrupt: what that left half written is dropped.
 
         Parameters
         ----------
@@ -82,8 +82,12 @@ class Stationarity:
         except IndexError:  # none yet, or all lent to other threads
             lent = Linearization(self)
         lent.methods = (linear_solver,) if linear_solver else METHODS if self.allows_ldl else METHODS[1:]
-        with one_thread():
-            yield lent
+        try:
+            with one_thread():
+                yield lent
+        except Exception:  # a failed solve; an interrupt is none
+            self._idle.append(lent)
+            raise
         self._idle.append(lent)
 
     def newton_step(self, method: str) -> ca.Function:

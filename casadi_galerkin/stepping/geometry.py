@@ -19,7 +19,7 @@ from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.stepper import Stepper
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Geometry:
     """What a path conserves.
 
@@ -49,7 +49,7 @@ class Geometry:
         defect = self.jacobians.transpose(0, 2, 1) @ omega @ self.jacobians - omega
         return np.asarray(np.max(np.abs(defect), axis=(1, 2)))
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """Summarise in a few lines."""
         determinant = self.determinants[np.argmax(np.abs(self.determinants - 1))]
         lines = [

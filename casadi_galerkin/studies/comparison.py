@@ -62,7 +62,7 @@ class Attempt:
     seconds: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison:
     """A boundary problem solved globally and stepwise.
 
@@ -89,7 +89,7 @@ class Comparison:
         parted = ~(self.stepped.gap <= PARTED)
         return float(self.global_path.t[np.argmax(parted)]) if parted.any() else np.inf
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """Table of the three ways."""
         path = self.global_path
         seconds = path.build_seconds + path.solve_seconds

@@ -38,7 +38,7 @@ Failure = ConvergenceError | ValueError | TypeError
 Answer = Trajectory | Failure
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Sweep:
     """What became of every variation, in the order of the variations.
 
@@ -94,7 +94,7 @@ class Sweep:
             stacked[i] = value
         return stacked
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """Summarise the sweep, with the reason of the first failure."""
         failures = self.failures
         text = f"Sweep of {len(self)} variation{'s' * (len(self) != 1)}, {len(self) - len(failures)} solved"

@@ -49,7 +49,7 @@ class Row:
     failure: str | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trade:
     """Speed against accuracy of one problem.
 
@@ -115,6 +115,16 @@ class Trade:
             writer = csv.writer(file)
             writer.writerow(["degree", *names])
             writer.writerows([row.method.degree, *(getattr(row, name) for name in names)] for row in self.rows)
+
+    def __repr__(self) -> str:
+        """Say how much was measured, and what came out best; ``print`` shows the table."""
+        solved, methods = self._solved(), {row.method for row in self.rows}
+        text = f"Trade of {len(self.rows)} rows, {len(methods)} method(s); reference: {self.reference}"
+        if not solved:
+            return text
+        best = min(solved, key=lambda row: row.error)
+        cost = f"{1e3 * best.solve_seconds:.3g} ms"
+        return f"{text}\n  least error {best.error:.1e} in {cost}: {best.method}, {best.intervals} intervals"
 
     def __str__(self) -> str:
         """Readable table; the front is marked with a star."""

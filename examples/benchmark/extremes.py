@@ -193,7 +193,7 @@ def edge(name):
     nodes = guess(DiscreteCalculus(method, transcription.mesh).node_times)[None, :]
     data = np.array([start]), np.array([end]), transcription.mesh
     with transcription.stationarity.linearization() as at:
-        trial = nodes[0, 1:-1] + at.solve(at.relinearize(nodes[0, 1:-1], data))[0]
+        trial = nodes[0, 1:-1] + at.newton_step(nodes[0, 1:-1], data).step
         (action,) = at.evaluate("action", trial, data)[0]
     leaves = not np.isfinite(action) or trial.min() < 0  # 1/x is finite beyond its pole
     path = transcription.solve(guess=nodes)

@@ -1,19 +1,21 @@
 """One Newton iteration against what the machine allows.
 
-An iteration is ∇S, ∇²S and the solution with ∇²S.  Its limit is the evaluation of both derivatives at all points by
-a loop compiled in C, and LAPACK's banded factorisation and solution of the same matrix (Cholesky where it is
-definite, else LU), with the matrix in LAPACK's own form already: assembling it is not counted.  With jit, the package's
-iteration is one pass over the intervals, compiled in C.
+An iteration is ∇S, ∇²S and the solution with ∇²S for two right-hand sides, with the measures that Newton's method needs
+of it.  Its limit is the evaluation of both derivatives at all points by a loop compiled in C, and LAPACK's banded
+factorisation and solution of the same matrix for one right-hand side (Cholesky where it is definite, else LU), with the
+matrix in LAPACK's own form already: assembling it is not counted.
 
-Run it alone on a quiet machine; it takes a minute or two.
+Run it alone on a quiet machine; it takes a minute or two, and it needs a C compiler, gcc or cc.
 """
 
+import os
 import platform
+import shutil
+import tempfile
 import time
 
 import casadi as ca
 import numpy as np
-from casadi_galerkin.mapping import compiled
 from scipy.linalg import lapack
 
 import casadi_galerkin as cg
@@ -61,15 +63,11 @@ def fastest(*calls):
 
 
 def iteration(transcription, unknowns, data):
-    """A callable: derivatives and solution."""
-    system = transcription.system
-    if system.compiled:  # compiled, with a second right-hand side; it works on arrays that are set once
-        system.iterate(unknowns, data)
-        return system.compiled["iterate"].run
+    """A callable: derivatives, solution and its measures."""
 
     def once():
-        (gradient,) = system.evaluate("derivatives", unknowns, data)
-        system.solve(gradient)
+        with transcription.stationarity.linearization() as at:
+            at.newton_step(unknowns, data)
 
     return once
 
@@ -91,6 +89,18 @@ def banded(transcription, unknowns, data):
     return lambda: lapack.dgbsv(width, width, full, right), lambda: (full.copy(order="F"), right.copy(order="F"))
 
 
+def compiled(f, count):
+    """Map a Function over so many points, the loop compiled in C."""
+    flags = {
+        "compiler": shutil.which("gcc") or shutil.which("cc"),
+        "flags": ["-O3", "-march=native"],
+        "directory": tempfile.gettempdir() + os.sep,
+    }
+    inputs = [ca.MX.sym(f.name_in(i), f.size1_in(i), count) for i in range(f.n_in())]
+    options = {"jit": True, "compiler": "shell", "jit_options": flags}
+    return ca.Function(f.name(), inputs, f.map(count).call(inputs), options)
+
+
 def points(transcription, unknowns, data):
     """A callable: both derivatives at all points, compiled in C."""
     functional = transcription.functional
@@ -98,35 +108,31 @@ def points(transcription, unknowns, data):
         *clock(functional.numbering, data[2]),
         *embedding(functional.numbering)(np.concatenate((unknowns, *data[:2]))),
     )
-    loop = Evaluator(compiled(functional.pointwise.derivatives, functional.numbering.points, ()))
+    loop = Evaluator(compiled(functional.pointwise.derivatives, functional.numbering.points))
     given = [np.array(a).ravel(order="F") for a in at]
     return lambda: loop(*given)
 
 
 def main(sizes=SIZES):
-    """Measure all; returns {(d, m, N): ratio to the limit without and with jit}."""
+    """Measure all; returns {(d, m, N): ratio to the limit}."""
     ratios = {}
     for make in (pendulum, kepler, chain):
         problem = make()
         for degree in DEGREES:
             for intervals in sizes:
-                plain, fast = (cg.transcribe(problem, cg.Galerkin(degree), intervals, jit=jit) for jit in (False, True))
-                point = plain.critical_point()
-                at = point.solution.unknowns, point.data
-                *times, copies = fastest(
-                    iteration(plain, *at), iteration(fast, *at), points(plain, *at), *banded(plain, *at)
-                )
-                times[3] -= copies
-                limit = times[2] + times[3]
-                ratios[problem.dimension, degree, intervals] = times[0] / limit, times[1] / limit
-                row = "".join(f"{value:10.3f}" for value in times)
-                shown = f"{times[0] / limit:8.2f}{times[1] / limit:8.2f}"
-                print(f"{problem.dimension:3d}{degree:3d}{intervals:7d}{row}{shown}", flush=True)
+                transcription = cg.transcribe(problem, cg.Galerkin(degree), intervals)
+                point = transcription.critical_point()
+                at = transcription, point.solution.unknowns, point.data
+                whole, loop, solution, copies = fastest(iteration(*at), points(*at), *banded(*at))
+                limit = loop + solution - copies
+                ratios[problem.dimension, degree, intervals] = whole / limit
+                row = "".join(f"{value:13.3f}" for value in (whole, loop, solution - copies))
+                print(f"{problem.dimension:3d}{degree:3d}{intervals:7d}{row}{whole / limit:8.2f}", flush=True)
     return ratios
 
 
 if __name__ == "__main__":
     print(f"Python {platform.python_version()}, CasADi {ca.__version__}, NumPy {np.__version__}, {platform.machine()}")
-    print("  d  m      N   plain/ms    jit/ms points/ms banded/ms   ratio  of jit")
+    print("  d  m      N iteration/ms    points/ms    banded/ms   ratio")
     figures = np.array(list(main().values()))
-    print(f"largest ratios {figures.max(axis=0).round(2)}, medians {np.median(figures, axis=0).round(2)}")
+    print(f"ratios from {figures.min():.2f} to {figures.max():.2f}, median {np.median(figures):.2f}")

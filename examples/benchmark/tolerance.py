@@ -4,7 +4,7 @@ Both get the same boundary problem and the same initial guess (the straight line
 has another), SciPy as a first-order system with vectorised right-hand side and analytic Jacobians.  For each
 tolerance this package is run first; SciPy's tolerance is then lowered by factors of 3 until its true error is no
 larger, or fails.  "Fresh" is the whole call with nothing kept from another; "first" the same after another Lagrangian
-was solved on as many intervals, of the same degrees, whose layouts are kept; "again" a solve with the graph built and
+was solved on as many intervals, of the same degrees, whose graphs are kept; "again" a solve with the graph built and
 the mesh known, from a path that is 1 % off, as in a sweep.  Times are medians of runs in one process, taken in turns.
 
 True errors are taken against the exact path, 20 times in every interval of the finer mesh, relative to its size.

@@ -282,33 +282,3 @@ def test_verbose_prints_a_line_a_level(capsys):
 def test_bad_tolerances_are_refused(tol):
     with pytest.raises(ValueError, match="tol must be a number between 0 and 1, got"):
         cg.solve(BY_NAME["oscillator 1.0"].problem, tol=tol)
-
-
-@pytest.mark.parametrize("name", ["intervals", "seconds", "levels"])
-@pytest.mark.parametrize("value", [0, -1, np.nan, "10", None, True])
-def test_bad_limits_are_refused(name, value):
-    with pytest.raises(ValueError, match=f"the limit of {name} must be a positive number, got"):
-        cg.Limits(**{name: value})
-
-
-@pytest.mark.parametrize("name", ["intervals", "levels"])
-def test_half_a_mesh_is_no_limit(name):
-    with pytest.raises(ValueError, match=f"the limit of {name} must be a whole number or inf, got 2.5"):
-        cg.Limits(**{name: 2.5})
-
-
-def test_an_infinite_limit_stops_nothing():
-    limits = cg.Limits(intervals=np.inf, seconds=np.inf, levels=np.inf)
-    problem = BY_NAME["Troesch 10"].problem
-    path, limited = (cg.solve(problem, tol=1e-6, limits=given) for given in (limits, None))
-    np.testing.assert_array_equal(path.x, limited.x)
-
-
-def test_limits_without_a_tolerance_are_refused():
-    with pytest.raises(ValueError, match="limits stop a refinement: give tol with them"):
-        cg.solve(BY_NAME["oscillator 1.0"].problem, cg.Galerkin(4), 8, limits=cg.Limits())
-
-
-def test_neither_method_nor_tolerance_is_refused():
-    with pytest.raises(TypeError, match="got None; or give tol instead"):
-        cg.solve(BY_NAME["oscillator 1.0"].problem)

@@ -1,9 +1,8 @@
 """The discrete calculus as the paper writes it: emb_m, Δ_m, ∫ Δ_w, the decomposition, the Du Bois-Reymond lemma."""
 
-import warnings
-
 import numpy as np
 import pytest
+from scenes import oscillator_problem
 from scipy.sparse import coo_array
 
 import casadi_galerkin as cg
@@ -236,87 +235,45 @@ def test_discrete_du_bois_reymond_lemma(method, rng):
         np.testing.assert_allclose(seen, np.eye(len(conditions))[k], rtol=0, atol=1e-11)
 
 
-def test_derivative_at_a_joint_is_the_right_one_and_at_the_last_the_left_one():
-    path = cg.DiscreteCalculus(cg.Galerkin(1), [0.0, 1.0, 3.0]).emb([[0.0, 1.0, 7.0]])
-    np.testing.assert_array_equal(path([0.0, 0.5, 1.0, 2.0, 3.0], 1), [[1, 1, 3, 3, 3]])
-    np.testing.assert_array_equal(path([0.5, 1.0], 2), [[0, 0]])
-
-
-def test_derivatives_of_higher_order_and_shapes():
-    calculus = cg.DiscreteCalculus(cg.Galerkin(4), [0.0, 0.5, 2.0])
-    path = calculus.emb(np.stack([calculus.node_times**4, calculus.node_times]))
-    assert path(1.0).shape == (2,)
-    assert path(np.zeros((3, 2))).shape == (2, 3, 2)
-    np.testing.assert_allclose(path(0.7, 2), [12 * 0.7**2, 0], rtol=1e-12, atol=1e-11)
-    np.testing.assert_allclose(path(0.7, 4), [24, 0], rtol=1e-10, atol=1e-10)
-    np.testing.assert_allclose(path(0.7, 5), [0, 0], rtol=0, atol=1e-8)
-
-
-@pytest.mark.parametrize("t", [-0.1, 2.1, np.nan])
-def test_times_outside_the_mesh_are_refused(t):
-    path = cg.DiscreteCalculus(cg.Galerkin(1), [0.0, 2.0]).emb([[0.0, 1.0]])
-    with pytest.raises(ValueError, match=r"times must lie within \[0.0, 2.0\], got"):
-        path(t)
-
-
-@pytest.mark.parametrize("nu", [-1, 1.5, True, "1"])
-def test_an_order_of_derivative_that_is_none_is_refused(nu):
-    path = cg.DiscreteCalculus(cg.Galerkin(1), [0.0, 2.0]).emb([[0.0, 1.0]])
-    with pytest.raises(ValueError, match="nu must be a whole number from 0 on, got"):
-        path(1.0, nu)
-
-
-@pytest.mark.parametrize("degree", range(2, 11))
-def test_equispaced_control_points_up_to_ten_pass_without_a_word(degree):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        cg.Galerkin(degree, control_points=cg.equispaced_points(degree))
-
-
-@pytest.mark.parametrize("degree", [11, 12, 20])
-def test_equispaced_control_points_above_ten_warn(degree):
-    with pytest.warns(RuntimeWarning, match=rf"magnify roundoff .* lobatto_points\({degree}\)"):
-        cg.Galerkin(degree, control_points=cg.equispaced_points(degree))
-
-
-@pytest.mark.parametrize("points", [cg.lobatto_points, cg.chebyshev_points])
-def test_the_other_families_do_not_warn_at_degree_one_hundred(points):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        cg.Galerkin(100, control_points=points(100))
+METHOD = cg.Galerkin(2)
 
 
 @pytest.mark.parametrize(
-    ("method", "order"),
+    ("arguments", "kind", "message"),
     [
-        (cg.Galerkin(3), 6),
-        (cg.Galerkin(3, quadrature=cg.gauss(4)), 6),
-        (cg.Galerkin(3, quadrature=cg.lobatto(3)), 4),
-        (cg.Galerkin(3, quadrature=cg.radau(3)), 5),
-        (cg.Galerkin(1, quadrature=cg.left_rectangle()), 1),
+        ({"intervals": 0}, ValueError, "intervals must be at least 1, got 0"),
+        ({"intervals": -1}, ValueError, "intervals must be at least 1, got -1"),
+        ({"intervals": 2.0}, TypeError, "intervals must be a whole number, got 2.0"),
+        ({"intervals": True}, TypeError, "intervals must be a whole number, got True"),
+        ({"intervals": "3"}, TypeError, "intervals must be a whole number, got '3'"),
+        ({}, ValueError, "give either intervals or mesh, got intervals=None and mesh=None"),
+        ({"intervals": 2, "mesh": [0, 1]}, ValueError, "give either intervals or mesh, got intervals=2"),
+        ({"mesh": [0, 0.7, 0.4, 1]}, ValueError, r"must increase, got t\[1\] = 0.7 and t\[2\] = 0.4"),
+        ({"mesh": [0, 0.5, 0.5, 1]}, ValueError, r"must increase, got t\[1\] = 0.5 and t\[2\] = 0.5"),
+        ({"mesh": [0, np.nan, 1]}, ValueError, "joints of a mesh must be finite"),
+        ({"mesh": [0.1, 1]}, ValueError, "the mesh must run from 0.0 to 1.0, got 0.1 to 1.0"),
+        ({"mesh": [0]}, ValueError, r"a sequence of at least 2 joints, got shape \(1,\)"),
+        ({"mesh": 1.0}, ValueError, r"a sequence of at least 2 joints, got shape \(\)"),
+        ({"mesh": [[0, 1]]}, ValueError, r"a sequence of at least 2 joints, got shape \(1, 2\)"),
+        ({"mesh": "01"}, TypeError, "the joints of a mesh must be real numbers, got '01'"),
+        ({"mesh": [0, 0.5j, 1]}, TypeError, "the joints of a mesh must be real numbers"),
     ],
 )
-def test_order_is_the_smaller_of_twice_the_degree_and_the_rules(method, order):
-    assert method.order == order
-    assert str(order if len(method.quadrature) == method.degree else 8) in str(method)
+def test_a_mesh_that_does_not_fit_is_refused(arguments, kind, message):
+    with pytest.raises(kind, match=message):
+        cg.solve(oscillator_problem(), METHOD, **arguments)
 
 
-@pytest.mark.parametrize(
-    ("method", "words"),
-    [
-        (cg.Galerkin(4), "degree 4, 4 quadrature points of order 8"),
-        (cg.Galerkin(1), "degree 1, 1 quadrature point of order 2"),
-        (cg.Galerkin(2, [0.4]), "degree 2, control point at 0.4, 2 quadrature points of order 4"),
-        (cg.Galerkin(3, [0.2, 0.7]), "degree 3, control points from 0.2 to 0.7, 3 quadrature points of order 6"),
-        (cg.Galerkin(1, quadrature=cg.radau(1)), "degree 1, 1 quadrature point at 1 of order 1"),
-        (cg.Galerkin(2, quadrature=cg.lobatto(3)), "degree 2, 3 quadrature points from 0 to 1 of order 4"),
-    ],
-)
-def test_a_method_says_what_is_unusual_about_it(method, words):
-    assert str(method) == words
+@pytest.mark.parametrize("call", ["emb", "delta"])
+@pytest.mark.parametrize("shape", [(4,), (1, 4), (2, 3, 5)])
+def test_node_values_of_another_shape_are_refused(call, shape):
+    calculus = cg.DiscreteCalculus(METHOD, [0.0, 0.5, 1.0])
+    with pytest.raises(ValueError, match=r"node values must have the shape \(d, 5\), got \("):
+        getattr(calculus, call)(np.zeros(shape))
 
 
-def test_methods_are_values():
-    assert cg.Galerkin(3) == cg.Galerkin(3, control_points=cg.lobatto_points(3), quadrature=cg.gauss(3))
-    assert hash(cg.Galerkin(3)) == hash(cg.Galerkin(3, quadrature=cg.gauss(3)))
-    assert cg.Galerkin(3) != cg.Galerkin(3, quadrature=cg.gauss(4))
+@pytest.mark.parametrize("values", [np.zeros(3), np.zeros((4, 3)), 1.0])
+def test_integrands_of_another_shape_are_refused(values):
+    calculus = cg.DiscreteCalculus(METHOD, [0.0, 0.5, 1.0])
+    with pytest.raises(ValueError, match=r"quadrature points must have the shape \(\.\.\., 4\), got"):
+        calculus.integral(values)

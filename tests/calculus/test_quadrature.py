@@ -4,10 +4,10 @@ import mpmath
 import numpy as np
 import pytest
 from numpy.polynomial import legendre
+from rules import FAMILIES, polynomial
 
 import casadi_galerkin as cg
 
-FAMILIES = {"gauss": (cg.gauss, 1, 0), "lobatto": (cg.lobatto, 2, -2), "radau": (cg.radau, 1, -1)}  # order 2n + last
 SIZES = [1, 2, 3, 4, 5, 7, 10, 20, 40, 60, 99, 100]
 CASES = [(name, n) for name, (_, least, _) in FAMILIES.items() for n in SIZES if n >= least]
 MOMENT = 2e-14  # roundoff of a sum of n products; measured 1e-14 (radau(60), whose end weights are the worst)
@@ -43,27 +43,6 @@ def test_rule_is_symmetric_or_ends_right_and_has_positive_weights(name, n):
         np.testing.assert_allclose(w, w[::-1], rtol=1e-13)
     if name == "lobatto":
         assert (q[0], q[-1]) == (0, 1)
-
-
-def polynomial(name: str, n: int):
-    """Function in 40 digits whose roots are the inner points on [-1, 1], and the weights on [0, 1] from a point."""
-
-    def legendre_pair(k, x):
-        a, b = mpmath.mpf(1), x
-        for j in range(1, k):
-            a, b = b, ((2 * j + 1) * x * b - j * a) / (j + 1)
-        return (b, a) if k else (a, mpmath.mpf(0))
-
-    def slope(k, x):
-        p, q = legendre_pair(k, x)
-        return k * (q - x * p) / (1 - x * x)
-
-    if name == "gauss":
-        return lambda x: legendre_pair(n, x)[0], lambda x: 1 / ((1 - x * x) * slope(n, x) ** 2)
-    if name == "lobatto":
-        return lambda x: slope(n - 1, x), lambda x: 1 / (n * (n - 1) * legendre_pair(n - 1, x)[0] ** 2)
-    difference = lambda x: legendre_pair(n - 1, x)[0] - legendre_pair(n, x)[0]  # noqa: E731
-    return difference, lambda x: (1 + x) / (2 * n * n * legendre_pair(n - 1, x)[0] ** 2)
 
 
 @pytest.mark.parametrize("n", [20, 40, 60])

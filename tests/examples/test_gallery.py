@@ -2,20 +2,19 @@
 
 import importlib
 import re
-from pathlib import Path
 
 import matplotlib as mpl
 import pytest
+from paths import EXAMPLES, ROOT
 
-ROOT = Path(__file__).parents[1]
-PICTURES = ROOT / "examples" / "pictures"
+PICTURES = EXAMPLES / "pictures"
 BYTES = 60_000  # of one picture, so that the whole page stays below a megabyte or two
 
 
 @pytest.fixture
 def gallery(monkeypatch):
     mpl.use("Agg")
-    monkeypatch.syspath_prepend(ROOT / "examples")
+    monkeypatch.syspath_prepend(EXAMPLES)
     return importlib.import_module("gallery")
 
 

@@ -5,8 +5,17 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
+from scenes import oscillator_problem
 
 import casadi_galerkin as cg
+
+METHOD = cg.Galerkin(2)
+
+
+def test_a_lagrangian_without_second_derivatives_is_refused():
+    with pytest.raises(ValueError, match="linear in x and v"):
+        cg.solve(oscillator_problem(lagrangian=lambda t, x, v: v[0] - 2 * x[0]), METHOD, 6)
+
 
 ROUNDOFF = 1e-12  # relative to the largest entry; entries of ∇²S reach m²/h ~ 1e3 and sum 1e2 terms
 GRADED = np.array([0.0, 0.3, 0.4, 1.1, 1.5])

@@ -7,16 +7,7 @@ import pytest
 import casadi_galerkin as cg
 from casadi_galerkin.solution.plotting import COLORS
 
-
-@pytest.fixture(autouse=True)
-def _headless():
-    import matplotlib
-
-    matplotlib.use("Agg")
-    yield
-    import matplotlib.pyplot as plt
-
-    plt.close("all")
+pytestmark = pytest.mark.usefixtures("headless")
 
 
 def swing(parameters=None):
@@ -30,9 +21,6 @@ def swing(parameters=None):
 def planar():
     problem = cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2 - x[1], (0.0, 1.0), [0.0, 0.0], [1.0, 0.5])
     return cg.transcribe(problem, cg.Galerkin(3), 5)
-
-
-# the path over time
 
 
 def test_path_is_drawn_with_names_units_and_joints():
@@ -98,14 +86,6 @@ def test_labels_of_controls_and_costate_that_do_not_fit_are_refused(driven, whic
         driven.plot(**{which: ["one"]})
 
 
-def test_a_comparison_names_its_time():
-    compared = cg.compare(planar().problem, cg.Galerkin(3), 5)
-    assert compared.plot(time="t in s").get_xlabel() == "t in s"
-
-
-# phase space
-
-
 @pytest.mark.parametrize("parameters", [None, [1.5]])
 def test_phase_line_passes_the_joints_with_their_momenta(parameters):
     path = swing(parameters).solve()
@@ -137,25 +117,6 @@ def test_colours_are_those_of_the_package_on_the_users_axes_too():
 def test_a_component_that_is_not_there_is_refused(component):
     with pytest.raises(ValueError, match=f"component must be from 0 to 1, got {component}"):
         planar().solve().plot_phase(component)
-
-
-# the matrix
-
-
-def test_pattern_shows_every_nonzero_of_the_hessian():
-    transcription = planar()
-    axes = transcription.plot_hessian()
-    size = transcription.numbering.free
-    shown = np.zeros((size, size), dtype=bool)
-    columns, rows = axes.get_lines()[0].get_xydata().T.astype(int)
-    shown[rows, columns] = True
-    sparsity = transcription.hessian.sparsity_out(0)
-    np.testing.assert_array_equal(shown, np.array(ca.DM(sparsity, 1).full(), dtype=bool))
-    assert axes.get_ylim()[0] > axes.get_ylim()[1], "row 0 is on top"
-    assert f"{sparsity.nnz()} nonzeros" in axes.get_title()
-
-
-# mechanisms
 
 
 def rods(x):
@@ -196,3 +157,16 @@ def test_animation_takes_the_duration_of_the_path_and_the_axes_given(tmp_path):
 def test_points_of_another_shape_are_refused():
     with pytest.raises(ValueError, match=r"points must return an array of shape \(n, 2, 25\), got \(2, 25\)"):
         planar().solve().animate(lambda x: x)
+
+
+def test_plot_draws_each_component_with_its_joints_and_labels():
+    problem = cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2, (0.0, 1.0), [0.0, 1.0], [1.0, 3.0])
+    axes = cg.solve(problem, cg.Galerkin(2), 4).plot()
+    lines, dots = axes.lines[::2], axes.lines[1::2]
+    assert [line.get_label() for line in lines] == ["x[0]", "x[1]"]
+    assert axes.get_title() == "Degree 2 on 4 intervals: action 2.5, Morse index 0"
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("t", "x")
+    for line, dot in zip(lines, dots, strict=True):
+        assert len(dot.get_xdata()) == 5
+        assert line.get_color() == dot.get_color()
+    assert lines[0].get_color() != lines[1].get_color()

@@ -4,11 +4,10 @@ import casadi as ca
 import matplotlib as mpl
 import numpy as np
 import pytest
-from control_problems import double_integrator
+from scenes import BY_NAME
 
 import casadi_galerkin as cg
 
-mpl.use("agg")
 METHOD = cg.Galerkin(8)
 
 
@@ -133,43 +132,7 @@ def test_a_global_failure_is_raised():
         cg.compare(problem, cg.Galerkin(6), intervals=10)
 
 
-def test_geometry_of_a_global_path_is_that_of_its_steps():
-    problem = cg.BoundaryProblem(kepler, (0, 2), [1.0, 0.0], [-0.4, 0.9])
-    path = cg.solve(problem, METHOD, intervals=10)
-    measured = cg.geometry(path, symmetry=lambda x: [-x[1], x[0]])
-    assert np.max(measured.symplecticity_defects) <= 1e-12
-    np.testing.assert_allclose(measured.momentum_map, measured.momentum_map[0], rtol=0, atol=1e-13)
-    assert measured.energy_error < 1e-10
-    assert abs(measured.energy_drift) < 1e-10
-    for part in ("energy", "symplecticity", "momentum map"):
-        assert part in str(measured)
-    assert "momentum map" not in str(cg.geometry(path))
-
-
-def test_a_symmetry_of_the_wrong_length_is_named():
-    problem = cg.BoundaryProblem(kepler, (0, 2), [1.0, 0.0], [-0.4, 0.9])
-    path = cg.solve(problem, METHOD, intervals=10)
-    with pytest.raises(ValueError, match="symmetry must return a vector of length 2"):
-        cg.geometry(path, symmetry=lambda x: x[0])
-
-
-def test_a_symmetry_of_one_component_may_be_a_list():
-    path = cg.solve(cg.BoundaryProblem(lambda t, x, v: v[0] ** 2, (0, 2), [0.0], [1.0]), METHOD, intervals=2)
-    np.testing.assert_array_equal(cg.geometry(path, symmetry=lambda x: [1.0]).momentum_map, path.momentum[0])
-
-
-def test_geometry_is_that_of_the_parameters_that_were_solved_for():
-    problem = cg.BoundaryProblem(
-        lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0] ** 2 / 2, (0, 1), [0.0], [1.0], parameters=[1.0]
-    )
-    path = cg.transcribe(problem, METHOD, 10).solve(parameters=[4.0])
-    turned, step = 2 * 0.1, cg.geometry(path).jacobians[0]
-    expected = [[np.cos(turned), np.sin(turned) / 2], [-2 * np.sin(turned), np.cos(turned)]]
-    np.testing.assert_allclose(step, expected, rtol=0, atol=1e-13)
-
-
-def test_geometry_refuses_what_it_does_not_know_the_forces_of():
-    with pytest.raises(TypeError, match=r"geometry takes the path of .*got one of ControlProblem"):
-        cg.geometry(cg.solve(double_integrator(), cg.Galerkin(3), intervals=2))
-    with pytest.raises(TypeError, match="geometry takes a Trajectory, got BoundaryProblem"):
-        cg.geometry(cg.BoundaryProblem(lambda t, x, v: v[0] ** 2, (0, 2), [0.0], [1.0]))
+@pytest.mark.usefixtures("headless")
+def test_a_comparison_names_its_time():
+    compared = cg.compare(BY_NAME["uniform gravity"].problem, cg.Galerkin(3), 5)
+    assert compared.plot(time="t in s").get_xlabel() == "t in s"

@@ -1,0 +1,58 @@
+"""A solve that fails says where, why and what to try, and prints nothing."""
+
+import casadi as ca
+import pytest
+from scenes import bratu, catenoid, kepler
+
+import casadi_galerkin as cg
+
+
+@pytest.mark.parametrize("rate", [3.52, 4.0, 10.0])
+def test_bratu_above_its_critical_value_fails_with_time_and_advice(rate):
+    problem = cg.BoundaryProblem(bratu(rate), (0, 1), [0.0], [0.0])
+    with pytest.raises(cg.ConvergenceError, match=r"no path was found.*t = [\d.]+.*Try a guess nearer") as caught:
+        cg.solve(problem, cg.Galerkin(6), intervals=10)
+    error = caught.value
+    assert not isinstance(error, cg.ConjugatePointError)
+    assert "Newton's method: " in str(error)
+    assert "IPOPT on the action stopped with" in str(error)
+    assert "there may be no path" in str(error)
+    assert error.path.polynomial.values.shape == (1, 61)
+    assert error.residual > 50
+    assert error.iterations > 0
+
+
+@pytest.mark.parametrize("half", [0.67, 0.8, 1.5])
+def test_catenoid_above_its_critical_height_fails(half):
+    problem = cg.BoundaryProblem(catenoid, (-half, half), [1.0], [1.0])
+    with pytest.raises(cg.ConvergenceError, match="no path was found") as caught:
+        cg.solve(problem, cg.Galerkin(6), intervals=10)
+    assert not isinstance(caught.value, cg.ConjugatePointError)
+
+
+def test_a_lagrangian_not_finite_at_the_guess_is_named_with_its_time():
+    problem = cg.BoundaryProblem(kepler(1.0), (0, 1), [1.0, 0.0], [-1.0, 0.0])
+    with pytest.raises(cg.ConvergenceError, match=r"not finite at the guess.*t = 0\.5"):
+        cg.solve(problem, cg.Galerkin(2, quadrature=cg.lobatto(3)), intervals=2)
+
+
+@pytest.mark.parametrize("engine", [cg.newton, cg.rootfinder, cg.ipopt, cg.minimizer])
+def test_every_engine_names_a_guess_outside_the_lagrangians_domain(engine):
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - ca.sqrt(x[0] - t), (0, 1), [1.0], [0.5])
+    with pytest.raises(cg.ConvergenceError, match=r"not finite at t = 0\.[67].*where x = .* and v = "):
+        cg.solve(problem, cg.Galerkin(4), intervals=5, solver=engine)
+
+
+def test_a_path_on_which_the_action_is_not_finite_is_not_returned():
+    """The derivative of log(x - t) continues to x < t, where the logarithm itself does not exist."""
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - ca.log(x[0] - t), (0, 1), [1.0], [0.5])
+    with pytest.raises(cg.ConvergenceError, match=r"the Lagrangian is not finite at t = 0\.\d+, where x = "):
+        cg.solve(problem, cg.Galerkin(4), intervals=5)
+
+
+@pytest.mark.parametrize("solver", [cg.newton, cg.rootfinder, cg.ipopt, cg.minimizer], ids=str)
+def test_failure_prints_nothing(solver, capfd):
+    with pytest.raises(cg.ConvergenceError):
+        cg.solve(cg.BoundaryProblem(catenoid, (-1, 1), [1.0], [1.0]), cg.Galerkin(4), 5, solver=solver)
+    out, err = capfd.readouterr()
+    assert (out, err) == ("", "")

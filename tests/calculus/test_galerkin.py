@@ -1,0 +1,102 @@
+"""The method: its order, its control points and their warnings, what it refuses."""
+
+import warnings
+
+import casadi as ca
+import numpy as np
+import pytest
+from scenes import oscillator_problem
+
+import casadi_galerkin as cg
+
+
+@pytest.mark.parametrize("degree", range(2, 11))
+def test_equispaced_control_points_up_to_ten_pass_without_a_word(degree):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        cg.Galerkin(degree, control_points=cg.equispaced_points(degree))
+
+
+@pytest.mark.parametrize("degree", [11, 12, 20])
+def test_equispaced_control_points_above_ten_warn(degree):
+    with pytest.warns(RuntimeWarning, match=rf"magnify roundoff .* lobatto_points\({degree}\)"):
+        cg.Galerkin(degree, control_points=cg.equispaced_points(degree))
+
+
+@pytest.mark.parametrize("points", [cg.lobatto_points, cg.chebyshev_points])
+def test_the_other_families_do_not_warn_at_degree_one_hundred(points):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        cg.Galerkin(100, control_points=points(100))
+
+
+@pytest.mark.parametrize(
+    ("method", "order"),
+    [
+        (cg.Galerkin(3), 6),
+        (cg.Galerkin(3, quadrature=cg.gauss(4)), 6),
+        (cg.Galerkin(3, quadrature=cg.lobatto(3)), 4),
+        (cg.Galerkin(3, quadrature=cg.radau(3)), 5),
+        (cg.Galerkin(1, quadrature=cg.left_rectangle()), 1),
+    ],
+)
+def test_order_is_the_smaller_of_twice_the_degree_and_the_rules(method, order):
+    assert method.order == order
+    assert str(order if len(method.quadrature) == method.degree else 8) in str(method)
+
+
+@pytest.mark.parametrize(
+    ("method", "words"),
+    [
+        (cg.Galerkin(4), "degree 4, 4 quadrature points of order 8"),
+        (cg.Galerkin(1), "degree 1, 1 quadrature point of order 2"),
+        (cg.Galerkin(2, [0.4]), "degree 2, control point at 0.4, 2 quadrature points of order 4"),
+        (cg.Galerkin(3, [0.2, 0.7]), "degree 3, control points from 0.2 to 0.7, 3 quadrature points of order 6"),
+        (cg.Galerkin(1, quadrature=cg.radau(1)), "degree 1, 1 quadrature point at 1 of order 1"),
+        (cg.Galerkin(2, quadrature=cg.lobatto(3)), "degree 2, 3 quadrature points from 0 to 1 of order 4"),
+    ],
+)
+def test_a_method_says_what_is_unusual_about_it(method, words):
+    assert str(method) == words
+
+
+def test_methods_are_values():
+    assert cg.Galerkin(3) == cg.Galerkin(3, control_points=cg.lobatto_points(3), quadrature=cg.gauss(3))
+    assert hash(cg.Galerkin(3)) == hash(cg.Galerkin(3, quadrature=cg.gauss(3)))
+    assert cg.Galerkin(3) != cg.Galerkin(3, quadrature=cg.gauss(4))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kind", "message"),
+    [
+        ({"degree": 0}, ValueError, "degree must be at least 1, got 0"),
+        ({"degree": -2}, ValueError, "degree must be at least 1, got -2"),
+        ({"degree": 2.0}, TypeError, "degree must be a whole number, got 2.0"),
+        ({"degree": True}, TypeError, "degree must be a whole number, got True"),
+        ({"degree": "4"}, TypeError, "degree must be a whole number, got '4'"),
+        ({"degree": 3, "control_points": [0.5]}, ValueError, r"degree 3 takes 2 control points, got .* \(1,\)"),
+        ({"degree": 3, "control_points": [0.0, 0.5]}, ValueError, r"increase within \]0, 1\[, got \[0.  0.5\]"),
+        ({"degree": 3, "control_points": [0.5, 1.0]}, ValueError, r"must increase within \]0, 1\["),
+        ({"degree": 3, "control_points": [0.7, 0.3]}, ValueError, r"must increase within \]0, 1\["),
+        ({"degree": 3, "control_points": [0.5, 0.5]}, ValueError, r"must increase within \]0, 1\["),
+        ({"degree": 3, "control_points": [0.5, np.nan]}, ValueError, r"must increase within \]0, 1\["),
+        ({"degree": 3, "control_points": "ab"}, TypeError, "control points must be real numbers, got 'ab'"),
+        ({"degree": 3, "control_points": [[0.2, 0.5]]}, ValueError, r"takes 2 control points, got .* \(1, 2\)"),
+        ({"degree": 3, "control_points": [0.2, 0.5j]}, TypeError, "control points must be real numbers"),
+        ({"degree": 3, "quadrature": 4}, TypeError, "quadrature must be a Quadrature such as gauss.3., got 4"),
+        ({"degree": 3, "quadrature": cg.gauss}, TypeError, "quadrature must be a Quadrature"),
+        ({"degree": 3, "quadrature": cg.gauss(2)}, ValueError, "degree 3 needs at least 3 quadrature points, got 2"),
+    ],
+)
+def test_a_method_that_does_not_fit_is_refused(arguments, kind, message):
+    with pytest.raises(kind, match=message):
+        cg.Galerkin(**arguments)
+
+
+def test_fewer_points_than_the_degree_would_be_silently_wrong():
+    """Why they are refused: with the check passed by, the equations have a solution far from the path."""
+    method = cg.Galerkin(3)
+    object.__setattr__(method, "quadrature", cg.gauss(2))
+    tr = cg.transcribe(oscillator_problem(), method, 4)
+    hessian = np.array(ca.DM(tr.hessian(np.zeros(tr.gradient.size1_in(0)), [0.0], [1.0], tr.mesh)))
+    assert np.count_nonzero(np.linalg.eigvalsh(hessian) < 0) == 4  # one spurious direction an interval

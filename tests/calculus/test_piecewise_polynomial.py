@@ -1,0 +1,36 @@
+"""Piecewise polynomials: derivatives at the joints and of higher order, times that are refused."""
+
+import numpy as np
+import pytest
+
+import casadi_galerkin as cg
+
+
+def test_derivative_at_a_joint_is_the_right_one_and_at_the_last_the_left_one():
+    path = cg.DiscreteCalculus(cg.Galerkin(1), [0.0, 1.0, 3.0]).emb([[0.0, 1.0, 7.0]])
+    np.testing.assert_array_equal(path([0.0, 0.5, 1.0, 2.0, 3.0], 1), [[1, 1, 3, 3, 3]])
+    np.testing.assert_array_equal(path([0.5, 1.0], 2), [[0, 0]])
+
+
+def test_derivatives_of_higher_order_and_shapes():
+    calculus = cg.DiscreteCalculus(cg.Galerkin(4), [0.0, 0.5, 2.0])
+    path = calculus.emb(np.stack([calculus.node_times**4, calculus.node_times]))
+    assert path(1.0).shape == (2,)
+    assert path(np.zeros((3, 2))).shape == (2, 3, 2)
+    np.testing.assert_allclose(path(0.7, 2), [12 * 0.7**2, 0], rtol=1e-12, atol=1e-11)
+    np.testing.assert_allclose(path(0.7, 4), [24, 0], rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(path(0.7, 5), [0, 0], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("t", [-0.1, 2.1, np.nan])
+def test_times_outside_the_mesh_are_refused(t):
+    path = cg.DiscreteCalculus(cg.Galerkin(1), [0.0, 2.0]).emb([[0.0, 1.0]])
+    with pytest.raises(ValueError, match=r"times must lie within \[0.0, 2.0\], got"):
+        path(t)
+
+
+@pytest.mark.parametrize("nu", [-1, 1.5, True, "1"])
+def test_an_order_of_derivative_that_is_none_is_refused(nu):
+    path = cg.DiscreteCalculus(cg.Galerkin(1), [0.0, 2.0]).emb([[0.0, 1.0]])
+    with pytest.raises(ValueError, match="nu must be a whole number from 0 on, got"):
+        path(1.0, nu)

@@ -1,0 +1,47 @@
+"""IPOPT on control problems without an answer: its own words, and the time where a value is not finite."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from control_problems import double_integrator
+
+import casadi_galerkin as cg
+
+NOT_FINITE = {
+    "cost": ({"running_cost": lambda t, x, v, u: u**2 + ca.log(x[0] - 0.5)}, "running_cost .* at t = 0.0211"),
+    "force": ({"force": lambda t, x, v, u: u + ca.sqrt(0.5 - t)}, "force .* at t = 0.521"),
+    "lagrangian": ({"lagrangian": lambda t, x, v: v[0] ** 2 + ca.log(x[0] - 0.7)}, "lagrangian .* at t = 0.0211"),
+    "constraint": (
+        {"path_constraint": (lambda t, x, v, u: ca.log(u[0] - 1), -9, 9)},
+        "path_constraint .* at t = 0.0211",
+    ),
+    "end": ({"terminal_cost": lambda t, x, v: ca.sqrt(-x[0])}, "terminal_cost .* at t = 1"),
+    "slope of the cost": (
+        {"running_cost": lambda t, x, v, u: ca.sqrt(u[0])},
+        r"derivative of the cost by u\[0\] .* at t = 0.0211",
+    ),
+    "slope of the force": (
+        {"force": lambda t, x, v, u: u + ca.sqrt(u)},
+        r"a derivative of the equation of motion of x\[0\] .* at t = 0",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NOT_FINITE)
+def test_what_is_not_finite_at_the_guess_is_named_with_its_time(name):
+    changes, message = NOT_FINITE[name]
+    with pytest.raises(ValueError, match=message):
+        cg.solve(double_integrator(**changes), cg.Galerkin(2), intervals=10, guess=lambda t: [t])
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"running_cost": lambda t, x, v, u: -(u[0] ** 2)},
+        {"running_cost": lambda t, x, v, u: -1, "duration_bounds": (0.5, np.inf), "control_bounds": (-1, 1)},
+    ],
+)
+def test_unbounded_problem_ends_with_the_solvers_own_words(changes):
+    with pytest.raises(cg.ConvergenceError, match=r"Diverging Iterates.*no lower bound") as caught:
+        cg.solve(double_integrator(**changes), cg.Galerkin(3), intervals=10)
+    assert caught.value.iterations <= 500

@@ -1,0 +1,504 @@
+"""Every scene gives the numbers it is there for, known or computed independently, and draws its picture.
+
+One table: a scene, what it claims in words, and a check of what its ``main()`` returned.
+"""
+
+import contextlib
+import importlib
+import io
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from paths import EXAMPLES
+from scenes import TROESCH
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+from scipy.stats import chi2
+
+import casadi_galerkin as cg
+
+ROUNDOFF = 1e-13  # relative; closed forms are reproduced to this where the discretisation is fine enough
+PRINTED = 1e-13  # the computed reference values carry 14 digits
+PUBLISHED = 1e-8  # the initial values of the figure eight were published with 8 decimals
+
+
+# scenes of boundary problems
+
+
+def vallados_velocities(module, path):
+    # published with 6 decimals; the last one differs by 1 from the exact solution of the stated input
+    np.testing.assert_allclose(path.velocity[:, 0], [2.058913, 2.915965, 0], rtol=0, atol=1.2e-6)
+    np.testing.assert_allclose(path.velocity[:, -1], [-3.451565, 0.910315, 0], rtol=0, atol=1.2e-6)
+    assert path.morse_index == 0
+
+
+def keplers_invariants(module, path):
+    spin = np.cross(path.x.T, path.momentum.T)
+    np.testing.assert_allclose(spin, np.broadcast_to(spin[0], spin.shape), rtol=ROUNDOFF, atol=ROUNDOFF * spin[0, 2])
+    # energy is conserved to the order of the method, not exactly; kinetic and potential part cancel to a tenth
+    np.testing.assert_allclose(path.energy, path.energy[0], rtol=1e-12, atol=0)
+
+
+def swing_of_index(index, velocity, action):
+    def check(module, paths):
+        path = paths[index]
+        # degree 6 on 60 intervals leaves 2e-12 of discretisation error in S
+        np.testing.assert_allclose(path.velocity[0, 0], velocity, rtol=2 * PRINTED, atol=0)
+        np.testing.assert_allclose(path.action, action, rtol=1e-12, atol=0)
+
+    return check
+
+
+def two_films(module, films):
+    h, (wide, narrow) = module.HALF_DISTANCE, films
+    assert (wide.morse_index, narrow.morse_index) == (0, 1)
+    merging = 0.5524341245309  # c of the critical catenoid, where both branches meet
+    for film, bracket in ((wide, (merging, 1.0)), (narrow, (0.2, merging))):
+        c = brentq(lambda c: c * np.cosh(h / c) - 1, *bracket, xtol=1e-15)
+        # near the fold the films are ten times worse conditioned than the ends
+        np.testing.assert_allclose(film(0.0)[0], c, rtol=1e-12, atol=0)
+
+
+def length_of_the_arc(module, path):
+    np.testing.assert_allclose(module.arc(path), 0.86956699387483005, rtol=ROUNDOFF, atol=0)
+
+
+def circle_at_constant_speed(module, path):
+    times = np.linspace(0, module.DURATION, 200)
+    np.testing.assert_allclose(path(times), module.exact(times), rtol=0, atol=ROUNDOFF)
+    np.testing.assert_allclose(np.linalg.norm(path.velocity, axis=0), module.SPEED, rtol=ROUNDOFF, atol=0)
+    np.testing.assert_allclose(path.energy, module.GAMMA, rtol=2 * ROUNDOFF, atol=0)
+
+
+def time_of_the_cycloid(module, path):
+    assert path.action == pytest.approx(2.0, rel=ROUNDOFF, abs=0)
+    angles = np.linspace(module.FIRST, module.LAST, 50)
+    horizontal, depth = module.cycloid(angles)
+    found = path(horizontal.clip(path.t[0], path.t[-1]))[0]
+    np.testing.assert_allclose(found, depth, rtol=5 * ROUNDOFF, atol=0)  # the start is steep: 1.2e-13 was seen there
+
+
+def functional_by_hand(module, numbers):
+    assert numbers["action"] == pytest.approx(numbers["action of the graph"], rel=1e-14, abs=0)
+    assert numbers["action at the solution"] == pytest.approx(numbers["action reported"], rel=1e-14, abs=0)
+    # terms of size 1/h = 5 cancel in the gradients
+    assert numbers["largest difference of the gradients"] < 1e-14
+    assert numbers["largest gradient at the solution"] < 2e-14
+    np.testing.assert_allclose(numbers["momenta by hand"], numbers["momenta reported"], rtol=1e-14, atol=0)
+
+
+def one_mass_is_helped(module, factors):
+    # ratios of leading error constants, still moving by a tenth between 4 and 8 intervals
+    np.testing.assert_allclose([factors["mass 1 + x²"][m] for m in (1, 2, 3)], [1.7, 16.3, 5.7], rtol=0.1, atol=0)
+    np.testing.assert_allclose([factors["mass exp(x)"][m] for m in (1, 2, 3)], [0.9, 0.7, 0.6], rtol=0.1, atol=0)
+
+
+def orders_of_the_methods(module, measured):
+    errors = {(row.method, row.intervals): row.error for row in measured.rows}
+    for method in module.METHODS[:4]:  # the coarser meshes are not yet in the asymptotic range for degree 4
+        order = np.log2(errors[method, 40] / errors[method, 80])
+        assert order == pytest.approx(method.degree + 1, abs=0.2)
+    for low, high in zip(module.METHODS[3:4], module.METHODS[5:], strict=True):
+        assert errors[high, 20] < 1e-4 * errors[low, 20]
+
+
+# scenes of fits, sweeps and periodic orbits
+
+
+def uncertainty_of_the_fit(module, first):
+    runs = [module.main(seed=seed) for seed in range(1, 6)] + [first]
+    distances = []
+    for estimate, covariance, _, _ in runs:
+        error = estimate - module.TRUE
+        distances.append(error @ np.linalg.solve(covariance, error))
+    assert distances[-1] < chi2.ppf(0.99, 4)
+    # the sum tells an uncertainty that is too large from one that is too small: both ends are 1 in 1000
+    assert chi2.ppf(0.001, 4 * len(runs)) < sum(distances) < chi2.ppf(0.999, 4 * len(runs))
+
+
+def residuals_of_the_fit(module, answer):
+    _, _, angles, path = answer
+    misfit = np.std(path.x[0] - angles) / module.NOISE
+    assert 0.7 < misfit < 1.3  # 31 measurements: ± 13 %
+
+
+def cheapest_transfer(module, answer):
+    transfers, cost = answer
+    assert not transfers.failures
+    # Hohmann's half ellipse between the circles of the same axes; eccentricity moves it by a few tenths
+    inner, outer = module.INNER["axis"], module.OUTER["axis"]
+    radii = np.array([inner, outer])
+    changes = np.sqrt(module.MU * (2 / radii - 2 / (inner + outer))) - np.sqrt(module.MU / radii)
+    hohmann = module.KILOMETRES_A_SECOND * np.sum(np.abs(changes))
+    assert abs(np.min(cost) - hohmann) < 0.5
+    drifts = []
+    # Kepler's orbits: energy and angular momentum are the same at both ends
+    for path in transfers:
+        spin = path.x[0] * path.momentum[1] - path.x[1] * path.momentum[0]
+        np.testing.assert_allclose(spin, spin[0], rtol=1e-12)
+        drifts.append(np.ptp(path.energy) / np.max(np.abs(path.energy)))
+    # 10 intervals of degree 6: the worst flies close by the Sun, where they are coarse
+    assert np.median(drifts) < 1e-9
+    assert max(drifts) < 1e-4
+
+
+def keplers_laws(module, answer):
+    for orbit in (module.INNER, module.OUTER):
+        period = orbit["axis"] ** 1.5
+        x, v = module.state(orbit, 0.3)
+        np.testing.assert_allclose(module.state(orbit, 0.3 + period)[0], x, rtol=0, atol=1e-13)
+        energy = v @ v / 2 - module.MU / np.linalg.norm(x)
+        assert energy == pytest.approx(-module.MU / (2 * orbit["axis"]), rel=1e-13, abs=0)
+        step = 1e-4  # a difference of second order: 1e-7 of the velocity
+        slope = (module.state(orbit, 0.3 + step)[0] - module.state(orbit, 0.3 - step)[0]) / (2 * step)
+        np.testing.assert_allclose(slope, v, rtol=0, atol=1e-6)
+
+
+def published_figure_eight(module, path):
+    x, v = module.bodies(path.x[:, 0]), module.bodies(path.velocity[:, 0])
+    first, third = np.array(module.POSITION_1), np.array(module.VELOCITY_3)
+    # these do not depend on how the orbit is turned, nor on the direction of time
+    assert np.linalg.norm(x[0]) == pytest.approx(np.linalg.norm(first), abs=PUBLISHED)
+    assert np.linalg.norm(v[2]) == pytest.approx(np.linalg.norm(third), abs=PUBLISHED)
+    assert abs(x[0] @ v[2]) == pytest.approx(abs(first @ third), abs=2 * PUBLISHED)
+    np.testing.assert_allclose(x[2], 0.0, atol=1e-12)
+    np.testing.assert_allclose(x[0], -x[1], atol=1e-12)
+    np.testing.assert_allclose(v[0], -v[2] / 2, atol=PUBLISHED)
+    np.testing.assert_allclose(v[1], -v[2] / 2, atol=PUBLISHED)
+    energy = 3 * third @ third / 4 - 2 / np.linalg.norm(first) - 1 / np.linalg.norm(2 * first)
+    np.testing.assert_allclose(path.energy, energy, rtol=0, atol=4 * PUBLISHED)
+
+
+def closed_without_a_kink(module, path):
+    # no data of the problem enter these but the path itself; they are good to the error of the discretisation
+    np.testing.assert_allclose(path.momentum[:, 0], path.momentum[:, -1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(module.angular_momentum(path), 0.0, atol=1e-12)
+    np.testing.assert_allclose(path.energy, path.energy[0], rtol=1e-12)
+    assert path.morse_index == 2
+
+
+def choreography(module, path):
+    times = np.linspace(0, module.PERIOD, 61)[:-1]
+    curves = module.bodies(path(times))
+    for follower, shift in ((1, 20), (2, 40)):
+        distances = [np.max(np.abs(np.roll(curves[k], -shift, axis=-1) - curves[0])) for k in (follower, 3 - follower)]
+        assert min(distances) < PUBLISHED
+
+
+def mechanism_from_rest(module, path):
+    np.testing.assert_allclose(path.velocity[:, 0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(path.velocity[:, -1], [-1.7298716095965868, -2.9142006209385097], rtol=1e-12)
+    assert path.action == pytest.approx(11.748350447614505, rel=1e-13, abs=0)
+    assert path.morse_index == 0
+
+
+# scenes of refinement and continuation
+
+
+def troeschs_slopes(module, paths):
+    assert list(paths) == list(TROESCH)
+    for rate, path in paths.items():
+        np.testing.assert_allclose(path.momentum[0, -1], TROESCH[rate][1], rtol=1e-8, atol=0)
+
+
+def layer_resolved(module, path):
+    times = np.logspace(-7, 0, 1000)
+    np.testing.assert_allclose(path(times)[0], module.exact(times), rtol=0, atol=1e-9)
+    assert np.count_nonzero(path.t < 10 * module.THICKNESS) > 2
+
+
+def round_the_sun(module, path):
+    np.testing.assert_allclose(path(0.0), [1 - module.ECCENTRICITY, 0], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(path.energy, -0.5, rtol=0, atol=1e-8)
+
+
+def bratus_fold(module, branch):
+    np.testing.assert_allclose(branch.folds[0].parameters, [3.513830719125162], rtol=1e-12, atol=0)
+    assert [path.morse_index for path in branch.trajectories[:: len(branch.trajectories) - 1]] == [0, 1]
+
+
+# scenes of steps
+
+
+def back_at_the_perihelion(module, answer):
+    path, conserved = answer
+    assert np.linalg.norm(path.x[:, -1] - path.x[:, 0]) < 1e-9
+    assert conserved.energy_error < 1e-12 * abs(path.energy[0])
+    np.testing.assert_allclose(conserved.momentum_map, conserved.momentum_map[0], rtol=1e-12)
+    assert np.max(conserved.symplecticity_defects) <= 1e-12
+
+
+def parted_by_chaos(module, comparison):
+    path = comparison.global_path
+    assert np.ptp(path.energy) < 1e-7 * abs(path.energy[0])
+    assert path.x[:, -1].tolist() == np.round(path.x[:, -1], 2).tolist()
+    assert comparison.shooting.path is None
+    assert 1 < comparison.gap_growth < 2.5
+    assert 14 < comparison.parting_time < 23  # as roundoff will have it
+    assert comparison.condition_global < 1e3
+    assert comparison.condition_stepwise > 1e14
+
+
+def digits_kept_globally(module, answers):
+    for horizon, (comparison, error) in answers.items():
+        assert error <= 1e-12
+        assert np.log(comparison.condition_stepwise) == pytest.approx(horizon, abs=1e-3)
+        assert (comparison.shooting.failure is None) == (horizon <= 20)
+
+
+def settled_response(module, answer):
+    path, measured = answer
+    late = path.t > 70
+    np.testing.assert_allclose(path.x[0, late], module.response(path.t[late]), rtol=0, atol=1e-7)  # e^{-70 c/2}
+    np.testing.assert_allclose(measured.determinants, np.exp(-module.DAMPING * 0.5), rtol=1e-10)
+    assert np.max(np.abs(path.x[0, late])) <= 1.0000001 / np.sqrt(3.625)
+
+
+def digits_lost_by_shooting(module, measured):
+    errors = {name: np.array([[r.joint_error for r in rows] for rows in ways]) for name, ways in measured.items()}
+    np.testing.assert_allclose(*errors["Kepler arc"], rtol=0, atol=ROUNDOFF)  # the same discrete equations
+    for name in errors:
+        assert np.all(np.diff(errors[name][0]) < 0)
+        assert errors[name][0, -1] < 1e-12
+    # rounding the start moves the end by up to e^15 eps = 7e-10; how much of that happens is chance
+    lost = errors["balanced for 15"][1, 2:] / (np.finfo(float).eps * np.exp(15))
+    assert np.all((lost > 1e-3) & (lost < 10))
+    for row in measured["balanced for 40"][1]:
+        assert "the end is missed by" in row.failure
+
+
+# scenes of trajectory optimisation
+
+
+def flown(rates, path, start):
+    """First-order equations under the controls found, by an integrator that knows nothing of the discretisation."""
+    state = np.array(start, dtype=float)
+    for begin, end in pairwise(path.t):  # the controls may jump at joints
+        before = np.nextafter(end, begin)
+
+        def slope(t, y, before=before):
+            return rates(y, path.control(min(t, before)))
+
+        state = solve_ivp(slope, (begin, end), state, rtol=1e-10, atol=1e-12).y[:, -1]
+    return state
+
+
+def constraints_are_met(module, path):
+    assert path.violation < 1e-9
+
+
+def kellys_cost(module, path):
+    assert path.cost == pytest.approx(58.80767, abs=1e-3)
+
+
+def cheaper_swing_up(module, path):
+    lifted = 2 * module.POLE * module.GRAVITY * module.LENGTH
+    first, other = (cg.solve(module.problem(), cg.Galerkin(10), 30, guess=g) for g in (None, module.once_more))
+    assert first.cost == pytest.approx(58.807667459, abs=1e-8)  # published to fewer digits
+    assert other.cost < first.cost - 0.8
+
+    def rates(y, u):
+        s, c, m, l = np.sin(y[1]), np.cos(y[1]), module.POLE, module.LENGTH  # noqa: E741
+        mass = np.array([[module.CART + m, m * l * c], [m * l * c, m * l**2]])
+        load = [u[0] + m * l * s * y[3] ** 2, -m * module.GRAVITY * l * s]
+        return np.concatenate((y[2:], np.linalg.solve(mass, load)))
+
+    for each in (first, other):
+        assert module.work(each) == pytest.approx(lifted, rel=1e-9)
+        np.testing.assert_allclose(flown(rates, each, [0, 0, 0, 0]), [1, np.pi, 0, 0], rtol=0, atol=1e-7)
+
+
+def replayed_from_rest(module, path):
+    again = module.replayed(path)
+    np.testing.assert_allclose(again.x, path.x, rtol=0, atol=1e-10)
+    assert again.x[:, -1] == pytest.approx([module.DISTANCE, np.pi], abs=1e-10)
+    lifted = 2 * module.POLE * module.GRAVITY * module.LENGTH
+    assert again.energy[-1] - again.energy[0] == pytest.approx(lifted, abs=1e-9)
+
+
+def primer_vector(module, path):
+    times = path.control.times
+    primer = -path.costate(times) * np.stack((np.ones_like(times), path(times)[0]))
+    np.testing.assert_allclose(path.control.values, primer, rtol=0, atol=1e-10)  # IPOPT's tolerance
+    assert 1.02 < path.cost / module.SLOW_SPIRAL < 1.05
+
+
+def wider_circle(module, path):
+    def rates(y, u):
+        return [y[2], y[3], y[0] * y[3] ** 2 - 1 / y[0] ** 2 + u[0], (u[1] - 2 * y[2] * y[3]) / y[0]]
+
+    r, _, radial, rate = flown(rates, path, [1, 0, 0, 1])
+    assert [r, radial, rate] == pytest.approx([2, 0, 2**-1.5], abs=1e-6)
+
+
+def cheapest_angle(module, free):
+    def cost(angle):
+        problem = replace(module.problem(), end=[module.RADIUS, angle])
+        return cg.solve(problem, free.method, intervals=20, guess=free).cost
+
+    best = cost(free.x[1, -1])
+    assert best == pytest.approx(free.cost, rel=1e-9)
+    assert cost(free.x[1, -1] - 0.05) > best * (1 + 1e-6)
+    assert cost(free.x[1, -1] + 0.05) > best * (1 + 1e-6)
+
+
+def shortest_time(module, path):
+    assert path.t[-1] == pytest.approx(2, abs=1e-9)
+
+
+def late_brake(module, path):
+    path = cg.solve(module.buffered(), cg.Galerkin(2), intervals=12)
+    a = module.FULL_THRUST
+    found = [path.t[-1], path.end_velocity[0], path.cost]
+    assert found == pytest.approx([1.5 * a, a / 2, 1.5 * a + module.PRICE * a**2 / 8], abs=1e-8)
+    switch = path.t[np.flatnonzero(np.diff(path.control(path.t)[0]) < -1)[0] + 1]
+    assert switch == pytest.approx(a, abs=1e-8)
+
+
+def best_gear(module, path):
+    path = cg.solve(module.geared(), cg.Galerkin(2), intervals=10)
+    assert path.parameters[0] == pytest.approx(4, abs=1e-6)  # the duration is flat there
+    assert path.t[-1] == pytest.approx(2**0.5, abs=1e-9)
+
+
+def passed_below(module, path):
+    assert path.cost == pytest.approx(module.EXACT, abs=1e-9)
+    assert path(0.5) == pytest.approx([0.5, -0.2], abs=1e-6)
+
+
+def arm_upright(module, path):
+    def rates(y, u):
+        s, c, g = np.sin(y[0] - y[1]), np.cos(y[0] - y[1]) / 2, module.GRAVITY
+        mass = np.array([[4 / 3, c], [c, 1 / 3]])
+        load = [
+            u[0] - u[1] - s / 2 * y[3] ** 2 - 1.5 * g * np.sin(y[0]),
+            u[1] + s / 2 * y[2] ** 2 - 0.5 * g * np.sin(y[1]),
+        ]
+        return np.concatenate((y[2:], np.linalg.solve(mass, load)))
+
+    np.testing.assert_allclose(flown(rates, path, [0, 0, 0, 0]), [np.pi, np.pi, 0, 0], rtol=0, atol=5e-3)
+    assert np.all(np.max(np.abs(path.control.values), axis=1) < [module.SHOULDER, module.ELBOW])
+    finer = cg.solve(module.problem(), cg.Galerkin(degree=8), intervals=30)
+    assert module.work(finer) == pytest.approx(4 * module.GRAVITY, rel=1e-7)
+    assert path.cost == pytest.approx(finer.cost, rel=1e-5)
+    np.testing.assert_allclose(flown(rates, finer, [0, 0, 0, 0]), [np.pi, np.pi, 0, 0], rtol=0, atol=1e-6)
+
+
+TABLE = [
+    ("lambert", vallados_velocities, "the Lambert transfer has Vallado's velocities"),
+    ("lambert", keplers_invariants, "the Lambert transfer conserves energy and angular momentum"),
+    ("pendulum", swing_of_index(0, 1.9995687170165, -3.918564307581), "the pendulum has a path of Morse index 0"),
+    ("pendulum", swing_of_index(1, 1.8318277309911, 7.313292826489), "the pendulum has a path of Morse index 1"),
+    ("pendulum", swing_of_index(2, 1.3287479250456, 8.853960793439), "the pendulum has a path of Morse index 2"),
+    ("catenoid", two_films, "near its critical height the catenoid has a stable and an unstable film"),
+    ("great_circle", length_of_the_arc, "the great circle has the length of the arc"),
+    ("charged_particle", circle_at_constant_speed, "a relativistic particle runs on a circle at constant speed"),
+    ("brachistochrone", time_of_the_cycloid, "the brachistochrone takes the time of the cycloid"),
+    ("calculus", functional_by_hand, "the functional by hand is that of the graph"),
+    ("mass_quadrature", one_mass_is_helped, "a point more helps one mass and not the other"),
+    ("work_precision", orders_of_the_methods, "work against precision has the orders of its methods"),
+    ("fit_pendulum", uncertainty_of_the_fit, "the fit recovers length and damping within its own uncertainty"),
+    ("fit_pendulum", residuals_of_the_fit, "the fit leaves residuals of the size of the noise"),
+    ("porkchop", cheapest_transfer, "the porkchop solves every transfer and finds the cheapest"),
+    ("porkchop", keplers_laws, "the planets of the porkchop move by Kepler's laws"),
+    ("figure_eight", published_figure_eight, "the figure eight has the published place and speed at time 0"),
+    ("figure_eight", closed_without_a_kink, "the figure eight closes without a kink and without angular momentum"),
+    ("figure_eight", choreography, "the figure eight is a choreography"),
+    ("mechanism", mechanism_from_rest, "the mechanism starts at rest and ends at its computed velocities"),
+    ("troesch", troeschs_slopes, "Troesch's problem has its slopes at the end"),
+    ("boundary_layer", layer_resolved, "the layer is resolved"),
+    ("near_collision", round_the_sun, "the comet goes round the Sun"),
+    ("bratu", bratus_fold, "Bratu's fold is where it is"),
+    ("kepler_revolutions", back_at_the_perihelion, "Mercury is back at its perihelion after 1000 revolutions"),
+    ("double_pendulum", parted_by_chaos, "chaos parts the double pendulum from its global path"),
+    ("inverted_pendulum", digits_kept_globally, "the balanced pendulum keeps its digits only globally"),
+    ("driven_oscillator", settled_response, "the driven oscillator settles into its response"),
+    (
+        "global_against_shooting",
+        digits_lost_by_shooting,
+        "shooting has the errors of the global solve until growth takes its digits",
+    ),
+    *(
+        (name, constraints_are_met, f"{name} meets its constraints")
+        for name in ("cart_pole", "minimum_time", "two_link_arm", "low_thrust", "obstacle")
+    ),
+    ("cart_pole", kellys_cost, "the cart-pole costs what Kelly found"),
+    ("cart_pole", cheaper_swing_up, "the cart-pole has a cheaper swing-up, and both do the work of lifting"),
+    (
+        "cart_pole",
+        replayed_from_rest,
+        "the force replayed from rest brings cart and pole to the end with the energy of lifting",
+    ),
+    ("minimum_time", shortest_time, "the minimum time is two"),
+    ("minimum_time", late_brake, "with a buffer the brake begins late and speed is left"),
+    ("minimum_time", best_gear, "the best gear matches the inertias"),
+    ("two_link_arm", arm_upright, "the arm driven by its torques stands upright within the torque limit"),
+    ("low_thrust", primer_vector, "thrust is the primer vector and costs little more than a slow spiral"),
+    ("low_thrust", wider_circle, "the spacecraft arrives on the wider circle"),
+    ("low_thrust", cheapest_angle, "the angle of arrival is the cheapest"),
+    ("obstacle", passed_below, "the vehicle passes below at the exact cost"),
+]
+SCENES = sorted({name for name, _, _ in TABLE})
+
+
+@dataclass(frozen=True)
+class Run:
+    """A scene that was run once, with its picture."""
+
+    module: ModuleType
+    answer: Any
+    picture: Path
+    printed: str
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Callable[[str], Run]:
+    """Import a scene the way Python runs it, with its folder on the path, and run it once."""
+    patch, done = pytest.MonkeyPatch(), {}
+    patch.setenv("MPLBACKEND", "Agg")
+    patch.syspath_prepend(str(EXAMPLES))
+    folder = tmp_path_factory.mktemp("pictures")
+
+    def once(name):
+        if name not in done:
+            sys.modules.pop(name, None)
+            module, picture, printed = importlib.import_module(name), folder / f"{name}.png", io.StringIO()
+            if name == "porkchop":  # all transfers take minutes
+                assert len(module.variations()) >= 2500
+                patch.setattr(module, "LAUNCHES", module.LAUNCHES[::7])
+                patch.setattr(module, "FLIGHTS", module.FLIGHTS[::7])
+            with contextlib.redirect_stdout(printed):
+                answer = module.main(str(picture))
+            done[name] = Run(module, answer, picture, printed.getvalue())
+        return done[name]
+
+    yield once
+    patch.undo()
+
+
+@pytest.mark.parametrize(("name", "check", "claim"), TABLE, ids=[claim for _, _, claim in TABLE])
+def test_scene_shows_what_it_claims(run, name, check, claim):
+    scene = run(name)
+    check(scene.module, scene.answer)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scene_draws_its_picture(run, name):
+    scene = run(name)
+    picture = scene.picture.read_bytes()
+    assert picture.startswith(b"\x89PNG")
+    assert len(picture) > 10_000
+    assert f"written to {scene.picture}" in scene.printed
+    if name == "mechanism":
+        assert scene.picture.with_suffix(".gif").read_bytes().startswith(b"GIF89a")
+
+
+def test_every_scene_is_in_the_table():
+    assert sorted(path.stem for path in EXAMPLES.glob("*.py") if path.stem not in ("gallery", "show")) == SCENES

@@ -1,0 +1,49 @@
+"""Motions from given starts, for tests of steps."""
+
+import casadi as ca
+
+import casadi_galerkin as cg
+
+GRAVITY = 9.81
+
+
+def oscillator(t, x, v):
+    return v[0] ** 2 / 2 - x[0] ** 2 / 4
+
+
+def pendulum(t, x, v):
+    return v[0] ** 2 / 2 + ca.cos(x[0])
+
+
+def varying_mass(t, x, v):
+    return (1 + x[0] ** 2) * v[0] ** 2 / 2 - x[0] ** 2 / 2 - x[0] ** 4 / 4
+
+
+def quartic(t, x, v):
+    return v[0] ** 2 / 2 + v[0] ** 4 / 12 + ca.cos(x[0])
+
+
+def kepler(t, x, v):
+    return ca.dot(v, v) / 2 + 1 / ca.norm_2(x)
+
+
+def double_pendulum(t, x, v):
+    kinetic = v[0] ** 2 + v[1] ** 2 / 2 + v[0] * v[1] * ca.cos(x[0] - x[1])
+    return kinetic + GRAVITY * (2 * ca.cos(x[0]) + ca.cos(x[1]))
+
+
+def damped(t, x, v):
+    return ca.exp(t / 2) * (v[0] ** 2 - 4 * x[0] ** 2) / 2
+
+
+MOTIONS = {
+    "pendulum": (pendulum, [2.0], [0.3], 0.2),
+    "kepler": (kepler, [0.4, 0.0], [0.0, 2.0], 0.1),
+    "double pendulum": (double_pendulum, [1.0, 1.2], [0.5, -0.2], 0.05),
+    "varying mass in time": (lambda t, x, v: (2 + ca.sin(t)) * varying_mass(t, x, v) / 2, [0.7], [0.4], 0.2),
+}
+
+
+def start_of(scene, intervals):
+    lagrangian, x, p, h = MOTIONS[scene]
+    return cg.InitialProblem(lagrangian, (0, h * intervals), x, momentum=p)

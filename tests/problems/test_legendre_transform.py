@@ -1,0 +1,27 @@
+"""Velocities from momenta, also where the slopes of the path do not help, or no velocity exists."""
+
+import casadi as ca
+import numpy as np
+
+import casadi_galerkin as cg
+from casadi_galerkin.problems.legendre_transform import legendre_transform
+from casadi_galerkin.problems.legendre_transform import velocities as velocities_of_momenta
+
+
+def test_velocities_are_found_where_the_slopes_of_the_path_are_beyond_the_lagrangians_domain():
+    """A relativistic particle on few intervals: the derivative of the polynomial exceeds 1 at a joint."""
+    problem = cg.BoundaryProblem(lambda t, x, v: -ca.sqrt(1 - v[0] ** 2) - 5 * x[0] ** 2, (0, 2), [0.0], [1.2])
+    path = cg.solve(problem, cg.Galerkin(2), intervals=4)
+    assert np.max(np.abs(path(path.t, 1))) > 1
+    np.testing.assert_allclose(path.velocity, path.momentum / np.sqrt(1 + path.momentum**2), rtol=1e-14)
+    assert np.isfinite(path.energy).all()
+
+
+def test_a_velocity_that_does_not_exist_is_not_a_number():
+    t, x, v = (ca.SX.sym(name) for name in "txv")
+    lagrangian = ca.Function("L", [t, x, v], [ca.sqrt(1 + v**2)])  # momenta lie within ]-1, 1[
+    momenta = np.array([[0.5, 2.0, -0.5]])
+    found = velocities_of_momenta(
+        legendre_transform(lagrangian), np.zeros(3), np.zeros((1, 3)), momenta, np.full((1, 3), 30.0)
+    )
+    np.testing.assert_allclose(found, [[1 / np.sqrt(3), np.nan, -1 / np.sqrt(3)]], rtol=1e-14)

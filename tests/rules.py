@@ -1,0 +1,28 @@
+"""The families of rules, and the polynomials whose roots their points are, in as many digits as mpmath is set to."""
+
+import mpmath
+
+import casadi_galerkin as cg
+
+FAMILIES = {"gauss": (cg.gauss, 1, 0), "lobatto": (cg.lobatto, 2, -2), "radau": (cg.radau, 1, -1)}  # order 2n + last
+
+
+def polynomial(name: str, n: int):
+    """Function in 40 digits whose roots are the inner points on [-1, 1], and the weights on [0, 1] from a point."""
+
+    def legendre_pair(k, x):
+        a, b = mpmath.mpf(1), x
+        for j in range(1, k):
+            a, b = b, ((2 * j + 1) * x * b - j * a) / (j + 1)
+        return (b, a) if k else (a, mpmath.mpf(0))
+
+    def slope(k, x):
+        p, q = legendre_pair(k, x)
+        return k * (q - x * p) / (1 - x * x)
+
+    if name == "gauss":
+        return lambda x: legendre_pair(n, x)[0], lambda x: 1 / ((1 - x * x) * slope(n, x) ** 2)
+    if name == "lobatto":
+        return lambda x: slope(n - 1, x), lambda x: 1 / (n * (n - 1) * legendre_pair(n - 1, x)[0] ** 2)
+    difference = lambda x: legendre_pair(n - 1, x)[0] - legendre_pair(n, x)[0]  # noqa: E731
+    return difference, lambda x: (1 + x) / (2 * n * n * legendre_pair(n - 1, x)[0] ** 2)

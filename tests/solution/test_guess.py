@@ -1,0 +1,81 @@
+"""Guesses: of every kind, stretched and bent to the problem, or refused."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scenes import BY_NAME, oscillator, oscillator_problem, pendulum
+
+import casadi_galerkin as cg
+
+METHOD = cg.Galerkin(2)
+
+
+@pytest.mark.parametrize(
+    ("guess", "kind", "message"),
+    [
+        (
+            np.zeros((1, 3)),
+            ValueError,
+            r"shape \(1, 5\) for values at the joints or \(1, 9\) at all nodes, got \(1, 3\)",
+        ),
+        (np.zeros(5), ValueError, r"the guess must have the shape \(1, 5\).* got \(5,\)"),
+        (np.zeros((2, 5)), ValueError, r"the guess must have the shape \(1, 5\).* got \(2, 5\)"),
+        (3.0, ValueError, r"the guess must have the shape .* got \(\)"),
+        ("line", TypeError, "the guess must be real numbers, got 'line'"),
+        (np.zeros((1, 5)) * 1j, TypeError, "the guess must be real numbers"),
+        (np.full((1, 5), np.nan), ValueError, "the guess must be finite, got .nan. at t = 0.0"),
+        (lambda t: t, ValueError, r"the guess must return an array of shape \(1,\), got \(\)"),
+        (lambda t: [t, t], ValueError, r"the guess must return an array of shape \(1,\), got \(2,\)"),
+        (lambda t: [np.nan if t > 0.6 else t], ValueError, r"the guess must be finite, got \[nan\] at t = 0.625"),
+        (lambda t: None, TypeError, "values of the guess must be real numbers, got None"),
+        (lambda: [0.0], TypeError, "takes 0 positional arguments but 1 was given"),
+        (lambda t: ["a"], TypeError, "values of the guess must be real numbers, got"),
+    ],
+)
+def test_a_guess_that_does_not_fit_is_refused(guess, kind, message):
+    with pytest.raises(kind, match=message):
+        cg.solve(oscillator_problem(), METHOD, intervals=4, guess=guess)
+
+
+def test_a_path_of_other_components_is_refused_as_guess():
+    planar = oscillator_problem(lagrangian=lambda t, x, v: ca.sumsqr(v), start=[0, 0], end=[1, 1])
+    other = cg.solve(planar, METHOD, intervals=2)
+    for guess in (other, other.polynomial):
+        with pytest.raises(ValueError, match=r"the guess must be a path of 1 component\(s\), got 2"):
+            cg.solve(oscillator_problem(), METHOD, intervals=2, guess=guess)
+
+
+def test_periodic_guess_that_is_not_closed_counts_with_its_first_value():
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2, (0, 1), [None], periodic=True)
+    tr = cg.transcribe(problem, cg.Galerkin(2), 3)
+    np.testing.assert_array_equal(tr.unknowns(np.arange(7.0)[:, None]), np.arange(6.0))
+
+
+def test_guesses_of_every_kind_lead_to_the_path_they_are_near():
+    scene = BY_NAME["long pendulum, index 1"]
+    tr = cg.transcribe(scene.problem, cg.Galerkin(6), 30)
+    wanted = tr.solve(guess=scene.guess)
+    assert wanted.morse_index == 1
+    coarse = cg.solve(scene.problem, cg.Galerkin(3), intervals=25, guess=scene.guess)
+    joints = np.stack([scene.guess(t) for t in wanted.t], axis=1)
+    nodes = np.stack([scene.guess(t) for t in cg.DiscreteCalculus(tr.method, tr.mesh).node_times], axis=1)
+    guesses = [joints, joints.tolist(), nodes, wanted, wanted.polynomial, coarse, lambda t: np.array(scene.guess(t))]
+    for guess in guesses:
+        path = tr.solve(guess=guess)
+        assert path.action == pytest.approx(wanted.action, rel=1e-13)
+        np.testing.assert_allclose(path.x, wanted.x, rtol=0, atol=1e-12)
+    assert tr.solve(guess=wanted).iterations == 1
+
+
+def test_a_guess_on_another_time_span_is_stretched():
+    short = cg.solve(cg.BoundaryProblem(pendulum, (0, 9.9), [0.0], [1.0]), cg.Galerkin(6), intervals=30)
+    path = cg.solve(cg.BoundaryProblem(pendulum, (0, 10.0), [0.0], [1.0]), cg.Galerkin(6), intervals=30, guess=short)
+    assert path.morse_index == short.morse_index
+    assert path.action == pytest.approx(short.action, rel=0.05)
+
+
+def test_a_guess_that_misses_the_ends_is_bent_to_them():
+    problem = cg.BoundaryProblem(oscillator, (0, 1), [0.0], [1.0])
+    path = cg.solve(problem, cg.Galerkin(8), intervals=4, guess=lambda t: [7.0 + 3 * t])
+    assert path.x[0, 0] == 0
+    assert path.x[0, -1] == 1

@@ -1,0 +1,123 @@
+"""Newton's method: iterations that end where they should, in any unit and at any size of the components."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scenes import BY_NAME, catenoid
+
+import casadi_galerkin as cg
+from casadi_galerkin.calculus.roundoff import ZERO
+
+
+@pytest.mark.parametrize("degree", [1, 4, 8])
+def test_a_component_that_vanishes_is_found_from_a_guess_where_it_does_not(degree):
+    """Every Newton step takes 16 digits off what is left of it, which relative to itself never is at roundoff."""
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), [None], [None])
+    path = cg.solve(problem, cg.Galerkin(degree), 4, guess=lambda t: [np.sin(t)])
+    assert np.abs(path.polynomial.values).max() < ZERO
+    assert path.solver == "Newton"
+
+
+def test_one_component_does_not_end_the_iterations_of_another():
+    """A first step that corrects a linear component by much says nothing about a nonlinear one."""
+
+    def lagrangian(t, x, v):
+        return ca.dot(v, v) / 2 - x[0] ** 2 / 2 + ca.exp(3 * x[1])
+
+    tr = cg.transcribe(cg.BoundaryProblem(lagrangian, (0, 1), [1.0, 0.0], [2.0, 0.5]), cg.Galerkin(6), 20)
+    path = tr.solve()
+    s = np.linspace(0, np.pi, path.polynomial.values.shape[1])
+    miss = np.array([0.28 * np.sin(s), 1e-3 * np.sin(2 * s)])
+    again = tr.solve(guess=path.polynomial.values + miss)
+    assert np.max(np.abs(again.polynomial.values - path.polynomial.values)) < 1e-14
+
+
+def test_components_that_vanish_along_a_periodic_path_are_found_from_afar():
+    """Newton's steps shrink them below the least number there is; they are then zero, whatever the last step's size."""
+
+    def lagrangian(t, x, v):
+        square = ca.dot(x, x)
+        return ca.dot(v, v) / 2 * (1 + square) + 300 * square / 2 + ca.sumsqr(x**2) + 0.8 * ca.sin(2 * t) * x[0]
+
+    free = [None] * 4
+    problem = cg.BoundaryProblem(lagrangian, (0, 2 * np.pi), free, free, periodic=True)
+    path = cg.solve(problem, cg.Galerkin(8), intervals=8, guess=lambda t: np.sin(t / 2 * np.arange(1, 5)))
+    assert np.max(np.abs(path.x[1:])) < 1e-100
+    assert path.morse_index == 0
+
+
+def test_a_hessian_that_is_not_a_number_is_reported_without_a_warning():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 + 100 * x[0] - 8 * ca.fabs(x[0]) ** 1.5, (0, 1), [0.0], [0.0]
+    )
+    with pytest.raises(cg.ConvergenceError, match="no path was found") as caught:
+        cg.solve(problem, cg.Galerkin(4), intervals=4)
+    assert not caught.value.residual <= 50
+
+
+@pytest.mark.parametrize("half", [0.66, 0.6627])
+def test_catenoid_just_below_its_critical_height_is_found(half):
+    path = cg.solve(cg.BoundaryProblem(catenoid, (-half, half), [1.0], [1.0]), cg.Galerkin(8), intervals=16)
+    c = float(path(0.0)[0])
+    assert c * np.cosh(half / c) == pytest.approx(1, rel=1e-12)
+
+
+def test_verbose_prints_iterations_and_summary(capfd):
+    path = BY_NAME["short pendulum"].solve(verbose=2)
+    out = capfd.readouterr().out
+    assert out.count("damping") == path.iterations
+    assert "Trajectory of 1 component" in out
+
+
+def scaled(action, length, time):
+    """The pendulum of ten seconds in other units: same iterations and digits in whatever units."""
+
+    def lagrangian(t, x, v):
+        return action * ((v[0] * time / length) ** 2 / 2 + ca.cos(x[0] / length))
+
+    return cg.solve(cg.BoundaryProblem(lagrangian, (0, 10 * time), [0.0], [length]), cg.Galerkin(4), intervals=40)
+
+
+@pytest.mark.parametrize(
+    ("action", "length", "time"),
+    [(1e-150, 1, 1), (1e150, 1, 1), (1, 1e-12, 1), (1, 1e12, 1), (1, 1, 1e-12), (1, 1, 1e12), (1e-40, 1e12, 1e-12)],
+)
+def test_units_change_neither_iterations_nor_digits(action, length, time):
+    here, there = scaled(1, 1, 1), scaled(action, length, time)
+    assert there.iterations == here.iterations
+    assert there.morse_index == here.morse_index
+    np.testing.assert_allclose(there.x / length, here.x, rtol=0, atol=1e-14)
+    assert there.action / (action * time) == pytest.approx(here.action, rel=1e-14)
+    momentum = action * time / length
+    np.testing.assert_allclose(there.momentum / momentum, here.momentum, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("action", "length", "time"), [(2.0**-500, 1, 1), (1, 2.0**40, 1), (1, 1, 2.0**-40)])
+def test_units_that_are_powers_of_two_change_no_bit(action, length, time):
+    here, there = scaled(1, 1, 1), scaled(action, length, time)
+    np.testing.assert_array_equal(there.x / length, here.x)
+    np.testing.assert_array_equal(there.momentum * length / (action * time), here.momentum)
+
+
+def test_components_of_very_different_size_are_solved_together():
+    def lagrangian(t, x, v):
+        return (v[0] ** 2 - x[0] ** 2) / 2 + ((v[1] / 1e12) ** 2 - (x[1] / 1e12) ** 2) * 1e-20 / 2
+
+    path = cg.solve(cg.BoundaryProblem(lagrangian, (0, 1), [0, 0], [1e-12, 1e12]), cg.Galerkin(8), intervals=8)
+    np.testing.assert_allclose(path.x, np.outer([1e-12, 1e12], np.sin(path.t) / np.sin(1)), rtol=1e-13, atol=0)
+
+
+def test_a_search_that_ends_at_a_singular_hessian_fails_without_a_warning():
+    """The next damping is not forecast from a step that does not exist."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: ca.dot(v, v) / 2 - (x[1] - 1 - ca.sin(p[0] * (x[0] - 1)) / p[0]) ** 2 * 5,
+        (0.0, 1.0),
+        [None, None],
+        [None, None],
+        parameters=[1.0],
+    )
+    transcription = cg.transcribe(problem, cg.Galerkin(1), 1)
+    for angle in np.linspace(0.05, 6, 10):
+        near = [1 + np.cos(angle), 1 + np.sin(np.cos(angle)) + 0.01]
+        with pytest.raises(cg.ConvergenceError):
+            transcription.solve(guess=lambda t, near=near: near)

@@ -1,0 +1,101 @@
+"""Geometry of steps and of global paths: symplecticity, momentum maps, energy, reversibility."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from control_problems import double_integrator
+from motions import MOTIONS, kepler, oscillator, start_of
+
+import casadi_galerkin as cg
+
+METHOD = cg.Galerkin(8)
+
+
+def test_geometry_of_a_global_path_is_that_of_its_steps():
+    problem = cg.BoundaryProblem(kepler, (0, 2), [1.0, 0.0], [-0.4, 0.9])
+    path = cg.solve(problem, METHOD, intervals=10)
+    measured = cg.geometry(path, symmetry=lambda x: [-x[1], x[0]])
+    assert np.max(measured.symplecticity_defects) <= 1e-12
+    np.testing.assert_allclose(measured.momentum_map, measured.momentum_map[0], rtol=0, atol=1e-13)
+    assert measured.energy_error < 1e-10
+    assert abs(measured.energy_drift) < 1e-10
+    for part in ("energy", "symplecticity", "momentum map"):
+        assert part in str(measured)
+    assert "momentum map" not in str(cg.geometry(path))
+
+
+def test_a_symmetry_of_the_wrong_length_is_named():
+    problem = cg.BoundaryProblem(kepler, (0, 2), [1.0, 0.0], [-0.4, 0.9])
+    path = cg.solve(problem, METHOD, intervals=10)
+    with pytest.raises(ValueError, match="symmetry must return a vector of length 2"):
+        cg.geometry(path, symmetry=lambda x: x[0])
+
+
+def test_a_symmetry_of_one_component_may_be_a_list():
+    path = cg.solve(cg.BoundaryProblem(lambda t, x, v: v[0] ** 2, (0, 2), [0.0], [1.0]), METHOD, intervals=2)
+    np.testing.assert_array_equal(cg.geometry(path, symmetry=lambda x: [1.0]).momentum_map, path.momentum[0])
+
+
+def test_geometry_is_that_of_the_parameters_that_were_solved_for():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0] ** 2 / 2, (0, 1), [0.0], [1.0], parameters=[1.0]
+    )
+    path = cg.transcribe(problem, METHOD, 10).solve(parameters=[4.0])
+    turned, step = 2 * 0.1, cg.geometry(path).jacobians[0]
+    expected = [[np.cos(turned), np.sin(turned) / 2], [-2 * np.sin(turned), np.cos(turned)]]
+    np.testing.assert_allclose(step, expected, rtol=0, atol=1e-13)
+
+
+def test_geometry_refuses_what_it_does_not_know_the_forces_of():
+    with pytest.raises(TypeError, match=r"geometry takes the path of .*got one of ControlProblem"):
+        cg.geometry(cg.solve(double_integrator(), cg.Galerkin(3), intervals=2))
+    with pytest.raises(TypeError, match="geometry takes a Trajectory, got BoundaryProblem"):
+        cg.geometry(cg.BoundaryProblem(lambda t, x, v: v[0] ** 2, (0, 2), [0.0], [1.0]))
+
+
+@pytest.mark.parametrize("scene", MOTIONS)
+@pytest.mark.parametrize("method", [cg.Galerkin(1), cg.Galerkin(4), cg.Galerkin(4, quadrature=cg.lobatto(4))], ids=str)
+def test_steps_are_symplectic(scene, method):
+    problem = start_of(scene, 30)
+    measured = cg.geometry(cg.solve(problem, method, intervals=30))
+    assert np.max(measured.symplecticity_defects) <= 1e-12
+    np.testing.assert_allclose(measured.determinants, 1, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("scene", ["pendulum", "kepler", "double pendulum"])
+def test_steps_of_a_reversible_lagrangian_run_back_to_their_start(scene):
+    lagrangian, x, p, h = MOTIONS[scene]
+    mesh = np.concatenate(([0], np.cumsum(h * np.linspace(0.5, 1.5, 40))))
+    problem = cg.InitialProblem(lagrangian, (0, mesh[-1]), x, momentum=p)
+    there = cg.solve(problem, cg.Galerkin(5), mesh=mesh)
+    problem = cg.InitialProblem(lagrangian, (0, mesh[-1]), there.x[:, -1], momentum=-there.momentum[:, -1])
+    back = cg.solve(problem, cg.Galerkin(5), mesh=np.clip((mesh[-1] - mesh)[::-1], 0, mesh[-1]))
+    growth = 1e3  # of rounding along 40 steps there and back, measured 10 to 100
+    np.testing.assert_allclose(back.x[:, ::-1], there.x, rtol=0, atol=growth * 2.3e-16 * np.max(np.abs(there.x)))
+
+
+def test_angular_momentum_does_not_drift_in_1e5_steps_of_kepler_and_energy_stays_in_its_band():
+    problem = cg.InitialProblem(kepler, (0, 2000 * np.pi), [0.4, 0.0], velocity=[0.0, 2.0])
+    path = cg.solve(problem, cg.Galerkin(4), intervals=100_000)
+    (x, y), (px, py) = path.x, path.momentum
+    assert np.max(np.abs(x * py - y * px - 0.8)) <= 1e-12
+    energy = (px**2 + py**2) / 2 - 1 / np.hypot(x, y) + 0.5
+    bands = np.max(np.abs(energy[1:].reshape(10, -1)), axis=1)  # of every 100 revolutions
+    assert bands[0] < 1e-10
+    np.testing.assert_allclose(bands, bands[0], rtol=0, atol=1e-12)
+
+
+def test_linear_momentum_of_a_free_system_stays_within_a_random_walk_of_roundoff():
+    def springs(t, x, v):
+        return ca.dot(v, v) / 2 - (x[0] - x[1]) ** 2 / 2 - (x[1] - x[2]) ** 4 / 4
+
+    problem = cg.InitialProblem(springs, (0, 2000), [0.0, 1.0, 3.0], velocity=[1.0, 0.0, -0.3])
+    path = cg.solve(problem, cg.Galerkin(3), intervals=20_000)
+    total = path.momentum.sum(axis=0)
+    assert np.max(np.abs(total - total[0])) <= 2e-16 * np.sqrt(20_000) * 10
+
+
+def test_friction_shrinks_every_step_by_the_same_factor():
+    problem = cg.InitialProblem(oscillator, (0, 3), [1.0], momentum=[0.0], force=lambda t, x, v: -0.4 * v)
+    measured = cg.geometry(cg.solve(problem, cg.Galerkin(6), intervals=10))
+    np.testing.assert_allclose(measured.determinants, np.exp(-0.4 * 0.3), rtol=1e-13)

@@ -1,0 +1,16 @@
+"""A problem with a closed form, and its trade, which three files of tests look at."""
+
+import numpy as np
+import pytest
+
+import casadi_galerkin as cg
+
+
+@pytest.fixture(scope="session")
+def oscillator():
+    return cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0.0, 2.0), [0.0], [np.sin(2.0)])
+
+
+@pytest.fixture(scope="session")
+def measured(oscillator):
+    return cg.trade(oscillator, [cg.Galerkin(1), cg.Galerkin(2), cg.Galerkin(6)], (4, 8, 16, 32))

@@ -1,0 +1,82 @@
+"""What errors are measured against: an exact, solved or given path, or one that is refused."""
+
+from importlib import import_module
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import casadi_galerkin as cg
+
+INTERVALS = (4, 8, 16, 32)
+REFERENCE = 1e-12  # own error of a solved reference, with room to its roundoff of some 1e-15
+
+
+def test_solved_and_exact_reference_give_the_same_errors(oscillator, measured):
+    exact = cg.trade(oscillator, [cg.Galerkin(1), cg.Galerkin(2)], INTERVALS, reference=lambda t: [np.sin(t)])
+    assert measured.reference_error < REFERENCE
+    assert exact.reference_error == 0.0
+    for ours, theirs in zip(measured.rows, exact.rows, strict=False):
+        # sizes of components are the largest value at a reference's nodes, 1e-6 short of the maximum between them;
+        # energies of a callable come from differences of its values, with a roundoff of 1e-13 or so
+        for name in ("error", "joint_error", "action_error", "energy_error"):
+            assert getattr(ours, name) == pytest.approx(getattr(theirs, name), rel=1e-5, abs=3 * REFERENCE)
+
+
+def test_errors_are_those_of_a_fresh_solve(oscillator, measured):
+    worst = measured.rows[4]
+    path = cg.solve(oscillator, worst.method, worst.intervals)
+    at = np.linspace(0, 2, 4001)
+    between, joints = np.abs(path(at)[0] - np.sin(at)), np.abs(path.x[0] - np.sin(path.t))
+    assert worst.error == pytest.approx(between.max(), rel=1e-3, abs=0)  # both sample a curve's maximum
+    assert worst.joint_error == pytest.approx(joints.max(), rel=1e-5, abs=0)  # the component's size is 1
+
+
+def path_of(lagrangian, t_span, *ends, **changes):
+    return cg.solve(cg.BoundaryProblem(lagrangian, t_span, *ends, **changes), cg.Galerkin(3), 4)
+
+
+def free(t, x, v):
+    return ca.sumsqr(v) / 2
+
+
+@pytest.mark.parametrize(
+    ("reference", "error", "message"),
+    [
+        (path_of(free, (0, 1), [0.0], [1.0]), ValueError, r"reference must be a path of 2 component\(s\), got 1"),
+        (path_of(free, (0, 2), [0, 0], [1, 1]), ValueError, r"reference must run from 0\.0 to 1\.0, got 0\.0 to 2\.0"),
+        (
+            path_of(lambda t, x, v, p: p[0] * free(t, x, v), (0, 1), [0, 0], [1, 1], parameters=[1.0]),
+            ValueError,
+            r"reference must have 0 parameter\(s\), got 1",
+        ),
+        (lambda t: t, ValueError, r"the reference must return an array of shape \(2,\), got \(\)"),
+        (lambda t: [t], ValueError, r"the reference must return an array of shape \(2,\), got \(1,\)"),
+        (lambda t: [t, np.nan], ValueError, r"the reference must be finite on \(0\.0, 1\.0\), got"),
+        (lambda t: ["a", "b"], TypeError, "values of the reference must be real numbers, got"),
+        ("x", TypeError, r"the reference must be a Trajectory or a callable t -> \(2,\), got 'x'"),
+    ],
+    ids=["components", "span", "parameters", "scalar", "length", "nan", "text", "no path"],
+)
+def test_a_reference_that_does_not_fit_is_refused_before_any_cell(reference, error, message, monkeypatch):
+    module = import_module("casadi_galerkin.studies.trade")
+    monkeypatch.setattr(module, "_first", lambda *given: pytest.fail("solved before the reference was checked"))
+    problem = cg.BoundaryProblem(free, (0.0, 1.0), [0.0, 0.0], [1.0, 1.0])
+    with pytest.raises(error, match=message):
+        cg.trade(problem, [cg.Galerkin(2)], [4], reference=reference)
+
+
+def test_periodic_paths_count_their_first_joint_once():
+    forced = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 + x[0] * ca.cos(t), (0.0, 2 * np.pi), [None], periodic=True
+    )
+    measured = cg.trade(forced, [cg.Galerkin(3)], (8,))
+    assert measured.rows[0].unknowns == 24
+
+
+def test_parameters_reach_the_reference():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0] ** 2 / 2, (0.0, 1.0), [0.0], [np.sin(2.0)], parameters=[4.0]
+    )
+    measured = cg.trade(problem, [cg.Galerkin(8)], (8,), reference=lambda t: [np.sin(2 * t)])
+    assert max(measured.rows[0].error, measured.rows[0].action_error, measured.rows[0].energy_error) < REFERENCE

@@ -1,0 +1,119 @@
+"""What the prompt shows of every public object is short, and says what it is."""
+
+from functools import cache
+from inspect import isclass
+
+import casadi as ca
+import numpy as np
+import pytest
+from control_problems import cart_pole, double_integrator, everything
+from scenes import BY_NAME, bratu, kepler
+
+import casadi_galerkin as cg
+
+LINES, CHARACTERS = 12, 900
+METHOD = cg.Galerkin(4)
+
+
+def family():
+    """Bratu's problem with its rate as a parameter, with a path up to 3.5."""
+    return cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0]), (0.0, 1.0), [0.0], [0.0], parameters=[1.0]
+    )
+
+
+def chain(masses=40):
+    """Masses on springs."""
+    return cg.BoundaryProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2 - ca.sumsqr(x[1:] - x[:-1]) / 2, (0, 1), [0.1] * masses, [1.1] * masses
+    )
+
+
+def falling():
+    return cg.InitialProblem(kepler(1.0), (0.0, 20.0), [1.0, 0.0], velocity=[0.0, 1.1])
+
+
+def steps():
+    return cg.solve(falling(), METHOD, 100)
+
+
+def failure():
+    with pytest.raises(cg.ConvergenceError) as caught:
+        cg.solve(cg.BoundaryProblem(bratu(10.0), (0, 1), [0.0], [0.0]), METHOD, 100)
+    return caught.value
+
+
+def rates(last):
+    return [{"parameters": [rate]} for rate in np.linspace(0.1, last, 20)]
+
+
+def rotation(x):
+    return [-x[1], x[0]]
+
+
+SHORT = BY_NAME["short pendulum"].problem
+MESH = np.linspace(0, 1, 101)
+CASES = {
+    "Trajectory": lambda: cg.solve(SHORT, METHOD, 100),
+    "Trajectory of many components": lambda: cg.solve(chain(), METHOD, 20),
+    "Trajectory to a tolerance": lambda: cg.solve(SHORT, tol=1e-9),
+    "Trajectory of steps": steps,
+    "ControlTrajectory": lambda: cg.solve(double_integrator(), cg.Galerkin(3), 40),
+    "ControlTrajectory of all at once": lambda: cg.solve(everything(), cg.Galerkin(3), 6),
+    "ControlTrajectory to a tolerance": lambda: cg.solve(cart_pole(), tol=1e-3),
+    "Transcription": lambda: cg.transcribe(SHORT, METHOD, 100),
+    "Transcription of many components": lambda: cg.transcribe(chain(), METHOD, 100),
+    "ControlTranscription": lambda: cg.transcribe(cart_pole(), METHOD, 100),
+    "Sweep": lambda: cg.sweep(family(), rates(3.0), METHOD, 6),
+    "Sweep with failures": lambda: cg.sweep(family(), rates(9.0), METHOD, 6),
+    "Branch": lambda: cg.continuation(family(), [4.0], intervals=10),
+    "Fold": lambda: cg.continuation(family(), [4.0], intervals=10).folds[0],
+    "Comparison": lambda: cg.compare(SHORT, METHOD, 50),
+    "Comparison of many components": lambda: cg.compare(chain(12), METHOD, 10),
+    "Trade": lambda: cg.trade(SHORT, [cg.Galerkin(degree) for degree in range(1, 7)], [4, 8, 16]),
+    "Row": lambda: cg.trade(SHORT, [METHOD], [4]).rows[0],
+    "Row of a failure": lambda: cg.trade(SHORT, [METHOD, cg.Galerkin(2)], [4]).rows[1],
+    "Sensitivity": lambda: cg.sensitivity(cg.solve(family(), METHOD, 100)),
+    "Sensitivity of many components": lambda: cg.sensitivity(cg.solve(chain(), METHOD, 20)),
+    "Geometry": lambda: cg.geometry(steps(), symmetry=rotation),
+    "Geometry without symmetry": lambda: cg.geometry(cg.solve(SHORT, METHOD, 100)),
+    "PiecewisePolynomial": lambda: cg.solve(chain(), METHOD, 20).polynomial,
+    "ControlPath": lambda: cg.solve(double_integrator(), cg.Galerkin(3), 40).control,
+    "DiscreteCalculus": lambda: cg.DiscreteCalculus(METHOD, MESH),
+    "BoundaryProblem": lambda: SHORT,
+    "BoundaryProblem of many components": chain,
+    "BoundaryProblem with parameters": family,
+    "InitialProblem": falling,
+    "ControlProblem": everything,
+    "ControlProblem with bounds": cart_pole,
+    "Galerkin": lambda: METHOD,
+    "Galerkin of another kind": lambda: cg.Galerkin(40, cg.chebyshev_points(40), cg.lobatto(60)),
+    "Quadrature": lambda: cg.gauss(40),
+    "Quadrature of one's own": lambda: cg.Quadrature(MESH[1:], np.full(100, 0.01)),
+    "Solver": lambda: cg.newton,
+    "Solver with options": lambda: cg.ipopt.with_options(max_iter=50, tol=1e-9),
+    "Limits": lambda: cg.Limits(),
+    "ConvergenceError's path": lambda: failure().path,
+}
+
+
+@cache
+def shown(name):
+    return repr(CASES[name]())
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_repr_is_short(name):
+    assert len(shown(name).splitlines()) <= LINES
+    assert len(shown(name)) <= CHARACTERS
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_repr_says_what_it_is_and_not_where(name):
+    assert " at 0x" not in shown(name)
+    assert "<lambda>" not in shown(name)
+
+
+def test_every_public_class_is_shown():
+    public = {name for name in dir(cg) if isclass(getattr(cg, name)) and not issubclass(getattr(cg, name), Exception)}
+    assert public == {name.split()[0] for name in CASES} - {"ConvergenceError's"}

@@ -1,0 +1,66 @@
+"""The two verbs: which arguments go together, and what is neither problem nor method."""
+
+import pytest
+from motions import start_of
+from scenes import BY_NAME, oscillator, oscillator_problem
+
+import casadi_galerkin as cg
+
+METHOD = cg.Galerkin(2)
+
+
+@pytest.mark.parametrize("other", [None, oscillator, {"lagrangian": oscillator}, "problem"])
+def test_what_is_no_problem_is_refused(other):
+    with pytest.raises(TypeError, match=f"problem must be a BoundaryProblem, got {type(other).__name__}"):
+        cg.solve(other, METHOD, intervals=2)
+
+
+@pytest.mark.parametrize("other", [None, 4, "gauss", cg.Galerkin, cg.gauss(3)])
+def test_what_is_no_method_is_refused(other):
+    with pytest.raises(TypeError, match=r"method must be a Galerkin, such as Galerkin.degree=4., got"):
+        cg.solve(oscillator_problem(), other, intervals=2)
+
+
+@pytest.mark.parametrize("other", [None, oscillator, {"lagrangian": oscillator}, "problem"])
+def test_what_is_no_problem_is_refused_with_a_tolerance(other):
+    with pytest.raises(TypeError, match=f"problem must be a BoundaryProblem, got {type(other).__name__}"):
+        cg.solve(other, tol=1e-6)
+
+
+@pytest.mark.parametrize("other", [0, 6, "gauss", cg.Galerkin, cg.gauss(3)])
+def test_what_is_no_method_is_refused_with_a_tolerance(other):
+    with pytest.raises(TypeError, match=r"method must be a Galerkin, such as Galerkin.degree=4., got"):
+        cg.solve(oscillator_problem(), other, tol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["lagrange", "tspan", "ends", "params"])
+def test_unknown_names_are_refused(name):
+    with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'"):
+        oscillator_problem(**{name: 1})
+    with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'"):
+        cg.solve(oscillator_problem(), METHOD, intervals=2, **{name: 1})
+    with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'"):
+        cg.Galerkin(2, **{name: 1})
+
+
+def test_limits_without_a_tolerance_are_refused():
+    with pytest.raises(ValueError, match="limits stop a refinement: give tol with them"):
+        cg.solve(BY_NAME["oscillator 1.0"].problem, cg.Galerkin(4), 8, limits=cg.Limits())
+
+
+def test_neither_method_nor_tolerance_is_refused():
+    with pytest.raises(TypeError, match="got None; or give tol instead"):
+        cg.solve(BY_NAME["oscillator 1.0"].problem)
+
+
+def test_an_initial_problem_takes_a_method_and_no_guess_solver_or_tolerance():
+    problem = start_of("pendulum", 5)
+    for option in ({"guess": lambda t: [0.0]}, {"solver": cg.ipopt}, {"tol": 1e-6}):
+        with pytest.raises(ValueError, match="takes no tol, limits, guess or solver"):
+            cg.solve(problem, cg.Galerkin(3), intervals=5, **option)
+    with pytest.raises(TypeError, match="method must be a Galerkin"):
+        cg.solve(problem, 3, intervals=5)
+    with pytest.raises(ValueError, match="got no method"):
+        cg.solve(problem, intervals=5)
+    with pytest.raises(ValueError, match="give either intervals or mesh"):
+        cg.solve(problem, cg.Galerkin(3))
