@@ -19,7 +19,7 @@ from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.limits import Limits
+from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
 from casadi_galerkin.stepping.initial_value import integrate
@@ -107,7 +107,9 @@ def solve(
         return integrate(problem, method, mesh_of(problem.t_span, intervals, mesh), verbose)
     _check_limits(limits, tol)
     if tol is not None:
-        path = _to_tolerance(problem, method, intervals, tol, mesh, guess, solver, limits or Limits(), verbose)
+        path = _to_tolerance(
+            problem, method, intervals, check_tolerance(tol), mesh, guess, solver, limits or Limits(), verbose
+        )
         if verbose:
             print(path)
         return path

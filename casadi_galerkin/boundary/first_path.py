@@ -15,7 +15,7 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import equidistributed, of_degree, truncation
 from casadi_galerkin.functional.mapping import by_rows
-from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solution.guess import Guess, given_values
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import damped_newton
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton
@@ -43,8 +43,7 @@ def mesh_for_guess(levels: Levels, method: Galerkin, guess: Guess, mesh: np.ndar
             break  # there is nothing between the values of an array
         mesh = equidistributed(mesh, error, method.degree + 1, GUESS_TOLERANCE)
         calculus = DiscreteCalculus(method, mesh)
-        values = [np.asarray(given(t), dtype=float).ravel() for t in calculus.node_times.tolist()]
-        path = calculus.emb(np.transpose(values))
+        path = calculus.emb(given_values(given, calculus, len(path.values)))
     return mesh
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from casadi_galerkin.boundary.transcription import CriticalPoint, Transcription
+from casadi_galerkin.calculus.discrete_calculus import with_breakpoints
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.mapping import Mapping, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -37,7 +38,8 @@ class Levels:
         return self._transcriptions[key]
 
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike) -> CriticalPoint:
-        """Solve one level."""
+        """Solve one level; breakpoints of the problem become joints."""
+        mesh = with_breakpoints(mesh, self.problem.breakpoints)
         try:
             point = self.transcription(method, mesh).critical_point(guess=guess, mesh=mesh, solver=solver)
         except ConvergenceError as failure:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.failure_report import conjugate, explained, refuse_undefined
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_breakpoints, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.numbers import components, numbers
@@ -165,6 +165,7 @@ class Transcription:
             raise TypeError(f"solver must be newton, rootfinder, ipopt or minimizer, got {solver!r}")
         calculus = self._calculus if mesh is None else DiscreteCalculus(self.method, mesh)
         joints = self.mesh if mesh is None else calculus.mesh
+        check_breakpoints(joints, self.problem.breakpoints)
         if len(joints) != len(self.mesh):
             raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {len(joints) - 1}")
         data = self.data(joints, start, end, parameters)
@@ -344,4 +345,4 @@ def transcribed(
 ) -> Transcription:
     """Check what is given, and build the graph; arguments as for `transcribe`, and how L is evaluated at the points."""
     check_types(problem, method, BoundaryProblem)
-    return Transcription(problem, method, mesh_of(problem.t_span, intervals, mesh), mapping)
+    return Transcription(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), mapping)

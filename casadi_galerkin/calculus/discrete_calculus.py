@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.numbers import real_array
+from casadi_galerkin.calculus.numbers import real_array, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 
 
@@ -130,17 +130,51 @@ class DiscreteCalculus:
         return f"DiscreteCalculus of {self.method} on {span}, {len(self.mesh) - 1} intervals"
 
 
-def mesh_of(t_span: tuple[float, float], intervals: int | None, mesh: ArrayLike | None) -> np.ndarray:
-    """Joints from a number of equal intervals, or from the joints themselves; exactly one must be given."""
+def mesh_of(
+    t_span: tuple[float, float], intervals: int | None, mesh: ArrayLike | None, breakpoints: tuple[float, ...] = ()
+) -> np.ndarray:
+    """Joints from a number of intervals, or from the joints themselves; exactly one must be given.
+
+    The intervals are equal, or between breakpoints as equal as these allow; given joints must hold the breakpoints.
+    """
     if (intervals is None) == (mesh is None):
         raise ValueError(f"give either intervals or mesh, got intervals={intervals!r} and mesh={mesh!r}")
     if mesh is None:
-        if isinstance(intervals, bool) or not isinstance(intervals, (int, np.integer)):
-            raise TypeError(f"intervals must be a whole number, got {intervals!r}")
-        if intervals < 1:
-            raise ValueError(f"intervals must be at least 1, got {intervals}")
-        return time_scale(np.linspace(*t_span, int(intervals) + 1))
+        count = whole_number("intervals", intervals, 1 + len(breakpoints))
+        return time_scale(_between(np.array([t_span[0], *breakpoints, t_span[1]]), count))
     joints = time_scale(mesh)
     if (joints[0], joints[-1]) != t_span:
         raise ValueError(f"the mesh must run from {t_span[0]} to {t_span[1]}, got {joints[0]} to {joints[-1]}")
+    check_breakpoints(joints, breakpoints)
     return joints
+
+
+def check_breakpoints(mesh: np.ndarray, breakpoints: tuple[float, ...]) -> None:
+    """Refuse a mesh that misses a breakpoint."""
+    missing = sorted(set(breakpoints).difference(mesh.tolist()))
+    if missing:
+        raise ValueError(f"the mesh must have every breakpoint as a joint, it misses {missing[0]}")
+
+
+def _between(marks: np.ndarray, intervals: int) -> np.ndarray:
+    """Joints that hold the marks, with so many intervals in all; each next one goes where they are longest."""
+    if len(marks) == 2:
+        return np.linspace(marks[0], marks[1], intervals + 1)
+    counts = np.ones(len(marks) - 1, dtype=int)
+    for _ in range(intervals - len(counts)):
+        counts[np.argmax(np.diff(marks) / counts)] += 1
+    parts = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(marks, marks[1:], counts, strict=False)]
+    return np.append(np.concatenate(parts), marks[-1])
+
+
+def with_breakpoints(mesh: np.ndarray, breakpoints: tuple[float, ...]) -> np.ndarray:
+    """Move the joint that is nearest to each breakpoint onto it; add one where the nearest is fixed already."""
+    fixed = {float(mesh[0]), float(mesh[-1])}
+    for time in breakpoints:
+        nearest = int(np.argmin(np.abs(mesh - time)))
+        if float(mesh[nearest]) in fixed:
+            mesh = np.insert(mesh, np.searchsorted(mesh, time), time)
+        else:
+            mesh = np.concatenate((mesh[:nearest], [time], mesh[nearest + 1 :]))
+        fixed.add(time)
+    return mesh

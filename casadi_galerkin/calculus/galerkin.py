@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.nodes import _degree, differentiation_matrix, lagrange_values, lobatto_points
-from casadi_galerkin.calculus.numbers import real_array
+from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values, lobatto_points
+from casadi_galerkin.calculus.numbers import real_array, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.quadrature import Quadrature, gauss
 
@@ -61,7 +61,7 @@ class Galerkin:
         control_points: Sequence[float] | np.ndarray | None = None,
         quadrature: Quadrature | None = None,
     ) -> None:
-        degree = _degree(degree)
+        degree = whole_number("degree", degree)
         points = _control_points(degree, control_points)
         rule = gauss(degree) if quadrature is None else quadrature
         if not isinstance(rule, Quadrature):

@@ -9,30 +9,25 @@ from __future__ import annotations
 
 import numpy as np
 
+from casadi_galerkin.calculus.numbers import whole_number
 from casadi_galerkin.calculus.quadrature import lobatto
 
 
 def lobatto_points(degree: int) -> np.ndarray:
     """Control points of the given degree >= 1 at the inner Gauss-Lobatto points; shape (degree - 1,)."""
-    return np.array(lobatto(_degree(degree) + 1).points[1:-1])
+    return np.array(lobatto(whole_number("degree", degree) + 1).points[1:-1])
 
 
 def chebyshev_points(degree: int) -> np.ndarray:
     """Control points at the inner Chebyshev points (1 - cos(jπ/m))/2, m = degree >= 1; shape (degree - 1,)."""
-    return np.sin(np.pi / 2 * np.arange(1, _degree(degree)) / degree) ** 2
+    degree = whole_number("degree", degree)
+    return np.sin(np.pi / 2 * np.arange(1, degree) / degree) ** 2
 
 
 def equispaced_points(degree: int) -> np.ndarray:
     """Equally spaced control points j/m, m = degree >= 1; shape (degree - 1,).  Ill-conditioned above 10."""
-    return np.arange(1, _degree(degree)) / degree
-
-
-def _degree(degree: int) -> int:
-    if isinstance(degree, bool) or not isinstance(degree, (int, np.integer)):
-        raise TypeError(f"degree must be a whole number, got {degree!r}")
-    if degree < 1:
-        raise ValueError(f"degree must be at least 1, got {degree}")
-    return int(degree)
+    degree = whole_number("degree", degree)
+    return np.arange(1, degree) / degree
 
 
 def barycentric_weights(nodes: np.ndarray) -> np.ndarray:

@@ -2,22 +2,113 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import cast
+import math
+import operator
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 
-def real_array(name: str, values: ArrayLike) -> np.ndarray:
-    """Array of floats from whatever NumPy reads as real numbers; TypeError otherwise."""
+def number(value: Any) -> float | None:
+    """What float() makes of a number, infinity of one beyond its range; None for what is none.
+
+    That is whatever has no ``__float__``, a truth, and a symbol, of which float() makes NaN.
+    """
+    if type(value) is float:
+        return value
+    kind = getattr(getattr(value, "dtype", None), "kind", "f")
+    if isinstance(value, bool) or kind not in "iuf" or not hasattr(value, "__float__"):
+        return None
     try:
-        array = np.asarray(values)
-    except Exception as error:  # ragged lists, and symbols of other libraries that refuse in their own way
-        raise TypeError(f"{name} must be real numbers, got {values!r}") from error
-    if array.dtype.kind not in "iuf":
-        raise TypeError(f"{name} must be real numbers, got {values!r}")
-    return np.array(array, dtype=float)
+        result = float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+    except Exception:  # objects with units and symbols of other libraries refuse in their own way
+        return None
+    return None if math.isnan(result) and not isinstance(value, (float, np.generic, np.ndarray)) else result
+
+
+def whole(value: Any) -> int | None:
+    """A whole number; None for what is none, such as 4.0 and True."""
+    try:
+        return None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        return None
+
+
+def whole_number(name: str, value: object, least: int = 1) -> int:
+    """Check a whole number."""
+    checked = whole(value)
+    if checked is None:
+        raise TypeError(f"{name} must be a whole number, got {value!r}")
+    if checked < least:
+        raise ValueError(f"{name} must be at least {least}, got {checked}")
+    return checked
+
+
+def real_array(name: str, values: Any, free: bool = False) -> np.ndarray:
+    """Array of floats from whatever holds real numbers, read by position.
+
+    Parameters
+    ----------
+    name : what the user calls it, for messages
+    values : number, sequence, array, pandas Series, or casadi DM, whose columns, with `free` also rows, are vectors
+    free : whether it is a sequence in which None stands for a free component; the array then may be of objects
+
+    Raises
+    ------
+    TypeError, ValueError
+        naming what came, where it stands and what was expected
+    """
+    convert = getattr(values, "to_numpy", None) or getattr(values, "full", None)  # of a Series, which has labels; of DM
+    expected = "a sequence of numbers, one for each component" if free else "real numbers"
+    try:
+        given = convert() if callable(convert) else values
+        if isinstance(given, Mapping):  # NumPy would take the keys of some
+            raise TypeError
+        types = set(map(type, given)) if isinstance(given, (list, tuple)) else {type(given)}
+        kind = None if hasattr(given, "__array__") else object  # of a list NumPy would take True for a number
+        array: np.ndarray = np.asarray(given, dtype=kind)
+        hides = any(issubclass(part, np.ma.MaskedArray) for part in types)
+        masked: Any = np.argwhere(np.ma.getmaskarray(np.ma.array(given, dtype=object))) if hides else ()
+    except Exception as error:  # symbols of other libraries refuse in their own way
+        raise TypeError(f"{name} must be {expected}, got {values!r}") from error
+    if len(masked):
+        raise ValueError(f"{name} must have no masked values, got one{_place(masked[0])}")
+    if free and array.ndim == 0:
+        raise TypeError(f"{name} must be {expected}, got {values!r}")
+    if array.dtype.kind in "iuf" or types == {float}:
+        result = np.array(array, dtype=float)
+    else:
+        result = np.empty(array.shape, dtype=object)
+        for index, value in np.ndenumerate(array):
+            result[index] = number(value)
+            if result[index] is None and not (free and value is None):
+                words = f"{name}{list(index)} must be a number or None" if free else f"{name} must be {expected}"
+                raise TypeError(f"{words}, got {value!r}" + ("" if free else _place(index)))
+        result = result if None in result else result.astype(float)
+    vector = array.ndim == 2 and (array.shape[1] == 1 or (free and array.shape[0] == 1))
+    return result.ravel() if vector and hasattr(values, "full") else result
+
+
+def _place(index: Sequence[int] | np.ndarray) -> str:
+    """Where an entry stands, such as " at [0, 1]"."""
+    return f" at {[int(i) for i in index]}" if len(index) else ""
+
+
+def components(name: str, values: Sequence[float | None], length: int | None = None) -> tuple[float | None, ...]:
+    """Check a sequence of finite numbers in which None stands for a free component."""
+    array = real_array(name, values, free=True)
+    if array.ndim != 1:
+        raise ValueError(f"{name} must be one-dimensional, got an array of shape {array.shape}")
+    if len(array) == 0 or (length is not None and len(array) != length):
+        raise ValueError(f"{name} must have {length or 'at least one'} component(s), got {len(array)}: {values!r}")
+    checked = tuple(array.tolist())
+    for i, value in enumerate(checked):
+        if value is not None and not math.isfinite(value):
+            raise ValueError(f"{name}[{i}] must be finite, got {value}")
+    return checked
 
 
 def numbers(name: str, values: Sequence[float], length: int | None = None) -> tuple[float, ...]:
@@ -28,33 +119,17 @@ def numbers(name: str, values: Sequence[float], length: int | None = None) -> tu
     return tuple(value for value in checked if value is not None)
 
 
-def components(name: str, values: Sequence[float | None], length: int | None = None) -> tuple[float | None, ...]:
-    """Check a sequence of finite numbers in which None stands for a free component."""
-    full = getattr(values, "full", None)
-    if callable(full):  # a casadi DM, whose vectors are matrices of one column or row
-        array = np.asarray(full())
-        values = cast("Sequence[float]", array.ravel() if 1 in array.shape else array)
-    if isinstance(values, (str, bytes)) or not hasattr(values, "__len__") or not hasattr(values, "__getitem__"):
-        raise TypeError(f"{name} must be a sequence of numbers, one for each component, got {values!r}")
-    if isinstance(values, np.ndarray) and values.ndim != 1:
-        raise ValueError(f"{name} must be one-dimensional, got an array of shape {values.shape}")
-    if len(values) == 0 or (length is not None and len(values) != length):
-        raise ValueError(f"{name} must have {length or 'at least one'} component(s), got {len(values)}: {values!r}")
-    checked = []
-    for i in range(len(values)):
-        value = values[i]
-        if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating, type(None))):
-            raise TypeError(f"{name}[{i}] must be a number or None, got {value!r}")
-        number = None if value is None else float(value)
-        if number is not None and not np.isfinite(number):
-            raise ValueError(f"{name}[{i}] must be finite, got {number}")
-        checked.append(number)
-    return tuple(checked)
-
-
 def time_span(value: Sequence[float]) -> tuple[float, float]:
     """Check (t_0, t_N) with t_0 < t_N."""
     start, end = numbers("t_span", value, 2)
     if end <= start:
         raise ValueError(f"t_span must increase, got ({start}, {end})")
     return start, end
+
+
+def times_inside(name: str, values: Sequence[float], span: tuple[float, float]) -> tuple[float, ...]:
+    """Check increasing times inside of a time span; there may be none."""
+    times = numbers(name, values) if real_array(name, values, free=True).size else ()
+    if any(late <= early for early, late in zip((span[0], *times), (*times, span[1]), strict=True)):
+        raise ValueError(f"{name} must increase inside of {span}, got {times}")
+    return times

@@ -51,6 +51,13 @@ class PiecewisePolynomial:
         m = self.degree
         return np.asarray(self.values[:, m * np.arange(len(self.mesh) - 1)[:, None] + np.arange(m + 1)])
 
+    def at_parts(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values and derivatives (d, N, K) at the same parts (K,) of every interval, by its own polynomial."""
+        basis, local = lagrange_values(self.nodes, parts), self.local
+        slopes = (basis @ differentiation_matrix(self.nodes)).T / np.diff(self.mesh)[:, None, None]
+        derivatives = np.einsum("dij,ijk->dik", local - local[:, :, :1], slopes)
+        return np.asarray(local @ basis.T), np.asarray(derivatives)
+
     def at(self, nodes: np.ndarray) -> np.ndarray:
         """Node values (d, N m' + 1) on the same mesh with other nodes: no times, so no roundoff of theirs."""
         inner = self.local @ lagrange_values(self.nodes, nodes[:-1]).T

@@ -13,13 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, wraps
 
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.numbers import real_array
+from casadi_galerkin.calculus.numbers import real_array, whole
 
 SUM_TOLERANCE = 1e-12  # weights come from tables with about 13 digits, or from arithmetic to 1e-15
 EXACTNESS_TOLERANCE = 1e-10  # on Legendre polynomials, of slopes up to n (n + 1), so that 12 digits of a table do
@@ -48,7 +48,7 @@ class Quadrature:
         if q.ndim != 1 or q.shape != w.shape or q.size == 0:
             raise ValueError(f"points and weights must be two equally long sequences, got {q.shape} and {w.shape}")
         if not (np.all(np.isfinite(q)) and np.all(np.isfinite(w))):
-            raise ValueError("points and weights must be finite numbers")
+            raise ValueError(f"points and weights must be finite numbers, got {q} and {w}")
         if q[0] < 0 or q[-1] > 1 or np.any(np.diff(q) <= 0):
             raise ValueError(f"points must increase within [0, 1], got {q}")
         if abs(w.sum() - 1) > SUM_TOLERANCE:
@@ -115,32 +115,42 @@ def _jacobi_roots(n: int, alpha: float, beta: float) -> np.ndarray:
     return np.linalg.eigvalsh(np.diag(diagonal) + np.diag(off, 1) + np.diag(off, -1))
 
 
-def _count(n: int, least: int, name: str) -> int:
-    if isinstance(n, bool) or not isinstance(n, (int, np.integer)):
-        raise TypeError(f"{name} takes a whole number of points, got {n!r}")
-    if n < least:
-        raise ValueError(f"{name} needs at least {least} point{'s' if least > 1 else ''}, got {n}")
-    return int(n)
+def _family(least: int) -> Callable[[Callable[[int], Quadrature]], Callable[[int], Quadrature]]:
+    """Check how many points are asked for, at least so many, and keep the rules last built."""
+
+    def checked(build: Callable[[int], Quadrature]) -> Callable[[int], Quadrature]:
+        kept, name = lru_cache(maxsize=128)(build), build.__name__
+
+        @wraps(build)
+        def rule(n: int) -> Quadrature:
+            count = whole(n)
+            if count is None:
+                raise TypeError(f"{name} takes a whole number of points, got {n!r}")
+            if count < least:
+                raise ValueError(f"{name} needs at least {least} point{'s' if least > 1 else ''}, got {count}")
+            return kept(count)
+
+        return rule
+
+    return checked
 
 
 def _from_symmetric_interval(x: np.ndarray, w: np.ndarray) -> Quadrature:
     return Quadrature((1 + x) / 2, w / w.sum())
 
 
-@lru_cache(maxsize=128)
+@_family(1)
 def gauss(n: int) -> Quadrature:
     """Gauss-Legendre rule with n >= 1 points, of order 2n."""
-    n = _count(n, 1, "gauss")
     return _from_symmetric_interval(*legendre.leggauss(n))
 
 
-@lru_cache(maxsize=128)
+@_family(2)
 def lobatto(n: int) -> Quadrature:
     """Gauss-Lobatto rule with n >= 2 points, both ends among them, of order 2n - 2.
 
     ``lobatto(2)`` is the trapezoidal rule, ``lobatto(3)`` Simpson's.
     """
-    n = _count(n, 2, "lobatto")
 
     def slope(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p = _legendre(n - 1, x)  # (1 - x^2) P'_k = k (P_{k-1} - x P_k), differentiated once more below
@@ -152,10 +162,9 @@ def lobatto(n: int) -> Quadrature:
     return _from_symmetric_interval(x, 1 / _legendre(n - 1, x)[n - 1] ** 2)
 
 
-@lru_cache(maxsize=128)
+@_family(1)
 def radau(n: int) -> Quadrature:
     """Gauss-Radau rule with n >= 1 points, the right end among them, of order 2n - 1."""
-    n = _count(n, 1, "radau")
 
     def value(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p = _legendre(n, x)  # the points are the roots of P_{n-1} - P_n

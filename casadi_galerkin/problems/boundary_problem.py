@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import components, numbers, time_span
+from casadi_galerkin.calculus.numbers import components, numbers, time_span, times_inside
 from casadi_galerkin.problems.callables import Traceable, trace_lagrangian
 from casadi_galerkin.problems.problem import shown
 
@@ -26,6 +26,9 @@ class BoundaryProblem:
         (natural boundary condition)
     parameters : numbers passed to the Lagrangian as p; default none
     periodic : whether x(t_N) = x(t_0) with equal momenta; `start` may fix components of that point, `end` is left out
+    breakpoints : increasing times inside of `t_span` where L is not smooth, such as the knots of tabulated data.  Every
+        mesh has them as joints, so that the order holds between them.  Where L jumps in time, take a rule without
+        points at the ends of an interval, such as Gauss: a function of time has one value there
 
     Raises
     ------
@@ -44,6 +47,7 @@ class BoundaryProblem:
     end: tuple[float | None, ...]
     parameters: tuple[float, ...] | None
     periodic: bool
+    breakpoints: tuple[float, ...]
 
     def __init__(
         self,
@@ -53,20 +57,22 @@ class BoundaryProblem:
         end: Sequence[float | None] | None = None,
         parameters: Sequence[float] | None = None,
         periodic: bool = False,
+        breakpoints: Sequence[float] = (),
     ) -> None:
         if not isinstance(periodic, (bool, np.bool_)):
             raise TypeError(f"periodic must be True or False, got {periodic!r}")
         checked_start = components("start", start)
         dimension = len(checked_start)
-        if periodic and end is not None and any(value is not None for value in end):
+        checked_end = (None,) * dimension if end is None else components("end", end, dimension)
+        if periodic and any(value is not None for value in checked_end):
             raise ValueError(f"a periodic path ends where it starts: leave out end, got {end!r}")
         if end is None and not periodic:
             raise ValueError(f"end must have {dimension} component(s), got None; None is for a periodic path")
-        checked_end = (None,) * dimension if end is None else components("end", end, dimension)
         checked_parameters = None if parameters is None else numbers("parameters", parameters)
         values = {
             "lagrangian": trace_lagrangian(lagrangian, dimension, checked_parameters),
             "t_span": time_span(t_span),
+            "breakpoints": times_inside("breakpoints", breakpoints, time_span(t_span)),
             "start": checked_start,
             "end": checked_end,
             "parameters": checked_parameters,

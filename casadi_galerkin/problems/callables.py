@@ -8,13 +8,18 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Literal, TypeAlias
 
 import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.numbers import number
 
 Traceable: TypeAlias = Callable[..., Any]  # a casadi Function is one
 Rows: TypeAlias = Literal["scalar", "any"]
+
+ADVICE = "Write it with CasADi's functions, such as casadi.cos, not with math or NumPy ones"
 
 
 def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | Rows) -> ca.Function:
@@ -23,7 +28,7 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
     Parameters
     ----------
     name : what the user calls it, for messages
-    function : callable, or a Function that was traced before
+    function : callable; a casadi Function is checked like any other, and an SX one of this layout returned as it is
     sizes : length of every argument, in order
     rows : expected length of the result, which may be a list; "any" for a vector of any length, or "scalar"
 
@@ -32,19 +37,16 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
     TypeError, ValueError
         naming what came and what was expected
     """
-    if isinstance(function, ca.Function):
-        got, length = [function.numel_in(i) for i in range(function.n_in())], function.numel_out(0)
-        if got != list(sizes.values()) or rows not in ("any", "scalar" if length == 1 else length, length):
-            raise ValueError(f"{name} is a Function of inputs of lengths {got}, expected {list(sizes.values())}")
-        return function
-    if not callable(function):
-        raise TypeError(f"{name} must be a callable of ({', '.join(sizes)}), got {function!r}")
     symbols = [ca.SX.sym(key, size) for key, size in sizes.items()]
     shapes = ", ".join(f"{key} ({size},)" if size > 1 else key for key, size in sizes.items())
+    if isinstance(function, ca.Function):
+        _check_function(name, function, sizes, shapes)
+    elif not callable(function):
+        raise TypeError(f"{name} must be a callable of ({', '.join(sizes)}), got {function!r}")
     value = _called(name, function, dict(zip(sizes, symbols, strict=True)), shapes)
-    if isinstance(value, (list, tuple)) and rows != "scalar":
+    if isinstance(value, (list, tuple, np.ndarray)) and rows != "scalar":
         value = _column(name, value)
-    if not isinstance(value, (ca.SX, ca.DM, int, float)) or isinstance(value, bool):
+    if not isinstance(value, (ca.SX, ca.DM)) and number(value) is None:
         raise TypeError(f"{name} must return a CasADi expression, got {type(value).__name__}: {value!r}")
     value = ca.SX(value)
     length = value.numel() if rows == "any" else 1 if rows == "scalar" else rows
@@ -52,15 +54,35 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
         expected = {"any": "a column vector", "scalar": "a scalar"}.get(str(rows), f"a vector of length {rows}")
         raise ValueError(f"{name} must return {expected}, got shape {value.shape}")
     traced = ca.Function(name, symbols, [ca.densify(value)], list(sizes), ["value"], {"allow_free": True})
-    if traced.has_free():
-        raise ValueError(f"{name} depends on {', '.join(traced.get_free())} besides its arguments {shapes}")
+    _refuse_free(name, traced, shapes)
     constants = (traced.instruction_constant(k) for k in range(traced.n_instructions()) if _is_constant(traced, k))
     if any(math.isnan(constant) for constant in constants):  # float() of a symbol, as in math.cos(x), is NaN
         raise TypeError(
-            f"{name} holds a constant that is not a number, as math.cos(x) gives for a CasADi symbol x. "
-            "Write it with CasADi's functions, such as casadi.cos, not with math or NumPy ones"
+            f"{name} holds a constant that is not a number, as math.cos(x) gives for a CasADi symbol x. {ADVICE}"
         )
-    return traced
+    kept = isinstance(function, ca.Function) and function.is_a("SXFunction") and _layout(function) == _layout(traced)
+    return function if kept else traced
+
+
+def _check_function(name: str, function: ca.Function, sizes: Mapping[str, int], shapes: str) -> None:
+    """Refuse a Function of other inputs, of several outputs, or of symbols that are no inputs."""
+    got, expected = [function.numel_in(i) for i in range(function.n_in())], list(sizes.values())
+    if got != expected:
+        raise ValueError(
+            f"{name} is a Function of inputs of lengths {got}, expected {expected} for {shapes}{_about_p(sizes)}"
+        )
+    if function.n_out() != 1:
+        raise ValueError(f"{name} must be a Function of one output, got {function.n_out()}: {function.name_out()}")
+    _refuse_free(name, function, shapes)
+
+
+def _layout(function: ca.Function) -> list[ca.Sparsity]:
+    return [*(function.sparsity_in(i) for i in range(function.n_in())), function.sparsity_out(0)]
+
+
+def _refuse_free(name: str, function: ca.Function, shapes: str) -> None:
+    if function.has_free():
+        raise ValueError(f"{name} depends on {', '.join(function.get_free())} besides its arguments {shapes}")
 
 
 def _called(name: str, function: Traceable, arguments: Mapping[str, ca.SX], shapes: str) -> Any:
@@ -68,12 +90,21 @@ def _called(name: str, function: Traceable, arguments: Mapping[str, ca.SX], shap
         return function(*arguments.values())
     except Exception as error:
         if not _takes(function, len(arguments)):
-            raise TypeError(f"{name} is called as {name}({', '.join(arguments)}): {error}") from error
+            words = f"{name} is called as {name}({', '.join(arguments)}): {error}"
+            raise TypeError(words + _about_p(arguments)) from error
         kind = TypeError if isinstance(error, TypeError) else ValueError
-        raise kind(
-            f"{name} failed when called with CasADi symbols {shapes}: {error}. "
-            "Write it with CasADi's functions, such as casadi.cos, not with math or NumPy ones"
-        ) from error
+        failed = f"{name} failed when called with CasADi symbols {shapes}"
+        if isinstance(error, IndexError) or "out of bounds" in str(error).lower():
+            counts = ", ".join(f"{key} has {symbol.numel()}" for key, symbol in arguments.items())
+            raise ValueError(f"{failed}: an index is out of range of so many components, {counts}") from error
+        raise kind(f"{failed}: {error}. {ADVICE}") from error
+
+
+def _about_p(arguments: Mapping[str, object]) -> str:
+    """Why it is called with parameters p, or what it is called without them for."""
+    if "p" in arguments:
+        return ". It is called with p because parameters are given"
+    return ". If it takes p, give parameters" if "v" in arguments else ""
 
 
 def _takes(function: Traceable, count: int) -> bool:
@@ -87,10 +118,10 @@ def _takes(function: Traceable, count: int) -> bool:
     return True
 
 
-def _column(name: str, values: Sequence[Any]) -> Any:
+def _column(name: str, values: Iterable[Any]) -> Any:
     try:
         return ca.vertcat(*values)
-    except NotImplementedError as error:
+    except (NotImplementedError, TypeError) as error:
         raise TypeError(f"{name} must return one CasADi expression a component, got {values!r}") from error
 
 

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import components, numbers, real_array, time_span
+from casadi_galerkin.calculus.numbers import components, numbers, real_array, time_span, whole
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.callables import Traceable, trace, trace_lagrangian
 from casadi_galerkin.problems.problem import shown
@@ -28,10 +28,11 @@ def bounds(name: str, value: tuple[Limit, Limit] | None, size: int) -> Bounds:
     """Check a pair (lo, hi), each a scalar or `size` numbers; infinite where there is none."""
     if value is None:
         return (-np.inf,) * size, (np.inf,) * size
-    if not isinstance(value, (tuple, list, np.ndarray)) or len(value) != 2:
+    pair = np.atleast_1d(real_array(name, value)) if hasattr(value, "__array__") else value
+    if not isinstance(pair, (tuple, list, np.ndarray)) or len(pair) != 2:
         raise TypeError(f"{name} must be a pair (lo, hi), got {value!r}")
     sides = []
-    for side, given, never in zip(("lo", "hi"), value, (np.inf, -np.inf), strict=True):
+    for side, given, never in zip(("lo", "hi"), pair, (np.inf, -np.inf), strict=True):
         expected = f"the {side} of {name} must be a number or {size} numbers, {-never} where there is none"
         try:
             array = real_array(name, given)
@@ -231,11 +232,12 @@ class ControlProblem:
 
 
 def _control_count(controls: int) -> int:
-    if isinstance(controls, bool) or not isinstance(controls, (int, np.integer)):
+    count = whole(controls)
+    if count is None:
         raise TypeError(f"controls must be the number of controls, got {controls!r}")
-    if controls < 1:
-        raise ValueError(f"a ControlProblem needs at least one control, got {controls}; without, see BoundaryProblem")
-    return int(controls)
+    if count < 1:
+        raise ValueError(f"a ControlProblem needs at least one control, got {count}; without, see BoundaryProblem")
+    return count
 
 
 def _duration_bounds(given: tuple[float, float] | None) -> tuple[float, float] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -14,6 +15,7 @@ FOUND = 1e-9  # relative step below which a velocity that roundoff keeps from se
 UNDETERMINED = 1e-14  # part of the largest singular value of ∂²L/∂v² below which a direction of v has no momentum
 
 
+@lru_cache(8)
 def legendre_transform(lagrangian: ca.Function) -> ca.Function:
     """(t, x, v) -> p = ∂L/∂v (d,), mass matrix ∂²L/∂v² (d, d)."""
     symbols = [ca.SX.sym(lagrangian.name_in(i), lagrangian.size1_in(i)) for i in range(3)]
@@ -53,38 +55,36 @@ def velocities(
     t : (K,)
     x, momentum, guess : (d, K)
     """
-    count = x.shape[1]
     at = _at(transform, t, x)
-
-    def step(v: np.ndarray, inverse: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Newton's step at v and the inverse mass matrices (K, d, d), these or given ones."""
-        found, masses = at(v)
-        if inverse is None:
-            masses[~np.isfinite(masses).all(axis=(1, 2))] = 0.0
-            inverse = np.linalg.pinv(masses, rcond=UNDETERMINED, hermitian=True)
-        return np.einsum("kij,jk->ik", inverse, momentum - found), inverse
-
-    v, (whole, inverse) = guess, step(guess)
-    undefined = ~np.isfinite(whole).all(axis=0)
+    v, (found, masses) = guess, at(guess)
+    undefined = ~(np.isfinite(found).all(axis=0) & np.isfinite(masses).all(axis=(1, 2)))
     if undefined.any():
         v = np.where(undefined, 0.0, guess)
-        whole, inverse = step(v)
-    last = np.full(count, np.inf)
+        found, masses = at(v)
+    last = np.full(x.shape[1], np.inf)
     for _ in range(ITERATIONS):
+        inverse = _inverse(masses)
+        whole = np.einsum("kij,jk->ik", inverse, momentum - found)
         length, size = np.max(np.abs(whole), axis=0), np.max(np.abs(v), axis=0)
         settled = (length <= 4 * EPS * size) | ((length <= FOUND * size) & (length >= last / 2))
         if (settled | np.isnan(length)).all():
             break
         damping = np.where(settled, 0.0, 1.0)
         while True:
-            after = np.max(np.abs(step(v + damping * whole, inverse)[0]), axis=0)
+            trial = v + damping * whole
+            found, masses = at(trial)
+            after = np.max(np.abs(np.einsum("kij,jk->ik", inverse, momentum - found)), axis=0)
             refused = ~(after <= (1 - damping / 4) * length) & (damping > EPS) & (length > FOUND * size)
             if not refused.any():
                 break
             damping[refused] /= 2
-        v, last = v + damping * whole, length
-        whole, inverse = step(v)
-    found, masses = at(v)
+        v, last = trial, length
     sizes = np.abs(momentum) + np.abs(found) + np.einsum("kij,jk->ik", np.abs(masses), np.abs(v))
     missed = (np.abs(momentum - found) > FOUND * sizes).any(axis=0)  # where ∂²L/∂v² vanishes, there are no steps
     return np.where(settled & ~missed, v, np.nan)
+
+
+def _inverse(masses: np.ndarray) -> np.ndarray:
+    """Pseudo-inverses of mass matrices (K, d, d); zero where one is not finite."""
+    finite = np.isfinite(masses).all(axis=(1, 2))
+    return np.linalg.pinv(np.where(finite[:, None, None], masses, 0.0), rcond=UNDETERMINED, hermitian=True)

@@ -17,11 +17,18 @@ Guess = Callable[[float], ArrayLike] | ArrayLike | Path | PiecewisePolynomial
 
 def sampled(name: str, function: Callable[[float], ArrayLike], times: np.ndarray, dimension: int) -> np.ndarray:
     """Values (d, K) of a path that is given as a callable."""
-    columns = [real_array(f"values of {name}", function(float(t))) for t in times]
-    shapes = {column.shape for column in columns}
-    if shapes != {(dimension,)}:
-        raise ValueError(f"{name} must return an array of shape ({dimension},), got {shapes.pop()}")
-    return np.stack(columns, axis=1)
+    values = np.empty((dimension, len(times)))
+    for k, t in enumerate(times.tolist()):
+        try:
+            value = function(t)
+        except Exception as error:
+            kind = TypeError if isinstance(error, TypeError) else ValueError
+            raise kind(f"{name} failed at t = {t}: {error}") from error
+        column = real_array(f"values of {name}", value)
+        if column.shape != (dimension,):
+            raise ValueError(f"{name} must return an array of shape ({dimension},), got {column.shape} at t = {t}")
+        values[:, k] = column
+    return values
 
 
 def meeting_ends(values: np.ndarray, parts: np.ndarray, ends: np.ndarray) -> np.ndarray:

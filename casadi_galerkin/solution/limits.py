@@ -6,7 +6,7 @@ import math
 import sys
 from dataclasses import dataclass
 
-import numpy as np
+from casadi_galerkin.calculus.numbers import number
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not value > 0:
+            if not (number(value) or 0) > 0:
                 raise ValueError(f"the limit of {name} must be a positive number, got {value!r}")
         for name in ("intervals", "levels"):
             value = getattr(self, name)
@@ -39,7 +39,9 @@ class Limits:
         return range(sys.maxsize if self.levels == math.inf else int(self.levels))
 
 
-def check_tolerance(tol: float) -> None:
+def check_tolerance(tol: float) -> float:
     """Refuse a relative tolerance that is none."""
-    if isinstance(tol, bool) or not isinstance(tol, (int, float)) or not 0 < tol < 1:
+    checked = number(tol)
+    if checked is None or not 0 < checked < 1:
         raise ValueError(f"tol must be a number between 0 and 1, got {tol!r}")
+    return checked

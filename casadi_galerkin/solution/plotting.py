@@ -72,10 +72,11 @@ def _named(name: str, count: int, labels: Sequence[str] | None) -> tuple[Sequenc
     if labels is None:
         names = [f"{name}[{i}]" for i in range(count)]
         return names, names[0] if count == 1 else name
-    if isinstance(labels, str) or len(labels) != count:
+    given = np.asarray(labels, dtype=object)  # by position; a set has none
+    if given.shape != (count,) or not all(isinstance(label, str) for label in given):
         raise ValueError(f"labels of {name} must be {count} name(s), one a component, got {labels!r}")
-    unbroken = ", ".join(label.replace(" ", "\N{NO-BREAK SPACE}") for label in labels)
-    return labels, fill(unbroken, WIDTH).replace("\N{NO-BREAK SPACE}", " ")
+    unbroken = ", ".join(label.replace(" ", "\N{NO-BREAK SPACE}") for label in given)
+    return given.tolist(), fill(unbroken, WIDTH).replace("\N{NO-BREAK SPACE}", " ")
 
 
 def panels(count: int) -> list[Axes]:

@@ -57,8 +57,7 @@ class Refinement(ABC, Generic[Level, Detail]):
     stalls: int
 
     def __init__(self, tol: float, limits: Limits, verbose: int) -> None:
-        check_tolerance(tol)
-        self.tol, self.limits, self.verbose = tol, limits, verbose
+        self.tol, self.limits, self.verbose = check_tolerance(tol), limits, verbose
         self.began = time.perf_counter()
 
     @property

@@ -16,15 +16,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.discrete_calculus import mesh_of
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.calculus.roundoff import EPS, component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
+from casadi_galerkin.solution.guess import given_values
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import SMALLEST_DAMPING
@@ -34,6 +35,7 @@ from casadi_galerkin.stepping.stepper import Roll, Stepper
 
 ITERATIONS = 50
 MISS = EPS**0.5  # accepted miss of the end over the size of the path: half of the digits
+FAR = 0.5  # distance from the guess, over its size, from which a path is another than the guessed one, and said to be
 SINGULAR = 1e-14  # smallest singular value of the derivative, over the terms it sums, taken for dependence on the start
 
 
@@ -157,6 +159,9 @@ def shoot(
     the end, over that floor, and accepted up to 50; `Trajectory.solver` gives the miss itself.  Where the growth was
     1e7 it was 2e-9 of the path's size; above 1.5e-8, half of the digits, it is refused.  `solve` has no such loss.
 
+    Of a guess only the start is used, and Newton's method may end at another path of the same ends: `Trajectory.solver`
+    says so where the path found is further than half of the guess's size from the guess.
+
     Parameters
     ----------
     problem : BoundaryProblem
@@ -180,7 +185,17 @@ def shoot(
     seconds = time.perf_counter() - began - build
     solver = f"single shooting, misses the end by {np.max(np.abs(shot.miss), initial=0.0):.1e}"
     path = trajectory(problem, shooting.stepper, shot.roll, iterations, solver, build, seconds)
-    return replace(path, residual=shot.residual)
+    return replace(path, residual=shot.residual, solver=solver + _far(guess, path))
+
+
+def _far(guess: Trajectory | None, path: Trajectory) -> str:
+    """Words for a path far from its guess."""
+    if guess is None:
+        return ""
+    guessed = given_values(guess, DiscreteCalculus(path.method, path.t), len(path.x))
+    distances = np.abs(path.polynomial.values - guessed) / component_sizes(guessed)[:, None]
+    distance = float(np.max(distances))
+    return f", has found a path up to {distance:.2g} of the guess's size away from the guess" if distance > FAR else ""
 
 
 def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarray, np.ndarray]:

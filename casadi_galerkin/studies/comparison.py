@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PARTED = 0.1  # relative gap beyond which it no longer grows like a small one
+LEVEL = 1000 * EPS  # relative gap up to which it may be roundoff that adds up, which is no growth
+SAME = 1e-6  # relative gap of two paths that may be the same one: shooting may miss the end by 1e-8
 
 
 @dataclass(frozen=True)
@@ -71,9 +73,11 @@ class Comparison:
     global_path : Trajectory
     stepped : Attempt, the steps from the global path's own (x_0, p_0)
     shooting : Attempt, the boundary problem solved by `shoot`
-    gap_growth : rate λ of the gap of `stepped`, fitted to e^{λ t} from roundoff to 0.1; not a number if it stays at
-        roundoff
+    gap_growth : rate λ of the gap of `stepped`, fitted to e^{λ t} from roundoff to 0.1; not a number if fewer than
+        three joints are there
     condition_global, condition_stepwise : κ of both formulations, defined in the module
+    another : Trajectory, the path of `shooting` if it is another stationary path than `global_path`, solved globally
+        from there if that can be, so that it has a Morse index; None if shooting has found no other path
     """
 
     global_path: Trajectory
@@ -82,12 +86,13 @@ class Comparison:
     gap_growth: float
     condition_global: float
     condition_stepwise: float
+    another: Trajectory | None = None
 
     @property
     def parting_time(self) -> float:
         """First joint at which `stepped` is a tenth of the path's size away, or has failed; inf if there is none."""
-        parted = ~(self.stepped.gap <= PARTED)
-        return float(self.global_path.t[np.argmax(parted)]) if parted.any() else np.inf
+        together = np.count_nonzero(_together(self.stepped.gap))
+        return float(self.global_path.t[together]) if together < len(self.global_path.t) else np.inf
 
     def __repr__(self) -> str:
         """Table of the three ways."""
@@ -102,9 +107,22 @@ class Comparison:
             gap = "failed" if attempt.path is None else f"{np.max(attempt.gap):.1e}"
             cost = f"{attempt.iterations:11d} {attempt.seconds:10.4f}"
             lines.append(f"  {name:22}{cost}  {gap:>11}  {self.condition_stepwise:9.1e}")
-        lines.append(f"  the gap of the steps grows like exp({self.gap_growth:.3g} t)")
+        lines.append(f"  the gap of the steps {self._growth()}")
+        if self.another is not None:
+            lines.append(
+                f"  shooting found another stationary path: it has {_named(self.another)}, the global path has "
+                f"{_named(path)}, and they are up to {_distance(path, self.another):.2g} of its size apart"
+            )
         lines += [f"  {attempt.failure}" for attempt in (self.stepped, self.shooting) if attempt.failure]
         return "\n".join(lines)
+
+    def _growth(self) -> str:
+        """What the gap of the steps does."""
+        if np.isfinite(self.gap_growth):
+            return f"grows like exp({self.gap_growth:.3g} t)"
+        if np.all(self.stepped.gap <= LEVEL):
+            return "stays at roundoff"
+        return "is between roundoff and a tenth at too few joints to tell how it grows"
 
     def plot(self, axes: Axes | None = None, time: str = "t") -> Axes:
         """Draw the gaps over time, logarithmic; returns the Matplotlib axes.
@@ -116,6 +134,8 @@ class Comparison:
         """
         ways = {"stepped from the global start": self.stepped, "shooting": self.shooting}
         gaps = {name + (" (failed)" if way.path is None else ""): way.gap for name, way in ways.items()}
+        if self.another is not None:
+            gaps["shooting (another path)"] = gaps.pop("shooting")
         return plot_gaps(self.global_path.t, gaps, axes, time)
 
 
@@ -159,6 +179,7 @@ def compare(
         _growth_rate(path.t, stepped.gap),
         _condition_global(problem, path),
         _condition_stepwise(problem, path),
+        _another(problem, path, shooting.path),
     )
 
 
@@ -177,9 +198,38 @@ def _attempt(path: Trajectory, way: Callable[[], Trajectory]) -> Attempt:
     return Attempt(answer, failure, gap, iterations, seconds)
 
 
+def _distance(path: Trajectory, other: Trajectory) -> float:
+    """Largest difference of a component at a node, over its size on the first path."""
+    values = path.polynomial.values
+    return float(np.max(np.abs(other.polynomial.values - values) / component_sizes(values)[:, None]))
+
+
+def _another(problem: BoundaryProblem, path: Trajectory, shot: Trajectory | None) -> Trajectory | None:
+    """What shooting found if it is another path than the global one; if it can be, as the global solve finds it."""
+    if shot is None or _distance(path, shot) <= SAME:
+        return None
+    try:
+        again = solve(problem, path.method, mesh=path.t, guess=shot)
+    except ConvergenceError:
+        return shot
+    if _distance(path, again) <= SAME:
+        return None
+    return again if _distance(shot, again) <= SAME else shot
+
+
+def _named(path: Trajectory) -> str:
+    index = "no known Morse index" if path.morse_index is None else f"Morse index {path.morse_index}"
+    return f"action {path.action:.6g} and {index}"
+
+
+def _together(gap: np.ndarray) -> np.ndarray:
+    """Joints before the first at which the gap is too large, or none."""
+    return np.logical_and.accumulate(gap <= PARTED)
+
+
 def _growth_rate(t: np.ndarray, gap: np.ndarray) -> float:
     """Slope of log(gap) between roundoff and parting."""
-    small = (gap > 10 * EPS) & (gap < PARTED)
+    small = (gap > LEVEL) & _together(gap)
     return float(np.polyfit(t[small], np.log(gap[small]), 1)[0]) if np.count_nonzero(small) > 2 else np.nan
 
 

@@ -4,14 +4,19 @@ A CasADi Function must not be shared between threads.  So what goes to an execut
 chunks of variations; each worker process unpickles the problem and builds its graph once, whatever the number of its
 chunks.  Nothing here knows whose executor it is: a process pool's, Dask's ``client.get_executor()``, mpi4py's
 ``MPIPoolExecutor``.
+
+What ends a worker ends the whole of a process pool.  Chunks that were lost are solved again, one variation after the
+other, by the executor if it still works, else by a process of their own; so only what ends its worker stays without an
+answer, and never ends the process that asks.
 """
 
 from __future__ import annotations
 
 import pickle
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -34,8 +39,12 @@ CHUNKS, LARGEST_CHUNK = 64, 50  # enough chunks to keep workers equally busy; fe
 _one_at_a_time = threading.Lock()  # a worker of a cluster may run several chunks in threads of one process
 
 Variation = Mapping[str, Any]
-Failure = ConvergenceError | ValueError | TypeError
-Answer = Trajectory | Failure
+Answer = Trajectory | Exception
+Answers = dict[int, Answer]  # by the number of the variation
+
+
+class CutShort(ConvergenceError):
+    """A solve that something else ended: its worker failed, or the sweep was interrupted.  A path may well exist."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -44,7 +53,8 @@ class Sweep:
 
     Attributes
     ----------
-    answers : one for each variation, its Trajectory or the error that says why there is none
+    answers : one for each variation, its Trajectory or the exception that says why there is none: a ConvergenceError,
+        a CutShort where its worker failed or an interrupt came first, or whatever its guess raised
     """
 
     answers: tuple[Answer, ...]
@@ -59,8 +69,8 @@ class Sweep:
         return iter(self.answers)
 
     @property
-    def failures(self) -> dict[int, Failure]:
-        """Number of the variation -> error, for those without an answer."""
+    def failures(self) -> dict[int, Exception]:
+        """Number of the variation -> exception, for those without an answer."""
         return {i: answer for i, answer in enumerate(self.answers) if not isinstance(answer, Trajectory)}
 
     @lazy
@@ -98,15 +108,19 @@ class Sweep:
         """Summarise the sweep, with the reason of the first failure."""
         failures = self.failures
         text = f"Sweep of {len(self)} variation{'s' * (len(self) != 1)}, {len(self) - len(failures)} solved"
+        cut_short = sum(isinstance(error, CutShort) for error in failures.values())
+        if cut_short:
+            text += f", {cut_short} cut short"
         if not failures:
             return text
         first, error = next(iter(failures.items()))
-        return f"{text}\n  variation {first} is the first without an answer: {error}"
+        reason = str(error) if isinstance(error, ConvergenceError) else _named(error)
+        return f"{text}\n  variation {first} is the first without an answer: {reason}"
 
 
 def sweep(
     problem: BoundaryProblem,
-    variations: Sequence[Variation],
+    variations: Iterable[Variation],
     method: Galerkin | None = None,
     intervals: int | None = None,
     *,
@@ -114,6 +128,9 @@ def sweep(
     executor: Executor | None = None,
 ) -> Sweep:
     """Solve many variations of one problem; a progress bar is shown in a terminal.
+
+    Whatever becomes of one variation, the answers of the others are kept.  An interrupt (Ctrl-C) ends the sweep, which
+    returns what it has.
 
     Parameters
     ----------
@@ -132,7 +149,7 @@ def sweep(
     ------
     TypeError, ValueError
         for input that does not fit, before anything is solved.  A variation that cannot be solved raises nothing: its
-        ConvergenceError, or the ValueError or TypeError about its guess, is kept in its place
+        ConvergenceError, or whatever its guess raised, is kept in its place
 
     Examples
     --------
@@ -144,28 +161,38 @@ def sweep(
     """
     if not isinstance(problem, BoundaryProblem):
         raise TypeError(f"problem must be a BoundaryProblem, got {type(problem).__name__}")
+    if isinstance(variations, (str, Mapping)) or not isinstance(variations, Iterable):
+        raise TypeError(f"variations must be a sequence of dicts, got {variations!r}")
     if isinstance(executor, ThreadPoolExecutor):
         raise TypeError(
             "executor must run processes, got a ThreadPoolExecutor: CasADi Functions are not thread-safe, "
             "use a ProcessPoolExecutor"
         )
+    if executor is not None and not isinstance(executor, Executor):
+        raise TypeError(
+            f"executor must be a concurrent.futures.Executor, such as ProcessPoolExecutor(), got {executor!r}"
+        )
     checked = [_checked(problem, i, variation) for i, variation in enumerate(variations)]
     arguments = (problem, method, intervals, tol)
-    with tqdm(total=len(checked), unit="solve", disable=None) as bar:
+    solver = _solver(*arguments)  # refuses here what would fail in every worker
+    answers: Answers = {}
+    with tqdm(total=len(checked), unit="solve", disable=None) as bar, suppress(KeyboardInterrupt):
         if executor is None:
-            solver = _solver(*arguments)
-            answers = []
-            for variation in checked:
-                answers.append(_answer(solver, variation))
+            for i, variation in enumerate(checked):
+                answers[i] = _answer(solver, variation)
                 bar.update()
         else:
-            _solver(*arguments)  # refuses here what would fail in every worker
-            answers = _gathered(executor, pickle.dumps(arguments), checked, bar)
-    return Sweep(tuple(answers))
+            pickled = pickle.dumps(arguments)
+            _solve_chunks(executor, pickled, checked, answers, bar)
+            _solve_lost(executor, pickled, checked, answers, bar)
+    interrupted = "the sweep was interrupted before this variation was solved"
+    return Sweep(tuple(answers[i] if i in answers else CutShort(interrupted) for i in range(len(checked))))
 
 
 def _checked(problem: BoundaryProblem, number: int, variation: Variation) -> Variation:
     """Check one variation against the problem."""
+    if not isinstance(variation, Mapping):
+        raise TypeError(f"variation {number} must be a dict of {', '.join(FIELDS)}, got {variation!r}")
     unknown = [key for key in variation if key not in FIELDS]
     if unknown:
         raise ValueError(f"variation {number} has {unknown[0]!r}; what can be varied is {', '.join(FIELDS)}")
@@ -215,9 +242,23 @@ def _solver(
 def _answer(solver: Callable[[Variation], Trajectory], variation: Variation) -> Answer:
     try:
         return solver(variation)
-    except (ConvergenceError, ValueError, TypeError) as error:
-        error.__context__ = None  # its frames, like those of the error, would keep their arrays alive
+    except Exception as error:  # a guess may raise anything
+        error.__cause__ = error.__context__ = None  # their frames, like those of the error, would keep arrays alive
         return error.with_traceback(None)
+
+
+def _named(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}"
+
+
+def _sendable(answer: Answer) -> Answer:
+    """The answer, or an exception with the same words if it cannot be pickled, which would take others with it."""
+    if isinstance(answer, Exception):
+        try:
+            pickle.loads(pickle.dumps(answer))
+        except Exception:  # pickling runs the exception's own code, too
+            return RuntimeError(_named(answer))
+    return answer
 
 
 @lru_cache(1)
@@ -230,18 +271,61 @@ def _chunk(pickled: bytes, variations: Sequence[Variation]) -> list[Answer]:
     """What a worker does."""
     with _one_at_a_time:
         solver = _unpickled(pickled)
-        return [_answer(solver, variation) for variation in variations]
+        return [_sendable(_answer(solver, variation)) for variation in variations]
 
 
-def _gathered(executor: Executor, pickled: bytes, variations: Sequence[Variation], bar: tqdm[Any]) -> list[Answer]:
-    """Answers of all chunks, in order."""
+def _alone(pickled: bytes, variations: Sequence[Variation], number: int) -> list[Answer]:  # noqa: ARG001
+    """What a worker does again; another call than the one that failed, whose failure Dask would otherwise repeat."""
+    return _chunk(pickled, variations)
+
+
+def _solve_chunks(
+    executor: Executor, pickled: bytes, variations: Sequence[Variation], answers: Answers, bar: tqdm[Any]
+) -> None:
+    """Solve all chunks; those of a worker that fails are left out."""
     size = min(LARGEST_CHUNK, -(-len(variations) // CHUNKS) or 1)
-    chunks = [variations[i : i + size] for i in range(0, len(variations), size)]
-    futures: list[Future[list[Answer]]] = [executor.submit(_chunk, pickled, chunk) for chunk in chunks]
+    futures: dict[Future[list[Answer]], int] = {}
     try:
+        for first in range(0, len(variations), size):
+            try:
+                futures[executor.submit(_chunk, pickled, variations[first : first + size])] = first
+            except Exception:
+                if not futures:
+                    raise  # it has never worked
+                break  # a worker has failed meanwhile
         for future in as_completed(futures):
-            bar.update(len(future.result()))
-    finally:
-        for future in futures:
-            future.cancel()  # of use only when a chunk has raised
-    return [answer for future in futures for answer in future.result()]
+            with suppress(Exception):
+                bar.update(len(future.result()))
+    finally:  # also after an interrupt, be it here or in a worker
+        for future, first in futures.items():
+            if not future.cancel() and future.done() and future.exception() is None:
+                answers.update(enumerate(future.result(), first))
+
+
+def _solve_lost(
+    executor: Executor, pickled: bytes, variations: Sequence[Variation], answers: Answers, bar: tqdm[Any]
+) -> None:
+    """Solve what has no answer yet, each alone, so that a worker that fails tells which variation it fails of."""
+    lost = [i for i in range(len(variations)) if i not in answers]
+    with ExitStack() as own:
+        for i in lost:
+            try:
+                executor = _working(executor, pickled, own)
+            except Exception as error:
+                answers.update((j, CutShort(f"no worker works, {_named(error)}")) for j in lost if j not in answers)
+                break
+            try:
+                (answers[i],) = executor.submit(_alone, pickled, [variations[i]], i).result()
+            except Exception as error:
+                answers[i] = CutShort(f"the worker that solved this variation failed, {_named(error)}")
+            bar.update()
+
+
+def _working(executor: Executor, pickled: bytes, own: ExitStack) -> Executor:
+    """The executor if it still works, else a process of our own."""
+    try:
+        executor.submit(_chunk, pickled, []).result()
+    except Exception:
+        executor = own.enter_context(ProcessPoolExecutor(1, getattr(executor, "_mp_context", None)))
+        executor.submit(_chunk, pickled, []).result()
+    return executor

@@ -115,7 +115,7 @@ def test_equispaced_points_lose_all_digits_by_degree_forty():
 
 
 @pytest.mark.parametrize("points", FAMILIES)
-@pytest.mark.parametrize("degree", [2.0, "3", True, None])
+@pytest.mark.parametrize("degree", [2.0, "3", True, None, [2], np.True_])
 def test_a_degree_that_is_not_whole_is_refused(points, degree):
     with pytest.raises(TypeError, match="degree must be a whole number, got"):
         points(degree)

@@ -1,8 +1,11 @@
 """Boundary problems: what does not fit is refused, with what came and what was expected."""
 
+from fractions import Fraction
+
 import casadi as ca
 import numpy as np
 import pytest
+from given import Series
 from scenes import oscillator_problem
 
 
@@ -17,14 +20,22 @@ from scenes import oscillator_problem
         ({"start": {0.0}}, TypeError, "start must be a sequence of numbers"),
         ({"start": np.array(0.0)}, (TypeError, ValueError), "start must be"),
         ({"start": np.zeros((1, 1))}, ValueError, r"start must be one-dimensional, got an array of shape \(1, 1\)"),
-        ({"start": ca.DM([[0.0, 1.0], [2.0, 3.0]])}, TypeError, "start must be a sequence of numbers"),
+        ({"start": ca.DM([[0.0, 1.0], [2.0, 3.0]])}, ValueError, "start must be one-dimensional"),
         ({"start": ca.MX.sym("x", 1)}, TypeError, r"start must be a sequence of numbers.* got MX"),
         ({"start": ca.SX.sym("x", 1)}, TypeError, r"start must be a sequence of numbers.* got SX"),
         ({"start": ["0.0"]}, TypeError, r"start\[0\] must be a number or None, got '0.0'"),
         ({"start": [True]}, TypeError, r"start\[0\] must be a number or None, got True"),
         ({"start": [1j]}, TypeError, r"start\[0\] must be a number or None, got 1j"),
         ({"start": np.array([1j])}, TypeError, r"start\[0\] must be a number or None"),
-        ({"start": [[0.0]]}, TypeError, r"start\[0\] must be a number or None, got \[0.0\]"),
+        ({"start": [[0.0]]}, ValueError, r"start must be one-dimensional, got an array of shape \(1, 1\)"),
+        ({"start": [[0.0], [0.0, 1.0]]}, TypeError, r"start\[0\] must be a number or None, got \[0.0\]"),
+        ({"start": {"x": 0.0}}, TypeError, "start must be a sequence of numbers.* got {'x': 0.0}"),
+        ({"start": {0: 0.0}}, TypeError, "start must be a sequence of numbers.* got {0: 0.0}"),
+        ({"start": None}, TypeError, "start must be a sequence of numbers.* got None"),
+        ({"start": [10**400]}, ValueError, r"start\[0\] must be finite, got inf"),
+        ({"start": np.ma.array([0.0], mask=[True])}, ValueError, r"start must have no masked values, got one at \[0\]"),
+        ({"start": np.array(["2020"], "M8[ns]")}, TypeError, r"start\[0\] must be a number or None, got np.datetime64"),
+        ({"end": 3, "periodic": True}, TypeError, "end must be a sequence of numbers.* got 3"),
         ({"end": [np.nan]}, ValueError, r"end\[0\] must be finite, got nan"),
         ({"end": [np.inf]}, ValueError, r"end\[0\] must be finite, got inf"),
         ({"end": None}, ValueError, r"end must have 1 component\(s\), got None; None is for a periodic path"),
@@ -36,8 +47,16 @@ from scenes import oscillator_problem
         ({"t_span": (0.0, 1.0, 2.0)}, ValueError, r"t_span must have 2 component\(s\), got 3"),
         ({"t_span": (0.0, None)}, ValueError, r"t_span must be all numbers, got \(0.0, None\)"),
         ({"t_span": (0.0, np.inf)}, ValueError, r"t_span\[1\] must be finite, got inf"),
+        ({"t_span": {0.0, 1.0}}, TypeError, "t_span must be a sequence of numbers"),
+        ({"t_span": iter((0.0, 1.0))}, TypeError, "t_span must be a sequence of numbers.* got <tuple_iterator"),
+        ({"t_span": {"from": 0.0, "to": 1.0}}, TypeError, "t_span must be a sequence of numbers.* got {'from'"),
+        ({"t_span": np.ma.array([0.0, 1.0], mask=[0, 1])}, ValueError, r"t_span must have no masked .* at \[1\]"),
+        ({"t_span": (0, 10**400)}, ValueError, r"t_span\[1\] must be finite, got inf"),
         ({"t_span": 1.0}, TypeError, "t_span must be a sequence of numbers.* got 1.0"),
         ({"parameters": [None]}, ValueError, r"parameters must be all numbers, got \[None\]"),
+        ({"parameters": {"mass": 2.0}}, TypeError, "parameters must be a sequence of numbers.* got {'mass': 2.0}"),
+        ({"breakpoints": None}, TypeError, "breakpoints must be a sequence of numbers.* got None"),
+        ({"breakpoints": 0.5}, TypeError, "breakpoints must be a sequence of numbers.* got 0.5"),
         ({"parameters": 2.0}, TypeError, "parameters must be a sequence of numbers.* got 2.0"),
         ({"parameters": []}, ValueError, r"parameters must have at least one component\(s\), got 0"),
     ],
@@ -48,8 +67,23 @@ def test_a_problem_that_does_not_fit_is_refused(changes, kind, message):
         oscillator_problem(**changes)
 
 
-@pytest.mark.parametrize("numbers", [np.array([0, 1]), (0, 1), [np.float32(0), np.int64(1)], ca.DM([0, 1])])
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        np.array([0, 1]),
+        (0, 1),
+        range(2),
+        [np.float32(0), np.int64(1)],
+        [np.array(0.0), Fraction(1)],
+        np.array([0, 1], dtype=object),
+        np.ma.array([0.0, 1.0]),
+        ca.DM([0, 1]),
+        ca.DM([[0, 1]]),
+        Series({1: 0.0, 0: 1.0}),
+    ],
+    ids=lambda given: type(given).__name__,
+)
 def test_numbers_of_any_kind_are_taken(numbers):
     free = oscillator_problem(lagrangian=lambda t, x, v: ca.sumsqr(v), start=numbers, end=numbers)
-    assert free.start == (0.0, 1.0)
+    assert free.start == free.end == oscillator_problem(t_span=numbers).t_span == (0.0, 1.0)
     assert all(type(value) is float for value in free.start)

@@ -6,6 +6,24 @@ import pytest
 from control_problems import double_integrator
 
 BADLY_STATED = {
+    "bounds that are a table": (
+        {"control_bounds": {"lo": 0, "hi": 1}},
+        TypeError,
+        r"must be a pair \(lo, hi\), got {'lo'",
+    ),
+    "bounds that are masked": (
+        {"control_bounds": np.ma.array([0, 1], mask=[0, 1])},
+        ValueError,
+        r"control_bounds must have no masked values, got one at \[1\]",
+    ),
+    "half a control": ({"controls": 1.0}, TypeError, "controls must be the number of controls, got 1.0"),
+    "start as a table": ({"start": {"x": 0}}, TypeError, "start must be a sequence of numbers.* got {'x': 0}"),
+    "no end": ({"end": None}, TypeError, "end must be a sequence of numbers, one for each component, got None"),
+    "cost of parameters": (
+        {"running_cost": lambda t, x, v, u, p: u**2},
+        TypeError,
+        r"called as running_cost\(t, x, v, u\):.* If it takes p, give parameters",
+    ),
     "bounds that contradict": ({"control_bounds": (1, -1)}, ValueError, "control_bounds contradict .* component 0"),
     "bounds of a wrong length": ({"control_bounds": ([0, 0], 1)}, ValueError, "lo of control_bounds .* 1 numbers"),
     "bounds that are no pair": ({"control_bounds": 3}, TypeError, "must be a pair"),
@@ -85,3 +103,10 @@ def test_parameter_guess_outside_its_bounds_is_refused():
             parameters=[3],
             parameter_bounds=(0, 1),
         )
+
+
+@pytest.mark.parametrize(
+    "pair", [(-1, 2), np.array([-1, 2]), np.array([[-1], [2]]), ca.DM([-1, 2]), (ca.DM([-1]), [2])]
+)
+def test_bounds_of_any_kind_are_read(pair):
+    assert double_integrator(control_bounds=pair).control_bounds == ((-1.0,), (2.0,))

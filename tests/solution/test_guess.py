@@ -3,11 +3,15 @@
 import casadi as ca
 import numpy as np
 import pytest
+from given import Series
 from scenes import BY_NAME, oscillator, oscillator_problem, pendulum
 
 import casadi_galerkin as cg
+from casadi_galerkin.solution.guess import given_values
 
 METHOD = cg.Galerkin(2)
+TIME = ca.SX.sym("t")
+sine = ca.Function("sine", [TIME], [ca.sin(TIME)])
 
 
 @pytest.mark.parametrize(
@@ -28,6 +32,10 @@ METHOD = cg.Galerkin(2)
         (lambda t: [t, t], ValueError, r"the guess must return an array of shape \(1,\), got \(2,\)"),
         (lambda t: [np.nan if t > 0.6 else t], ValueError, r"the guess must be finite, got \[nan\] at t = 0.625"),
         (lambda t: None, TypeError, "values of the guess must be real numbers, got None"),
+        (lambda t: [1 / (t - 0.5)], ValueError, "the guess failed at t = 0.5: .*division by zero"),
+        (lambda t: {"x": t}, TypeError, "values of the guess must be real numbers, got {'x': 0.0}"),
+        ([[0, 0, 0, 0, True]], TypeError, r"the guess must be real numbers, got True at \[0, 4\]"),
+        (np.ma.array([range(5)], mask=[[0, 0, 0, 1, 0]]), ValueError, r"no masked values, got one at \[0, 3\]"),
         (lambda: [0.0], TypeError, "takes 0 positional arguments but 1 was given"),
         (lambda t: ["a"], TypeError, "values of the guess must be real numbers, got"),
     ],
@@ -79,3 +87,9 @@ def test_a_guess_that_misses_the_ends_is_bent_to_them():
     path = cg.solve(problem, cg.Galerkin(8), intervals=4, guess=lambda t: [7.0 + 3 * t])
     assert path.x[0, 0] == 0
     assert path.x[0, -1] == 1
+
+
+@pytest.mark.parametrize("guess", [sine, lambda t: ca.vertcat(ca.sin(t)), lambda t: Series({7: float(np.sin(t))})])
+def test_a_callable_guess_returns_its_values_in_any_form(guess):
+    calculus = cg.DiscreteCalculus(METHOD, [0.0, 0.5, 1.0])
+    np.testing.assert_allclose(given_values(guess, calculus, 1), [np.sin(calculus.node_times)], rtol=1e-15)

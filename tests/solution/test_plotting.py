@@ -43,7 +43,9 @@ def test_one_component_names_its_axis():
     assert swing().solve().plot().get_ylabel() == "x[0]"
 
 
-@pytest.mark.parametrize("labels", [["one"], ["one", "two", "three"], "xy"])
+@pytest.mark.parametrize(
+    "labels", [["one"], ["one", "two", "three"], "xy", 2, {"x", "y"}, {"x": "m", "y": "m"}, ["x", 1]]
+)
 def test_labels_that_are_not_one_a_component_are_refused(labels):
     with pytest.raises(ValueError, match=r"labels of x must be 2 name\(s\), one a component, got"):
         planar().solve().plot(labels=labels)

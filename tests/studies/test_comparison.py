@@ -1,5 +1,7 @@
 """Global against stepwise, on problems whose growth is known in closed form."""
 
+from importlib import import_module
+
 import casadi as ca
 import matplotlib as mpl
 import numpy as np
@@ -13,6 +15,10 @@ METHOD = cg.Galerkin(8)
 
 def saddle(t, x, v):
     return v[0] ** 2 / 2 + x[0] ** 2 / 2
+
+
+def pendulum(t, x, v):
+    return v[0] ** 2 / 2 + ca.cos(x[0])
 
 
 def kepler(t, x, v):
@@ -62,6 +68,85 @@ def test_long_horizons_are_still_solved_globally(horizon):
     assert path.morse_index == 0
     assert np.log(comparison.condition_stepwise) == pytest.approx(horizon, abs=1e-6)
     assert comparison.shooting.failure is not None
+
+
+@pytest.fixture(scope="module")
+def parted():
+    return cg.compare(cg.BoundaryProblem(pendulum, (0, 10), [0.0], [1.0]), cg.Galerkin(6), intervals=40)
+
+
+def test_another_stationary_path_is_told_in_words(parted):
+    path, another = parted.global_path, parted.another
+    np.testing.assert_allclose(another.x, parted.shooting.path.x, rtol=0, atol=1e-12)
+    assert (another.morse_index, path.morse_index) == (1, 2)
+    words = (
+        "  shooting found another stationary path: it has action 3.73832 and Morse index 1, "
+        "the global path has action 8.85396 and Morse index 2, and they are up to 2.7 of its size apart"
+    )
+    assert words in str(parted).splitlines()
+    names = [text.get_text() for text in parted.plot().get_legend().get_texts()]
+    assert names == ["stepped from the global start", "shooting (another path)"]
+    mpl.pyplot.close("all")
+
+
+def test_a_path_that_parts_between_the_joints_only_is_another():
+    comparison = cg.compare(cg.BoundaryProblem(pendulum, (0, 10), [0.0], [1.0]), cg.Galerkin(24), intervals=1)
+    assert np.max(comparison.shooting.gap) < 1e-12
+    assert comparison.another.action < comparison.global_path.action - 1
+    assert "shooting found another stationary path" in str(comparison)
+
+
+def test_another_path_that_the_global_solve_does_not_find_has_no_known_index(monkeypatch):
+    module = import_module("casadi_galerkin.studies.comparison")
+    problem, method = cg.BoundaryProblem(pendulum, (0, 10), [0.0], [1.0]), cg.Galerkin(6)
+    solve = module.solve
+
+    def failing(*given, guess=None, **more):
+        if guess is not None:
+            raise cg.ConvergenceError("no path was found")
+        return solve(*given, **more)
+
+    monkeypatch.setattr(module, "solve", failing)
+    comparison = cg.compare(problem, method, intervals=40)
+    assert comparison.another is comparison.shooting.path
+    assert "it has action 3.73832 and no known Morse index, the global" in str(comparison)
+
+
+def test_a_guess_leads_both_ways_to_the_same_path(parted):
+    problem, method = cg.BoundaryProblem(pendulum, (0, 10), [0.0], [1.0]), cg.Galerkin(6)
+    comparison = cg.compare(problem, method, intervals=40, guess=parted.another)
+    assert comparison.another is None
+    assert "another" not in str(comparison)
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        cg.BoundaryProblem(pendulum, (0, 6), [0.0], [1.0]),
+        cg.BoundaryProblem(kepler, (0, 2), [1.0, 0.0], [-0.4, 0.9]),  # its gap adds up to 4e-14
+        cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2 - x[0] ** 2 / 2, (0, 40), [1.0], [0.5]),
+    ],
+    ids=["pendulum", "kepler", "oscillator"],
+)
+def test_a_gap_at_roundoff_has_no_rate_of_growth(problem):
+    comparison = cg.compare(problem, METHOD, intervals=40)
+    assert np.isnan(comparison.gap_growth)
+    assert "  the gap of the steps stays at roundoff" in str(comparison).splitlines()
+    assert "exp(" not in str(comparison)
+
+
+def test_a_gap_that_leaves_roundoff_at_two_joints_has_no_rate_of_growth():
+    comparison = cg.compare(cg.BoundaryProblem(saddle, (0, 40), [1.0], [1.0]), cg.Galerkin(16), intervals=3)
+    assert np.isnan(comparison.gap_growth)
+    assert "between roundoff and a tenth at too few joints to tell how it grows" in str(comparison)
+
+
+def test_only_what_comes_before_the_parting_is_growth():
+    module = import_module("casadi_galerkin.studies.comparison")
+    t = np.arange(40.0)
+    gap = 1e-13 * np.exp(t)
+    gap[30:] = 1e-3  # by chance
+    assert module._growth_rate(t, gap) == pytest.approx(1, rel=1e-12)
 
 
 def test_ways_agree_on_a_short_arc_of_kepler():

@@ -1,7 +1,11 @@
 """Many solves: the same answers in the same order whoever solves them, failures kept, bad input refused."""
 
 import operator
+import os
+import pickle
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from importlib import import_module
 from multiprocessing import get_context
 
 import casadi as ca
@@ -9,6 +13,7 @@ import numpy as np
 import pytest
 
 import casadi_galerkin as cg
+from casadi_galerkin.studies.sweep import CutShort, _sendable
 
 METHOD, INTERVALS = cg.Galerkin(degree=4), 6
 
@@ -25,6 +30,43 @@ def bratu():
 def arched(t):
     """A guess that a process pool can pickle."""
     return [16 * t * (1 - t)]
+
+
+class Unpicklable(Exception):
+    """Holds what cannot be sent."""
+
+    def __init__(self, message):
+        super().__init__(message)
+        self.held = lambda: None
+
+
+class Unbuildable(Exception):
+    """Can be sent, but not received."""
+
+    def __init__(self, message, number):
+        super().__init__(message)
+        self.number = number
+
+
+def dividing(t):
+    return [1 / 0]
+
+
+def unpicklable(t):
+    raise Unpicklable("the table is open")
+
+
+def unbuildable(t):
+    raise Unbuildable("the table is closed", 3)
+
+
+def deadly(t):
+    """A guess that ends its process, as the system does when memory is short."""
+    os._exit(1)
+
+
+def interrupted(t):
+    raise KeyboardInterrupt
 
 
 RATES = [0.5, 4.0, 1.0, 3.0, 10.0, 2.0, 0.1]
@@ -141,6 +183,24 @@ def test_with_a_tolerance_every_path_has_its_own_mesh():
             operator.attrgetter("x")(sweep)
 
 
+def test_a_guess_that_raises_is_one_failure():
+    sweep = cg.sweep(bratu(), [{}, {"guess": dividing}, {}], METHOD, INTERVALS)
+    assert list(sweep.failures) == [1]
+    assert "division by zero" in str(sweep[1])
+    assert (sweep[1].__traceback__, sweep[1].__cause__, sweep[1].__context__) == (None, None, None)
+    assert f"variation 1 is the first without an answer: {type(sweep[1]).__name__}: " in str(sweep)
+
+
+def test_an_interrupt_returns_what_there_is(serial):
+    variations = [*VARIATIONS[:2], {"guess": interrupted}, *VARIATIONS[2:]]
+    sweep = cg.sweep(bratu(), variations, METHOD, INTERVALS)
+    identical(sweep[:2], serial[:2])
+    for answer in sweep[2:]:
+        assert isinstance(answer, CutShort)
+        assert str(answer) == "the sweep was interrupted before this variation was solved"
+    assert str(sweep).startswith("Sweep of 8 variations, 1 solved, 6 cut short\n")
+
+
 def test_nothing_to_vary_is_an_empty_sweep():
     assert len(cg.sweep(bratu(), [], METHOD, INTERVALS)) == 0
 
@@ -172,8 +232,6 @@ def test_a_process_pool_takes_ends_spans_guesses_and_tolerances(pool):
 
 @pytest.mark.parametrize("count", [1, 63, 64, 65, 200, 3300])
 def test_chunks_hold_everything_once_whatever_their_order_of_arrival(count, monkeypatch):
-    from importlib import import_module
-
     module = import_module("casadi_galerkin.studies.sweep")
     monkeypatch.setattr(module, "_answer", lambda solver, variation: variation["parameters"][0])
     executor = Recorder()
@@ -187,8 +245,6 @@ def test_chunks_hold_everything_once_whatever_their_order_of_arrival(count, monk
 
 
 def test_a_worker_builds_one_graph_for_all_its_chunks(monkeypatch):
-    from importlib import import_module
-
     module = import_module("casadi_galerkin.studies.sweep")
     built, transcribe = [], module.transcribe
     monkeypatch.setattr(module, "transcribe", lambda *given: built.append(1) or transcribe(*given))
@@ -197,6 +253,132 @@ def test_a_worker_builds_one_graph_for_all_its_chunks(monkeypatch):
     executor.expected = 5
     cg.sweep(bratu(), VARIATIONS[:1] * 5, METHOD, INTERVALS, executor=executor)
     assert len(built) == 2  # one here, to refuse bad input early, and one by the worker
+
+
+class Inline(Executor):
+    """Works here at once; what `fails` says of a chunk's rates is raised, as by a cluster that lives on."""
+
+    def __init__(self, fails):
+        self.fails, self.given, self.known = fails, [], {}
+
+    def submit(self, fn, /, *args):
+        self.given.append([variation["parameters"][0] for variation in args[1]])
+        future, call = Future(), (fn, *map(str, args))
+        error = self.known.setdefault(call, self.fails(self.given[-1]))  # as to Dask, the same call ends the same
+        if error is None:
+            future.set_result(fn(*args))
+        else:
+            future.set_exception(error)
+        return future
+
+
+@pytest.fixture
+def two_chunks(monkeypatch):
+    monkeypatch.setattr(import_module("casadi_galerkin.studies.sweep"), "CHUNKS", 2)
+
+
+@pytest.mark.usefixtures("two_chunks")
+def test_a_worker_that_dies_costs_the_answer_of_its_variation_only(serial):
+    variations = [*VARIATIONS[:2], {"guess": deadly}, *VARIATIONS[2:], {"guess": deadly}]
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        sweep = cg.sweep(bratu(), variations, METHOD, INTERVALS, executor=pool)
+    for number in (2, 8):
+        assert isinstance(sweep[number], CutShort)
+        assert str(sweep[number]).startswith("the worker that solved this variation failed, BrokenProcessPool: ")
+    identical([*sweep[:2], *sweep[3:8]], serial)
+
+
+def test_a_pool_whose_workers_cannot_start_is_replaced():
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=os._exit, initargs=(1,)) as pool:
+        assert not cg.sweep(bratu(), [{}, {}], METHOD, INTERVALS, executor=pool).failures
+
+
+def test_without_any_worker_that_works_one_is_tried_and_no_more(monkeypatch):
+    broken, started = BrokenProcessPool("no memory"), []
+
+    def process(*given):
+        started.append(Inline(lambda rates: broken))
+        return started[-1]
+
+    monkeypatch.setattr(import_module("casadi_galerkin.studies.sweep"), "ProcessPoolExecutor", process)
+    answering = Inline(lambda rates: None if rates == RATES[:1] else broken)
+    sweep = cg.sweep(bratu(), VARIATIONS, METHOD, INTERVALS, executor=answering)
+    assert isinstance(sweep[0], cg.Trajectory)
+    assert {(type(answer), str(answer)) for answer in sweep[1:]} == {
+        (CutShort, "no worker works, BrokenProcessPool: no memory")
+    }
+    assert len(started) == 1
+
+
+@pytest.mark.usefixtures("two_chunks")
+def test_a_chunk_that_is_lost_is_solved_again_by_the_executor_that_still_works(serial):
+    executor = Inline(lambda rates: MemoryError("too large") if 3.25 in rates else None)
+    sweep = cg.sweep(bratu(), [{"parameters": [3.25]}, *VARIATIONS], METHOD, INTERVALS, executor=executor)
+    assert isinstance(sweep[0], CutShort)
+    assert str(sweep[0]) == "the worker that solved this variation failed, MemoryError: too large"
+    identical(sweep[1:], serial)
+    first, second, *again = executor.given
+    assert [first, second] == [[3.25, *RATES[:3]], RATES[3:]]
+    assert [rates for rates in again if rates] == [[rate] for rate in first]  # and none of the second
+
+
+def test_to_solve_again_is_another_call_than_the_one_that_failed(serial):
+    times = iter(range(100))
+    executor = Inline(lambda rates: MemoryError("busy") if rates and next(times) == 0 else None)
+    identical(cg.sweep(bratu(), VARIATIONS, METHOD, INTERVALS, executor=executor), serial)
+
+
+def test_a_pool_that_breaks_while_it_is_given_chunks_loses_none(serial):
+    class Breaking(Inline):
+        def submit(self, fn, /, *args):
+            if len(self.given) == 3:
+                raise BrokenProcessPool("a child was killed")
+            return super().submit(fn, *args)
+
+    executor = Breaking(lambda rates: None)
+    identical(cg.sweep(bratu(), VARIATIONS, METHOD, INTERVALS, executor=executor), serial)
+    assert len(executor.given) == 3
+
+
+def test_an_interrupted_worker_ends_the_sweep_and_returns_what_there_is(serial):
+    executor = Inline(lambda rates: KeyboardInterrupt() if rates == RATES[3:4] else None)
+    sweep = cg.sweep(bratu(), VARIATIONS, METHOD, INTERVALS, executor=executor)
+    assert isinstance(sweep[3], CutShort)
+    assert str(sweep[3]) == "the sweep was interrupted before this variation was solved"
+    identical([*sweep[:3], *sweep[4:]], [*serial[:3], *serial[4:]])
+    assert len(executor.given) == len(VARIATIONS)
+
+
+@pytest.mark.usefixtures("two_chunks")
+def test_what_cannot_be_pickled_is_one_failure(pool):
+    variations = [{}, {"guess": unpicklable}, {"guess": unbuildable}, {"guess": lambda t: [0.0]}, {}, {}]
+    sweep = cg.sweep(bratu(), variations, METHOD, INTERVALS, executor=pool)
+    assert list(sweep.failures) == [1, 2, 3]
+    assert "the table is open" in str(sweep[1])
+    assert "the table is closed" in str(sweep[2])
+    assert isinstance(sweep[3], CutShort)
+    assert "lambda" in str(sweep[3])
+    assert pool.submit(abs, -1).result() == 1  # the pool is whole
+
+
+@pytest.mark.parametrize(
+    ("error", "type_", "message"),
+    [
+        (Unpicklable("open"), RuntimeError, "Unpicklable: open"),
+        (Unbuildable("closed", 3), RuntimeError, "Unbuildable: closed"),
+        (KeyError("a"), KeyError, "'a'"),
+    ],
+)
+def test_what_a_worker_sends_back_can_be_pickled(error, type_, message):
+    sent = pickle.loads(pickle.dumps(_sendable(error)))
+    assert (type(sent), str(sent)) == (type_, message)
+
+
+def test_an_executor_that_was_shut_down_is_refused():
+    pool = ProcessPoolExecutor(1)
+    pool.shutdown()
+    with pytest.raises(RuntimeError, match="after shutdown"):
+        cg.sweep(bratu(), VARIATIONS, METHOD, INTERVALS, executor=pool)
 
 
 def test_dasks_local_cluster_gives_the_same(serial):
@@ -216,6 +398,24 @@ def test_threads_are_refused():
 # what is refused, before anything is solved
 
 
+@pytest.mark.parametrize("executor", ["x", 2, ProcessPoolExecutor])
+def test_what_is_no_executor_is_refused(executor):
+    with pytest.raises(TypeError, match=r"executor must be a concurrent\.futures\.Executor, .*, got .*(x|2|Process)"):
+        cg.sweep(bratu(), VARIATIONS, METHOD, INTERVALS, executor=executor)
+
+
+@pytest.mark.parametrize("variations", [None, 3, "end", {"end": [1.0]}])
+def test_variations_are_a_sequence(variations):
+    with pytest.raises(TypeError, match=r"variations must be a sequence of dicts, got .*(None|3|end)"):
+        cg.sweep(bratu(), variations, METHOD, INTERVALS)
+
+
+@pytest.mark.parametrize("variation", [None, 1.0, "end", [1.0]])
+def test_a_variation_is_a_dict(variation):
+    with pytest.raises(TypeError, match=r"variation 1 must be a dict of start, .*, guess, got .*(None|1\.0|end)"):
+        cg.sweep(bratu(), [{}, variation], METHOD, INTERVALS)
+
+
 @pytest.mark.parametrize(
     ("variation", "error", "message"),
     [
@@ -233,8 +433,6 @@ def test_threads_are_refused():
     ],
 )
 def test_a_variation_that_does_not_fit_is_named_before_any_solve(variation, error, message, monkeypatch):
-    from importlib import import_module
-
     module = import_module("casadi_galerkin.studies.sweep")
     monkeypatch.setattr(module, "transcribe", lambda *given: pytest.fail("built before the input was checked"))
     with pytest.raises(error, match=message):
