@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,10 +38,9 @@ from casadi_galerkin.calculus.mesh_adaptation import (
     truncation,
 )
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
@@ -48,14 +48,13 @@ from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.refinement import Estimate, Refinement
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.solution.witness import action_change, energy_balance
+from casadi_galerkin.solution.witness import witnesses
 from casadi_galerkin.solvers.solver import SolverLike, newton
 
 FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
 RISE = 3  # degrees that a level may gain on the one before
 HIGHER = 2  # degrees added for the error estimate; two, because one adds nothing to a path of the other parity
 SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
-ACTION = 0.5  # part of the tolerance by which the action may change; smooth paths were measured below 0.08
 LEAST, MOST = 0.1, 1e6  # parts that an interval is split into for the energy it misses; a mesh splits by less at once
 SHORTEST = 1e-13  # interval over the duration at which a refinement stops: a double has three digits more
 UNSMOOTH = (
@@ -108,14 +107,14 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     def witnesses(self, level: CriticalPoint) -> dict[str, np.ndarray]:
         """What two degrees may miss alike, a kink of L or a jump over a singularity, by interval; (N,) each."""
-        problem, path = self.levels.problem, level.polynomial
-        lagrangian = with_parameters(problem.lagrangian, problem.parameters)
-        momentum = level.solution.momentum.reshape(problem.dimension, -1, order="F")
-        balance = energy_balance(lagrangian, path, momentum, gauss(path.degree))
-        return {
-            "balance of energy": balance.missed(self.tol),
-            "action by a finer rule": action_change(lagrangian, path, balance.mean) / ACTION,
-        }
+        problem, solution = self.levels.problem, level.solution
+        momentum = solution.momentum.reshape(problem.dimension, -1, order="F")
+        derived, parts = pointwise(problem.lagrangian), []
+        joints = [0, *np.searchsorted(level.polynomial.mesh, problem.breakpoints), len(level.polynomial.mesh) - 1]
+        for first, last in pairwise(joints):
+            part, of_part = level.polynomial.between(first, last), momentum[:, first : last + 1]
+            parts.append(witnesses(derived, part, of_part, problem.parameters, self.tol))
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
     def _left_out_for(self, missed: np.ndarray, degree: int) -> np.ndarray:
         """What would have intervals split in proportion to the energy they miss, which at a kink falls like h."""

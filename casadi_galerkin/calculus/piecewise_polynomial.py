@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -21,6 +23,13 @@ def times_within(mesh: np.ndarray, t: ArrayLike) -> np.ndarray:
 def times_at(mesh: np.ndarray, parts: np.ndarray) -> np.ndarray:
     """Times at the same parts, (K,) from 0 to 1, of every interval; (N K,)."""
     return np.asarray((mesh[:-1, None] + np.diff(mesh)[:, None] * parts).ravel())
+
+
+@lru_cache(64)
+def _basis(nodes: tuple[float, ...], parts: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Lagrange polynomials of the nodes and their derivatives at some parts, (K, m + 1) each."""
+    values = lagrange_values(np.array(nodes), np.array(parts))
+    return values, values @ differentiation_matrix(np.array(nodes))
 
 
 class PiecewisePolynomial:
@@ -51,12 +60,17 @@ class PiecewisePolynomial:
         m = self.degree
         return np.asarray(self.values[:, m * np.arange(len(self.mesh) - 1)[:, None] + np.arange(m + 1)])
 
+    def between(self, first: int, last: int) -> PiecewisePolynomial:
+        """The path between two joints, given by their numbers."""
+        m = self.degree
+        return PiecewisePolynomial(self.mesh[first : last + 1], self.nodes, self.values[:, m * first : m * last + 1])
+
     def at_parts(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values and derivatives (d, N, K) at the same parts (K,) of every interval, by its own polynomial."""
-        basis, local = lagrange_values(self.nodes, parts), self.local
-        slopes = (basis @ differentiation_matrix(self.nodes)).T / np.diff(self.mesh)[:, None, None]
-        derivatives = np.einsum("dij,ijk->dik", local - local[:, :, :1], slopes)
-        return np.asarray(local @ basis.T), np.asarray(derivatives)
+        values, slopes = _basis(tuple(self.nodes.tolist()), tuple(parts.tolist()))
+        local = self.local
+        derivatives = (local - local[:, :, :1]) @ slopes.T / np.diff(self.mesh)[:, None]
+        return np.asarray(local @ values.T), np.asarray(derivatives)
 
     def at(self, nodes: np.ndarray) -> np.ndarray:
         """Node values (d, N m' + 1) on the same mesh with other nodes: no times, so no roundoff of theirs."""

@@ -76,6 +76,17 @@ class Pointwise:
         return self._function("derivatives", {"f": self._value, **self._slopes, **columns}, CSE)
 
     @lazy
+    def value(self) -> ca.Function:
+        """L̂ alone."""
+        return self._function("value", {"f": self._value})
+
+    @lazy
+    def supplied(self) -> ca.Function | None:
+        """∂L̂/∂t, or None where L does not depend on time."""
+        by_time = ca.gradient(self._value, self._inputs["t"])
+        return self._function("supplied", {"ft": ca.densify(by_time)}) if by_time.nnz() else None
+
+    @lazy
     def curvature(self) -> ca.Function:
         """With z = (y, y') as a further input, zᵀ∇²L̂ z and |z|ᵀ|∇²L̂||z|."""
         z = ca.SX.sym("z", self._hessian.shape[0])

@@ -19,9 +19,12 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
-from casadi_galerkin.calculus.quadrature import Quadrature, gauss
+from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes
-from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
+from casadi_galerkin.functional.mapping import one_by_one
+from casadi_galerkin.functional.pointwise import Pointwise
+
+ACTION = 0.1  # part of the tolerance by which an action may change; smooth paths were measured below 0.03
 
 
 @dataclass(frozen=True)
@@ -30,31 +33,23 @@ class EnergyBalance:
 
     Attributes
     ----------
-    t : (N + 1,), joints
-    energy : (N + 1,), p·v - L
-    velocity : (d, N + 1), the velocities that belong to the momenta; NaN where none was found
     kept : (N + 1,), E + ∫ ∂L/∂t dt, the same at all joints of a true path
     scale : (N + 1,), what `kept` is measured by: |p·v| + |E| + |v|ᵀ|∂²L/∂v²||v|, no less than its mean over time
     floor : (N + 1,), what the rounding of positions and momenta does to `kept`
-    mean : that mean
     """
 
-    t: np.ndarray
-    energy: np.ndarray
-    velocity: np.ndarray
     kept: np.ndarray
     scale: np.ndarray
     floor: np.ndarray
-    mean: float
 
     def missed(self, tol: float) -> np.ndarray:
         """By how much every interval misses the balance, relative to the scale; (N,), infinite where it is undefined.
 
         Any two joints are compared, relative to the larger of their scales: near a singularity energies are large, and
-        what goes wrong there shows between its two sides.  The worst difference is shared out among the intervals
-        between by what changes there.  Joints where rounding alone comes near the tolerance tell nothing.
+        what goes wrong there shows between its two sides.  The worst difference is shared out among all intervals by
+        what changes there.  Joints where rounding alone comes near the tolerance tell nothing.
         """
-        missed = np.zeros(len(self.t) - 1)
+        missed = np.zeros(len(self.kept) - 1)
         if not np.all(np.isfinite(self.kept)):
             return np.where(np.isfinite(self.kept[1:] + self.kept[:-1]), 0.0, np.inf)
         told = np.flatnonzero(self.floor <= tol / 2 * self.scale)
@@ -65,67 +60,79 @@ class EnergyBalance:
             accumulate(self.kept[order]) for accumulate in (np.minimum.accumulate, np.maximum.accumulate)
         )
         gaps = np.maximum(self.kept[order] - lowest, highest - self.kept[order]) / self.scale[order]
-        k = int(np.argmax(gaps))
-        one, before = order[k], order[: k + 1]
-        other = before[np.argmax(np.abs(self.kept[before] - self.kept[one]))]
-        between = told[(told >= min(one, other)) & (told <= max(one, other))]
-        change = np.abs(np.diff(self.kept[between]))
-        if len(change):
-            shared = gaps[k] * change / max(float(np.max(change)), np.finfo(float).tiny)
-            missed[between[0] : between[-1]] = np.repeat(shared, np.diff(between))
+        change = np.abs(np.diff(self.kept[told]))
+        shared = float(np.max(gaps)) * change / max(float(np.max(change)), np.finfo(float).tiny)
+        missed[told[0] : told[-1]] = np.repeat(shared, np.diff(told))
         return missed
 
 
-def energy_balance(
-    lagrangian: ca.Function, path: PiecewisePolynomial, momentum: np.ndarray, quadrature: Quadrature
-) -> EnergyBalance:
-    """Evaluate the balance of energy of a path.
+def witnesses(
+    pointwise: Pointwise,
+    path: PiecewisePolynomial,
+    momentum: np.ndarray,
+    parameters: tuple[float, ...] | None,
+    tol: float,
+) -> dict[str, np.ndarray]:
+    """What each witness says against a path, by interval and relative to the sizes of its terms; (N,) each.
+
+    Where the momentum p of a joint differs from ∂L/∂v at the path's own slope v there by δ, the energy is
+    p·v - L + δᵀ(∂²L/∂v²)⁻¹δ/2 up to terms of third order.
 
     Parameters
     ----------
-    lagrangian : Function (t, x, v) -> scalar
-    path : PiecewisePolynomial
+    pointwise : Pointwise, of the Lagrangian
+    path : PiecewisePolynomial of degree m, between two breakpoints: at a step of L in time the energy jumps
     momentum : (d, N + 1), at the joints
-    quadrature : rule for the integral of ∂L/∂t
+    parameters : values of p
+    tol : relative tolerance
     """
-    t, steps, x = path.mesh, np.diff(path.mesh), path.values[:, :: path.degree]
-    slopes = path.at_parts(np.array([0.0, 1.0]))[1]
-    beside = np.append(slopes[:, :, 0], slopes[:, -1:, 1], axis=1)
-    v = velocities(legendre_transform(lagrangian), t, x, momentum, beside)
-    kinetic = np.sum(momentum * v, axis=0)
-    energy = kinetic - np.array(lagrangian.map(len(t))(t[None, :], x, v)).ravel()
-    mass = np.array(legendre_transform(lagrangian).map(len(t))(t[None, :], x, v)[1]).reshape(len(x), len(t), len(x))
-    quadratic = np.einsum("it,itj,jt->t", np.abs(v), np.abs(mass), np.abs(v))  # of which p·v may be a difference
-    local = np.abs(kinetic) + np.abs(energy) + quadratic
+    coarse, fine, steps = gauss(path.degree), gauss(path.degree + 1), np.diff(path.mesh)
+    rule, rest = np.array([0.0, *fine.points, 1.0]), [] if parameters is None else [np.array(parameters)]
+
+    def evaluate(function: ca.Function, parts: np.ndarray) -> list[np.ndarray]:
+        """One value at every part (K,) of every interval, (..., N, K)."""
+        x, v = (a.reshape(len(a), -1) for a in path.at_parts(parts))
+        h = np.repeat(steps, len(parts))
+        mapped = one_by_one(function, len(h), (4,) if rest else ())
+        times = np.minimum(times_at(path.mesh, parts), np.nextafter(path.mesh[-1], path.mesh[0]))  # before a step there
+        found = mapped.call([times[None, :], h[None, :], x, v * h, *rest])
+        return [np.array(value).reshape(-1, len(steps), len(parts)) for value in found]
+
+    def at_joints(values: np.ndarray) -> np.ndarray:
+        """Values at the start of every interval and at the end of the last, (..., N + 1)."""
+        return np.append(values[:, :, 0], values[:, -1:, -1], axis=1)
+
+    lagrangian, _, slope, *blocks = evaluate(pointwise.derivatives, rule)
+    of_steps = np.append(steps, steps[-1])
+    mass = _dense(pointwise, [at_joints(block) * of_steps for block in blocks])
+    velocity, missing = at_joints(path.at_parts(rule)[1]), momentum - at_joints(slope)
+    correction = np.einsum("it,tij,jt->t", missing, np.linalg.pinv(mass, rcond=EPS, hermitian=True), missing) / 2
+    kinetic = np.sum(momentum * velocity, axis=0)
+    energy = kinetic - at_joints(lagrangian)[0] / of_steps + correction
+    supplied = np.zeros(len(steps))
+    if pointwise.supplied is not None:
+        supplied = evaluate(pointwise.supplied, rule)[0][0, :, 1:-1] @ fine.weights
+    speed, mass = np.abs(velocity), np.abs(mass)
+    # p·v may be a small difference of its terms
+    local = np.abs(kinetic) + np.abs(energy) + np.einsum("it,tij,jt->t", speed, mass, speed)
     mean = max(float(steps @ (local[1:] + local[:-1])) / 2 / float(np.sum(steps)), np.finfo(float).tiny)
     scale = np.maximum(local, mean)
-    supplied = np.zeros(len(steps))
-    if lagrangian.sparsity_jac(0, 0).nnz():
-        points = np.array(quadrature.points)
-        times, along = times_at(t, points), [a.reshape(len(x), -1) for a in path.at_parts(points)]
-        symbols = lagrangian.sx_in()
-        power = ca.Function("power", symbols, [ca.densify(ca.gradient(lagrangian(*symbols), symbols[0]))])
-        values = np.array(power.map(len(times))(times[None, :], *along)).reshape(len(steps), -1)
-        supplied = steps * (values @ np.array(quadrature.weights))
-    kept = energy + np.append(0.0, np.cumsum(supplied))
-    moved = np.einsum("it,itj,j->t", np.abs(v), np.abs(mass), component_sizes(path.values))
-    return EnergyBalance(t, energy, v, kept, scale, EPS * (moved / np.append(steps[0], steps) + scale), mean)
+    moved = np.einsum("it,tij,j->t", speed, mass, component_sizes(path.values))
+    floor = EPS * (moved / np.append(steps[0], steps) + scale)
+    balance = EnergyBalance(energy + np.append(0.0, np.cumsum(supplied)), scale, floor)
+    values = evaluate(pointwise.value, np.array(coarse.points))[0][0]
+    change = np.abs(lagrangian[0, :, 1:-1] @ fine.weights - values @ coarse.weights) / (mean * float(np.sum(steps)))
+    change = np.where(np.isfinite(change), change, np.inf)
+    return {"balance of energy": balance.missed(tol), "action by a finer rule": change / ACTION}
 
 
-def action_change(lagrangian: ca.Function, path: PiecewisePolynomial, mean: float) -> np.ndarray:
-    """Change of every interval's action from Gauss(m) to Gauss(m + 1), relative to the terms of ∫ L dt; (N,).
-
-    Parameters
-    ----------
-    lagrangian : Function (t, x, v) -> scalar
-    path : PiecewisePolynomial of degree m
-    mean : mean over time of the sizes of the terms of L, as of `EnergyBalance`
-    """
-    steps, found = np.diff(path.mesh), []
-    for rule in (gauss(path.degree), gauss(path.degree + 1)):
-        points = np.array(rule.points)
-        times, along = times_at(path.mesh, points), [a.reshape(len(path.values), -1) for a in path.at_parts(points)]
-        values = np.array(lagrangian.map(len(times))(times[None, :], *along)).reshape(len(steps), -1)
-        found.append(steps * (values @ np.array(rule.weights)))
-    change = np.abs(found[1] - found[0]) / (mean * float(np.sum(steps)))
-    return np.where(np.isnan(change), np.inf, change)
+def _dense(pointwise: Pointwise, blocks: list[np.ndarray]) -> np.ndarray:
+    """Mass matrices ∂²L/∂v², (K, d, d), from the stored entries of the blocks; zero where L is linear in v."""
+    d, count = pointwise.stored.size1(), blocks[0].shape[1]
+    mass = np.zeros((count, d, d))
+    if (1, 1) in pointwise.blocks:
+        rows, columns = (np.array(index, dtype=int) for index in pointwise.stored.get_triplet())
+        entries = blocks[pointwise.blocks.index((1, 1))].T
+        mass[:, rows, columns] = entries
+        mass[:, columns, rows] = entries
+    return mass

@@ -261,6 +261,20 @@ def settled_response(module, answer):
     assert np.max(np.abs(path.x[0, late])) <= 1.0000001 / np.sqrt(3.625)
 
 
+def shaken_as_measured(module, paths):
+    """Against the motion integrated from sample to sample; the start was found by the boundary solve."""
+    known, unknown = paths
+    y = np.array([module.START, known.velocity[0, 0]])
+    for span in pairwise(module.SAMPLES):
+        shaken = lambda t, y: [y[1], -(module.FREQUENCY**2) * y[0] - np.interp(t, module.SAMPLES, module.SHAKES)]  # noqa: E731
+        y = solve_ivp(shaken, span, y, method="DOP853", rtol=1e-12, atol=1e-15).y[:, -1]
+    assert abs(y[0] - module.END) <= 1e-11 * np.max(np.abs(known.x))
+    assert set(module.SAMPLES) <= set(known.t.tolist())
+    times, size = np.linspace(0.0, 3.0, 1001), np.max(np.abs(known.x))
+    assert np.max(np.abs(unknown(times) - known(times))) <= 1e-3 * size
+    assert len(unknown.t) > 5 * len(known.t)
+
+
 def digits_lost_by_shooting(module, measured):
     errors = {name: np.array([[r.joint_error for r in rows] for rows in ways]) for name, ways in measured.items()}
     np.testing.assert_allclose(*errors["Kepler arc"], rtol=0, atol=ROUNDOFF)  # the same discrete equations
@@ -420,6 +434,7 @@ TABLE = [
     ("double_pendulum", parted_by_chaos, "chaos parts the double pendulum from its global path"),
     ("inverted_pendulum", digits_kept_globally, "the balanced pendulum keeps its digits only globally"),
     ("driven_oscillator", settled_response, "the driven oscillator settles into its response"),
+    ("measured_drive", shaken_as_measured, "the shaken instrument moves as integrated from sample to sample"),
     (
         "global_against_shooting",
         digits_lost_by_shooting,

@@ -1,0 +1,120 @@
+"""Witnesses against paths whose error estimate is fooled: kinks, steps, singularities; none against smooth paths."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scenes import BY_NAME
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+import casadi_galerkin as cg
+from casadi_galerkin.functional.pointwise import pointwise
+from casadi_galerkin.solution.witness import EnergyBalance, witnesses
+
+SMOOTH = ["short pendulum", "long pendulum, index 2", "Troesch 5", "boundary layer 0.0001", "damped oscillator"]
+
+
+def free_fall_to_a_kink(t, x, v):
+    return v[0] ** 2 / 2 - 10 * ca.fabs(x[0])
+
+
+def end_of_fall(velocity):
+    """Position at t = 2 from x = 1 on, where x'' = -10 sign x, by pieces."""
+    x, v, left, side = 1.0, velocity, 2.0, 1.0
+    while True:
+        until_zero = (v * side + np.sqrt(v**2 + 20 * side * x)) / 10
+        if until_zero >= left:
+            return x + v * left - side * 5 * left**2
+        x, v, left, side = 0.0, v - side * 10 * until_zero, left - until_zero, -side
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
+def test_a_kink_in_x_is_found_and_resolved(tol):
+    """The estimate alone was 2.9e-15 at 1e-9, with a true error of 4e-5."""
+    path = cg.solve(cg.BoundaryProblem(free_fall_to_a_kink, (0, 2), [1.0], [-0.5]), tol=tol)
+    near = path.velocity[0, 0]
+    exact = brentq(lambda velocity: end_of_fall(velocity) + 0.5, near - 0.1, near + 0.1, xtol=1e-15)
+    assert abs(near - exact) <= 5 * tol * np.max(np.abs(path.velocity))
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6])
+@pytest.mark.parametrize("when", [0.3333, 0.777, 1.1, 1.49])
+def test_a_kink_in_time_is_resolved_or_refused(when, tol):
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 + 50 * x[0] * ca.fmax(t - when, 0), (0, 2), [1.0], [-0.5]
+    )
+    try:
+        path = cg.solve(problem, tol=tol, limits=cg.Limits(seconds=5))
+    except cg.LimitReached:
+        return
+    times = np.linspace(0, 2, 1001)
+    pushed = 50 * np.maximum(times - when, 0) ** 3 / 6
+    exact = 1 + pushed + times / 2 * (-1.5 - 50 * (2 - when) ** 3 / 6)
+    assert np.max(np.abs(path(times)[0] - exact)) <= 5 * tol * np.max(np.abs(exact))
+
+
+@pytest.mark.parametrize("when", [0.9, 1.1, 1.7])
+def test_a_step_in_time_is_refused_with_its_time(when):
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - ca.if_else(t < when, 1, 3) * x[0] ** 2 / 2, (0, 2), [1.0], [-0.5]
+    )
+    with pytest.raises(cg.LimitReached, match=rf"near t = {when:.2g}.*breakpoint"):
+        cg.solve(problem, tol=1e-3)
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9, 1e-12])
+@pytest.mark.parametrize("when", [0.4, 1.1, 1.7])
+def test_a_step_in_time_that_is_named_is_resolved(when, tol):
+    def rate(t, y):
+        return [y[1], -(1 if t < when else 3) * y[0]]
+
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - ca.if_else(t < when, 1, 3) * x[0] ** 2 / 2,
+        (0, 2),
+        [1.0],
+        [-0.5],
+        breakpoints=[when],
+    )
+    path = cg.solve(problem, tol=tol)
+    assert when in path.t
+    y = np.array([1.0, path.velocity[0, 0]])
+    for span in ((0.0, when - 1e-15), (when, 2.0)):
+        y = solve_ivp(rate, span, y, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+    assert abs(y[0] + 0.5) <= 10 * tol + 1e-11
+
+
+@pytest.mark.parametrize("tol", [1e-6, 1e-9])
+@pytest.mark.parametrize(("start", "end", "duration"), [(0.5, -0.5, 1.0), (1.0, -2.0, 3.0), (0.3, -0.7, 1.5)])
+def test_no_path_through_the_sun_is_returned(start, end, duration, tol):
+    """From the straight line all of these were returned, with an estimate below the tolerance."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 + 1 / ca.norm_2(x), (0, duration), [start, 0.0], [end, 0.0]
+    )
+    with pytest.raises(cg.ConvergenceError):
+        cg.solve(problem, tol=tol)
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("name", [name for name in SMOOTH if name in BY_NAME])
+def test_nothing_is_said_against_a_smooth_path(name, tol):
+    scene = BY_NAME[name]
+    path = cg.solve(scene.problem, tol=tol, guess=scene.guess)
+    said = witnesses(pointwise(path.lagrangian), path.polynomial, path.momentum, scene.problem.parameters, tol)
+    assert all(np.max(values) < tol for values in said.values())
+
+
+def test_joints_are_compared_by_the_larger_of_their_scales():
+    kept, floor = np.array([1.0, 1.0, 50.0, 1.2]), np.zeros(4)
+    balance = EnergyBalance(kept, np.array([1.0, 1.0, 1e6, 1.0]), floor)
+    assert np.max(balance.missed(1e-6)) == pytest.approx(0.2)
+    assert np.max(EnergyBalance(kept[:3], np.array([1.0, 1.0, 1e6]), floor[:3]).missed(1e-6)) == pytest.approx(4.9e-5)
+
+
+def test_joints_that_rounding_blurs_tell_nothing():
+    balance = EnergyBalance(np.array([1.0, 7.0, 1.0]), np.ones(3), np.array([0.0, 1.0, 0.0]))
+    assert np.max(balance.missed(1e-3)) == 0.0
+
+
+def test_an_energy_that_is_not_a_number_is_a_miss():
+    balance = EnergyBalance(np.array([1.0, np.nan, 1.0]), np.ones(3), np.zeros(3))
+    assert np.all(np.isinf(balance.missed(1e-3)))
