@@ -89,7 +89,7 @@ def solve(
     solver : newton (the default), rootfinder, ipopt or minimizer for a BoundaryProblem, ipopt for a ControlProblem;
         each also ``.with_options(...)``
     limits : Limits that stop a refinement; only with `tol`
-    verbose : 1 prints a summary and, with `tol`, a line a level; 2 also the solver's lines
+    verbose : 1 prints a summary and, with `tol`, a line per level; 2 also the solver's lines
 
     Examples
     --------

@@ -1,12 +1,42 @@
 """What is kept between solves of one numbering does not leak from one solve into another."""
 
+import importlib
+import os
+import signal
+import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import casadi as ca
 import numpy as np
 import pytest
+from paths import EXAMPLES
 
 import casadi_galerkin as cg
+
+
+@pytest.fixture(scope="module")
+def state():
+    folder = str(EXAMPLES / "benchmark")
+    sys.path.insert(0, folder)
+    yield importlib.import_module("state")
+    sys.path.remove(folder)
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs a timer signal")
+def test_solves_after_an_interrupt_are_right_whatever_it_stopped(state):
+    stopped, wrong = state.interrupts(150, seed=1)
+    assert stopped > 30
+    assert wrong == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs forks")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_process_forked_beside_a_solving_thread_solves_too(state):
+    assert state.forks(4) == (0, 0)
+
+
+def test_threads_may_share_transcriptions(state):
+    assert state.threads(80) == 0
 
 
 def swing(gravity):

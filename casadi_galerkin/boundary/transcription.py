@@ -132,7 +132,7 @@ class Transcription:
             the joints or (d, N m + 1) at all nodes, or an earlier Trajectory
         mesh : (N + 1,) joints
         solver : newton, rootfinder, ipopt or minimizer
-        verbose : 1 prints a summary, 2 also a line an iteration
+        verbose : 1 prints a summary, 2 also a line per iteration
 
         Raises
         ------

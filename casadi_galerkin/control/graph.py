@@ -84,7 +84,7 @@ class ControlGraph:
         self.equations = ca.mtimes(self.test.T, self._stack(self._evaluate("equations", self.at)))
 
     def _sizes(self, first: np.ndarray) -> np.ndarray:
-        """Largest sum of terms of an equation of motion at a guess, one a component; 1 where that says nothing."""
+        """Largest sum of terms of an equation of motion at a guess, one per component; 1 where that says nothing."""
         at = self._embedded(ca.DM(first))
         terms = self._terms(self.numbering.test, at, self._evaluate("equations", at), first)
         d = self.numbering.dimension

@@ -49,7 +49,7 @@ class PointwiseTerms:
 
     @lazy
     def value(self) -> ca.Function:
-        """(z, weight) -> weighted cost, one a place."""
+        """(z, weight) -> weighted cost, one per place."""
         weight = ca.SX.sym("weight")
         return self._function([self.z, weight], weight * self.cost)
 

@@ -163,8 +163,8 @@ def assembly(
 ) -> ca.Function:
     """Eᵀ blockdiag(·) E: second derivatives at the points -> sparse symmetric matrix over the unknowns ξ.
 
-    Inputs are one matrix a block, (stored entries of the (d, d) pattern, N r), as in `cell`.  Each interval contributes
-    a dense (m + 1) by (m + 1) grid of cells with that pattern, and neighbours overlap in the joint between them:
+    Inputs are one matrix per block, (stored entries of the (d, d) pattern, N r), as in `cell`.  Each interval
+    contributes a dense (m + 1) by (m + 1) grid of cells with that pattern, and neighbours overlap in the joint:
 
         ■ ■ ■ · ·
         ■ ■ ■ · ·

@@ -64,8 +64,8 @@ class ControlProblem:
     running_cost : callable (t, x, v, u) -> scalar, integrated over time
     controls : number of controls, the length of u
     terminal_cost : callable (t, x, v) -> scalar, added for the end
-    control_bounds : (lo, hi), each a scalar or one number a control; held at the quadrature points
-    position_bounds : (lo, hi), each a scalar or one number a component; held at joints and control points
+    control_bounds : (lo, hi), each a scalar or one number per control; held at the quadrature points
+    position_bounds : (lo, hi), each a scalar or one number per component; held at joints and control points
     path_constraint : (g, lo, hi) with g(t, x, v, u) -> scalar or vector; held at the quadrature points
     duration_bounds : (lo, hi) with 0 < lo; frees the final time
     parameters : numbers passed as `p`, the last argument of every callable

@@ -95,7 +95,7 @@ class ControlTrajectory(Trajectory):
 
     @lazy
     def dynamics_defect(self) -> np.ndarray:
-        """How far the equations of motion are missed between the points, one number an interval; (N,).
+        """How far the equations of motion are missed between the points, one number per interval; (N,).
 
         The largest |∂L/∂v(x̄, dx̄/dt) - p̂| at r + 2 Gauss points, over the largest momentum (or impulse) on the path,
         with p̂ the joint's momentum plus the impulse ∫ (∂L/∂x + F) dt since then.  Of order m.
@@ -202,6 +202,6 @@ class ControlTrajectory(Trajectory):
         return lines
 
     def _worst(self, values: np.ndarray) -> str:
-        """Largest of one value an interval, and where."""
+        """Largest of one value per interval, and where."""
         i = int(np.argmax(values))
         return f"{values[i]:.1e} between the points of [{self.t[i]:.4g}, {self.t[i + 1]:.4g}]"

@@ -74,7 +74,7 @@ def _named(name: str, count: int, labels: Sequence[str] | None) -> tuple[Sequenc
         return names, names[0] if count == 1 else name
     given = np.asarray(labels, dtype=object)  # by position; a set has none
     if given.shape != (count,) or not all(isinstance(label, str) for label in given):
-        raise ValueError(f"labels of {name} must be {count} name(s), one a component, got {labels!r}")
+        raise ValueError(f"labels of {name} must be {count} name(s), one per component, got {labels!r}")
     unbroken = ", ".join(label.replace(" ", "\N{NO-BREAK SPACE}") for label in given)
     return given.tolist(), fill(unbroken, WIDTH).replace("\N{NO-BREAK SPACE}", " ")
 

@@ -45,7 +45,7 @@ class Refinement(ABC, Generic[Level, Detail]):
     ----------
     tol : relative tolerance
     limits : Limits
-    verbose : 1 prints a line a level
+    verbose : 1 prints a line per level
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class Refinement(ABC, Generic[Level, Detail]):
         )
 
     def _report(self, number: int, level: Level, estimate: Estimate[Detail]) -> None:
-        """Print one line a level."""
+        """Print one line per level."""
         if not self.verbose:
             return
         if number == 0:

@@ -53,7 +53,7 @@ class Solver:
         stationarity : Stationarity
         guess : first iterate ξ
         data : values of the other inputs of the graph: start, end, mesh and, if there are some, parameters
-        verbose : 2 prints a line an iteration
+        verbose : 2 prints a line per iteration
 
         Raises
         ------

@@ -2,7 +2,7 @@
 
 Newton's iteration is part of the graph, started from the Taylor polynomial of the interval before; `mapaccum` rolls
 the step over a piece of up to `PIECE` intervals, and all of these are verified from their residuals, which are computed
-anew.  Python runs once a piece, whatever the number of intervals.
+anew.  Python runs once per piece, whatever the number of intervals.
 """
 
 from __future__ import annotations

@@ -100,7 +100,7 @@ class Trade:
         return [row for row in self.rows if row.failure is None]
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw errors over seconds, a line a method, with fitted orders and the floor; returns the Matplotlib axes."""
+        """Draw errors over seconds, a line per method, with fitted orders and the floor; returns Matplotlib's axes."""
         lines = []
         for method in dict.fromkeys(row.method for row in self._solved()):
             rows, order = [row for row in self._solved() if row.method == method], self.order(method)

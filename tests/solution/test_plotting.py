@@ -47,7 +47,7 @@ def test_one_component_names_its_axis():
     "labels", [["one"], ["one", "two", "three"], "xy", 2, {"x", "y"}, {"x": "m", "y": "m"}, ["x", 1]]
 )
 def test_labels_that_are_not_one_a_component_are_refused(labels):
-    with pytest.raises(ValueError, match=r"labels of x must be 2 name\(s\), one a component, got"):
+    with pytest.raises(ValueError, match=r"labels of x must be 2 name\(s\), one per component, got"):
         planar().solve().plot(labels=labels)
 
 
@@ -84,7 +84,7 @@ def test_controls_and_costate_carry_names_and_units_too(driven):
 
 @pytest.mark.parametrize(("which", "name"), [("labels", "x"), ("control_labels", "u"), ("costate_labels", "λ")])
 def test_labels_of_controls_and_costate_that_do_not_fit_are_refused(driven, which, name):
-    with pytest.raises(ValueError, match=rf"labels of {name} must be 2 name\(s\), one a component, got \['one'\]"):
+    with pytest.raises(ValueError, match=rf"labels of {name} must be 2 name\(s\), one per component, got \['one'\]"):
         driven.plot(**{which: ["one"]})
 
 
