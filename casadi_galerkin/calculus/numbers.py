@@ -32,7 +32,7 @@ def number(value: Any) -> float | None:
 def whole(value: Any) -> int | None:
     """A whole number; None for what is none, such as 4.0 and True."""
     try:
-        return None if isinstance(value, bool) else operator.index(value)
+        return None if isinstance(value, (bool, np.bool_)) else operator.index(value)
     except TypeError:
         return None
 

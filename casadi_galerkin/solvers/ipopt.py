@@ -18,6 +18,7 @@ from casadi_galerkin.solvers.stationarity import Stationarity
 from casadi_galerkin.solvers.threads import within_ipopt
 
 DEFAULTS = {"sb": "yes", "tol": 1e-10, "max_iter": 500}
+DIVERGED = "Diverging Iterates"  # at numbers so large that nothing is left to polish
 POLISHING = 20  # iterations that Newton's method gets from where IPOPT stopped
 
 
@@ -62,6 +63,8 @@ def _interior_point(
         stats = solver.stats()
     iterations, status = int(stats["iter_count"]), str(stats["return_status"]).replace("_", " ")
     x = sizes * np.array(answer["x"]).ravel()
+    if status == DIVERGED:
+        raise SolveFailure(f"{name} stopped with '{status}'", guess, iterations)
     if not np.all(np.isfinite(x)):
         raise SolveFailure(f"{name} stopped with '{status}' at a point that is not finite", guess, iterations)
     try:
