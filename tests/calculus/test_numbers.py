@@ -55,7 +55,7 @@ def test_an_array_read_is_a_copy(given):
         ([1.0, ca.SX.sym("a")], r"SX\(a\) at \[1\]"),
         ([1.0, ca.MX.sym("a")], r"MX\(a\) at \[1\]"),
         ([[1.0], [1.0, 2.0]], r"\[1.0\] at \[0\]"),
-        (np.array([3, 4], "m8[s]"), r".*timedelta64\(3,'s'\) at \[0\]"),
+        (np.array([3, 4], "m8[s]"), r"timedelta64\(3,'s'\) at \[0\]"),
         (ca.SX.sym("a", 2), r"SX\("),
         (ca.MX.sym("a", 2), r"MX\("),
         ({1.0, 2.0}, "{1.0, 2.0}"),
@@ -70,7 +70,7 @@ def test_an_array_read_is_a_copy(given):
     ],
 )
 def test_what_is_no_number_is_named_with_its_place(given, got):
-    with pytest.raises(TypeError, match=f"^x must be real numbers, got {got}"):
+    with pytest.raises(TypeError, match=f"^x must be real numbers, got .*{got}"):
         real_array("x", given)
 
 
