@@ -76,15 +76,11 @@ class Pointwise:
         return self._function("derivatives", {"f": self._value, **self._slopes, **columns}, CSE)
 
     @lazy
-    def value(self) -> ca.Function:
-        """L̂ alone."""
-        return self._function("value", {"f": self._value})
-
-    @lazy
     def supplied(self) -> ca.Function | None:
         """∂L̂/∂t, or None where L does not depend on time."""
-        by_time = ca.gradient(self._value, self._inputs["t"])
-        return self._function("supplied", {"ft": ca.densify(by_time)}) if by_time.nnz() else None
+        if not ca.depends_on(self._value, self._inputs["t"]):
+            return None
+        return self._function("supplied", {"ft": ca.densify(ca.gradient(self._value, self._inputs["t"]))})
 
     @lazy
     def curvature(self) -> ca.Function:

@@ -87,31 +87,34 @@ def witnesses(
     tol : relative tolerance
     """
     coarse, fine, steps = gauss(path.degree), gauss(path.degree + 1), np.diff(path.mesh)
-    rule, rest = np.array([0.0, *fine.points, 1.0]), [] if parameters is None else [np.array(parameters)]
+    parts = np.array([0.0, 1.0, *fine.points, *coarse.points])
+    x, v = path.at_parts(parts)
+    h = np.repeat(steps, len(parts))
+    times = np.minimum(times_at(path.mesh, parts), np.nextafter(path.mesh[-1], path.mesh[0]))  # before a step there
+    given = [times[None, :], h[None, :], x.reshape(len(x), -1), v.reshape(len(v), -1) * h]
+    given += [] if parameters is None else [np.array(parameters)]
 
-    def evaluate(function: ca.Function, parts: np.ndarray) -> list[np.ndarray]:
-        """One value at every part (K,) of every interval, (..., N, K)."""
-        x, v = (a.reshape(len(a), -1) for a in path.at_parts(parts))
-        h = np.repeat(steps, len(parts))
-        mapped = one_by_one(function, len(h), (4,) if rest else ())
-        times = np.minimum(times_at(path.mesh, parts), np.nextafter(path.mesh[-1], path.mesh[0]))  # before a step there
-        found = mapped.call([times[None, :], h[None, :], x, v * h, *rest])
+    def evaluate(function: ca.Function) -> list[np.ndarray]:
+        """One value at every part of every interval, (..., N, 2m + 3)."""
+        found = one_by_one(function, len(h), () if parameters is None else (4,)).call(given)
         return [np.array(value).reshape(-1, len(steps), len(parts)) for value in found]
 
     def at_joints(values: np.ndarray) -> np.ndarray:
         """Values at the start of every interval and at the end of the last, (..., N + 1)."""
-        return np.append(values[:, :, 0], values[:, -1:, -1], axis=1)
+        return np.append(values[:, :, 0], values[:, -1:, 1], axis=1)
 
-    lagrangian, _, slope, *blocks = evaluate(pointwise.derivatives, rule)
+    def integral(values: np.ndarray) -> np.ndarray:
+        """∫ over every interval by the finer rule, (N,)."""
+        return np.asarray(values[0, :, 2 : 2 + len(fine)] @ np.array(fine.weights))
+
+    lagrangian, _, slope, *blocks = evaluate(pointwise.derivatives)
     of_steps = np.append(steps, steps[-1])
     mass = _dense(pointwise, [at_joints(block) * of_steps for block in blocks])
-    velocity, missing = at_joints(path.at_parts(rule)[1]), momentum - at_joints(slope)
+    velocity, missing = at_joints(v), momentum - at_joints(slope)
     correction = np.einsum("it,tij,jt->t", missing, np.linalg.pinv(mass, rcond=EPS, hermitian=True), missing) / 2
     kinetic = np.sum(momentum * velocity, axis=0)
     energy = kinetic - at_joints(lagrangian)[0] / of_steps + correction
-    supplied = np.zeros(len(steps))
-    if pointwise.supplied is not None:
-        supplied = evaluate(pointwise.supplied, rule)[0][0, :, 1:-1] @ fine.weights
+    supplied = 0 * steps if pointwise.supplied is None else integral(evaluate(pointwise.supplied)[0])
     speed, mass = np.abs(velocity), np.abs(mass)
     # p·v may be a small difference of its terms
     local = np.abs(kinetic) + np.abs(energy) + np.einsum("it,tij,jt->t", speed, mass, speed)
@@ -120,8 +123,8 @@ def witnesses(
     moved = np.einsum("it,tij,j->t", speed, mass, component_sizes(path.values))
     floor = EPS * (moved / np.append(steps[0], steps) + scale)
     balance = EnergyBalance(energy + np.append(0.0, np.cumsum(supplied)), scale, floor)
-    values = evaluate(pointwise.value, np.array(coarse.points))[0][0]
-    change = np.abs(lagrangian[0, :, 1:-1] @ fine.weights - values @ coarse.weights) / (mean * float(np.sum(steps)))
+    coarser = lagrangian[0, :, 2 + len(fine) :] @ np.array(coarse.weights)
+    change = np.abs(integral(lagrangian) - coarser) / (mean * float(np.sum(steps)))
     change = np.where(np.isfinite(change), change, np.inf)
     return {"balance of energy": balance.missed(tol), "action by a finer rule": change / ACTION}
 
