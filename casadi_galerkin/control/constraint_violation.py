@@ -41,13 +41,13 @@ def violations(
 
     The equations of motion of a component are measured by the largest sum of terms that one of them has along the path,
     or along the guess (`terms_before`) where it has vanished and its terms are what rounding left of those; a path
-    constraint by its largest value or finite bound, a bound by itself.
+    constraint by the sizes of what its value is made of, |∇g||z|, or its finite bound, a bound by itself.
     """
     motion, d, c = numbering.nodes * numbering.dimension, numbering.dimension, numbering.constraints
     now, before = (np.max(given[:motion].reshape(-1, d), axis=0) for given in (terms, terms_before))
     sizes = [_or_one(np.where(now <= VANISHED * before, before, now))] * numbering.nodes
     if c:
-        sides = (limits.equations_lower, limits.equations_upper, equations)
+        sides = (limits.equations_lower, limits.equations_upper, terms)
         finite = [np.abs(np.where(np.isfinite(side), side, 0.0))[motion:].reshape(-1, c).max(axis=0) for side in sides]
         sizes += [_or_one(np.max(finite, axis=0))] * numbering.points
     excess = _excess(equations, limits.equations_lower, limits.equations_upper)

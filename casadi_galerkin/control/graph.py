@@ -104,6 +104,7 @@ class ControlGraph:
         moving, still = terms[:motion].reshape(shape), cancelled[:motion].reshape(shape)
         resting = np.max(moving, axis=0) <= RESTING * np.max(still, axis=0)
         terms[:motion] = np.where(resting & np.all(np.isfinite(still), axis=0), still, moving).ravel()
+        terms[motion:] = np.fmax(terms, cancelled)[motion:]  # a path constraint compares what its value is made of
         return np.asarray(terms)
 
     def _embedded(self, everything: Vector) -> list[Vector]:
