@@ -49,7 +49,7 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.refinement import Estimate, Refinement
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solution.witness import witnesses
-from casadi_galerkin.solvers.solver import SolverLike, newton
+from casadi_galerkin.solvers.solver import SolverLike
 
 FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
 RISE = 3  # degrees that a level may gain on the one before
@@ -70,12 +70,18 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     roundoff_level, stalls = 1e-9, 2
 
     def __init__(
-        self, problem: BoundaryProblem, tol: float, method: Galerkin | None, limits: Limits, verbose: int
+        self,
+        problem: BoundaryProblem,
+        tol: float,
+        method: Galerkin | None,
+        solver: SolverLike,
+        limits: Limits,
+        verbose: int,
     ) -> None:
         super().__init__(tol, limits, verbose)
         self.method, self.fixed = method or of_degree(degree_for(tol)), method is not None
         self.levels, self.patience = Levels(problem), math.inf
-        self.following: SolverLike = following(newton)
+        self.solver, self.following = solver, following(solver)
 
     @property
     def iterations(self) -> int:
@@ -164,13 +170,12 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             estimate.error,
         )
 
-    def run(self, mesh: np.ndarray, guess: Guess | None, solver: SolverLike) -> Trajectory:
+    def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:
         """Refine the first path found that can be followed."""
-        self.following = following(solver)
         if guess is not None:
             mesh = mesh_for_guess(self.levels, self.method, guess, mesh)
         failures = []
-        given = (self.method, mesh, guess, solver, self.limits.every_level, self.out_of_time)
+        given = (self.method, mesh, guess, self.solver, self.limits.every_level, self.out_of_time)
         for strategy, patience in first_path_strategies(self.levels, *given):
             self.patience = patience
             try:
@@ -220,4 +225,4 @@ def solve_to_tolerance(
 ) -> Trajectory:
     """Solve a boundary problem to a tolerance; see `solve` for the arguments."""
     joints = first_mesh(problem, tol, method, intervals, mesh)
-    return BoundaryRefinement(problem, tol, method, limits, verbose).run(joints, guess, solver)
+    return BoundaryRefinement(problem, tol, method, solver, limits, verbose).run(joints, guess)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
-from casadi_galerkin.calculus.numbers import real_array
+from casadi_galerkin.calculus.numbers import real_array, whole
 
 
 def times_within(mesh: np.ndarray, t: ArrayLike) -> np.ndarray:
@@ -82,7 +82,8 @@ class PiecewisePolynomial:
 
         At a joint the derivative is the right one, at the last joint the left one.
         """
-        if isinstance(nu, bool) or not isinstance(nu, (int, np.integer)) or nu < 0:
+        order = whole(nu)
+        if order is None or order < 0:
             raise ValueError(f"nu must be a whole number from 0 on, got {nu!r}")
         times = times_within(self.mesh, t)
         flat = times.ravel()
@@ -90,11 +91,11 @@ class PiecewisePolynomial:
         steps = np.diff(self.mesh)
         i = np.clip(np.searchsorted(self.mesh, flat, side="right") - 1, 0, len(steps) - 1)
         basis = lagrange_values(self.nodes, np.clip((flat - self.mesh[i]) / steps[i], 0.0, 1.0))
-        if nu:
-            slopes = np.linalg.matrix_power(differentiation_matrix(self.nodes), nu)
-            basis = basis @ slopes / steps[i, None] ** nu
+        if order:
+            slopes = np.linalg.matrix_power(differentiation_matrix(self.nodes), order)
+            basis = basis @ slopes / steps[i, None] ** order
         local = self.values[:, i[:, None] * m + np.arange(m + 1)]
-        if nu:  # a derivative does not see a constant; without it the roundoff is that of the differences
+        if order:  # a derivative does not see a constant; without it the roundoff is that of the differences
             local = local - local[:, :, :1]
         return np.asarray(np.einsum("dkj,kj->dk", local, basis).reshape((len(self.values), *times.shape)))
 

@@ -30,7 +30,7 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.limits import Limits, check_tolerance
+from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.refinement import Estimate, Refinement
 from casadi_galerkin.solvers.solver import Solver
 
@@ -149,7 +149,6 @@ def solve_control_to_tolerance(
     ConvergenceError
         where IPOPT finds no path on the first mesh, nor on the same mesh twice and four times as fine
     """
-    check_tolerance(tol)
     if intervals is None and mesh is None:
         intervals = FIRST_INTERVALS
     joints = mesh_of(problem.t_span, intervals, mesh)

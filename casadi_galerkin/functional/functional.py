@@ -153,7 +153,7 @@ class Functional:
         - summary : -> action S; momentum (d, N + 1), -∂S/∂x_0 and then ∂S_k/∂x_{k+1} of every interval; gradient ∇S;
           terms, the sizes of what the gradient sums
         - joint_time_derivatives : -> by_joint, twice_by_joint, by_neighbours
-        - heavier : with inertia -> matrix ∇²S with ∂²L/∂v² times that, gradient ∇S
+        - heavier : with inertia -> matrix ∇²S with ∂²L/∂v² times that
         - curvature : with direction y -> signed yᵀ∇²S y, positive sum of the sizes of its terms
         - sensitivity : with direction of the parameters -> change of ∇S along it
         """

@@ -17,6 +17,7 @@ import numpy as np
 
 import casadi_galerkin.solvers.ipopt as interior_point
 import casadi_galerkin.solvers.rootfinder as casadi_rootfinder
+from casadi_galerkin.calculus.numbers import whole
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.stationarity import Stationarity
@@ -103,7 +104,7 @@ def _newton(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: 
 
 def _check_newton(name: str, value: object) -> None:
     if name == "max_iter":
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        if (whole(value) or 0) < 1:
             raise ValueError(f"max_iter must be a whole number from 1 on, got {value!r}")
     elif name == "linear_solver":
         if not isinstance(value, str) or not ca.has_linsol(value):

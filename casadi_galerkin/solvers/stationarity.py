@@ -85,6 +85,8 @@ class Stationarity:
         try:
             with one_thread():
                 yield lent
+        except SystemError:  # what an interrupt becomes that meets CasADi's own code
+            raise
         except Exception:  # a failed solve; an interrupt is none
             self._idle.append(lent)
             raise

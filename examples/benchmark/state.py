@@ -76,7 +76,9 @@ def interrupts(count, seed=0):
                 signal.setitimer(signal.ITIMER_REAL, rng.uniform(1e-5, 6e-4))
                 solved(transcriptions[victim], case)
                 signal.setitimer(signal.ITIMER_REAL, 0)
-            except Stopped:
+            except (Stopped, SystemError) as error:  # the second where the signal met CasADi's own code
+                if not isinstance(error, Stopped) and not isinstance(error.__cause__, Stopped):
+                    raise
                 stopped += 1
             for i, k in ((other, next_case), (victim, next_case), (victim, case)):
                 wrong += differs(solved(transcriptions[i], k), expected[i][k])
