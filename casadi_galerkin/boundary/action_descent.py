@@ -96,7 +96,8 @@ class ActionDescent:
 
     def arguments(self, path: PiecewisePolynomial) -> tuple[np.ndarray, Data]:
         """Unknowns and data as the graph takes them."""
-        return self.transcription.unknowns(path.values.T), self.transcription.data(path.mesh)
+        data = self.transcription.data(path.mesh)
+        return self.transcription.unknowns(path.values.T, data), data
 
     def action(self, path: PiecewisePolynomial) -> float:
         """Value of the discrete action; infinite where it is not defined."""

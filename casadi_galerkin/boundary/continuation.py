@@ -140,9 +140,13 @@ class Walk:
         """Parameters at a point z."""
         return np.asarray(self.first + z[-1] * self.direction)
 
+    def problem(self, z: np.ndarray) -> BoundaryProblem:
+        """The problem at a point z."""
+        return self.transcription.varied({"parameters": self.parameters(z).tolist()}, self.transcription.mesh)
+
     def data(self, z: np.ndarray) -> Data:
         """The graph's other inputs at a point z."""
-        return self.transcription.data(self.transcription.mesh, parameters=self.parameters(z).tolist())
+        return self.transcription.data(self.transcription.mesh, self.problem(z))
 
     def directions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The Newton step at fixed s, and how ξ follows s."""
@@ -235,7 +239,7 @@ class Walk:
                     z, solution = answer
                     if predicted[-1] == end and normal is not point.tangent:
                         z[-1] = end
-                    found = CriticalPoint(solution, self.data(z), self.path(z))
+                    found = CriticalPoint(solution, self.problem(z), self.data(z), self.path(z))
                     trajectory = self.transcription.trajectory(found, 0.0)
                     longer = min(LONGER * step, LONGEST_STEP) if solution.iterations <= FEW else step
                     return Point(z, self.tangent(z, point.tangent), trajectory), longer

@@ -10,7 +10,7 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.embedding import embedding
 from casadi_galerkin.functional.functional import Functional
-from casadi_galerkin.functional.numbering import Data, clock
+from casadi_galerkin.functional.numbering import Data, clock, joints_of
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
@@ -19,8 +19,8 @@ from casadi_galerkin.solvers.stationarity import Stationarity, joined
 
 def not_finite(functional: Functional, unknowns: np.ndarray, data: Data) -> str:
     """Say at which time the Lagrangian or its derivatives first are not finite."""
-    pointwise, numbering, parameters = functional.pointwise, functional.numbering, data[3:]
-    times, steps = clock(numbering, data[2])
+    pointwise, numbering, parameters = functional.pointwise, functional.numbering, functional.parameters_of(data)
+    times, steps = clock(numbering, joints_of(numbering, unknowns, data))
     x, slope = (np.array(a) for a in embedding(numbering)(joined(unknowns, data)))
     for k in np.argsort(times, kind="stable"):
         results = pointwise.first(times[k], steps[k], x[:, k], slope[:, k], *parameters)
@@ -61,12 +61,14 @@ def explained(
 ) -> ConvergenceError:
     """Report what a solver failed at; `path` is its last iterate."""
     unknowns, numbering = failure.unknowns, stationarity.functional.numbering
-    times = DiscreteCalculus(numbering.method, data[2]).node_times
+    times = DiscreteCalculus(numbering.method, joints_of(numbering, unknowns, data)).node_times
     g, floor = (np.array(a).ravel() for a in stationarity.floor.call([unknowns, *data]))
     residual = np.abs(g) / floor
     worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
     when = times[np.argmax((numbering.of_nodes == worst).any(axis=1))]
     place = f"the largest residual is at t = {when:.6g}"
+    if worst >= numbering.positions:
+        place = "the largest residual is that of a constraint, of a condition on the ends or of the energy"
     if not np.all(np.isfinite(g)):
         place = not_finite(stationarity.functional, unknowns, data)
     where = f"after {failure.iterations} iterations; {place}"

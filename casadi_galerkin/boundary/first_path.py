@@ -15,7 +15,7 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import equidistributed, of_degree, truncation
 from casadi_galerkin.functional.mapping import by_rows
-from casadi_galerkin.solution.guess import Guess, given_values
+from casadi_galerkin.solution.guess import Guess, guess_values
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import damped_newton
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton
@@ -43,7 +43,7 @@ def mesh_for_guess(levels: Levels, method: Galerkin, guess: Guess, mesh: np.ndar
             break  # there is nothing between the values of an array
         mesh = equidistributed(mesh, error, method.degree + 1, GUESS_TOLERANCE)
         calculus = DiscreteCalculus(method, mesh)
-        path = calculus.emb(given_values(given, calculus, len(path.values)))
+        path = calculus.emb(guess_values(given, calculus, len(path.values)))
     return mesh
 
 
@@ -64,7 +64,8 @@ def first_path_strategies(
         yield partial(levels.solve, method, mesh, guess, partial(damped_newton, **solver.options)), PATIENCE
         count = max(DESCENT_INTERVALS + 1, len(mesh))
         joints = np.interp(np.linspace(0, 1, count), np.linspace(0, 1, len(mesh)), mesh)
-        for leap in LEAPS:
+        graph = levels.transcription(method, mesh)
+        for leap in LEAPS if graph.stationarity.variational and not graph.numbering.stretched else ():
             yield partial(_by_descent, levels, joints, guess, leap, every_level, out_of_time), math.inf
     yield partial(levels.solve, method, mesh, guess, solver), math.inf
 

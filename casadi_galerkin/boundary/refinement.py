@@ -113,9 +113,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     def witnesses(self, level: CriticalPoint) -> dict[str, np.ndarray]:
         """What two degrees may miss alike, a kink of L or a jump over a singularity, by interval; (N,) each."""
-        problem, solution = self.levels.problem, level.solution
-        momentum = solution.momentum.reshape(problem.dimension, -1, order="F")
-        derived, parts = pointwise(problem.lagrangian), []
+        problem, momentum = self.levels.problem, level.momentum
+        derived, parts = pointwise(problem.lagrangian, problem.force), []
         joints = [0, *np.searchsorted(level.polynomial.mesh, problem.breakpoints), len(level.polynomial.mesh) - 1]
         for first, last in pairwise(joints):
             part, of_part = level.polynomial.between(first, last), momentum[:, first : last + 1]

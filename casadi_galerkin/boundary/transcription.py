@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping as Named
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -15,16 +16,16 @@ from casadi_galerkin.boundary.failure_report import conjugate, explained, refuse
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_breakpoints, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.numbers import components, numbers
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.functional.functional import Functional
+from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.mapping import Mapping, by_rows, one_by_one
-from casadi_galerkin.functional.numbering import Data, Numbering
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.functional.numbering import Data, joints_of
+from casadi_galerkin.functional.statement import functional_of, given_values, has_phase
+from casadi_galerkin.problems.boundary_problem import RATES, BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
 from casadi_galerkin.problems.problem import check_types
-from casadi_galerkin.solution.guess import Guess, given_values, meeting_ends
+from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
 from casadi_galerkin.solution.plotting import plot_pattern
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
@@ -40,11 +41,17 @@ REGULAR = 1e-9  # `Solution.regularity` above which the second variation need no
 
 @dataclass(frozen=True)
 class CriticalPoint:
-    """What a solver found: its solution, the data it was found for, and the path it stands for."""
+    """What a solver found: its solution, the problem and data it was found for, and the path it stands for."""
 
     solution: Solution
+    problem: BoundaryProblem
     data: Data
     polynomial: PiecewisePolynomial
+
+    @property
+    def momentum(self) -> np.ndarray:
+        """Momenta at the joints, (d, N + 1)."""
+        return self.solution.momentum.reshape(len(self.polynomial.values), -1, order="F")
 
 
 class Transcription:
@@ -70,11 +77,7 @@ class Transcription:
         self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, mapping: Mapping = by_rows
     ) -> None:
         self.problem, self.method, self.mesh = problem, method, mesh
-        fixed_start, fixed_end = (
-            tuple(i for i, value in enumerate(end) if value is not None) for end in (problem.start, problem.end)
-        )
-        numbering = Numbering(method, len(mesh) - 1, problem.dimension, fixed_start, fixed_end, problem.periodic)
-        self.functional = Functional(problem.lagrangian, numbering, mapping)
+        self.functional = functional_of(problem, method, len(mesh) - 1, mapping)
         self.numbering = self.functional.numbering
         self.stationarity = Stationarity(self.functional)
 
@@ -110,7 +113,7 @@ class Transcription:
     def emb(self, unknowns: np.ndarray, data: Data) -> PiecewisePolynomial:
         """The path x̄ that unknowns stand for."""
         values = joined(unknowns, data)[self.numbering.of_nodes]
-        return PiecewisePolynomial(data[2], self.method.element.nodes, values.T)
+        return PiecewisePolynomial(joints_of(self.numbering, unknowns, data), self.method.element.nodes, values.T)
 
     def solve(
         self,
@@ -121,6 +124,7 @@ class Transcription:
         mesh: ArrayLike | None = None,
         solver: Solver = newton,
         verbose: int = 0,
+        **given: Sequence[float | None] | float,
     ) -> Trajectory:
         """Solve for the path; whatever is left out is taken from the problem.
 
@@ -130,9 +134,11 @@ class Transcription:
         parameters : as many numbers as the problem has
         guess : nothing (the straight line between the ends), a callable t -> (d,), an array (d, N + 1) of values at
             the joints or (d, N m + 1) at all nodes, or an earlier Trajectory
-        mesh : (N + 1,) joints
+        mesh : (N + 1,) joints; where the duration is free it is stretched
         solver : newton, rootfinder, ipopt or minimizer
         verbose : 1 prints a summary, 2 also a line per iteration
+        given : start_velocity, end_velocity, start_momentum, end_momentum (d numbers each, None where the problem has
+            it) or energy, where the problem has them
 
         Raises
         ------
@@ -143,8 +149,12 @@ class Transcription:
         ValueError, TypeError
             for input that does not fit
         """
+        unknown = sorted(set(given) - {*RATES, "energy"})
+        if unknown:
+            raise TypeError(f"solve takes {', '.join(RATES)} or energy beside its own arguments, got {unknown[0]}")
         began = time.perf_counter() - self.build_seconds
-        point = self.critical_point(start, end, parameters, guess, mesh, solver, verbose)
+        changes = {"start": start, "end": end, "parameters": parameters, **given}
+        point = self.critical_point(changes, guess, mesh, solver, verbose)
         path = self.trajectory(point, time.perf_counter() - self.build_seconds - began)
         if verbose:
             print(path)
@@ -152,15 +162,13 @@ class Transcription:
 
     def critical_point(
         self,
-        start: Sequence[float | None] | None = None,
-        end: Sequence[float | None] | None = None,
-        parameters: Sequence[float] | None = None,
+        changes: Named[str, object] | None = None,
         guess: Guess | None = None,
         mesh: ArrayLike | None = None,
         solver: SolverLike = newton,
         verbose: int = 0,
     ) -> CriticalPoint:
-        """Find the node values of the path without what `trajectory` adds; arguments and errors as for `solve`."""
+        """Find the node values of the path without what `trajectory` adds; `changes` as for `varied`, else as `solve`."""
         if not callable(solver):
             raise TypeError(f"solver must be newton, rootfinder, ipopt or minimizer, got {solver!r}")
         calculus = self._calculus if mesh is None else DiscreteCalculus(self.method, mesh)
@@ -168,14 +176,15 @@ class Transcription:
         check_breakpoints(joints, self.problem.breakpoints)
         if len(joints) != len(self.mesh):
             raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {len(joints) - 1}")
-        data = self.data(joints, start, end, parameters)
-        first = self.unknowns(self._guess(guess, calculus, data))
+        problem = self.varied(changes or {}, joints)
+        values = self._guess(guess, calculus, self.data(joints, problem))
+        data = self.data(joints, problem, self._plane(calculus, values))
         try:
-            solution = solver(self.stationarity, first, data, verbose)
+            solution = solver(self.stationarity, self.unknowns(values, data), data, verbose)
         except SolveFailure as failure:
             path = self.emb(failure.unknowns, data)
             raise explained(self.stationarity, failure, path, data) from None
-        return CriticalPoint(solution, data, self.emb(solution.unknowns, data))
+        return CriticalPoint(solution, problem, data, self.emb(solution.unknowns, data))
 
     def guess_on_mesh(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:
         """Put a guess on a mesh, bent to meet the ends."""
@@ -186,71 +195,86 @@ class Transcription:
         """Two Newton steps from a path on the same mesh, of any degree up to this one's; zero if it is critical here.
 
         With a higher degree than the path's the first estimates the path's error, in the joints as well as between
-        them, and the second how far to trust the first.
+        them, and the second how far to trust the first.  Where the duration is free, a step of it counts by how far the
+        path moves in that time.
         """
-        data, calculus = self.data(path.mesh), DiscreteCalculus(self.method, path.mesh)
-        unknowns, steps = self.unknowns(path.at(self.method.element.nodes).T), []
+        calculus, values, steps = DiscreteCalculus(self.method, path.mesh), path.at(self.method.element.nodes).T, []
+        data = self.data(path.mesh, None, self._plane(calculus, values))
+        unknowns = self.unknowns(values, data)
         with self.stationarity.linearization() as at:
             for _ in range(2):
                 found = at.newton_step(unknowns, data)
                 steps.append(found.step if np.isfinite(found.norm) else np.full_like(unknowns, np.nan))
                 unknowns = unknowns + steps[-1]
-        return [calculus.emb(self.change(step)) for step in steps]
+        changes = [self.change(step) for step in steps]
+        if self.numbering.stretched:
+            times = calculus.node_times
+            by_stretch = path(times, 1) * (times - times[0])
+            changes = [change - step[-1] * by_stretch for change, step in zip(changes, steps, strict=True)]
+        return [calculus.emb(change) for change in changes]
 
     def change(self, step: np.ndarray) -> np.ndarray:
         """Node values (d, N m + 1) of a step of the unknowns."""
         given = np.zeros(self.numbering.size - self.numbering.free)
         return np.asarray(np.concatenate((step, given))[self.numbering.of_nodes].T)
 
+    def varied(self, changes: Named[str, object], joints: np.ndarray) -> BoundaryProblem:
+        """The problem with other given values, those that are None left out, on other joints; see its own `varied`."""
+        changes = {name: value for name, value in changes.items() if value is not None}
+        if not changes and joints is self.mesh:
+            return self.problem
+        return self.problem.varied(changes, (float(joints[0]), float(joints[-1])))
+
     def data(
-        self,
-        joints: np.ndarray,
-        start: Sequence[float | None] | None = None,
-        end: Sequence[float | None] | None = None,
-        parameters: Sequence[float] | None = None,
+        self, joints: np.ndarray, problem: BoundaryProblem | None = None, plane: np.ndarray | None = None
     ) -> Data:
-        """Values of all inputs of the graph but the unknowns; the problem's unless others are given."""
-        if joints is self.mesh and start is None and end is None and parameters is None:
-            return self._stated
-        return self._given(joints, start, end, parameters)
+        """Values of all inputs of the graph but the unknowns, of the problem itself or of one that is `varied` from it.
 
-    @lazy
-    def _stated(self) -> Data:
-        """The data of the problem itself."""
-        return self._given(self.mesh, None, None, None)
+        Parameters
+        ----------
+        joints : (N + 1,)
+        problem : BoundaryProblem
+        plane : normal and point, (2d,), that fix the phase where it is free
+        """
+        stated = problem or self.problem
+        ends = [np.array([value for value in end if value is not None]) for end in (stated.start, stated.end)]
+        parameters = [] if stated.parameters is None else [np.array(stated.parameters)]
+        given = given_values(stated, plane)
+        return (*ends, joints, *parameters, *([given] if len(given) else []))
 
-    def _given(
-        self,
-        joints: np.ndarray,
-        start: Sequence[float | None] | None,
-        end: Sequence[float | None] | None,
-        parameters: Sequence[float] | None,
-    ) -> Data:
-        data = []
-        for name, given in (("start", start), ("end", end)):
-            of_problem = values = getattr(self.problem, name)
-            if given is not None:
-                values = components(name, given, self.problem.dimension)
-                if [value is None for value in values] != [value is None for value in of_problem]:
-                    raise ValueError(f"{name} must have None where the problem has it, {of_problem}, got {values}")
-            data.append(np.array([value for value in values if value is not None]))
-        data.append(joints)
-        if self.problem.parameters is not None:
-            values = self.problem.parameters if parameters is None else parameters
-            data.append(np.array(numbers("parameters", values, len(self.problem.parameters))))
-        elif parameters is not None:
-            raise ValueError(f"the problem has no parameters, got parameters={parameters!r}")
-        return tuple(data)
+    def _plane(self, calculus: DiscreteCalculus, values: np.ndarray) -> np.ndarray | None:
+        """The plane through the start of a guess across its velocity, in units of its components, if one is needed."""
+        if not has_phase(self.problem):
+            return None
+        path = calculus.emb(values.T)
+        sizes = component_sizes(path.values)
+        normal = path(path.mesh[0], 1) / sizes**2
+        if not np.any(normal):
+            raise ValueError(
+                "a periodic path of given energy needs a guess that moves at its start, got one that rests there: its "
+                "duration and its phase follow from the guess"
+            )
+        return np.concatenate((normal / np.linalg.norm(normal), values[0]))
 
-    def unknowns(self, values: np.ndarray) -> np.ndarray:
-        """Free values out of node values (N m + 1, d)."""
-        return np.asarray(values.ravel()[self.numbering.place])
+    def unknowns(self, values: np.ndarray, data: Data) -> np.ndarray:
+        """Unknowns ξ out of node values (N m + 1, d): multipliers are those of the Newton step from there without any."""
+        numbering = self.numbering
+        unknowns = np.zeros(numbering.free)
+        unknowns[: numbering.positions] = values.ravel()[numbering.place]
+        unknowns[numbering.positions + numbering.multipliers :] = 1.0
+        if numbering.multipliers:
+            multipliers = slice(numbering.positions, numbering.positions + numbering.multipliers)
+            with self.stationarity.linearization() as at:
+                step = at.newton_step(unknowns, data).step
+            if np.all(np.isfinite(step)):
+                unknowns[multipliers] = step[multipliers]
+        return unknowns
 
     def _guess(self, guess: Guess | None, calculus: DiscreteCalculus, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) of a guess, bent to meet the fixed ends."""
         d, parts = self.problem.dimension, calculus.node_parts
         ends = np.append(joined(np.zeros(self.numbering.free), data), np.nan)[self._given_ends]
-        values = np.zeros((len(parts), d)) if guess is None else given_values(guess, calculus, d).T
+        values = np.zeros((len(parts), d)) if guess is None else guess_values(guess, calculus, d).T
         return meeting_ends(values, parts, ends)
 
     @lazy
@@ -267,31 +291,26 @@ class Transcription:
             quotient = smallest_second_variation(self.stationarity, solution.unknowns, data)
             if quotient < SINGULAR:
                 raise conjugate(solution, point.polynomial, quotient)
-        problem = self._solved(data)
         return Trajectory(
             polynomial=point.polynomial,
-            momentum=solution.momentum.reshape(self.problem.dimension, -1, order="F"),
-            action=solution.action,
+            momentum=point.momentum,
+            action=solution.action - self._work(point),
             iterations=solution.iterations,
             residual=solution.residual,
             solver=solution.report,
             build_seconds=self.build_seconds,
             solve_seconds=solve_seconds,
             method=self.method,
-            problem=problem,
-            count_negative=MorseIndex(self, problem, point.polynomial),
+            problem=point.problem,
+            count_negative=MorseIndex(self, point.problem, point.polynomial),
         )
 
-    def _solved(self, data: Data) -> BoundaryProblem:
-        """The problem with the ends, joints and parameters that were solved for."""
-        if data is self._stated:
-            return self.problem
-        ends = []
-        for given, fixed in zip((self.problem.start, self.problem.end), data[:2], strict=True):
-            values = iter(fixed.tolist())
-            ends.append(tuple(None if value is None else next(values) for value in given))
-        parameters = tuple(data[3].tolist()) if len(data) > 3 else None
-        return self.problem.varied((float(data[2][0]), float(data[2][-1])), ends[0], ends[1], parameters)
+    def _work(self, point: CriticalPoint) -> float:
+        """p_0·x_0 - p_N·x_N of given momenta, which the graph adds to the action."""
+        ends = point.polynomial.values[:, [0, -1]].T
+        given = point.problem.start_momentum, point.problem.end_momentum
+        sums = [sum(p * x for p, x in zip(*pair, strict=True) if p is not None) for pair in zip(given, ends, strict=True)]
+        return float(sums[0] - sums[1])
 
     def plot_hessian(self, axes: Axes | None = None) -> Axes:
         """Draw the sparsity pattern of the Hessian, a chain of blocks; returns the Matplotlib axes."""
@@ -325,8 +344,8 @@ class MorseIndex:
         """Number of negative eigenvalues, or None where there is no finite one."""
         problem, mesh = self._problem, self._path.mesh
         graph = self._transcription or transcribed(problem, self._method, None, mesh, one_by_one)
-        data = graph.data(mesh, problem.start, problem.end, problem.parameters)
-        index = negative_eigenvalues(graph.stationarity, graph.unknowns(self._path.values.T), data)
+        data = graph.data(mesh, problem)
+        index = negative_eigenvalues(graph.stationarity, graph.unknowns(self._path.values.T, data), data)
         if not index:
             return index
         transform = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))

@@ -8,7 +8,7 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.control.numbering import ControlNumbering
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
-from casadi_galerkin.solution.guess import Guess, given_values, meeting_ends
+from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
 
 
 def first_values(
@@ -62,7 +62,7 @@ def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | No
     """Node values (N m + 1, d) that meet the fixed ends and keep within bounds."""
     d, nodes = problem.dimension, len(calculus.node_times)
     resting = _resting(*problem.position_bounds)
-    values = np.tile(resting, (nodes, 1)) if guess is None else given_values(guess, calculus, d).T
+    values = np.tile(resting, (nodes, 1)) if guess is None else guess_values(guess, calculus, d).T
     ends = np.array([[np.nan if v is None else v for v in end] for end in (problem.start, problem.end)])
     bent = np.clip(meeting_ends(values, calculus.node_parts, ends), *problem.position_bounds)
     bent[[0, -1]] = np.where(np.isnan(ends), bent[[0, -1]], ends)

@@ -62,11 +62,13 @@ class Embedded:
     ----------
     symbols : unknowns, start, end and mesh by name
     u : the numbering's vector, of the first three
+    joints : (N + 1,), those of the mesh, stretched where the duration is free
     points : t (1, N r), h (1, N r), x (d, N r), x' (d, N r)
     """
 
     symbols: dict[str, ca.MX]
     u: ca.MX
+    joints: ca.MX
     points: list[ca.MX]
 
 
@@ -79,10 +81,12 @@ def embedded(numbering: Numbering) -> Embedded:
         name: ca.MX.sym(name, size) for name, size in zip(("unknowns", "start", "end", "mesh"), sizes, strict=True)
     }
     *values, mesh = symbols.values()
-    u, steps = ca.vertcat(*values), mesh[1:] - mesh[:-1]
-    t = ca.repmat(mesh[:-1], 1, len(points)) + _times(steps, points[None, :])
+    u = ca.vertcat(*values)
+    joints = mesh[0] + symbols["unknowns"][-1] * (mesh - mesh[0]) if numbering.stretched else mesh
+    steps = joints[1:] - joints[:-1]
+    t = ca.repmat(joints[:-1], 1, len(points)) + _times(steps, points[None, :])
     times = [ca.reshape(t, 1, numbering.points), ca.repmat(steps.T, 1, len(points))]
-    return Embedded(symbols, u, [*times, *embedding(numbering).call([u])])
+    return Embedded(symbols, u, joints, [*times, *embedding(numbering).call([u])])
 
 
 def _side_by_side(numbering: Numbering, *values: ca.MX) -> ca.MX:
@@ -159,9 +163,13 @@ def joint_time_derivatives(numbering: Numbering, *derivatives: ca.MX) -> tuple[c
 
 @lru_cache(KEPT)
 def assembly(
-    numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...], blocks: tuple[tuple[int, int], ...]
+    numbering: Numbering,
+    colind: tuple[int, ...],
+    row: tuple[int, ...],
+    symmetric: bool,
+    blocks: tuple[tuple[int, int], ...],
 ) -> ca.Function:
-    """Eᵀ blockdiag(·) E: second derivatives at the points -> sparse symmetric matrix over the unknowns ξ.
+    """Eᵀ blockdiag(·) E: the Jacobian at the points -> sparse matrix over the unknowns ξ.
 
     Inputs are one matrix per block, (stored entries of the (d, d) pattern, N r), as in `cell`.  Each interval
     contributes a dense (m + 1) by (m + 1) grid of cells with that pattern, and neighbours overlap in the joint:
@@ -172,16 +180,16 @@ def assembly(
         · · ■ ■ ■
         · · ■ ■ ■
 
-    Only cells of node pairs (a, b) with a >= b are computed; the others are their transposes.
+    Of a symmetric matrix only cells of node pairs (a, b) with a >= b are computed; the others are their transposes.
     """
-    element, (a, b) = numbering.method.element, np.tril_indices(numbering.method.degree + 1)
+    element, (a, b) = numbering.method.element, _node_pairs(numbering.method.degree + 1, symmetric)
     basis, weights = (element.values, element.slopes), element.weights[:, None]
     products = np.vstack([weights * basis[i][:, a] * basis[j][:, b] for i, j in blocks])
     inputs = [ca.MX.sym(f"block{i}{j}", len(row), numbering.points) for i, j in blocks]
     entries = ca.vec(
         _times(_side_by_side(numbering, *inputs), products)
     )  # node pair slowest, then interval, then entry of the pattern
-    pattern = hessian_pattern(numbering, colind, row)
+    pattern = hessian_pattern(numbering, colind, row, symmetric)
     values = entries.get_nz(False, pattern.first.tolist())
     for positions, places in pattern.others:  # in the joints; in place, where sums of matrices would copy all of them
         where = places.tolist()
@@ -207,9 +215,9 @@ class Pattern:
 
 
 @lru_cache(KEPT)
-def hessian_pattern(numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...]) -> Pattern:
+def hessian_pattern(numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...], symmetric: bool) -> Pattern:
     """Pattern of Eᵀ blockdiag(·) E; of each block the entries (colind, row) are stored, its diagonal among them."""
-    position, target = _hessian_entries(numbering, colind, row)
+    position, target = _hessian_entries(numbering, colind, row, symmetric)
     (first, targets), *others = _contributions(target)
     columns, rows = np.divmod(targets, numbering.free)
     starts = np.searchsorted(columns, np.arange(numbering.free + 1))
@@ -232,8 +240,16 @@ def cell(colind: tuple[int, ...], row: tuple[int, ...]) -> tuple[np.ndarray, ...
     return np.append(rows, columns[below]), np.append(columns, rows[below]), both, both
 
 
+def _node_pairs(nodes: int, symmetric: bool) -> tuple[np.ndarray, np.ndarray]:
+    """The pairs (a, b) of local nodes whose cells are computed, in their order."""
+    if symmetric:
+        return np.tril_indices(nodes)
+    a, b = np.indices((nodes, nodes))
+    return a.ravel(), b.ravel()
+
+
 def _hessian_entries(
-    numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...]
+    numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...], symmetric: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """For every entry of every local Hessian: its position among the computed ones, its place column-major."""
     nodes, count = numbering.method.degree + 1, len(row)
@@ -242,9 +258,10 @@ def _hessian_entries(
     order = np.lexsort((row_in[entry], a, column_in[entry], b))  # column-major, so that the final sort has little to do
     a, b, entry = a[order], b[order], entry[order]
     low, high = np.minimum(a, b), np.maximum(a, b)
-    pair = high * (high + 1) // 2 + low
+    pair = high * (high + 1) // 2 + low if symmetric else nodes * a + b
+    in_cell = np.where(a >= b, stored[entry], transposed[entry]) if symmetric else stored[entry]
     interval = np.arange(numbering.intervals)[:, None]
-    position = (pair * numbering.intervals + interval) * count + np.where(a >= b, stored[entry], transposed[entry])
+    position = (pair * numbering.intervals + interval) * count + in_cell
     local = numbering.local
     rows, columns = local[a, interval, row_in[entry]], local[b, interval, column_in[entry]]
     kept = (rows < numbering.free) & (columns < numbering.free)

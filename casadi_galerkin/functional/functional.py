@@ -9,6 +9,14 @@ the node values to (x, x') at the quadrature points, and L̂ the Lagrangian pull
 
 L̂, ∇L̂ and ∇²L̂ are SX Functions of one point (`pointwise`), mapped over all points; nothing is differentiated
 through the graph.  E, Eᵀ and Eᵀ blockdiag(·) E depend on the numbering alone (`embedding`).
+
+What a problem says more than L is further terms of the same sum:
+
+    S̄  =  S  +  φ(x_0, x_N)  +  μ·ψ(x_0, x_N)  +  Σ Λ_a·g(t_a, x_a)  +  E T
+                end action      end conditions    holonomic constraints   given energy, free duration
+
+The middle three are sums over places (`local_terms`); the last makes the duration T an unknown.  A force is no term of S̄
+but adds its virtual work to the equations (`pointwise`); below, ∇S stands for all rows, ∇²S for their Jacobian.
 """
 
 from __future__ import annotations
@@ -25,12 +33,14 @@ from casadi_galerkin.functional.embedding import (
     boundary_terms,
     embedded,
     embedding,
+    hessian_pattern,
     integration,
     joint_time_derivatives,
     summation,
 )
+from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import Mapping, by_rows, one_by_one
-from casadi_galerkin.functional.numbering import Numbering, kept
+from casadi_galerkin.functional.numbering import Data, Numbering, kept
 from casadi_galerkin.functional.pointwise import pointwise
 
 Parts: TypeAlias = tuple[dict[str, ca.MX], list[str], list[ca.MX]]  # inputs beside the symbols; names; outputs
@@ -50,28 +60,60 @@ class Functional:
     numbering : Numbering
     mapping : `one_by_one`, which is quick to build, or `by_rows`, which is quick to evaluate; many points always go
         by rows
+    force : Function of the same arguments -> (d,), or None
+    terms : LocalTerms that are added
+    given : number of values that the terms take beside the parameters; the last of a free duration is its energy
 
     Attributes
     ----------
     pointwise : Pointwise, L̂ and its derivatives at one point
+    symmetric : whether ∇²S is
+    pattern_key : what the sparsity of ∇²S follows from, but for the further terms
     build_seconds : float, spent on building so far
     """
 
-    def __init__(self, lagrangian: ca.Function, numbering: Numbering, mapping: Mapping = by_rows) -> None:
+    def __init__(
+        self,
+        lagrangian: ca.Function,
+        numbering: Numbering,
+        mapping: Mapping = by_rows,
+        force: ca.Function | None = None,
+        terms: tuple[LocalTerm, ...] = (),
+        given: int = 0,
+    ) -> None:
         began = time.perf_counter()
-        self.pointwise, self.numbering = pointwise(lagrangian), kept(numbering)
+        self.pointwise, self.numbering, self.terms = pointwise(lagrangian, force), kept(numbering), terms
+        self.symmetric = self.pointwise.symmetric and all(term.symmetric for term in terms)
         self._mapping = by_rows if numbering.points >= MANY else mapping
         self._shared = (4,) if lagrangian.n_in() == 4 else ()  # after t, h, x and x' the parameters
         self._parameters = [ca.MX.sym("parameters", lagrangian.size1_in(3))] if self._shared else []
+        self._given = [ca.MX.sym("given", given)] if given else []
         stored = self.pointwise.stored
-        self.pattern_key = (self.numbering, tuple(stored.colind()), tuple(stored.row()))
+        self.pattern_key = (self.numbering, tuple(stored.colind()), tuple(stored.row()), self.pointwise.symmetric)
         self._functions: dict[str, ca.Function] = {}
         self.build_seconds = time.perf_counter() - began
 
     @lazy
     def symbols(self) -> dict[str, ca.MX]:
-        """Unknowns ξ, start, end, mesh and, if the Lagrangian has some, parameters, by name."""
-        return embedded(self.numbering).symbols | {symbol.name(): symbol for symbol in self._parameters}
+        """Unknowns ξ, start, end, mesh and, if there are some, parameters and given values of the terms, by name."""
+        further = (*self._parameters, *self._given)
+        return embedded(self.numbering).symbols | {symbol.name(): symbol for symbol in further}
+
+    def parameters_of(self, data: Data) -> Data:
+        """The parameters among the data, if there are some."""
+        return data[3 : 3 + len(self._parameters)]
+
+    @lazy
+    def sparsity(self) -> ca.Sparsity:
+        """Sparsity of ∇²S."""
+        sparsity = hessian_pattern(*self.pattern_key).sparsity
+        for term in self.terms:
+            sparsity = sparsity + term.sparsity(self.numbering)
+        if self.numbering.stretched:
+            last = ca.Sparsity.dense(self.numbering.free, 1)
+            before = ca.Sparsity(self.numbering.free, self.numbering.free - 1)
+            sparsity = sparsity + ca.horzcat(before, last) + ca.horzcat(before, last).T
+        return sparsity
 
     @lazy
     def u(self) -> ca.MX:
@@ -99,17 +141,45 @@ class Functional:
         return self._second[:3] if self._mapping is one_by_one else self._at_points(self.pointwise.first)
 
     @lazy
+    def _terms(self) -> list[list[ca.MX]]:
+        """What the local terms are at all of their places."""
+        parameters, given = (ca.vertcat(*symbols) for symbols in (self._parameters, self._given))
+        at = (self.u, embedded(self.numbering).joints, parameters, given)
+        return [term.evaluated(*at) for term in self.terms]
+
+    @lazy
+    def _stretch(self) -> tuple[ca.MX, ca.MX]:
+        """The duration's own row, ∂S/∂τ + E T, and the derivatives of all rows by the stretch τ."""
+        mesh, by_stretch = self.symbols["mesh"], ca.MX(ca.Sparsity.unit(self.numbering.free, self.numbering.free - 1))
+        action, energy = summation(self.numbering)(self._first[0]), self._given[0][-1]
+        row = ca.jtimes(action, self.symbols["unknowns"], by_stretch) + energy * (mesh[-1] - mesh[0])
+        rows = integration(self.numbering)(*self._first[1:])[: self.numbering.free - 1]
+        return row, ca.densify(ca.jtimes(ca.vertcat(rows, row), self.symbols["unknowns"], by_stretch))
+
+    def _summed(self, gradients: list[ca.MX]) -> ca.MX:
+        """All rows, of ∂L̂/∂x and ∂L̂/∂x' at the points and of the further terms."""
+        total = integration(self.numbering)(*gradients)
+        for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
+            total += term.gathered(self.numbering, rows)
+        if self.numbering.stretched:
+            total = ca.vertcat(total[: self.numbering.free - 1], self._stretch[0])
+        return total
+
+    @lazy
     def _gradient(self) -> ca.MX:
-        return integration(self.numbering)(*self._first[1:])
+        return self._summed(self._first[1:])
 
     @lazy
     def _derivatives(self) -> tuple[ca.MX, ca.MX]:
         same = self._mapping is one_by_one
-        return self.hessian(), self._gradient if same else integration(self.numbering)(*self._second[1:3])
+        return self.hessian(), self._gradient if same else self._summed(self._second[1:3])
 
     def action(self) -> ca.MX:
-        """S: scalar."""
-        return summation(self.numbering)(self._first[0])
+        """S̄ but for its multipliers and the energy: scalar."""
+        action = summation(self.numbering)(self._first[0])
+        for values, _, _ in self._terms:
+            action += ca.sum2(values)
+        return action
 
     def gradient(self) -> ca.MX:
         """∇S with respect to the free values ξ."""
@@ -117,31 +187,47 @@ class Functional:
 
     def first_variation(self) -> list[ca.MX]:
         """S, momenta at the joints, ∇S with respect to the free values ξ, and sizes of the terms that it sums."""
-        momenta, terms = boundary_terms(self.numbering)(*self._first[1:])
-        return [self.action(), momenta, self._gradient, terms]
+        momenta, sizes = boundary_terms(self.numbering)(*self._first[1:])
+        for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
+            sizes += term.gathered(self.numbering, ca.fabs(rows))
+        return [self.action(), momenta, self._gradient, sizes]
 
     def derivatives(self) -> tuple[ca.MX, ca.MX]:
         """∇²S and ∇S with respect to the free values ξ, in one pass over the points."""
         return self._derivatives
 
     def hessian(self, inertia: ca.MX | float = 1.0) -> ca.MX:
-        """∇²S with respect to the free values ξ: sparse, symmetric, both halves stored; ∂²L/∂v² times `inertia`."""
+        """∇²S with respect to the free values ξ: sparse, both halves stored; ∂²L/∂v² times `inertia`."""
         values = zip(self.pointwise.blocks, self._second[3:], strict=True)
         weighted = [inertia * value if block == (1, 1) else value for block, value in values]
-        return assembly(*self.pattern_key, self.pointwise.blocks).call(weighted)[0]
+        total = assembly(*self.pattern_key, self.pointwise.blocks).call(weighted)[0]
+        return total if self._further is None else total + self._further
+
+    @lazy
+    def _further(self) -> ca.MX | None:
+        """What the further terms add to ∇²S."""
+        added = [term.matrix(self.numbering, at[2]) for term, at in zip(self.terms, self._terms, strict=True)]
+        if self.numbering.stretched:
+            column, last = self._stretch[1], self.numbering.free - 1
+            added.append(ca.horzcat(ca.MX(last + 1, last), column))
+            added.append(ca.vertcat(ca.MX(last, last + 1), ca.horzcat(column[:last].T, ca.MX(1, 1))))
+        return sum(added[1:], added[0]) if added else None
 
     def joint_time_derivatives(self) -> tuple[ca.MX, ca.MX, ca.MX]:
         """∂S/∂t_i, ∂²S/∂t_i² and ∂²S/∂t_i∂t_{i+1} by the joints, at fixed node values; the first are energy jumps."""
         at_points = one_by_one(self.pointwise.time_derivatives, self.numbering.points, self._shared).call(self._at)
         return joint_time_derivatives(self.numbering, *at_points)
 
-    def curvature(self, direction: ca.MX) -> tuple[ca.MX, ca.MX]:
-        """Second variation yᵀ∇²S y along y = `direction`, and the same with every term taken positive."""
+    def curvature(self, left: ca.MX, right: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """Second variation zᵀ∇²S y along z = `left` and y = `right`, and the same with every term taken positive."""
         fixed = ca.MX.zeros(self.numbering.size - self.numbering.free, 1)
-        y, slope = embedding(self.numbering).call([ca.vertcat(direction, fixed)])
+        along = [ca.vertcat(*embedding(self.numbering).call([ca.vertcat(way, fixed)])) for way in (left, right)]
         at_points = one_by_one(self.pointwise.curvature, self.numbering.points, self._shared)
-        signed, positive = at_points.call([*self._at, ca.vertcat(y, slope)])
-        return summation(self.numbering)(signed), summation(self.numbering)(positive)
+        signed, positive = (summation(self.numbering)(value) for value in at_points.call([*self._at, *along]))
+        if self._further is not None:
+            signed += ca.bilin(self._further, left, right)
+            positive += ca.bilin(ca.fabs(self._further), ca.fabs(left), ca.fabs(right))
+        return signed, positive
 
     def function(self, name: str) -> ca.Function:
         """One of the functional's own Functions.
@@ -154,13 +240,14 @@ class Functional:
           terms, the sizes of what the gradient sums
         - joint_time_derivatives : -> by_joint, twice_by_joint, by_neighbours
         - heavier : with inertia -> matrix ∇²S with ∂²L/∂v² times that
-        - curvature : with direction y -> signed yᵀ∇²S y, positive sum of the sizes of its terms
+        - curvature : with left z and right y -> signed zᵀ∇²S y, positive sum of the sizes of its terms
         - sensitivity : with direction of the parameters -> change of ∇S along it
         """
         if name in self._functions:
             return self._functions[name]
         inertia, parameters = ca.MX.sym("inertia"), ca.vertcat(*self._parameters)
-        along, change = (ca.MX.sym("direction", size) for size in (self.numbering.free, parameters.numel()))
+        ways = {name: ca.MX.sym(name, self.numbering.free) for name in ("left", "right")}
+        change = ca.MX.sym("direction", parameters.numel())
         builders: dict[str, Callable[[], Parts]] = {
             "action": lambda: ({}, ["action"], [self.action()]),
             "gradient": lambda: ({}, ["gradient"], [self.gradient()]),
@@ -173,7 +260,7 @@ class Functional:
                 list(self.joint_time_derivatives()),
             ),
             "heavier": lambda: ({"inertia": inertia}, ["matrix"], [self.hessian(inertia)]),
-            "curvature": lambda: ({"direction": along}, ["signed", "positive"], list(self.curvature(along))),
+            "curvature": lambda: (ways, ["signed", "positive"], list(self.curvature(*ways.values()))),
             "sensitivity": lambda: (
                 {"direction": change},
                 ["change"],

@@ -12,14 +12,15 @@ from casadi_galerkin.calculus.lazy import lazy
 
 KEPT = 8  # a graph of 1e5 intervals holds some 100 MB
 
-Data = tuple[np.ndarray, ...]  # what a path is found for: start, end, mesh and, if there are some, parameters
+Data = tuple[np.ndarray, ...]  # what a path is found for: start, end, mesh and, if there are some, parameters, given
 
 
 @dataclass(frozen=True)
 class Numbering:
     """Which entry of the vector u stands for which value of the path: X̄ = P ξ + c as a numbering.
 
-    u holds the free values ξ in the order of time, then the fixed components of the start, then those of the end.
+    u holds the unknowns ξ, then the fixed components of the start, then those of the end.  ξ holds the free values of the
+    path in the order of time, then the multipliers, and last, where the duration is free, what stretches it.
 
     Parameters
     ----------
@@ -28,6 +29,8 @@ class Numbering:
     dimension : int, d
     fixed_start, fixed_end : indices of the components that are given at the ends
     periodic : bool, whether the last joint is the first one; `fixed_start` then holds for both
+    multipliers : int, unknowns beside the path
+    stretched : bool, whether the duration is an unknown, in units of the one that the mesh has
     """
 
     method: Galerkin
@@ -36,6 +39,8 @@ class Numbering:
     fixed_start: tuple[int, ...] = ()
     fixed_end: tuple[int, ...] = ()
     periodic: bool = False
+    multipliers: int = 0
+    stretched: bool = False
 
     @lazy
     def of_nodes(self) -> np.ndarray:
@@ -47,7 +52,7 @@ class Numbering:
             given[-1] = True  # numbered with the first joint, below
         else:
             given[-1, list(self.fixed_end)] = True
-        nodes[~given] = np.arange(np.count_nonzero(~given))
+        nodes[~given] = np.arange(self.positions)
         starts = self.free + np.arange(len(self.fixed_start))
         nodes[0, list(self.fixed_start)] = starts
         if self.periodic:
@@ -65,14 +70,23 @@ class Numbering:
 
     @lazy
     def place(self) -> np.ndarray:
-        """Where every unknown stands among the node values, component fastest; (free,)."""
-        return np.unique(self.of_nodes, return_index=True)[1][: self.free]  # of a periodic joint the first
+        """Where every free value stands among the node values, component fastest; (positions,)."""
+        return np.unique(self.of_nodes, return_index=True)[1][: self.positions]  # of a periodic joint the first
+
+    @lazy
+    def distinct(self) -> int:
+        """Number of nodes that are not others under another name: all, but for a periodic path's last one."""
+        return self.intervals * self.method.degree + (0 if self.periodic else 1)
+
+    @lazy
+    def positions(self) -> int:
+        """Number of free values of the path."""
+        return self.distinct * self.dimension - len(self.fixed_start) - len(self.fixed_end)
 
     @lazy
     def free(self) -> int:
         """Number of unknowns, the length of ξ."""
-        joints = self.intervals * self.method.degree + (0 if self.periodic else 1)
-        return joints * self.dimension - len(self.fixed_start) - len(self.fixed_end)
+        return self.positions + self.multipliers + self.stretched
 
     @property
     def size(self) -> int:
@@ -95,6 +109,12 @@ class Numbering:
 def kept(numbering: Numbering) -> Numbering:
     """The first numbering that was equal to this one, with what it has found out."""
     return numbering
+
+
+def joints_of(numbering: Numbering, unknowns: np.ndarray, data: Data) -> np.ndarray:
+    """Joints of a path, (N + 1,): those of its mesh, stretched where the duration is free."""
+    mesh = data[2]
+    return np.asarray(mesh[0] + unknowns[-1] * (mesh - mesh[0])) if numbering.stretched else mesh
 
 
 def clock(numbering: Numbering, mesh: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

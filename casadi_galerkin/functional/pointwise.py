@@ -2,6 +2,9 @@
 
 On the reference interval, with the slope x' = h v, the Lagrangian is L̂(t, h, x, x') = h L(t, x, x'/h).  It holds the
 step, so that the sum over an interval needs no factor h, and nothing linear in the graph depends on the mesh.
+
+A force adds its virtual work h F·δx (Lagrange-d'Alembert): what multiplies δx is then ∂L̂/∂x + h F(t, x, x'/h).  No
+function has this as its gradient, so that its Jacobian, J below, is no longer symmetric; without a force J = ∇²L̂.
 """
 
 from __future__ import annotations
@@ -22,32 +25,39 @@ def pulled_back(lagrangian: ca.Function, t: ca.SX, h: ca.SX, x: ca.SX, slope: ca
 
 
 class Pointwise:
-    """L̂(t, h, x, x'[, p]) at one point with its first and second derivatives.
+    """L̂(t, h, x, x'[, p]) at one point, what multiplies (δx, δx') in its variation and in the work, and their Jacobian.
 
     Parameters
     ----------
     lagrangian : Function (t, x, v[, p]) -> scalar
+    force : Function (t, x, v[, p]) -> (d,), or None
 
     Attributes
     ----------
-    pattern : Sparsity (d, d), symmetric, that holds every second-derivative block
-    stored : the same, or its lower triangle where that tells all: without a block of x and x'
+    symmetric : whether J is, which it is without a force
+    pattern : Sparsity (d, d), symmetric, that holds every block of J
+    stored : the same, or its lower triangle where that tells all: in a symmetric J without a block of x and x'
     blocks : which of (0, 0), (0, 1), (1, 0), (1, 1) are not structurally zero; 0 stands for x and 1 for x'
     kinetic : whether no ∂²L̂/∂x'_i² is structurally zero
     quadratic : whether second derivatives depend on neither x nor x', so that Newton's equations have but one matrix
     """
 
-    def __init__(self, lagrangian: ca.Function) -> None:
+    def __init__(self, lagrangian: ca.Function, force: ca.Function | None = None) -> None:
         t, h = ca.SX.sym("t"), ca.SX.sym("h")
         d = lagrangian.size1_in(1)
         x, slope = ca.SX.sym("x", d), ca.SX.sym("slope", d)
         parameters = [ca.SX.sym("p", lagrangian.size1_in(3))] if lagrangian.n_in() == 4 else []
         self._inputs = {"t": t, "h": h, "x": x, "slope": slope} | ({"p": parameters[0]} if parameters else {})
         self._value = pulled_back(lagrangian, t, h, x, slope, *parameters)
-        self._hessian, gradient = ca.hessian(self._value, ca.vertcat(x, slope))
+        self._jacobian, gradient = ca.hessian(self._value, ca.vertcat(x, slope))
+        self.symmetric = force is None
+        if force is not None:
+            self._work = h * force(t, x, slope / h, *parameters)
+            gradient = gradient + ca.vertcat(self._work, ca.SX(d, 1))
+            self._jacobian += ca.vertcat(ca.jacobian(self._work, ca.vertcat(x, slope)), ca.SX(d, 2 * d))
         ends = [0, d, 2 * d]
         self._slopes = dict(zip(("fx", "fv"), ca.vertsplit(ca.densify(gradient), ends), strict=True))
-        rows = ca.blocksplit(self._hessian, ends, ends)
+        rows = ca.blocksplit(self._jacobian, ends, ends)
         self._cells = {(i, j): cell for i, row in enumerate(rows) for j, cell in enumerate(row)}
         self.blocks = tuple(key for key, cell in self._cells.items() if cell.nnz())
         if not self.blocks:
@@ -56,19 +66,19 @@ class Pointwise:
         for key in self.blocks:
             sparsity = self._cells[key].sparsity()
             self.pattern = self.pattern + sparsity + sparsity.T
-        self.stored = self.pattern if (0, 1) in self.blocks else ca.tril(self.pattern)
+        self.stored = ca.tril(self.pattern) if self.symmetric and (0, 1) not in self.blocks else self.pattern
         kinetic = self._cells[1, 1].sparsity()
         self.kinetic = all(kinetic.has_nz(i, i) for i in range(d))
-        self.quadratic = not ca.depends_on(self._hessian, ca.vertcat(x, slope))
+        self.quadratic = not ca.depends_on(self._jacobian, ca.vertcat(x, slope))
 
     @lazy
     def first(self) -> ca.Function:
-        """L̂, ∂L̂/∂x and ∂L̂/∂x'."""
+        """L̂, and what multiplies δx and δx': ∂L̂/∂x + h F and ∂L̂/∂x'."""
         return self._function("first", {"f": self._value, **self._slopes})
 
     @lazy
     def derivatives(self) -> ca.Function:
-        """What `first` has, and second derivatives in the order of `blocks`, each the column of its `stored` entries.
+        """What `first` has, and J in the order of `blocks`, each the column of its `stored` entries.
 
         They are one Function, because a call costs as much as evaluating a small Lagrangian.
         """
@@ -77,18 +87,20 @@ class Pointwise:
 
     @lazy
     def supplied(self) -> ca.Function | None:
-        """∂L̂/∂t, or None where L does not depend on time."""
-        if not ca.depends_on(self._value, self._inputs["t"]):
+        """∂L̂/∂t - h F·v, by which the energy falls; None where it is kept."""
+        falls = ca.gradient(self._value, self._inputs["t"])
+        if not self.symmetric:
+            falls -= ca.dot(self._work, self._inputs["slope"] / self._inputs["h"])
+        if not falls.nnz():
             return None
-        return self._function("supplied", {"ft": ca.densify(ca.gradient(self._value, self._inputs["t"]))})
+        return self._function("supplied", {"ft": ca.densify(falls)})
 
     @lazy
     def curvature(self) -> ca.Function:
-        """With z = (y, y') as a further input, zᵀ∇²L̂ z and |z|ᵀ|∇²L̂||z|."""
-        z = ca.SX.sym("z", self._hessian.shape[0])
-        size = ca.fabs(z)
-        terms = [ca.bilin(self._hessian, z, z), ca.bilin(ca.fabs(self._hessian), size, size)]
-        return ca.Function("curvature", [*self._inputs.values(), z], terms)
+        """With z and y, of the size of (x, x'), as further inputs, zᵀJ y and |z|ᵀ|J||y|."""
+        z, y = (ca.SX.sym(name, self._jacobian.shape[0]) for name in ("z", "y"))
+        terms = [ca.bilin(self._jacobian, z, y), ca.bilin(ca.fabs(self._jacobian), ca.fabs(z), ca.fabs(y))]
+        return ca.Function("curvature", [*self._inputs.values(), z, y], terms)
 
     @lazy
     def time_derivatives(self) -> ca.Function:
@@ -105,6 +117,6 @@ class Pointwise:
 
 
 @lru_cache(KEPT)
-def pointwise(lagrangian: ca.Function) -> Pointwise:
-    """Derive the pointwise Functions of a Lagrangian; the last ones are kept."""
-    return Pointwise(lagrangian)
+def pointwise(lagrangian: ca.Function, force: ca.Function | None = None) -> Pointwise:
+    """Derive the pointwise Functions of a Lagrangian and a force; the last ones are kept."""
+    return Pointwise(lagrangian, force)

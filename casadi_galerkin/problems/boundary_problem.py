@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import components, numbers, time_span, times_inside
-from casadi_galerkin.problems.callables import Traceable, trace_lagrangian
+from casadi_galerkin.calculus.numbers import components, number, numbers, time_span, times_inside
+from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.problems.callables import (
+    Traceable,
+    trace_constraint,
+    trace_ends,
+    trace_force,
+    trace_lagrangian,
+    with_parameters,
+)
 from casadi_galerkin.problems.problem import shown
+
+Given = tuple[float | None, ...]
+ENDS = ("start", "end")
+HELD = 1e-10  # part of its terms by which a constraint may be missed at a given end; what is there is put right
+
+
 
 
 @dataclass(frozen=True, repr=False)
@@ -21,14 +36,24 @@ class BoundaryProblem:
     ----------
     lagrangian : callable (t, x, v) or, with parameters, (t, x, v, p) -> scalar
         t scalar, x and v CasADi vectors of shape (d,), p of shape (len(parameters),); written with CasADi functions
-    t_span : (t_0, t_N), in the unit of time of the Lagrangian
+    t_span : (t_0, t_N), in the unit of time of the Lagrangian; with `energy`, t_N is a guess
     start, end : d numbers each, in the units of x; None leaves the component free, with zero momentum there
-        (natural boundary condition)
-    parameters : numbers passed to the Lagrangian as p; default none
+        (natural boundary condition) unless one of the following says otherwise
+    parameters : numbers passed to all callables as p, their last argument; default none
     periodic : whether x(t_N) = x(t_0) with equal momenta; `start` may fix components of that point, `end` is left out
-    breakpoints : increasing times inside of `t_span` where L is not smooth, such as the knots of tabulated data.  Every
-        mesh has them as joints, so that the order holds between them.  Where L jumps in time, take a rule without
-        points at the ends of an interval, such as Gauss: a function of time has one value there
+    force : callable (t, x, v) -> d generalised forces, that do the virtual work F·δx (Lagrange-d'Alembert)
+    constraint : callable (t, x) -> k < d values that are zero all along the path (holonomic)
+    start_velocity, end_velocity, start_momentum, end_momentum : d numbers each, None where nothing is given.  They
+        replace the natural condition of a component whose position is None
+    end_action : callable (x_0, x_N) -> scalar φ, added to the action, so that p_0 = ∂φ/∂x_0 and p_N = -∂φ/∂x_N where
+        the position is free: springs, costs of the end
+    end_conditions : callable (x_0, x_N) -> values that are zero: an end on a curve, an end that is the start rotated.
+        The momenta that go with them, across the curve, follow (transversality)
+    energy : frees the duration, so that the path has this energy p·v - L; of a Lagrangian that does not depend on time.
+        The phase of a periodic path of given energy is fixed by a plane through the guess's start, across its velocity
+    breakpoints : increasing times inside of `t_span` where L or a force is not smooth, such as the knots of tabulated
+        data.  Every mesh has them as joints, so that the order holds between them.  Where L jumps in time, take a rule
+        without points at the ends of an interval, such as Gauss: a function of time has one value there
 
     Raises
     ------
@@ -43,10 +68,19 @@ class BoundaryProblem:
 
     lagrangian: ca.Function
     t_span: tuple[float, float]
-    start: tuple[float | None, ...]
-    end: tuple[float | None, ...]
+    start: Given
+    end: Given
     parameters: tuple[float, ...] | None
     periodic: bool
+    force: ca.Function | None
+    constraint: ca.Function | None
+    start_velocity: Given
+    end_velocity: Given
+    start_momentum: Given
+    end_momentum: Given
+    end_action: ca.Function | None
+    end_conditions: ca.Function | None
+    energy: float | None
     breakpoints: tuple[float, ...]
 
     def __init__(
@@ -55,8 +89,18 @@ class BoundaryProblem:
         t_span: Sequence[float],
         start: Sequence[float | None],
         end: Sequence[float | None] | None = None,
+        *,
         parameters: Sequence[float] | None = None,
         periodic: bool = False,
+        force: Traceable | None = None,
+        constraint: Traceable | None = None,
+        start_velocity: Sequence[float | None] | None = None,
+        end_velocity: Sequence[float | None] | None = None,
+        start_momentum: Sequence[float | None] | None = None,
+        end_momentum: Sequence[float | None] | None = None,
+        end_action: Traceable | None = None,
+        end_conditions: Traceable | None = None,
+        energy: float | None = None,
         breakpoints: Sequence[float] = (),
     ) -> None:
         if not isinstance(periodic, (bool, np.bool_)):
@@ -68,25 +112,44 @@ class BoundaryProblem:
             raise ValueError(f"a periodic path ends where it starts: leave out end, got {end!r}")
         if end is None and not periodic:
             raise ValueError(f"end must have {dimension} component(s), got None; None is for a periodic path")
-        checked_parameters = None if parameters is None else numbers("parameters", parameters)
+        checked = None if parameters is None else numbers("parameters", parameters)
+        given = {
+            "start_velocity": start_velocity,
+            "end_velocity": end_velocity,
+            "start_momentum": start_momentum,
+            "end_momentum": end_momentum,
+        }
+        traced = (dimension, checked)
         values = {
-            "lagrangian": trace_lagrangian(lagrangian, dimension, checked_parameters),
+            "lagrangian": trace_lagrangian(lagrangian, *traced),
             "t_span": time_span(t_span),
             "breakpoints": times_inside("breakpoints", breakpoints, time_span(t_span)),
             "start": checked_start,
             "end": checked_end,
-            "parameters": checked_parameters,
+            "parameters": checked,
             "periodic": bool(periodic),
+            "force": None if force is None else trace_force(force, *traced),
+            "constraint": None if constraint is None else trace_constraint(constraint, *traced),
+            **{name: (None,) * dimension if a is None else components(name, a, dimension) for name, a in given.items()},
+            "end_action": None if end_action is None else trace_ends("end_action", end_action, "scalar", *traced),
+            "end_conditions": None if end_conditions is None else trace_ends("end_conditions", end_conditions, "any", *traced),
+            "energy": None if energy is None else _finite("energy", energy),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
+        _check_ends(self)
+        _check_constraint(self)
+        _check_energy(self)
 
     def __repr__(self) -> str:
         """State the problem without its Lagrangian."""
         ends = "periodic, " if self.periodic else f"end {shown(self.end)}, "
+        further = [f"energy {self.energy:g}"] if self.energy is not None else []
+        further += [name for name in ("force", "constraint", "end_action", "end_conditions") if getattr(self, name)]
+        further += [f"{name} {shown(getattr(self, name))}" for name in RATES if any(a is not None for a in getattr(self, name))]
         return (
             f"BoundaryProblem of {self.dimension} component(s) on {self.t_span}: start {shown(self.start)}, {ends}"
-            f"parameters {shown(self.parameters)}"
+            f"parameters {shown(self.parameters)}" + "".join(f", {words}" for words in further)
         )
 
     @property
@@ -94,14 +157,137 @@ class BoundaryProblem:
         """Number d of coordinates."""
         return len(self.start)
 
-    def varied(
-        self,
-        t_span: tuple[float, float],
-        start: tuple[float | None, ...],
-        end: tuple[float | None, ...],
-        parameters: tuple[float, ...] | None,
-    ) -> BoundaryProblem:
-        """Copy with other values that were checked before; unlike ``dataclasses.replace`` it traces nothing."""
+    @property
+    def autonomous(self) -> bool:
+        """Whether neither the Lagrangian nor a constraint depends on time, and no force acts: the energy is kept."""
+        functions = [f for f in (self.lagrangian, self.constraint) if f is not None]
+        return self.force is None and not any(f.sparsity_jac(0, 0).nnz() for f in functions)
+
+    def varied(self, changes: Mapping[str, Any], t_span: tuple[float, float]) -> BoundaryProblem:
+        """Copy with other given values; unlike ``dataclasses.replace`` it traces nothing.
+
+        Parameters
+        ----------
+        changes : new values by name, of start, end, their velocities and momenta, parameters or energy: with None
+            exactly where the problem has None
+        t_span : (t_0, t_N), checked before
+        """
+        values: dict[str, Any] = {}
+        for name, value in changes.items():
+            before = getattr(self, name)
+            if before is None:
+                kind = "no parameters" if name == "parameters" else f"no {name}"
+                raise ValueError(f"the problem has {kind}, got {name}={value!r}")
+            if name == "energy":
+                values[name] = _finite(name, value)
+            elif name == "parameters":
+                values[name] = numbers(name, value, len(before))
+            else:
+                values[name] = components(name, value, self.dimension)
+                if [a is None for a in values[name]] != [a is None for a in before]:
+                    raise ValueError(f"{name} must have None where the problem has it, {before}, got {values[name]}")
         other = object.__new__(type(self))  # copy.copy takes 50 µs
-        other.__dict__.update(vars(self), t_span=t_span, start=start, end=end, parameters=parameters)
+        other.__dict__.update(vars(self), t_span=t_span, **values)
+        if self.constraint is not None:
+            _check_constraint(other)
         return other
+
+
+RATES = ("start_velocity", "end_velocity", "start_momentum", "end_momentum")
+
+
+def _finite(name: str, value: object) -> float:
+    checked = number(value)
+    if checked is None or not np.isfinite(checked):
+        raise ValueError(f"{name} must be a finite number, got {value!r}")
+    return checked
+
+
+def _check_ends(problem: BoundaryProblem) -> None:
+    """Refuse what contradicts itself at the ends, and conditions that are too many."""
+    stated = [name for name in (*RATES, "end_action", "end_conditions") if _says(getattr(problem, name))]
+    if problem.periodic and stated:
+        raise ValueError(f"a periodic path has no ends: leave out {', '.join(stated)}")
+    taken = []
+    for side in ENDS:
+        position, *rates = (getattr(problem, name) for name in (side, f"{side}_velocity", f"{side}_momentum"))
+        for i, (x, velocity, momentum) in enumerate(zip(position, *rates, strict=True)):
+            named = {side: x, f"{side}_velocity": velocity, f"{side}_momentum": momentum}
+            named = {name: value for name, value in named.items() if value is not None}
+            if len(named) > 1:
+                words = " and ".join(f"{name}[{i}] = {value}" for name, value in named.items())
+                raise ValueError(f"only one of position, velocity and momentum may be given at an end, got {words}")
+            taken.append(list(named))
+    for name in ("end_action", "end_conditions"):
+        function = getattr(problem, name)
+        if function is not None:
+            _check_end_function(name, function, taken)
+
+
+def _says(value: object) -> bool:
+    return any(a is not None for a in value) if isinstance(value, tuple) else value is not None
+
+
+def _check_end_function(name: str, function: ca.Function, taken: list[list[str]]) -> None:
+    """Refuse a function of the ends that says something where all is said; `taken` lists what is given, by component."""
+    d = len(taken) // 2
+    pattern = ca.horzcat(function.sparsity_jac(0, 0), function.sparsity_jac(1, 0))
+    depends = [bool(pattern.get_col() and i in pattern.get_col()) for i in range(2 * d)]
+    for i, (given, used) in enumerate(zip(taken, depends, strict=True)):
+        if used and given and given[0] not in ENDS:
+            raise ValueError(f"{name} depends on {ENDS[i // d]} component {i % d}, where {given[0]} is given: leave out one")
+    free = [i for i, given in enumerate(taken) if not given]
+    if not any(depends[i] for i in free):
+        raise ValueError(f"{name} depends on no component that is free at the ends, so it changes nothing")
+    count = function.size1_out(0)
+    if name == "end_conditions":
+        rank = ca.sprank(ca.DM(pattern, 1.0)[:, free])
+        if rank < count:
+            raise ValueError(
+                f"end_conditions are {count}, but only {rank} can be met by the {len(free)} component(s) that are free at "
+                "the ends: leave out some, or free more components with None"
+            )
+
+
+def _check_constraint(problem: BoundaryProblem) -> None:
+    """Refuse more constraints than components, ends off the constraint, and redundant constraints there."""
+    if problem.constraint is None:
+        return
+    d, k = problem.dimension, problem.constraint.size1_out(0)
+    if k >= d:
+        raise ValueError(f"a constraint must leave the path free to move: {k} values for {d} component(s)")
+    for side, when in zip(ENDS, problem.t_span, strict=True):
+        if None in getattr(problem, side):
+            continue
+        x = np.array(getattr(problem, side))
+        value, jacobian = constraint_at(problem, when, x)
+        missed = np.abs(value) / (np.abs(jacobian) @ np.abs(x) + 1e-300)
+        if not np.all(missed <= HELD):
+            i = int(np.argmax(missed))
+            raise ValueError(f"the constraint must be zero at the given {side}, x = {x.tolist()}: value {i} is {value[i]:g}")
+        sizes = np.linalg.norm(jacobian, axis=1)
+        if np.linalg.matrix_rank(jacobian / np.where(sizes > 0, sizes, 1)[:, None], tol=1e3 * EPS) < k:
+            raise ValueError(
+                f"the constraints are redundant at the given {side}, x = {x.tolist()}: their gradients, the rows of "
+                f"{jacobian.tolist()}, are linearly dependent"
+            )
+
+
+def constraint_at(problem: BoundaryProblem, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Values g (k,) and gradients ∂g/∂x (k, d) of the problem's constraint at one point."""
+    function = with_parameters(problem.constraint, problem.parameters)
+    symbol = ca.SX.sym("x", len(x))
+    value = function(t, symbol)
+    both = ca.Function("constraint", [symbol], [value, ca.densify(ca.jacobian(value, symbol))])(x)
+    return np.array(both[0]).ravel(), np.array(both[1])
+
+
+def _check_energy(problem: BoundaryProblem) -> None:
+    if problem.energy is None:
+        return
+    if problem.force is not None:
+        raise ValueError("a force changes the energy: give force or energy, got both")
+    if not problem.autonomous:
+        raise ValueError("a given energy needs a lagrangian and a constraint that do not depend on t")
+    if problem.breakpoints:
+        raise ValueError(f"a given energy frees the duration, so that breakpoints have no place, got {problem.breakpoints}")

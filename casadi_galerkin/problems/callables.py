@@ -150,6 +150,21 @@ def trace_force(force: Traceable, dimension: int, parameters: tuple[float, ...] 
     return trace("force", force, _sizes(dimension, parameters), dimension)
 
 
+def trace_constraint(constraint: Traceable, dimension: int, parameters: tuple[float, ...] | None) -> ca.Function:
+    """Trace g(t, x[, p]) -> (k,)."""
+    sizes = _sizes(dimension, parameters)
+    del sizes["v"]
+    return trace("constraint", constraint, sizes, "any")
+
+
+def trace_ends(
+    name: str, function: Traceable, rows: Rows, dimension: int, parameters: tuple[float, ...] | None
+) -> ca.Function:
+    """Trace a function of the ends, (x_0, x_N[, p]) -> (rows,)."""
+    sizes = {"x0": dimension, "x1": dimension} | ({} if parameters is None else {"p": len(parameters)})
+    return trace(name, function, sizes, rows)
+
+
 def with_parameters(function: ca.Function, parameters: tuple[float, ...] | None) -> ca.Function:
     """Put the parameters p, which a callable takes last, into a Function; without parameters it is the same."""
     if parameters is None:

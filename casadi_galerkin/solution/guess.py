@@ -57,7 +57,7 @@ def meeting_ends(values: np.ndarray, parts: np.ndarray, ends: np.ndarray) -> np.
     return np.asarray(values + first + np.multiply.outer(parts, last - first))
 
 
-def given_values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:
+def guess_values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:
     """Values (d, N m + 1) of a guess as it was given; refuses what does not fit or is not finite."""
     values = _values(guess, calculus, dimension)
     finite = np.isfinite(values)

@@ -31,6 +31,11 @@ def stationary_point(
 
 def minimum(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0, **options: Any) -> Solution:
     """IPOPT on the action itself: finds a minimum, or fails where there is none; arguments as of a `Solver`."""
+    if not stationarity.variational or stationarity.functional.numbering.stretched:
+        raise ValueError(
+            "minimizer lowers the action, which forces, constraints, conditions on the ends, velocities given there and a "
+            "given energy do not allow: take newton or ipopt"
+        )
     solution = _interior_point(stationarity, guess, data, verbose, minimize=True, options=options)
     index = negative_eigenvalues(stationarity, solution.unknowns, data)
     if index != 0:
@@ -85,8 +90,10 @@ def _units(stationarity: Stationarity, guess: np.ndarray, data: Data) -> tuple[n
     """
     floor = np.array(stationarity.floor.call([guess, *data])[1]).ravel()
     sizes = stationarity.sizes(guess, data)
-    unit = float(np.median(sizes * floor / EPS)) if len(guess) else 1.0
-    return sizes, unit if 0 < unit < np.inf else 1.0
+    measured = np.isfinite(sizes)
+    unit = float(np.median((sizes * floor)[measured] / EPS)) if np.any(measured) else 1.0
+    unit = unit if 0 < unit < np.inf else 1.0
+    return np.where(measured, sizes, unit * EPS / floor), unit  # a multiplier by what makes its row one of such terms
 
 
 def _nlpsol(functional: Functional, minimize: bool, verbose: int, given: Mapping[str, Any]) -> ca.Function:

@@ -13,6 +13,7 @@ import numpy as np
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.roundoff import EPS, TINY, ZERO
 from casadi_galerkin.functional.embedding import hessian_pattern
+from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import KEPT, Numbering
 
 LOCAL = 1e-3  # part of a right-hand side that a solution may miss; below such a step, no line search is needed
@@ -25,15 +26,11 @@ class LinearSolver:
     Parameters
     ----------
     numbering : Numbering
-    colind, row : pattern of the second-derivative blocks, as for `hessian_pattern`
-
-    Attributes
-    ----------
     sparsity : Sparsity of ∇²S
     """
 
-    def __init__(self, numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...]) -> None:
-        self.numbering, self.sparsity = numbering, hessian_pattern(numbering, colind, row).sparsity
+    def __init__(self, numbering: Numbering, sparsity: ca.Sparsity) -> None:
+        self.numbering, self.sparsity = numbering, sparsity
         self._generic_rhs = ca.DM(np.cos(1.0 + np.arange(numbering.free)))  # has no symmetry
         self._kept: dict[tuple[str, ...], ca.Function] = {}
 
@@ -58,12 +55,13 @@ class LinearSolver:
         """‖∇²S y + b‖₁ - LOCAL ‖b‖₁: the linear system is solved where this is at most zero."""
         return ca.norm_1(ca.vec(ca.mac(matrix, y, rhs))) - LOCAL * ca.norm_1(ca.vec(rhs))  # sums keep a NaN
 
-    def solutions(self, method: str, columns: int) -> ca.Function:
-        """(matrix, rhs) -> (y, defect): solutions of ∇²S y = -b for several right-hand sides at once."""
-        key = ("solutions", method, str(columns))
+    def solutions(self, method: str, columns: int, transposed: bool) -> ca.Function:
+        """(matrix, rhs) -> (y, defect): solutions of ∇²S y = -b, or (∇²S)ᵀ y = -b, for several b at once."""
+        key = ("solutions", method, str(columns), str(transposed))
         if key not in self._kept:
             inputs = self.symbols("matrix") | {"rhs": ca.MX.sym("rhs", self.numbering.free, columns)}
             matrix, rhs = inputs.values()
+            matrix = matrix.T if transposed else matrix
             y = self._solution(method, matrix, rhs)
             self._kept[key] = self._function(
                 "solutions", inputs, {"solutions": y, "solutions_defect": self._defect(matrix, y, rhs)}
@@ -111,17 +109,22 @@ class LinearSolver:
     def largest(self) -> ca.Function:
         """Largest size of each component along a path, from its vector u; (d,)."""
         inputs = self.symbols("u")
-        of_nodes = self.numbering.of_nodes[: self.numbering.size // self.numbering.dimension]
+        of_nodes = self.numbering.of_nodes[: self.numbering.distinct]
         values = ca.reshape(inputs["u"].get_nz(False, of_nodes.T.ravel().tolist()), of_nodes.shape)
         return self._function("largest", inputs, {"scale": ca.vertcat(*map(ca.norm_inf, ca.horzsplit(values)))})
 
-    def _expanded(self, scale: ca.MX) -> ca.MX:
-        """Take one value per component to one value per unknown."""
-        return ca.vec(scale.get_nz(False, self.numbering.component[: self.numbering.free].tolist()))
+    def _expanded(self, scale: ca.MX, further: ca.MX) -> ca.MX:
+        """One value per unknown, from one per component of the path and those of the further unknowns."""
+        along = scale.get_nz(False, self.numbering.component[: self.numbering.positions].tolist())
+        return ca.vertcat(ca.vec(along), further) if further.numel() else ca.vec(along)
 
     def _measure(self, scale: ca.MX) -> ca.MX:
-        """What each unknown is measured by: the size of its component, or one where that is zero."""
-        return self._expanded(ca.if_else(scale < ZERO, 1.0, scale))
+        """What each unknown is measured by: the size of its component, or one where that is zero.
+
+        The size of a multiplier is infinite: the equations are linear in it, so that it is right where the path is.
+        """
+        further = ca.DM([np.inf] * self.numbering.multipliers + [1.0] * self.numbering.stretched)
+        return self._expanded(ca.if_else(scale < ZERO, 1.0, scale), ca.MX(further))
 
     @lazy
     def sizes(self) -> ca.Function:
@@ -146,7 +149,8 @@ class LinearSolver:
         """
         inputs = self.symbols("matrix", "u", "terms")
         matrix, u, terms = inputs.values()
-        scale = ca.fmax(self._expanded(self.largest(u)), ZERO)
+        further = u[self.numbering.positions : self.numbering.free]
+        scale = ca.fmax(self._expanded(self.largest(u), ca.fabs(further)), ZERO)
         product = ca.mtimes(ca.fabs(matrix), scale)
         outputs = {"floor": EPS * (terms + product) + TINY, "scale": scale, "product": product}
         return self._function("floor", inputs, outputs)
@@ -178,6 +182,11 @@ class LinearSolver:
 
 
 @lru_cache(KEPT)
-def linear_solver(numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...]) -> LinearSolver:
-    """The linear algebra for all Lagrangians whose Hessian has this sparsity; arguments as for `LinearSolver`."""
-    return LinearSolver(numbering, colind, row)
+def _kept(numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...], symmetric: bool) -> LinearSolver:
+    return LinearSolver(numbering, hessian_pattern(numbering, colind, row, symmetric).sparsity)
+
+
+def linear_solver(functional: Functional) -> LinearSolver:
+    """The linear algebra of a functional; the same for all that have no further terms and the same sparsity."""
+    plain = not (functional.terms or functional.numbering.stretched)
+    return _kept(*functional.pattern_key) if plain else LinearSolver(functional.numbering, functional.sparsity)

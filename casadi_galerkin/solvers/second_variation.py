@@ -21,6 +21,8 @@ def softest(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.nda
     give its quotient yᵀ∇²S y / Σ |z|ᵀ|∇²L̂||z|, which does not depend on scales or on the mesh.  Where a free
     component enters L by its velocity alone, y is a constant, and its terms are roundoff of which nothing cancels:
     the assembled Hessian then makes more of y than the points do.  The Hessian at `unknowns` is left.
+
+    With a force the matrix is not symmetric: y is taken against the softest direction of the transposed matrix.
     """
     if len(unknowns) == 0:
         return unknowns, np.inf  # nothing can vary
@@ -28,17 +30,19 @@ def softest(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.nda
     linear = at.stationarity.linear_solver
     sizes, rhs = (np.array(a).ravel() for a in linear.sizes(joined(unknowns, data)))
     matrix = ca.DM(linear.sparsity, at.matrix)
-    weights = np.array(linear.abs_hessian_product(matrix, sizes)).ravel() / sizes
-    y = force = np.zeros(len(unknowns))
+    measured = np.where(np.isfinite(sizes), sizes, 0.0)  # not the multipliers
+    weights = np.array(linear.abs_hessian_product(matrix, measured)).ravel() / sizes
+    y = z = force = np.zeros(len(unknowns))
     for _ in range(3):
         (solved,) = at.solve(rhs)
-        if not np.isfinite(solved).all():
+        (other,) = (solved,) if at.stationarity.functional.symmetric else at.solve(weights * solved, transposed=True)
+        if not (np.isfinite(solved).all() and np.isfinite(other).all()):
             return y, 0.0  # singular to the last digit
         largest = np.max(np.abs(solved / sizes))
-        y, force = solved / largest, rhs / largest  # ∇²S y = -force
-        rhs = weights * y
-    signed, positive = (float(value[0]) for value in at.evaluate("curvature", unknowns, data, y))
-    regular = math.isfinite(signed) and AGREED * abs(y @ force) < positive < math.inf
+        y, z, force = solved / largest, other / np.max(np.abs(other / sizes)), rhs / largest  # ∇²S y = -force
+        rhs = weights * z
+    signed, positive = (float(value[0]) for value in at.evaluate("curvature", unknowns, data, z, y))
+    regular = math.isfinite(signed) and AGREED * abs(z @ force) < positive < math.inf
     return y, abs(signed) / positive if regular else 0.0
 
 

@@ -93,7 +93,7 @@ def _newton(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: 
         if failure.iterations == 0:
             raise
         reasons, iterations = [f"Newton's method: {failure}"], failure.iterations
-        for minimize in (True, False):
+        for minimize in (True, False) if stationarity.variational else (False,):
             try:
                 return interior_point.rescue(stationarity, guess, data, verbose, minimize)
             except SolveFailure as another:

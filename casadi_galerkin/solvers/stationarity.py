@@ -48,7 +48,7 @@ class Iterate(NamedTuple):
 
 
 class Stationarity:
-    """Stationarity conditions of a functional at (ξ, *data), data being (start, end, mesh[, parameters]).
+    """Stationarity conditions of a functional at (ξ, *data), data being (start, end, mesh[, parameters][, given]).
 
     Parameters
     ----------
@@ -57,14 +57,19 @@ class Stationarity:
     Attributes
     ----------
     linear_solver : LinearSolver for the functional's Hessian
-    allows_ldl : whether LDLᵀ without pivoting can work: False where ∂²L/∂v_i² is structurally zero for some i
+    allows_ldl : whether LDLᵀ without pivoting can work: not where ∂²L/∂v_i² is structurally zero for some i, nor with a
+        force, which makes ∇²S unsymmetric, nor with multipliers
     quadratic : whether the Hessian depends on the data alone
+    variational : whether the conditions are ∇S̄ = 0 of a function without multipliers, so that it may be lowered
     """
 
     def __init__(self, functional: Functional) -> None:
         self.functional = functional
-        self.linear_solver = linear_solver(*functional.pattern_key)
-        self.allows_ldl, self.quadratic = functional.pointwise.kinetic, functional.pointwise.quadratic
+        self.linear_solver = linear_solver(functional)
+        pointwise, plain = functional.pointwise, not (functional.terms or functional.numbering.stretched)
+        self.variational = functional.symmetric and not functional.numbering.multipliers
+        self.allows_ldl = pointwise.kinetic and self.variational
+        self.quadratic = pointwise.quadratic and plain
         self._idle: list[Linearization] = []
 
     @contextmanager
@@ -290,13 +295,14 @@ class Linearization:
         self._array("inertia", 1)[:] = factor
         self._evaluated("heavier", lambda: self.stationarity.functional.function("heavier"), unknowns, data)
 
-    def solve(self, *rhs: np.ndarray) -> list[np.ndarray]:
-        """Solutions of ∇²S y = -b with ∇²S as it was left; not finite where that is singular to the last digit."""
+    def solve(self, *rhs: np.ndarray, transposed: bool = False) -> list[np.ndarray]:
+        """Solutions of ∇²S y = -b with ∇²S, or its transpose, as it was left; not finite where that is singular."""
         columns, linear = len(rhs), self.stationarity.linear_solver
         for method in self.methods:
-            key = "solutions", method, str(columns)
+            key = "solutions", method, str(columns), str(transposed)
             if key not in self._evaluators:
-                self._evaluators[key] = Evaluator(linear.solutions(method, columns), {"matrix": self.matrix})
+                solutions = linear.solutions(method, columns, transposed)
+                self._evaluators[key] = Evaluator(solutions, {"matrix": self.matrix})
             y, defect = self._evaluators[key](np.concatenate(rhs))
             if defect[0] <= 0:
                 break

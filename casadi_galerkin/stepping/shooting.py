@@ -25,7 +25,7 @@ from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
-from casadi_galerkin.solution.guess import given_values
+from casadi_galerkin.solution.guess import guess_values
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import SMALLEST_DAMPING
@@ -192,7 +192,7 @@ def _far(guess: Trajectory | None, path: Trajectory) -> str:
     """Words for a path far from its guess."""
     if guess is None:
         return ""
-    guessed = given_values(guess, DiscreteCalculus(path.method, path.t), len(path.x))
+    guessed = guess_values(guess, DiscreteCalculus(path.method, path.t), len(path.x))
     distances = np.abs(path.polynomial.values - guessed) / component_sizes(guessed)[:, None]
     distance = float(np.max(distances))
     return f", has found a path up to {distance:.2g} of the guess's size away from the guess" if distance > FAR else ""

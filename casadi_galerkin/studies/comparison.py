@@ -248,8 +248,9 @@ def _condition_global(problem: BoundaryProblem, path: Trajectory) -> float:
         problem.t_span,
         none,
         None if problem.periodic else none,
-        problem.parameters,
-        problem.periodic,
+        parameters=problem.parameters,
+        periodic=problem.periodic,
+        force=problem.force,
     )
     transcription = transcribe(free, path.method, mesh=path.t)
     numbering = transcription.numbering.of_nodes

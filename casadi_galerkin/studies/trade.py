@@ -21,7 +21,7 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.guess import Guess, given_values
+from casadi_galerkin.solution.guess import Guess, guess_values
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.studies.reference import Problem, Reference, ReferenceSolution, check_reference, finer
 from casadi_galerkin.studies.trade_table import Row, Trade
@@ -75,7 +75,7 @@ def _check(
         check_types(problem, method, BoundaryProblem, InitialProblem, ControlProblem)
         mesh = mesh_of(problem.t_span, count, None)
         if guess is not None:
-            given_values(guess, DiscreteCalculus(method, mesh), problem.dimension)
+            guess_values(guess, DiscreteCalculus(method, mesh), problem.dimension)
     return keys
 
 

@@ -288,7 +288,7 @@ def test_without_a_solution_every_output_is_nan(rate, capfd):
 
 def test_just_below_the_critical_value_there_is_a_solution():
     f, path = solved(bratu())
-    near = cg.solve(bratu().varied((0.0, 1.0), (0.0,), (0.0,), (3.51,)), cg.Galerkin(8), 10)
+    near = cg.solve(bratu().varied({"parameters": [3.51]}, (0.0, 1.0)), cg.Galerkin(8), 10)
     result = f(start=[0], end=[0], parameters=[3.51], guess=path.polynomial.values)
     np.testing.assert_allclose(result["x"], near.x, rtol=0, atol=1e-9)  # next to the fold, condition number 1e3
 

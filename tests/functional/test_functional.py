@@ -52,7 +52,7 @@ METHODS = [
 
 def transcription(case, method, mesh=GRADED):
     lagrangian, start, end, parameters, periodic = CASES[case]
-    problem = cg.BoundaryProblem(lagrangian, (mesh[0], mesh[-1]), start, end, parameters, periodic)
+    problem = cg.BoundaryProblem(lagrangian, (mesh[0], mesh[-1]), start, end, parameters=parameters, periodic=periodic)
     return cg.transcribe(problem, method, mesh=mesh)
 
 

@@ -7,7 +7,7 @@ from given import Series
 from scenes import BY_NAME, oscillator, oscillator_problem, pendulum
 
 import casadi_galerkin as cg
-from casadi_galerkin.solution.guess import given_values
+from casadi_galerkin.solution.guess import guess_values
 
 METHOD = cg.Galerkin(2)
 TIME = ca.SX.sym("t")
@@ -56,7 +56,7 @@ def test_a_path_of_other_components_is_refused_as_guess():
 def test_periodic_guess_that_is_not_closed_counts_with_its_first_value():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2, (0, 1), [None], periodic=True)
     tr = cg.transcribe(problem, cg.Galerkin(2), 3)
-    np.testing.assert_array_equal(tr.unknowns(np.arange(7.0)[:, None]), np.arange(6.0))
+    np.testing.assert_array_equal(tr.unknowns(np.arange(7.0)[:, None], tr.data(tr.mesh)), np.arange(6.0))
 
 
 def test_guesses_of_every_kind_lead_to_the_path_they_are_near():
@@ -92,4 +92,4 @@ def test_a_guess_that_misses_the_ends_is_bent_to_them():
 @pytest.mark.parametrize("guess", [sine, lambda t: ca.vertcat(ca.sin(t)), lambda t: Series({7: float(np.sin(t))})])
 def test_a_callable_guess_returns_its_values_in_any_form(guess):
     calculus = cg.DiscreteCalculus(METHOD, [0.0, 0.5, 1.0])
-    np.testing.assert_allclose(given_values(guess, calculus, 1), [np.sin(calculus.node_times)], rtol=1e-15)
+    np.testing.assert_allclose(guess_values(guess, calculus, 1), [np.sin(calculus.node_times)], rtol=1e-15)

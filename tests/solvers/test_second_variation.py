@@ -145,10 +145,10 @@ def test_a_hessian_that_is_singular_on_the_path_but_not_beside_it_is_named(miss)
     problem = cg.BoundaryProblem(lagrangian, (0, 1), [0.5, 0.5], [1.0, 1.0], parameters=[0.0])
     tr = cg.transcribe(problem, cg.Galerkin(3), 1)
     values = tr.solve().polynomial.values
-    unknowns = tr.unknowns(values.T)
+    unknowns = tr.unknowns(values.T, tr.data(tr.mesh))
 
     def positive(stiffness):
-        hessian = np.array(ca.DM(tr.hessian(unknowns, *tr.data(tr.mesh, parameters=[stiffness]))))
+        hessian = np.array(ca.DM(tr.hessian(unknowns, *tr.data(tr.mesh, tr.varied({"parameters": [stiffness]}, tr.mesh)))))
         return np.linalg.eigvalsh(hessian[::2, ::2] - hessian[::2, 1::2])[0] > 0
 
     low, high = 5.0, 30.0

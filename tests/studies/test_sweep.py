@@ -118,7 +118,7 @@ def identical(one, other):
 
 def test_answers_are_those_of_single_solves_in_order(serial):
     for rate, answer in zip(RATES, serial, strict=True):
-        problem = bratu().varied((0.0, 1.0), (0.0,), (0.0,), (rate,))
+        problem = bratu().varied({"parameters": [rate]}, (0.0, 1.0))
         if rate > 3.51:
             with pytest.raises(cg.ConvergenceError):
                 cg.solve(problem, METHOD, INTERVALS)

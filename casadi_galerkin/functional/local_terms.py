@@ -1,0 +1,68 @@
+"""What a problem adds to the action at single places: at the two ends, or at every node.
+
+A term is a small SX Function of a few entries y of the vector u, at K places alike.  Its `rows` are what it adds to the
+stationarity conditions of these entries, and its `jacobian` their derivative.  End actions, conditions on the ends and
+holonomic constraints are such terms; with a multiplier μ among y, the rows of μ·g(x) are (μ·∂g/∂x, g).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.functional.numbering import Numbering
+
+
+@dataclass(frozen=True)
+class LocalTerm:
+    """A term of the functional at one or several places.
+
+    Attributes
+    ----------
+    function : Function (y (n), t (q), parameters, given) -> value, rows (n,), jacobian (n, n), sparse
+    entries : (n, K), which entries of u stand for y at every place
+    times : (q K, N + 1), the times of every place as sums of joints
+    symmetric : whether the jacobian is: whether the rows are the gradient of a function
+    """
+
+    function: ca.Function
+    entries: np.ndarray
+    times: ca.DM
+    symmetric: bool
+
+    def evaluated(self, u: ca.MX, joints: ca.MX, parameters: ca.MX, given: ca.MX) -> list[ca.MX]:
+        """Values (1, K), rows (n, K) and nonzeros of the jacobian (nnz, K)."""
+        size, count = self.entries.shape
+        y = ca.reshape(u.get_nz(False, self.entries.ravel(order="F").tolist()), size, count)
+        t = ca.reshape(ca.mtimes(ca.MX(self.times), joints), self.function.size1_in(1), count)
+        value, rows, jacobian = self.function.map(self.function.name(), "serial", count, [2, 3], []).call(
+            [y, t, parameters, given]
+        )
+        return [value, rows, ca.reshape(ca.MX(jacobian.nz[:]), -1, count)]
+
+    def gathered(self, numbering: Numbering, rows: ca.MX) -> ca.MX:
+        """Sums of rows (n, K) by unknown."""
+        target = self.entries.ravel(order="F")
+        kept = np.flatnonzero(target < numbering.free)
+        selection = ca.Sparsity.triplet(numbering.free, len(target), target[kept].tolist(), kept.tolist())
+        return ca.mtimes(ca.MX(ca.DM(selection, 1.0)), ca.vec(rows))
+
+    def _pattern(self, numbering: Numbering) -> tuple[ca.Sparsity, np.ndarray]:
+        """Sparsity of what the term adds to the matrix, and where its nonzeros are among those of all places."""
+        row, column = (np.array(index, dtype=int) for index in self.function.sparsity_out(2).get_triplet())
+        rows, columns = self.entries[row].ravel(order="F"), self.entries[column].ravel(order="F")
+        kept = np.flatnonzero((rows < numbering.free) & (columns < numbering.free))
+        order = kept[np.lexsort((rows[kept], columns[kept]))]
+        starts = np.searchsorted(columns[order], np.arange(numbering.free + 1))
+        return ca.Sparsity(numbering.free, numbering.free, starts.tolist(), rows[order].tolist()), order
+
+    def sparsity(self, numbering: Numbering) -> ca.Sparsity:
+        """Sparsity of what the term adds to the matrix."""
+        return self._pattern(numbering)[0]
+
+    def matrix(self, numbering: Numbering, jacobian: ca.MX) -> ca.MX:
+        """What the term adds to the matrix, from the nonzeros of its jacobian at all places."""
+        sparsity, order = self._pattern(numbering)
+        return ca.MX(sparsity, ca.vec(jacobian).get_nz(False, order.tolist()))

@@ -1,0 +1,184 @@
+"""What a boundary problem states, as one functional: its Lagrangian and force, and the terms that its ends add.
+
+    ends          φ(x_0, x_N) + p_0·x_0 - p_N·x_N + μ·ψ(x_0, x_N), with given momenta p_0 and p_N
+    velocities    where v is given at an end, its momentum is ∂L/∂v, which is added to the rows of that end
+    constraints   Λ_a·g(t_a, x_a) at every node whose position is not given; Λ is an impulse, λ times its share of time
+    phase         σ n·(x_0 - c), for a periodic path of given energy: x_0 stays in the plane through c across n
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.functional.functional import Functional
+from casadi_galerkin.functional.local_terms import LocalTerm
+from casadi_galerkin.functional.mapping import Mapping
+from casadi_galerkin.functional.numbering import Numbering
+from casadi_galerkin.problems.boundary_problem import RATES, BoundaryProblem
+
+
+def functional_of(problem: BoundaryProblem, method: Galerkin, intervals: int, mapping: Mapping) -> Functional:
+    """Build the functional of a problem on so many intervals."""
+    statement = _Statement(problem, method, intervals)
+    return Functional(
+        problem.lagrangian, statement.numbering, mapping, problem.force, statement.terms(), len(given_values(problem))
+    )
+
+
+def has_phase(problem: BoundaryProblem) -> bool:
+    """Whether the phase of a path is free, so that a plane through the guess has to fix it."""
+    return problem.energy is not None and problem.periodic and all(value is None for value in problem.start)
+
+
+def given_values(problem: BoundaryProblem, plane: np.ndarray | None = None) -> np.ndarray:
+    """What the terms take beside the parameters: given velocities and momenta, the plane (n, c), the energy."""
+    values = [value for name in RATES for value in getattr(problem, name) if value is not None]
+    if has_phase(problem):
+        values += [0.0] * (2 * problem.dimension) if plane is None else plane.tolist()
+    return np.array(values + ([] if problem.energy is None else [problem.energy]))
+
+
+class _Statement:
+    """The terms of a problem, and the numbering that holds their multipliers."""
+
+    def __init__(self, problem: BoundaryProblem, method: Galerkin, intervals: int) -> None:
+        self.problem, self.method, self.intervals = problem, method, intervals
+        self.parameters = ca.SX.sym("p", len(problem.parameters or ()))
+        self.given = ca.SX.sym("given", len(given_values(problem)))
+        fixed = [tuple(i for i, value in enumerate(end) if value is not None) for end in (problem.start, problem.end)]
+        d, last = problem.dimension, intervals * method.degree
+        self.constrained = np.arange(len(fixed[0]) == d, last + (not problem.periodic and len(fixed[1]) < d))
+        self.constraints = 0 if problem.constraint is None else problem.constraint.size1_out(0)
+        self.at_ends = self._ends()
+        multipliers = self.constraints * len(self.constrained) + has_phase(problem)
+        multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d
+        stretched = problem.energy is not None
+        self.numbering = Numbering(method, intervals, d, *fixed, problem.periodic, multipliers, stretched)
+
+    def terms(self) -> tuple[LocalTerm, ...]:
+        """All terms, their multipliers one after the other."""
+        numbering, terms = self.numbering, []
+        multipliers = np.arange(numbering.positions, numbering.positions + numbering.multipliers)
+        if self.constraints:
+            count = len(self.constrained)
+            of_constraints = multipliers[: self.constraints * count].reshape(count, self.constraints)
+            multipliers = multipliers[self.constraints * count :]
+            entries = np.concatenate((numbering.of_nodes[self.constrained], of_constraints), axis=1).T
+            terms.append(LocalTerm(self._constraint(), entries, self._node_times(), True))
+        if has_phase(self.problem):
+            entries = np.append(numbering.of_nodes[0], multipliers[:1])[:, None]
+            multipliers = multipliers[1:]
+            terms.append(LocalTerm(self._phase(), entries, ca.DM(0, self.intervals + 1), True))
+        if self.at_ends is not None:
+            function, symmetric = self.at_ends
+            entries = np.concatenate((numbering.of_nodes[0], numbering.of_nodes[-1], multipliers))[:, None]
+            ends = ca.DM(ca.Sparsity.triplet(2, self.intervals + 1, [0, 1], [0, self.intervals]), 1.0)
+            terms.append(LocalTerm(function, entries, ends, symmetric))
+        return tuple(terms)
+
+    def _function(self, name: str, y: ca.SX, t: ca.SX, value: ca.SX, rows: ca.SX) -> ca.Function:
+        """A term's Function, see `LocalTerm`."""
+        outputs = [ca.densify(value), ca.densify(rows), ca.jacobian(rows, y)]
+        return ca.Function(name, [y, t, self.parameters, self.given], outputs)
+
+    def _called(self, function: ca.Function, *arguments: ca.SX) -> ca.SX:
+        """A callable of the problem, which takes the parameters where there are some."""
+        return function(*arguments, *([] if self.problem.parameters is None else [self.parameters]))
+
+    def _constraint(self) -> ca.Function:
+        t, x, impulse = ca.SX.sym("t"), ca.SX.sym("x", self.problem.dimension), ca.SX.sym("impulse", self.constraints)
+        assert self.problem.constraint is not None
+        missed = self._called(self.problem.constraint, t, x)
+        rows = ca.vertcat(ca.jtimes(missed, x, impulse, True), missed)
+        return self._function("constraint", ca.vertcat(x, impulse), t, ca.SX(0), rows)
+
+    def _node_times(self) -> ca.DM:
+        """Times of the constrained nodes as sums of joints."""
+        m, count = self.method.degree, len(self.constrained)
+        interval = np.minimum(self.constrained // m, self.intervals - 1)
+        part = np.array(self.method.element.nodes)[self.constrained - m * interval]
+        rows = np.arange(count)
+        times = np.zeros((count, 2))
+        times[:, 0], times[:, 1] = 1 - part, part
+        index = [np.tile(rows, 2).tolist(), np.append(interval, interval + 1).tolist()]
+        return ca.DM.triplet(*index, ca.DM(times.T.ravel()), count, self.intervals + 1)
+
+    def _phase(self) -> ca.Function:
+        d = self.problem.dimension
+        x, multiplier = ca.SX.sym("x", d), ca.SX.sym("multiplier")
+        first = self.given.numel() - 2 * d - 1
+        normal, through = self.given[first : first + d], self.given[first + d : first + 2 * d]
+        rows = ca.vertcat(multiplier * normal, ca.dot(normal, x - through))
+        return self._function("phase", ca.vertcat(x, multiplier), ca.SX(0, 1), ca.SX(0), rows)
+
+    def _ends(self) -> tuple[ca.Function, bool] | None:
+        """The Function of the ends, and whether its jacobian is symmetric; None where nothing is said of them.
+
+        Of y = (x_0, x_N, μ, velocities that are not given but have a part in a momentum that follows from one).
+        """
+        problem, d = self.problem, self.problem.dimension
+        rates = {name: np.array([value is not None for value in getattr(problem, name)]) for name in RATES}
+        if not (any(map(np.any, rates.values())) or problem.end_action or problem.end_conditions):
+            return None
+        x, t = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], ca.SX.sym("t", 2)
+        positions = ca.vertcat(*x)
+        sizes = [int(np.count_nonzero(chosen)) for chosen in rates.values()]
+        values = dict(zip(RATES, ca.vertsplit(self.given[: sum(sizes)], np.cumsum([0, *sizes]).tolist()), strict=True))
+        action = ca.SX(0) if problem.end_action is None else self._called(problem.end_action, *x)
+        for side, sign, at in (("start", 1, x[0]), ("end", -1, x[1])):
+            for k, i in enumerate(np.flatnonzero(rates[f"{side}_momentum"]).tolist()):
+                action += sign * values[f"{side}_momentum"][k] * at[i]
+        rows, unknowns = ca.densify(ca.gradient(action, positions)), []
+        further = ca.SX(0, 1)
+        if problem.end_conditions is not None:
+            further = self._called(problem.end_conditions, *x)
+            multipliers = ca.SX.sym("multipliers", further.numel())
+            unknowns.append(multipliers)
+            rows += ca.jtimes(further, positions, multipliers, True)
+        symmetric = True
+        for side, (name, sign) in enumerate((("start_velocity", 1), ("end_velocity", -1))):
+            own = slice(side * d, (side + 1) * d)
+            momenta, equations, velocities = self._from_velocities(name, rates[name], values[name], t[side], x[side], sign * rows[own])
+            rows[own] += sign * momenta
+            further, unknowns = ca.vertcat(further, equations), [*unknowns, velocities]
+            symmetric = symmetric and not (velocities.numel() or ca.jacobian(momenta, positions).nnz())
+        y = ca.vertcat(positions, *unknowns)
+        return self._function("ends", y, t, action, ca.vertcat(rows, further)), symmetric
+
+    def _from_velocities(
+        self, name: str, chosen: np.ndarray, given: ca.SX, t: ca.SX, x: ca.SX, natural: ca.SX
+    ) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Momenta ∂L/∂v at an end (d,), zero but where the velocity is given; equations for unknown velocities; these.
+
+        A momentum of a given velocity may hold others.  Where the momentum of such another component follows from the
+        natural condition, ∂L/∂v of it has to equal that.
+        """
+        d, problem = self.problem.dimension, self.problem
+        v = ca.SX.sym("v", d)
+        momentum = ca.gradient(self._called(problem.lagrangian, t, x, v), v)
+        coupled = np.array(ca.DM(ca.jacobian(momentum, v).sparsity(), 1.0).full(), dtype=bool)
+        found = chosen.copy()
+        while True:  # whose momentum is needed, and whose velocity that needs
+            wider = found | coupled[found].any(axis=0)
+            if np.array_equal(wider, found):
+                break
+            found = wider
+        position = problem.start if name.startswith("start") else problem.end
+        for i in np.flatnonzero(found & ~chosen):
+            if position[i] is not None:
+                j = int(np.flatnonzero(chosen)[0])
+                raise ValueError(
+                    f"{name}[{j}] has a momentum that depends on the velocity of component {i}, whose position is given: "
+                    f"give the momentum of component {j} instead, or free the position of component {i}"
+                )
+        unknown = np.flatnonzero(found & ~chosen).tolist()
+        other = ca.SX.sym("v", len(unknown))
+        of_all = np.zeros(d, dtype=object)
+        for which, values in ((np.flatnonzero(chosen), given), (unknown, other)):
+            for k, i in enumerate(which):
+                of_all[i] = values[k]
+        momentum = ca.substitute(momentum, v, ca.densify(ca.vertcat(*of_all)))
+        equations = [momentum[i] - natural[i] for i in unknown]
+        return momentum * ca.DM(chosen.astype(float)), ca.SX(ca.vertcat(*equations, ca.SX(0, 1))), other
