@@ -23,6 +23,7 @@ from casadi_galerkin.functional.numbering import Data, joints_of
 from casadi_galerkin.functional.statement import functional_of, given_values, has_phase
 from casadi_galerkin.problems.boundary_problem import RATES, BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.constrained_motion import motion_of, tangent_momenta
 from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
@@ -48,10 +49,13 @@ class CriticalPoint:
     data: Data
     polynomial: PiecewisePolynomial
 
-    @property
+    @lazy
     def momentum(self) -> np.ndarray:
-        """Momenta at the joints, (d, N + 1)."""
-        return self.solution.momentum.reshape(len(self.polynomial.values), -1, order="F")
+        """Momenta at the joints, (d, N + 1); with velocities that are tangent to a constraint."""
+        path, problem = self.polynomial, self.problem
+        momentum = self.solution.momentum.reshape(len(path.values), -1, order="F")
+        motion = motion_of(problem)
+        return momentum if motion is None else tangent_momenta(motion, path.mesh, path(path.mesh), momentum, path(path.mesh, 1))
 
 
 class Transcription:

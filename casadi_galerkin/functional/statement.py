@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.nodes import lobatto_points
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import Mapping
@@ -40,11 +41,27 @@ def given_values(problem: BoundaryProblem, plane: np.ndarray | None = None) -> n
     return np.array(values + ([] if problem.energy is None else [problem.energy]))
 
 
+def refuse_points(method: Galerkin) -> None:
+    """Refuse control points that lose the order of a constrained path.
+
+    Impulses at Lobatto points are an integral of the constraint's force of order 2m.  At equally spaced or Chebyshev
+    points the order of the path was measured to be the next even number from m on, with every rule.
+    """
+    points, expected = np.array(method.control_points), lobatto_points(method.degree)
+    if not np.allclose(points, expected, rtol=0, atol=1e-12):
+        raise ValueError(
+            f"a constraint is held at the control points: to keep order 2m they must be lobatto_points({method.degree}), "
+            f"the default, got {points.tolist()}"
+        )
+
+
 class _Statement:
     """The terms of a problem, and the numbering that holds their multipliers."""
 
     def __init__(self, problem: BoundaryProblem, method: Galerkin, intervals: int) -> None:
         self.problem, self.method, self.intervals = problem, method, intervals
+        if problem.constraint is not None:
+            refuse_points(method)
         self.parameters = ca.SX.sym("p", len(problem.parameters or ()))
         self.given = ca.SX.sym("given", len(given_values(problem)))
         fixed = [tuple(i for i, value in enumerate(end) if value is not None) for end in (problem.start, problem.end)]

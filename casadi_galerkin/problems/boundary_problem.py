@@ -23,7 +23,7 @@ from casadi_galerkin.problems.problem import shown
 
 Given = tuple[float | None, ...]
 ENDS = ("start", "end")
-HELD = 1e-10  # part of its terms by which a constraint may be missed at a given end; what is there is put right
+HELD = 1e-12  # part of its terms by which a constraint may be missed at a given end
 
 
 

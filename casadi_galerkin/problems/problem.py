@@ -18,6 +18,14 @@ class Problem(Protocol):
         """Function (t, x, v) or, with parameters, (t, x, v, p)."""
 
     @property
+    def force(self) -> ca.Function | None:
+        """Function of the same arguments -> (d,), or None."""
+
+    @property
+    def constraint(self) -> ca.Function | None:
+        """Function (t, x) or, with parameters, (t, x, p) -> (k,), or None."""
+
+    @property
     def parameters(self) -> tuple[float, ...] | None:
         """Values of p."""
 

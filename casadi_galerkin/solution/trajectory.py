@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.constrained_motion import motion_of, multipliers
 from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solution.path import Path
@@ -86,6 +87,29 @@ class Trajectory(Path):
         """
         transform = legendre_transform(self._lagrangian)
         return velocities(transform, self.t, self.x, self.momentum, self(self.t, 1))
+
+    def multipliers(self, t: ArrayLike) -> np.ndarray:
+        """Multipliers λ of the constraint at times t: its force is λ·∂g/∂x, in units of the action over t and x.
+
+        From position and velocity by the equations of motion: of order min(2m, u) at the joints, of order m between.
+
+        Returns
+        -------
+        (k,) + t.shape
+
+        Raises
+        ------
+        ValueError
+            where the problem has no constraint
+        """
+        motion = motion_of(self.problem)
+        if motion is None:
+            raise ValueError("the problem has no constraint, so no multipliers")
+        times = np.asarray(t, dtype=float)
+        flat = times.ravel()
+        velocity, joint = self(flat, 1), np.minimum(np.searchsorted(self.t, flat), len(self.t) - 1)
+        velocity = np.where(self.t[joint] == flat, self.velocity[:, joint], velocity)
+        return multipliers(motion, flat, self(flat), velocity).reshape(-1, *times.shape)
 
     @lazy
     def energy(self) -> np.ndarray:

@@ -175,8 +175,8 @@ class LinearSolver:
         return self._function("verification", inputs, outputs)
 
     def negative_eigenvalues(self, matrix: ca.DM) -> int:
-        """Number of negative eigenvalues of a regular matrix of this sparsity, from the inertia of its LDLᵀ factors."""
-        factors = ca.Linsol("inertia", "ldl", self.sparsity)  # its own: a Linsol keeps what it factored last
+        """Number of negative eigenvalues of a regular symmetric matrix, from the inertia of its LDLᵀ factors."""
+        factors = ca.Linsol("inertia", "ldl", matrix.sparsity())  # its own: a Linsol keeps what it factored last
         factors.nfact(matrix)
         return int(factors.neig(matrix))
 

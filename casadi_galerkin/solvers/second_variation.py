@@ -11,6 +11,7 @@ from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.stationarity import Linearization, Stationarity, joined
 
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
+SOFTENED = 1e-8  # part of the second variation by which a condition is softened to count negative eigenvalues
 AGREED = 1e-3  # part of the assembled yᵀ∇²S y that the points must find; families 7e-7 at most, regular paths 1 - 1e-5
 
 
@@ -56,11 +57,25 @@ def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data:
     """Morse index: number of negative eigenvalues of the Hessian.
 
     None where the kinetic energy is indefinite by structure, such as v_0 v_1: the index then grows without bound
-    as the mesh is refined, and LDLᵀ without pivoting does not find it.
+    as the mesh is refined, and LDLᵀ without pivoting does not find it.  None as well where the matrix is no Hessian.
+
+    With multipliers it is the index of the second variation among the directions that keep the conditions: a small
+    negative number in the place of each zero on their diagonal makes LDLᵀ possible, and adds one negative eigenvalue.
     """
-    if not stationarity.allows_ldl:
+    functional, linear = stationarity.functional, stationarity.linear_solver
+    if not (functional.pointwise.kinetic and functional.symmetric):
         return None
     if len(unknowns) == 0:
         return 0
-    matrix = stationarity.functional.function("derivatives").call([unknowns, *data])[0]
-    return stationarity.linear_solver.negative_eigenvalues(matrix)
+    matrix = functional.function("derivatives").call([unknowns, *data])[0]
+    numbering = functional.numbering
+    if not numbering.multipliers:
+        return linear.negative_eigenvalues(matrix)
+    sizes = stationarity.sizes(unknowns, data)
+    measured = np.where(np.isfinite(sizes), sizes, 0.0)
+    rows = np.array(linear.abs_hessian_product(matrix, measured)).ravel()
+    action = float(np.median((rows * measured)[np.isfinite(sizes)]))
+    held = slice(numbering.positions, numbering.positions + numbering.multipliers)
+    softened = np.zeros(len(unknowns))
+    softened[held] = -SOFTENED * rows[held] ** 2 / action
+    return linear.negative_eigenvalues(matrix + ca.diag(ca.sparsify(ca.DM(softened)))) - numbering.multipliers

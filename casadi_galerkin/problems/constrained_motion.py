@@ -1,0 +1,100 @@
+"""Motion under holonomic constraints g(t, x) = 0 at one instant: tangent momenta, accelerations and multipliers.
+
+With G = ∂g/∂x, the velocity of a path on the constraint is tangent, G v + ∂g/∂t = 0, and the impulse of the constraint
+changes a momentum by Gᵀμ only.  Accelerations and multipliers λ follow from one linear system,
+
+    M a - Gᵀλ = ∂L/∂x + F - ∂p/∂x v - ∂p/∂t,        G a = -d/dt(G v + ∂g/∂t) at a = 0,
+
+with p = ∂L/∂v and M = ∂p/∂v.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.problem import Problem
+
+ITERATIONS = 20
+
+
+@lru_cache(8)
+def constrained_motion(
+    lagrangian: ca.Function, constraint: ca.Function, force: ca.Function | None = None
+) -> ca.Function:
+    """(t, x, v) -> M (d, d), G (k, d), p (d,), G v + ∂g/∂t (k,), right-hand sides (d,) and (k,) of the linear system.
+
+    Parameters
+    ----------
+    lagrangian, force : Functions of (t, x, v)
+    constraint : Function of (t, x)
+    """
+    t, x, v = symbols = [ca.SX.sym(lagrangian.name_in(i), lagrangian.size1_in(i)) for i in range(3)]
+    mass, momentum = ca.hessian(lagrangian(t, x, v), v)
+    held = constraint(t, x)
+    slope = ca.jacobian(held, x)
+    rate = ca.mtimes(slope, v) + ca.jacobian(held, t)
+
+    def following(value: ca.SX) -> ca.SX:
+        """Change of a value with time at a constant velocity."""
+        return ca.jacobian(value, t) + ca.mtimes(ca.jacobian(value, x), v)
+
+    pushed = ca.gradient(lagrangian(t, x, v), x) - following(momentum)
+    pushed = pushed if force is None else pushed + force(t, x, v)
+    outputs = [mass, slope, momentum, rate, pushed, -following(rate)]
+    return ca.Function("constrained_motion", symbols, [ca.densify(output) for output in outputs])
+
+
+def motion_of(problem: Problem) -> ca.Function | None:
+    """`constrained_motion` of a problem with its parameters put in; None where there is no constraint."""
+    if problem.constraint is None:
+        return None
+    functions = problem.lagrangian, problem.constraint, problem.force
+    return constrained_motion(*(f if f is None else with_parameters(f, problem.parameters) for f in functions))
+
+
+def _at(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> list[np.ndarray]:
+    """All matrices (K, ..., d) and vectors (K, ...) at K instants, the first two as one matrix (K, d + k, d + k)."""
+    count = len(t)
+    mass, slope, *vectors = (np.array(a) for a in motion.map(count)(t[None, :], x, v))
+    d, k = len(x), len(slope)
+    matrix = np.zeros((count, d + k, d + k))
+    matrix[:, :d, :d] = mass.reshape(d, count, d).transpose(1, 0, 2)
+    matrix[:, d:, :d] = slope.reshape(k, count, d).transpose(1, 0, 2)
+    matrix[:, :d, d:] = -matrix[:, d:, :d].transpose(0, 2, 1)
+    return [matrix, *(vector.T for vector in vectors)]
+
+
+def tangent_momenta(
+    motion: ca.Function, t: np.ndarray, x: np.ndarray, momentum: np.ndarray, velocity: np.ndarray
+) -> np.ndarray:
+    """The momenta p + Gᵀμ whose velocities are tangent to the constraint, by Newton's method; (d, K).
+
+    Parameters
+    ----------
+    motion : `constrained_motion`
+    t : (K,)
+    x, momentum : (d, K)
+    velocity : (d, K), near the velocities
+    """
+    v, d = velocity, len(x)
+    for _ in range(ITERATIONS):
+        matrix, p, rate, _, _ = _at(motion, t, x, v)
+        # M δv - Gᵀμ = p - ∂L/∂v, with all of μ anew
+        step = np.linalg.solve(matrix, np.concatenate((momentum.T - p, -rate), axis=1)[:, :, None])[:, :, 0].T
+        v = v + step[:d]
+        if not np.any(np.abs(step[:d]) > 4 * EPS * np.max(np.abs(v))):
+            break
+    matrix, p, _, _, _ = _at(motion, t, x, v)
+    return np.asarray(p.T)
+
+
+def multipliers(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Multipliers λ of the constraint forces Gᵀλ; (k, K)."""
+    matrix, _, _, pushed, turned = _at(motion, t, x, v)
+    solved = np.linalg.solve(matrix, np.concatenate((pushed, turned), axis=1)[:, :, None])
+    return np.asarray(solved[:, len(x) :, 0].T)
