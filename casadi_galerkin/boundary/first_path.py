@@ -65,7 +65,7 @@ def first_path_strategies(
         count = max(DESCENT_INTERVALS + 1, len(mesh))
         joints = np.interp(np.linspace(0, 1, count), np.linspace(0, 1, len(mesh)), mesh)
         graph = levels.transcription(method, mesh)
-        for leap in LEAPS if graph.stationarity.variational and not graph.numbering.stretched else ():
+        for leap in LEAPS if graph.stationarity.variational and not graph.numbering.multipliers else ():
             yield partial(_by_descent, levels, joints, guess, leap, every_level, out_of_time), math.inf
     yield partial(levels.solve, method, mesh, guess, solver), math.inf
 

@@ -55,7 +55,11 @@ class CriticalPoint:
         path, problem = self.polynomial, self.problem
         momentum = self.solution.momentum.reshape(len(path.values), -1, order="F")
         motion = motion_of(problem)
-        return momentum if motion is None else tangent_momenta(motion, path.mesh, path(path.mesh), momentum, path(path.mesh, 1))
+        return (
+            momentum
+            if motion is None
+            else tangent_momenta(motion, path.mesh, path(path.mesh), momentum, path(path.mesh, 1))
+        )
 
 
 class Transcription:
@@ -229,9 +233,7 @@ class Transcription:
             return self.problem
         return self.problem.varied(changes, (float(joints[0]), float(joints[-1])))
 
-    def data(
-        self, joints: np.ndarray, problem: BoundaryProblem | None = None, plane: np.ndarray | None = None
-    ) -> Data:
+    def data(self, joints: np.ndarray, problem: BoundaryProblem | None = None, plane: np.ndarray | None = None) -> Data:
         """Values of all inputs of the graph but the unknowns, of the problem itself or of one that is `varied` from it.
 
         Parameters
@@ -313,7 +315,9 @@ class Transcription:
         """p_0·x_0 - p_N·x_N of given momenta, which the graph adds to the action."""
         ends = point.polynomial.values[:, [0, -1]].T
         given = point.problem.start_momentum, point.problem.end_momentum
-        sums = [sum(p * x for p, x in zip(*pair, strict=True) if p is not None) for pair in zip(given, ends, strict=True)]
+        sums = [
+            sum(p * x for p, x in zip(*pair, strict=True) if p is not None) for pair in zip(given, ends, strict=True)
+        ]
         return float(sums[0] - sums[1])
 
     def plot_hessian(self, axes: Axes | None = None) -> Axes:

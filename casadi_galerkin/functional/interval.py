@@ -13,6 +13,12 @@ derivatives w_k ∂L̂/∂(x, x') of the pulled-back Lagrangian at the quadratur
 The same rounded ψ, l and b stand in the path and in the equations, so a symmetry of L conserves its momentum map
 up to the rounding of single operations, which drifts like a random walk.  A force adds its virtual work
 h w_k F_k·δ(q_k) (Lagrange-d'Alembert), that is, h w_k F_k to f_k.  The choice of control points does not enter.
+
+A holonomic constraint g(t, x) = 0 is held at the nodes c_1 ... c_m, by impulses Λ_a at the nodes c_0 ... c_{m-1}.  With
+G = ∂g/∂x, these add Σ G_aᵀΛ_a·δ(c_a) to the work; that of the last node would cancel in R.  Then the momentum is made
+tangent by an impulse μ of the end: with v_1 the velocity there,
+
+    g(c_a) = 0,     p_1 = ∂L/∂v(t_1, x_1, v_1) = p_0 + Σ f_k + Σ G_aᵀΛ_a + G_mᵀμ,     G_m v_1 + ∂g/∂t = 0.
 """
 
 from __future__ import annotations
@@ -95,7 +101,10 @@ def _points(lagrangian: ca.Function, force: ca.Function | None) -> ca.Function:
 
 @dataclass(frozen=True)
 class Interval:
-    """The equations of one interval: Functions of (s, x, p, t, h), s of shape (d, m).
+    """The equations of one interval: Functions of (s, x, p, t, h).
+
+    s (d, m) are the slopes; with k constraints s (d + k, m + 1) holds the impulses Λ in its last rows, and (h v_1, μ)
+    in its last column.
 
     Attributes
     ----------
@@ -110,13 +119,14 @@ class Interval:
 
     def jacobian(self) -> ca.Function:
         """∂(x_1, p_1)/∂(x_0, p_0) of the step, (2d, 2d), by the implicit function theorem on R = 0."""
-        d, m = self.system.size_in(0)
+        shape, d = self.system.size_in(0), self.system.size1_in(1)
+        count = shape[0] * shape[1]
         column, x, p, t, h = symbols = [
-            ca.SX.sym(name, size) for name, size in zip("sxpth", (d * m, d, d, 1, 1), strict=True)
+            ca.SX.sym(name, size) for name, size in zip("sxpth", (count, d, d, 1, 1), strict=True)
         ]
-        inputs, start = [ca.reshape(column, d, m), x, p, t, h], ca.vertcat(x, p)
+        inputs, start = [ca.reshape(column, *shape), x, p, t, h], ca.vertcat(x, p)
         (residual, by_s), ends = self.system(*inputs), ca.vertcat(*self.end(*inputs)[:2])
-        direction = ca.SX.sym("direction", d * m, 2 * d)
+        direction = ca.SX.sym("direction", count, 2 * d)
         parts = [by_s, ca.jacobian(residual, start), ca.jacobian(ends, start)]
         partial = ca.Function("partial", symbols, [ca.densify(part) for part in parts])
         along = ca.Function("along", [*symbols, direction], [ca.jtimes(ends, column, direction)])
@@ -126,13 +136,16 @@ class Interval:
         return ca.Function("step_jacobian", at, [direct + along(ca.vec(at[0]), *at[1:], response)])
 
 
-def interval(lagrangian: ca.Function, force: ca.Function | None, method: Galerkin) -> Interval:
+def interval(
+    lagrangian: ca.Function, force: ca.Function | None, constraint: ca.Function | None, method: Galerkin
+) -> Interval:
     """Write the equations of one interval (see the module) as SX Functions."""
     d, m, element, basis = lagrangian.size1_in(1), method.degree, method.element, slope_basis(method.degree)
     q, w, b = element.points, element.weights[:, None], basis.weights
     values, slopes = basis.values(q), basis.slopes(q)
-    s, x, p = ca.SX.sym("s", d, m), ca.SX.sym("x", d), ca.SX.sym("p", d)
-    t, h = ca.SX.sym("t"), ca.SX.sym("h")
+    k = 0 if constraint is None else constraint.size1_out(0)
+    unknowns, x, p = ca.SX.sym("s", d + k, m + (k > 0)), ca.SX.sym("x", d), ca.SX.sym("p", d)
+    s, t, h = unknowns[:d, :m], ca.SX.sym("t"), ca.SX.sym("h")
     at = [t + h * ca.DM(q).T, ca.repmat(h, 1, len(q)), x + s @ ca.DM(values).T, s @ ca.DM(slopes).T]
     size = ca.fabs(s)
     summed = ca.vertcat(ca.repmat(ca.fabs(x), 1, len(q)) + size @ ca.DM(abs(values)).T, size @ ca.DM(abs(slopes)).T)
@@ -146,14 +159,86 @@ def interval(lagrangian: ca.Function, force: ca.Function | None, method: Galerki
     terms = (ca.fabs(p) + ca.sum2(f_size)) @ ca.DM(b).T + f_size @ ca.DM(abs(values)) + g_size @ ca.DM(abs(slopes))
     taylor = basis.taylor(TAYLOR)
     velocity = (s @ ca.DM(taylor).T) / ca.repmat(h ** ca.DM(range(1, len(taylor) + 1)).T, d, 1)
+    terms = ca.vec(terms)
+    if constraint is not None:
+        held = _held(lagrangian, constraint, method, unknowns, x, end, t, h)
+        residual = ca.vertcat(residual + held.work, held.equations)
+        own = by_s @ ca.jacobian(ca.vec(s), ca.vec(unknowns))
+        by_s = ca.vertcat(own, ca.SX(held.equations.numel(), own.shape[1])) + ca.jacobian(
+            ca.vertcat(held.work, held.equations), ca.vec(unknowns)
+        )
+        terms, end = ca.vertcat(terms + held.work_terms, held.equation_terms), held.momentum
 
     def function(name: str, *outputs: ca.SX) -> ca.Function:
-        return ca.Function(name, [s, x, p, t, h], [ca.densify(output) for output in outputs])
+        return ca.Function(name, [unknowns, x, p, t, h], [ca.densify(output) for output in outputs])
 
     return Interval(
         function("system", residual, by_s),
-        function("check", ca.fabs(residual) / (EPS * ca.vec(terms) + TINY), action @ ca.DM(w)),
+        function("check", ca.fabs(residual) / (EPS * terms + TINY), action @ ca.DM(w)),
         function("end", x + s @ ca.DM(b), end, velocity),
+    )
+
+
+@dataclass(frozen=True)
+class _Held:
+    """What a constraint adds to the equations of one interval.
+
+    Attributes
+    ----------
+    work : (d m,), added to R
+    equations : (k m + d + k,), the constraint at the nodes, the momentum and the tangent velocity at the end
+    work_terms, equation_terms : sizes of what these sum
+    momentum : (d,), p_1
+    """
+
+    work: ca.SX
+    equations: ca.SX
+    work_terms: ca.SX
+    equation_terms: ca.SX
+    momentum: ca.SX
+
+
+def _held(
+    lagrangian: ca.Function,
+    constraint: ca.Function,
+    method: Galerkin,
+    unknowns: ca.SX,
+    x: ca.SX,
+    unheld: ca.SX,
+    t: ca.SX,
+    h: ca.SX,
+) -> _Held:
+    """Hold a constraint at the nodes; `unheld` is the momentum at the end without it."""
+    d, m, nodes = x.numel(), method.degree, method.element.nodes
+    basis = slope_basis(m)
+    values, b = basis.values(nodes), basis.weights
+    s, impulses, last, mu = unknowns[:d, :m], unknowns[d:, :m], unknowns[:d, m], unknowns[d:, m]
+    when, where, v = ca.SX.sym("t"), ca.SX.sym("x", d), last / h
+    g = constraint(when, where)
+    at = ca.Function("g", [when, where], [g, ca.densify(ca.jacobian(g, where)), ca.densify(ca.jacobian(g, when))])
+    x_at = ca.repmat(x, 1, m + 1) + s @ ca.DM(values).T
+    held = [at(t + h * c, x_at[:, a]) for a, c in enumerate(nodes)]
+    slopes = [slope for _, slope, _ in held]
+    pushes = ca.horzcat(*(slopes[a].T @ impulses[:, a] for a in range(m)))
+    pushed = ca.horzcat(*(ca.fabs(slopes[a]).T @ ca.fabs(impulses[:, a]) for a in range(m)))
+    by_node = ca.repmat(ca.DM(b).T, m, 1) - ca.DM(values[:m])  # of δ = ψ_j: at the end less at the node
+    before = unheld + ca.sum2(pushes)
+    rate = ca.SX.sym("v", d)
+    momentum = ca.substitute(ca.gradient(lagrangian(t + h, x_at[:, m], rate), rate), rate, v)
+    fastest = ca.vertcat(*(ca.mmax(ca.fabs(unknowns[i, :])) for i in range(d)))  # h v may pass through zero
+    mass = ca.fabs(ca.jacobian(momentum, last)) @ fastest
+    normal = slopes[m].T @ mu
+    sizes = ca.fabs(x_at)
+    return _Held(
+        ca.vec(pushes @ by_node),
+        ca.vertcat(*(value for value, _, _ in held[1:]), momentum - before - normal, slopes[m] @ v + held[m][2]),
+        ca.vec(pushed @ ca.fabs(by_node)),
+        ca.vertcat(
+            *(ca.fabs(slope) @ sizes[:, a] for a, slope in enumerate(slopes) if a),
+            mass + ca.fabs(momentum) + ca.fabs(before) + ca.fabs(slopes[m]).T @ ca.fabs(mu),
+            ca.fabs(slopes[m]) @ fastest / h + ca.fabs(held[m][2]),
+        ),
+        momentum,
     )
 
 
@@ -173,16 +258,16 @@ def newton_iteration(system: ca.Function) -> ca.Function:
     """
     names = [system.name_in(i) for i in range(5)]
     inputs = [ca.MX.sym(name, *system.size_in(i)) for i, name in enumerate(names)]
-    d, m = inputs[0].shape
-    s, ds, x, before = ca.SX.sym("s", d, m), ca.SX.sym("ds", d, m), ca.SX.sym("x", d), ca.SX.sym("before")
+    (rows, m), d = inputs[0].shape, inputs[1].numel()
+    s, ds, x, before = ca.SX.sym("s", rows, m), ca.SX.sym("ds", rows, m), ca.SX.sym("x", d), ca.SX.sym("before")
     size = [ca.fabs(x[i]) + ca.mmax(ca.fabs(s[i, :])) + ca.mmax(ca.fabs(ds[i, :])) + TINY for i in range(d)]
-    relative = ca.mmax(ca.fabs(ds) / ca.repmat(ca.vertcat(*size), 1, m))
+    relative = ca.mmax(ca.fabs(ds[:d, :]) / ca.repmat(ca.vertcat(*size), 1, m))  # not of impulses, which follow
     large = relative * ca.fmin(1, relative / before) ** 2 > SMALLEST_STEP  # false if it is not a number
     stalled = ca.logic_and(ca.logic_and(before > 0, before <= NEAR), relative > before / 2)
     unfinished = ca.logic_and(large, ca.logic_not(stalled))
     update = ca.Function("update", [s, ds, x, before], [s + ds, relative, unfinished, 1])
     residual, by_s = system(*inputs)
-    last, step = ca.MX.sym("last"), ca.reshape(-ca.solve(by_s, residual, "qr", NO_CUTOFF), d, m)
+    last, step = ca.MX.sym("last"), ca.reshape(-ca.solve(by_s, residual, "qr", NO_CUTOFF), rows, m)
     state = [inputs[0], last, *inputs[1:]]
     newton = ca.Function("newton", state, update.call([inputs[0], step, inputs[1], last]))
     done = ca.Function("done", state, [*state[:2], 0, 0])

@@ -1,9 +1,9 @@
 """What a boundary problem states, as one functional: its Lagrangian and force, and the terms that its ends add.
 
-    ends          φ(x_0, x_N) + p_0·x_0 - p_N·x_N + μ·ψ(x_0, x_N), with given momenta p_0 and p_N
-    velocities    where v is given at an end, its momentum is ∂L/∂v, which is added to the rows of that end
-    constraints   Λ_a·g(t_a, x_a) at every node whose position is not given; Λ is an impulse, λ times its share of time
-    phase         σ n·(x_0 - c), for a periodic path of given energy: x_0 stays in the plane through c across n
+ends          φ(x_0, x_N) + p_0·x_0 - p_N·x_N + μ·ψ(x_0, x_N), with given momenta p_0 and p_N
+velocities    where v is given at an end, its momentum is ∂L/∂v, which is added to the rows of that end
+constraints   Λ_a·g(t_a, x_a) at every node whose position is not given; Λ is an impulse, λ times its share of time
+phase         σ n·(x_0 - c), for a periodic path of given energy: x_0 stays in the plane through c across n
 """
 
 from __future__ import annotations
@@ -157,7 +157,9 @@ class _Statement:
         symmetric = True
         for side, (name, sign) in enumerate((("start_velocity", 1), ("end_velocity", -1))):
             own = slice(side * d, (side + 1) * d)
-            momenta, equations, velocities = self._from_velocities(name, rates[name], values[name], t[side], x[side], sign * rows[own])
+            momenta, equations, velocities = self._from_velocities(
+                name, rates[name], values[name], t[side], x[side], sign * rows[own]
+            )
             rows[own] += sign * momenta
             further, unknowns = ca.vertcat(further, equations), [*unknowns, velocities]
             symmetric = symmetric and not (velocities.numel() or ca.jacobian(momenta, positions).nnz())

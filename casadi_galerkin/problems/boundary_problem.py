@@ -10,22 +10,20 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.numbers import components, number, numbers, time_span, times_inside
-from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.callables import (
     Traceable,
     trace_constraint,
     trace_ends,
     trace_force,
     trace_lagrangian,
-    with_parameters,
 )
+from casadi_galerkin.problems.constrained_motion import check_constraint
 from casadi_galerkin.problems.problem import shown
 
 Given = tuple[float | None, ...]
 ENDS = ("start", "end")
-HELD = 1e-12  # part of its terms by which a constraint may be missed at a given end
-
-
+RATES = ("start_velocity", "end_velocity", "start_momentum", "end_momentum")
+VARIED = ("start", "end", "parameters", *RATES, "energy")  # what `BoundaryProblem.varied` takes
 
 
 @dataclass(frozen=True, repr=False)
@@ -132,13 +130,15 @@ class BoundaryProblem:
             "constraint": None if constraint is None else trace_constraint(constraint, *traced),
             **{name: (None,) * dimension if a is None else components(name, a, dimension) for name, a in given.items()},
             "end_action": None if end_action is None else trace_ends("end_action", end_action, "scalar", *traced),
-            "end_conditions": None if end_conditions is None else trace_ends("end_conditions", end_conditions, "any", *traced),
+            "end_conditions": None
+            if end_conditions is None
+            else trace_ends("end_conditions", end_conditions, "any", *traced),
             "energy": None if energy is None else _finite("energy", energy),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
         _check_ends(self)
-        _check_constraint(self)
+        check_constraint(self, self._whole_ends())
         _check_energy(self)
 
     def __repr__(self) -> str:
@@ -146,7 +146,9 @@ class BoundaryProblem:
         ends = "periodic, " if self.periodic else f"end {shown(self.end)}, "
         further = [f"energy {self.energy:g}"] if self.energy is not None else []
         further += [name for name in ("force", "constraint", "end_action", "end_conditions") if getattr(self, name)]
-        further += [f"{name} {shown(getattr(self, name))}" for name in RATES if any(a is not None for a in getattr(self, name))]
+        further += [
+            f"{name} {shown(getattr(self, name))}" for name in RATES if any(a is not None for a in getattr(self, name))
+        ]
         return (
             f"BoundaryProblem of {self.dimension} component(s) on {self.t_span}: start {shown(self.start)}, {ends}"
             f"parameters {shown(self.parameters)}" + "".join(f", {words}" for words in further)
@@ -168,8 +170,7 @@ class BoundaryProblem:
 
         Parameters
         ----------
-        changes : new values by name, of start, end, their velocities and momenta, parameters or energy: with None
-            exactly where the problem has None
+        changes : new values by name, one of `VARIED`: with None exactly where the problem has None
         t_span : (t_0, t_N), checked before
         """
         values: dict[str, Any] = {}
@@ -188,12 +189,13 @@ class BoundaryProblem:
                     raise ValueError(f"{name} must have None where the problem has it, {before}, got {values[name]}")
         other = object.__new__(type(self))  # copy.copy takes 50 µs
         other.__dict__.update(vars(self), t_span=t_span, **values)
-        if self.constraint is not None:
-            _check_constraint(other)
+        check_constraint(other, other._whole_ends())
         return other
 
-
-RATES = ("start_velocity", "end_velocity", "start_momentum", "end_momentum")
+    def _whole_ends(self) -> dict[str, tuple[float, tuple[float, ...]]]:
+        """Time and position of the ends at which all of the position is given, by name."""
+        ends = {"start": (self.t_span[0], self.start), "end": (self.t_span[1], self.end)}
+        return {name: (t, x) for name, (t, x) in ends.items() if None not in x}
 
 
 def _finite(name: str, value: object) -> float:
@@ -235,7 +237,9 @@ def _check_end_function(name: str, function: ca.Function, taken: list[list[str]]
     depends = [bool(pattern.get_col() and i in pattern.get_col()) for i in range(2 * d)]
     for i, (given, used) in enumerate(zip(taken, depends, strict=True)):
         if used and given and given[0] not in ENDS:
-            raise ValueError(f"{name} depends on {ENDS[i // d]} component {i % d}, where {given[0]} is given: leave out one")
+            raise ValueError(
+                f"{name} depends on {ENDS[i // d]} component {i % d}, where {given[0]} is given: leave out one"
+            )
     free = [i for i, given in enumerate(taken) if not given]
     if not any(depends[i] for i in free):
         raise ValueError(f"{name} depends on no component that is free at the ends, so it changes nothing")
@@ -249,39 +253,6 @@ def _check_end_function(name: str, function: ca.Function, taken: list[list[str]]
             )
 
 
-def _check_constraint(problem: BoundaryProblem) -> None:
-    """Refuse more constraints than components, ends off the constraint, and redundant constraints there."""
-    if problem.constraint is None:
-        return
-    d, k = problem.dimension, problem.constraint.size1_out(0)
-    if k >= d:
-        raise ValueError(f"a constraint must leave the path free to move: {k} values for {d} component(s)")
-    for side, when in zip(ENDS, problem.t_span, strict=True):
-        if None in getattr(problem, side):
-            continue
-        x = np.array(getattr(problem, side))
-        value, jacobian = constraint_at(problem, when, x)
-        missed = np.abs(value) / (np.abs(jacobian) @ np.abs(x) + 1e-300)
-        if not np.all(missed <= HELD):
-            i = int(np.argmax(missed))
-            raise ValueError(f"the constraint must be zero at the given {side}, x = {x.tolist()}: value {i} is {value[i]:g}")
-        sizes = np.linalg.norm(jacobian, axis=1)
-        if np.linalg.matrix_rank(jacobian / np.where(sizes > 0, sizes, 1)[:, None], tol=1e3 * EPS) < k:
-            raise ValueError(
-                f"the constraints are redundant at the given {side}, x = {x.tolist()}: their gradients, the rows of "
-                f"{jacobian.tolist()}, are linearly dependent"
-            )
-
-
-def constraint_at(problem: BoundaryProblem, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Values g (k,) and gradients ∂g/∂x (k, d) of the problem's constraint at one point."""
-    function = with_parameters(problem.constraint, problem.parameters)
-    symbol = ca.SX.sym("x", len(x))
-    value = function(t, symbol)
-    both = ca.Function("constraint", [symbol], [value, ca.densify(ca.jacobian(value, symbol))])(x)
-    return np.array(both[0]).ravel(), np.array(both[1])
-
-
 def _check_energy(problem: BoundaryProblem) -> None:
     if problem.energy is None:
         return
@@ -290,4 +261,6 @@ def _check_energy(problem: BoundaryProblem) -> None:
     if not problem.autonomous:
         raise ValueError("a given energy needs a lagrangian and a constraint that do not depend on t")
     if problem.breakpoints:
-        raise ValueError(f"a given energy frees the duration, so that breakpoints have no place, got {problem.breakpoints}")
+        raise ValueError(
+            f"a given energy frees the duration, so that breakpoints have no place, got {problem.breakpoints}"
+        )

@@ -10,6 +10,7 @@ with p = ∂L/∂v and M = ∂p/∂v.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 
 import casadi as ca
@@ -20,6 +21,7 @@ from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.problem import Problem
 
 ITERATIONS = 20
+HELD = 1e-12  # part of its terms by which a given position or velocity may miss a constraint
 
 
 @lru_cache(8)
@@ -98,3 +100,36 @@ def multipliers(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray
     matrix, _, _, pushed, turned = _at(motion, t, x, v)
     solved = np.linalg.solve(matrix, np.concatenate((pushed, turned), axis=1)[:, :, None])
     return np.asarray(solved[:, len(x) :, 0].T)
+
+
+def check_constraint(problem: Problem, given: Mapping[str, tuple[float, tuple[float, ...]]]) -> None:
+    """Refuse more constraints than a path can hold, given positions that are off it, and redundant constraints there.
+
+    Parameters
+    ----------
+    problem : the problem, with or without a constraint
+    given : time and position (d,) by what the user calls it
+    """
+    if problem.constraint is None:
+        return
+    function = with_parameters(problem.constraint, problem.parameters)
+    d, k = function.size1_in(1), function.size1_out(0)
+    if k >= d:
+        raise ValueError(f"a constraint must leave the path free to move: {k} value(s) for {d} component(s)")
+    t, x = function.sx_in()
+    value = function(t, x)
+    both = ca.Function("both", [t, x], [value, ca.densify(ca.jacobian(value, x))])
+    for name, (when, where) in given.items():
+        held, slope = (np.array(a) for a in both(when, where))
+        missed = np.abs(held.ravel()) / (np.abs(slope) @ np.abs(where) + np.finfo(float).tiny)
+        if not np.all(missed <= HELD):
+            i = int(np.argmax(missed))
+            raise ValueError(
+                f"the constraint must be zero at the given {name}, x = {list(where)}: its value {i} is {held[i, 0]:g}"
+            )
+        rows = np.linalg.norm(slope, axis=1)
+        if np.linalg.matrix_rank(slope / np.where(rows > 0, rows, 1)[:, None], tol=1e3 * EPS) < k:
+            raise ValueError(
+                f"the constraints are redundant at the given {name}, x = {list(where)}: their gradients, the rows of "
+                f"{slope.tolist()}, are linearly dependent"
+            )

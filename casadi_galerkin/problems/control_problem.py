@@ -159,6 +159,10 @@ class ControlProblem:
         )
 
     @property
+    def constraint(self) -> None:
+        """A control problem has no holonomic constraint."""
+
+    @property
     def dimension(self) -> int:
         """Number d of coordinates."""
         return len(self.start)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import casadi as ca
 
 from casadi_galerkin.calculus.numbers import numbers, time_span
-from casadi_galerkin.problems.callables import Traceable, trace_force, trace_lagrangian
+from casadi_galerkin.problems.callables import Traceable, trace_constraint, trace_force, trace_lagrangian
+from casadi_galerkin.problems.constrained_motion import check_constraint
 from casadi_galerkin.problems.problem import shown
 
 
@@ -26,6 +27,8 @@ class InitialProblem:
     parameters : numbers passed to the callables as p; default none
     force : callable of the same arguments -> d generalised forces, that do the virtual work F·δx
         (Lagrange-d'Alembert); default none
+    constraint : callable (t, x) -> k < d values that are zero all along the path (holonomic); default none.  `position`
+        fulfils it, and `velocity` is tangent to it; of `momentum` the tangent part counts
 
     Raises
     ------
@@ -45,6 +48,7 @@ class InitialProblem:
     velocity: tuple[float, ...] | None
     parameters: tuple[float, ...] | None
     force: ca.Function | None
+    constraint: ca.Function | None
 
     def __init__(
         self,
@@ -55,6 +59,7 @@ class InitialProblem:
         velocity: Sequence[float] | None = None,
         parameters: Sequence[float] | None = None,
         force: Traceable | None = None,
+        constraint: Traceable | None = None,
     ) -> None:
         checked_position = numbers("position", position)
         d = len(checked_position)
@@ -69,16 +74,19 @@ class InitialProblem:
             "velocity": None if velocity is None else numbers("velocity", velocity, d),
             "parameters": checked_parameters,
             "force": None if force is None else trace_force(force, d, checked_parameters),
+            "constraint": None if constraint is None else trace_constraint(constraint, d, checked_parameters),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
+        check_constraint(self, {"position": (self.t_span[0], self.position)})
 
     def __repr__(self) -> str:
         """State the problem without its Lagrangian."""
         start = f"velocity {shown(self.velocity)}" if self.momentum is None else f"momentum {shown(self.momentum)}"
         return (
             f"InitialProblem of {self.dimension} component(s) on {self.t_span}: position {shown(self.position)}, "
-            f"{start}, {'no force' if self.force is None else 'with a force'}, parameters {shown(self.parameters)}"
+            f"{start}, {'no force' if self.force is None else 'with a force'}, "
+            f"{'' if self.constraint is None else 'with a constraint, '}parameters {shown(self.parameters)}"
         )
 
     @property

@@ -31,10 +31,10 @@ def stationary_point(
 
 def minimum(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0, **options: Any) -> Solution:
     """IPOPT on the action itself: finds a minimum, or fails where there is none; arguments as of a `Solver`."""
-    if not stationarity.variational or stationarity.functional.numbering.stretched:
+    if not stationarity.variational:
         raise ValueError(
-            "minimizer lowers the action, which forces, constraints, conditions on the ends, velocities given there and a "
-            "given energy do not allow: take newton or ipopt"
+            "minimizer lowers the action, which a force, a velocity given at an end and a given energy do not allow: take "
+            "newton or ipopt"
         )
     solution = _interior_point(stationarity, guess, data, verbose, minimize=True, options=options)
     index = negative_eigenvalues(stationarity, solution.unknowns, data)
@@ -59,15 +59,20 @@ def _interior_point(
 ) -> Solution:
     name = "IPOPT on the action" if minimize else "IPOPT"
     sizes, unit = _units(stationarity, guess, data)
-    bounds = {} if minimize else {"lbg": 0.0, "ubg": 0.0}
+    positions, held = stationarity.functional.numbering.positions, stationarity.functional.numbering.multipliers
+    bounds = {"lbg": 0.0, "ubg": 0.0} if held or not minimize else {}
     with stationarity.linearization() as at:
         key = f"ipopt {minimize} {verbose > 1} {sorted(options.items())}"
         solver = at.keep(key, lambda: _nlpsol(stationarity.functional, minimize, verbose, options))
         with within_ipopt:
-            answer = solver(x0=guess / sizes, p=np.concatenate((*data, sizes, [unit])), **bounds)
+            first = {"x0": guess / sizes}
+            if minimize and held:
+                first = {"x0": first["x0"][:positions], "lam_g0": first["x0"][positions:]}
+            answer = solver(p=np.concatenate((*data, sizes, [unit])), **first, **bounds)
         stats = solver.stats()
     iterations, status = int(stats["iter_count"]), str(stats["return_status"]).replace("_", " ")
-    x = sizes * np.array(answer["x"]).ravel()
+    found = [answer["x"], answer["lam_g"]] if minimize and held else [answer["x"]]
+    x = sizes * np.array(ca.vertcat(*found)).ravel()
     if status == DIVERGED:
         raise SolveFailure(f"{name} stopped with '{status}'", guess, iterations)
     if not np.all(np.isfinite(x)):
@@ -99,17 +104,31 @@ def _units(stationarity: Stationarity, guess: np.ndarray, data: Data) -> tuple[n
 def _nlpsol(functional: Functional, minimize: bool, verbose: int, given: Mapping[str, Any]) -> ca.Function:
     """IPOPT with all derivatives supplied from the one graph.
 
-    Its tolerances are absolute, so unknowns and action are measured by units that follow the data as parameters.
+    Its tolerances are absolute, so unknowns and action are measured by units that follow the data as parameters.  Where
+    the action is minimised, the multipliers are IPOPT's own: their rows are its constraints.
     """
     slope = functional.function("gradient")
     n, *lengths = [slope.size1_in(i) for i in range(slope.n_in())]
-    x, p = ca.MX.sym("x", n), ca.MX.sym("p", sum(lengths) + n + 1)
+    held = functional.numbering.multipliers if minimize else 0
+    x, multipliers = ca.MX.sym("x", n - held), ca.MX.sym("lam_g", held if minimize else n)
+    p, factor = ca.MX.sym("p", sum(lengths) + n + 1), ca.MX.sym("lam_f")
     *data, sizes, unit = ca.vertsplit(p, np.cumsum([0, *lengths, n, 1]).tolist())
-    arguments, rows = [sizes * x, *data], sizes / unit
-    gradient = rows * slope(*arguments)
-    hessian = ca.mtimes(ca.mtimes(ca.diag(rows), functional.function("hessian")(*arguments)), ca.diag(sizes))
-    factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0 if minimize else n)
-    upper = factor * ca.triu(hessian) if minimize else ca.MX(n, n)  # the constraints' curvature is left out
+    rows = sizes / unit
+
+    def at(further: ca.MX) -> tuple[list[ca.MX], ca.MX, ca.MX]:
+        """Arguments of the graph, and its gradient and Hessian in these units, with multipliers."""
+        arguments = [sizes * ca.vertcat(x, further), *data]
+        hessian = ca.mtimes(ca.mtimes(ca.diag(rows), functional.function("hessian")(*arguments)), ca.diag(sizes))
+        return arguments, rows * slope(*arguments), hessian
+
+    arguments, gradient, hessian = at(ca.MX.zeros(held))
+    own = hessian[: n - held, : n - held]
+    if minimize:
+        upper = factor * ca.triu(own)
+        if held:  # linear in the multipliers
+            upper += ca.triu(at(multipliers)[2][: n - held, : n - held] - own)
+    else:
+        upper = ca.MX(n, n)  # the constraints' curvature is left out
     options = {
         "hess_lag": ca.Function("hess_lag", [x, p, factor, multipliers], [upper]),
         "print_time": False,
@@ -119,8 +138,11 @@ def _nlpsol(functional: Functional, minimize: bool, verbose: int, given: Mapping
     }
     if minimize:
         action = functional.function("action")(*arguments) / unit
-        options["grad_f"] = ca.Function("grad_f", [x, p], [action, gradient])
-        return ca.nlpsol("minimizer", "ipopt", {"x": x, "p": p, "f": action}, options)
+        options["grad_f"] = ca.Function("grad_f", [x, p], [action, gradient[: n - held]])
+        conditions = {"g": gradient[n - held :]} if held else {}
+        if held:
+            options["jac_g"] = ca.Function("jac_g", [x, p], [gradient[n - held :], hessian[n - held :, : n - held]])
+        return ca.nlpsol("minimizer", "ipopt", {"x": x, "p": p, "f": action, **conditions}, options)
     options["jac_g"] = ca.Function("jac_g", [x, p], [gradient, hessian])
     return ca.nlpsol("stationary", "ipopt", {"x": x, "p": p, "f": 0, "g": gradient}, options)
 

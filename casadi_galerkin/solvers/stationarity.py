@@ -60,15 +60,15 @@ class Stationarity:
     allows_ldl : whether LDLᵀ without pivoting can work: not where ∂²L/∂v_i² is structurally zero for some i, nor with a
         force, which makes ∇²S unsymmetric, nor with multipliers
     quadratic : whether the Hessian depends on the data alone
-    variational : whether the conditions are ∇S̄ = 0 of a function without multipliers, so that it may be lowered
+    variational : whether the conditions are those of an action that may be lowered, under conditions if there are some
     """
 
     def __init__(self, functional: Functional) -> None:
         self.functional = functional
         self.linear_solver = linear_solver(functional)
         pointwise, plain = functional.pointwise, not (functional.terms or functional.numbering.stretched)
-        self.variational = functional.symmetric and not functional.numbering.multipliers
-        self.allows_ldl = pointwise.kinetic and self.variational
+        self.variational = functional.symmetric and not functional.numbering.stretched
+        self.allows_ldl = pointwise.kinetic and functional.symmetric and not functional.numbering.multipliers
         self.quadratic = pointwise.quadratic and plain
         self._idle: list[Linearization] = []
 

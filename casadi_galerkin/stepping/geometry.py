@@ -13,10 +13,10 @@ import numpy as np
 
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.callables import Traceable, trace, with_parameters
+from casadi_galerkin.problems.callables import Traceable, trace
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.stepping.stepper import Stepper
+from casadi_galerkin.stepping.initial_value import stepper_of
 
 
 @dataclass(frozen=True, repr=False)
@@ -95,15 +95,10 @@ def geometry(path: Trajectory, symmetry: Traceable | None = None) -> Geometry:
 
 def jacobians(problem: InitialProblem | BoundaryProblem, path: Trajectory) -> np.ndarray:
     """∂(x_{i+1}, p_{i+1})/∂(x_i, p_i) of every interval of a path, (N, 2d, 2d)."""
-    force = problem.force if isinstance(problem, InitialProblem) else None
-    stepper = Stepper(
-        with_parameters(problem.lagrangian, problem.parameters),
-        None if force is None else with_parameters(force, problem.parameters),
-        path.method,
-    )
+    stepper = stepper_of(problem, path.method)
     nodes, m = path.method.element.nodes, path.method.degree
     slopes = lagrange_values(nodes, stepper.basis.points) @ differentiation_matrix(nodes)
     columns = m * np.arange(len(path.t) - 1)[:, None] + np.arange(m + 1)
     values = path.polynomial.values[:, columns]
-    s = (values - values[:, :, :1]) @ slopes.T
-    return stepper.jacobians(path.t, path.x, path.momentum, s.reshape(problem.dimension, -1))
+    s = ((values - values[:, :, :1]) @ slopes.T).transpose(1, 0, 2)
+    return stepper.jacobians(path.t, path.x, path.momentum, s)

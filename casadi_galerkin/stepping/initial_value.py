@@ -10,6 +10,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.constrained_motion import HELD, motion_of, tangent_momenta
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
 from casadi_galerkin.problems.problem import check_types
@@ -45,8 +46,7 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     check_types(problem, method, InitialProblem)
     began = time.perf_counter()
     p, v = start_state(problem)
-    force = None if problem.force is None else with_parameters(problem.force, problem.parameters)
-    stepper = Stepper(with_parameters(problem.lagrangian, problem.parameters), force, method)
+    stepper = stepper_of(problem, method)
     roll = verified(stepper.roll(np.array(problem.position), p, v, mesh), stepper)
     build = stepper.build_seconds
     path = trajectory(
@@ -57,6 +57,13 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     return path
 
 
+def stepper_of(problem: InitialProblem | BoundaryProblem, method: Galerkin) -> Stepper:
+    """The step of a problem, with its parameters put in."""
+    functions = problem.lagrangian, problem.force, problem.constraint
+    given = [f if f is None else with_parameters(f, problem.parameters) for f in functions]
+    return Stepper(given[0], given[1], given[2], method)
+
+
 def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
     """Momentum and velocity (d,) at the start, one from the other through p = ∂L/∂v."""
     legendre = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
@@ -65,14 +72,32 @@ def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
         v = np.array(problem.velocity)
         p, mass = (np.array(a) for a in legendre(start, x, v))
         refuse_degenerate(mass, x, v)
+        refuse_off_constraint(problem, x, v)
         return p.ravel(), v
     p, rest = np.array(problem.momentum), np.zeros(len(x))
+    motion = motion_of(problem)
+    if motion is not None:
+        times = np.array([start])
+        p = tangent_momenta(motion, times, x[:, None], p[:, None], rest[:, None])[:, 0]
     refuse_degenerate(legendre(start, x, rest)[1].full(), x, rest)
     v = velocities(legendre, np.array([start]), x[:, None], p[:, None], rest[:, None])[:, 0]
     if np.isnan(v).any():
         raise ValueError(f"no velocity was found that has the momentum {p} at the start, x = {x}; give the velocity")
     refuse_degenerate(legendre(start, x, v)[1].full(), x, v)
     return p, v
+
+
+def refuse_off_constraint(problem: InitialProblem, x: np.ndarray, v: np.ndarray) -> None:
+    """Raise a ValueError if a given velocity leaves the constraint."""
+    motion = motion_of(problem)
+    if motion is None:
+        return
+    _, slope, _, rate, *_ = (np.array(a) for a in motion(problem.t_span[0], x, v))
+    if np.any(np.abs(rate.ravel()) > HELD * (np.abs(slope) @ np.abs(v) + np.abs(rate - slope @ v[:, None]).ravel())):
+        raise ValueError(
+            f"the velocity must be tangent to the constraint, ∂g/∂x·v + ∂g/∂t = 0, got {rate.ravel().tolist()} for "
+            f"v = {v.tolist()}"
+        )
 
 
 def refuse_degenerate(mass: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
@@ -109,9 +134,8 @@ def verified(roll: Roll, stepper: Stepper) -> Roll:
 
 def path_of(roll: Roll, stepper: Stepper, count: int) -> PiecewisePolynomial:
     """The path of the first intervals, as many as given."""
-    nodes, m, d = stepper.method.element.nodes, stepper.method.degree, stepper.dimension
-    slopes = roll.slopes[:, : count * m].reshape(d, count, m)
-    inner = roll.x[:, :count, None] + slopes @ stepper.basis.values(nodes[:-1]).T
+    nodes, d = stepper.method.element.nodes, stepper.dimension
+    inner = roll.x[:, :count, None] + roll.slopes[:, :count] @ stepper.basis.values(nodes[:-1]).T
     values = np.column_stack((inner.reshape(d, -1), roll.x[:, count]))
     return PiecewisePolynomial(roll.mesh[: count + 1], nodes, values)
 

@@ -31,7 +31,7 @@ from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import SMALLEST_DAMPING
 from casadi_galerkin.solvers.stationarity import ROUNDOFF
 from casadi_galerkin.stepping.initial_value import path_of, trajectory
-from casadi_galerkin.stepping.stepper import Roll, Stepper
+from casadi_galerkin.stepping.stepper import Roll
 
 ITERATIONS = 50
 MISS = EPS**0.5  # accepted miss of the end over the size of the path: half of the digits
@@ -94,7 +94,7 @@ class Shooting:
 
     def __init__(self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray) -> None:
         self.problem, self.mesh = problem, mesh
-        self.stepper = Stepper(with_parameters(problem.lagrangian, problem.parameters), None, method)
+        self.stepper = stepper_of(problem, method)
         d = problem.dimension
         self.given = np.array([np.nan if value is None else value for value in problem.start])
         self.end = np.array([np.nan if value is None else value for value in problem.end])
@@ -112,7 +112,7 @@ class Shooting:
 
     def velocity(self, roll: Roll) -> np.ndarray:
         """Velocity of a path at its start, (d,)."""
-        first = roll.slopes[:, : self.stepper.method.degree] @ self.stepper.basis.slopes(np.zeros(1)).T
+        first = roll.slopes[:, 0] @ self.stepper.basis.slopes(np.zeros(1)).T
         return np.asarray(first.ravel() / (self.mesh[1] - self.mesh[0]))
 
     def shoot(self, z: np.ndarray, velocity: np.ndarray) -> Shot | None:
@@ -121,7 +121,7 @@ class Shooting:
         roll = self.stepper.roll(start[:d], start[d:], velocity, self.mesh)
         if roll.verified < len(roll.mesh) - 1:
             return None
-        steps = self.stepper.jacobians(self.mesh, roll.x, roll.p, roll.slopes)
+        steps = self.stepper.jacobians(self.mesh, roll.x, roll.p, roll.unknowns)
         growth = chain(steps)
         states = np.concatenate((roll.x, roll.p))
         shift = np.eye(2 * d) * self.problem.periodic

@@ -15,6 +15,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.interval import TAYLOR, interval, newton_iteration, slope_basis
+from casadi_galerkin.functional.statement import refuse_points
 from casadi_galerkin.solvers.buffers import Evaluator
 from casadi_galerkin.solvers.stationarity import ROUNDOFF
 
@@ -29,7 +30,7 @@ class Roll:
     ----------
     mesh : (N + 1,), joints
     x, p : (d, N + 1), at the joints
-    slopes : (d, N m), s of all intervals
+    unknowns : (N, rows, columns), s of every interval as `Interval` has it
     iterations : (N,), of Newton's method
     residual : (N,), largest residual of each step over its roundoff floor; not finite where a step failed, or left the
         domain of the Lagrangian
@@ -39,10 +40,17 @@ class Roll:
     mesh: np.ndarray
     x: np.ndarray
     p: np.ndarray
-    slopes: np.ndarray
+    unknowns: np.ndarray
     iterations: np.ndarray
     residual: np.ndarray
     action: np.ndarray
+
+    @property
+    def slopes(self) -> np.ndarray:
+        """Slopes of every interval at the Gauss points, (d, N, m)."""
+        d = len(self.x)
+        columns = self.unknowns.shape[2] - (self.unknowns.shape[1] > d)  # with constraints there is one more
+        return self.unknowns[:, :d, :columns].transpose(1, 0, 2)
 
     @property
     def verified(self) -> int:
@@ -58,14 +66,20 @@ class Stepper:
     ----------
     lagrangian : Function (t, x, v) -> scalar
     force : Function (t, x, v) -> (d,), or None
+    constraint : Function (t, x) -> (k,), or None
     method : Galerkin
     """
 
-    def __init__(self, lagrangian: ca.Function, force: ca.Function | None, method: Galerkin) -> None:
+    def __init__(
+        self, lagrangian: ca.Function, force: ca.Function | None, constraint: ca.Function | None, method: Galerkin
+    ) -> None:
         began = time.perf_counter()
         self.method = method
+        if constraint is not None:
+            refuse_points(method)
         self.dimension, self.basis = lagrangian.size1_in(1), slope_basis(method.degree)
-        self.interval = interval(lagrangian, force, method)
+        self.interval = interval(lagrangian, force, constraint, method)
+        self._shape = self.interval.system.size_in(0)
         self._step = self._predicted(newton_iteration(self.interval.system))
         self._pieces: dict[tuple[str, int], Evaluator] = {}
         self.build_seconds = time.perf_counter() - began
@@ -75,9 +89,11 @@ class Stepper:
         d, powers = self.dimension, ca.DM(range(min(TAYLOR, self.method.degree))).T
         sizes = {"x": d, "p": d, "velocity": (d, powers.numel()), "t": 1, "h": 1}
         x, p, velocity, t, h = (ca.MX.sym(name, *np.atleast_1d(size)) for name, size in sizes.items())
-        basis = ca.repmat(ca.DM(self.basis.points), 1, powers.numel()) ** ca.repmat(powers, self.method.degree, 1)
+        parts = ca.DM([*self.basis.points, 1.0][: self._shape[1]])  # with constraints the velocity of the end is one
+        basis = ca.repmat(parts, 1, powers.numel()) ** ca.repmat(powers, parts.numel(), 1)
         guess = (velocity * ca.repmat(h ** (powers + 1), d, 1)) @ basis.T
-        s, iterations = newton(guess, x, p, t, h)
+        impulses = ca.MX(self._shape[0] - d, self._shape[1])
+        s, iterations = newton(ca.densify(ca.vertcat(guess, impulses)), x, p, t, h)
         ends = self.interval.end(s, x, p, t, h)
         return ca.Function("step", [x, p, velocity, t, h], [*ends, s, iterations])
 
@@ -104,7 +120,7 @@ class Stepper:
 
         Nothing is raised: where a step fails, `Roll.residual` is large or not finite.
         """
-        d, m, n = self.dimension, self.method.degree, len(mesh) - 1
+        d, n = self.dimension, len(mesh) - 1
         size, t, h = _pieces(mesh)
         piece = self._piece("roll", size)
         taylor = np.zeros(self._step.numel_in(2))
@@ -116,24 +132,26 @@ class Stepper:
             state = (rolled_x[-d:], rolled_p[-d:], taylor)
             found.append((rolled_x, rolled_p, *outputs[3:], action))
         xs, ps, s, iterations, ratio, action = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+        rows, columns = self._shape
         return Roll(
             mesh,
             np.column_stack((x, xs.reshape(-1, d).T[:, :n])),
             np.column_stack((p, ps.reshape(-1, d).T[:, :n])),
-            s.reshape(-1, d).T[:, : n * m],
+            s.reshape(-1, columns, rows).transpose(0, 2, 1)[:n],
             iterations[:n],
-            np.where(np.isnan(action), np.nan, ratio.reshape(-1, m * d).max(axis=1))[:n],
+            np.where(np.isnan(action), np.nan, ratio.reshape(len(action), -1).max(axis=1))[:n],
             action[:n],
         )
 
-    def jacobians(self, mesh: np.ndarray, x: np.ndarray, p: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    def jacobians(self, mesh: np.ndarray, x: np.ndarray, p: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
         """∂(x_{i+1}, p_{i+1})/∂(x_i, p_i) of every step, (N, 2d, 2d); arguments as in `Roll`."""
-        d, m, n = self.dimension, self.method.degree, len(mesh) - 1
+        d, n, m = self.dimension, len(mesh) - 1, self._shape[1]
+        s = unknowns.transpose(1, 0, 2).reshape(self._shape[0], -1)
         size, t, h = _pieces(mesh)
         piece = self._piece("jacobian", size)
         pad = len(h) - n
         columns = [
-            np.pad(a, ((0, 0), (0, k * pad)), mode="edge") for a, k in ((slopes, m), (x[:, :n], 1), (p[:, :n], 1))
+            np.pad(a, ((0, 0), (0, k * pad)), mode="edge") for a, k in ((s, m), (x[:, :n], 1), (p[:, :n], 1))
         ]
         parts = []
         for i in range(0, len(h), size):

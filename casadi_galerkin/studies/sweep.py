@@ -29,12 +29,12 @@ from casadi_galerkin.boundary.refinement import first_mesh
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.numbers import components, numbers, time_span
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.calculus.numbers import time_span
+from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.trajectory import Trajectory
 
-FIELDS = ("start", "end", "parameters", "t_span", "guess")
+FIELDS = (*VARIED, "t_span", "guess")
 CHUNKS, LARGEST_CHUNK = 64, 50  # enough chunks to keep workers equally busy; few enough that sending costs little
 _one_at_a_time = threading.Lock()  # a worker of a cluster may run several chunks in threads of one process
 
@@ -198,18 +198,11 @@ def _checked(problem: BoundaryProblem, number: int, variation: Variation) -> Var
         raise ValueError(f"variation {number} has {unknown[0]!r}; what can be varied is {', '.join(FIELDS)}")
     checked = dict(variation)
     try:
-        for name in ("start", "end"):
-            if name in checked:
-                checked[name] = components(name, checked[name], problem.dimension)
-                expected = getattr(problem, name)
-                if [value is None for value in checked[name]] != [value is None for value in expected]:
-                    raise ValueError(f"{name} must have None where the problem has it, {expected}, got {checked[name]}")
         if "t_span" in checked:
             checked["t_span"] = time_span(checked["t_span"])
-        if "parameters" in checked:
-            if problem.parameters is None:
-                raise ValueError(f"the problem has no parameters, got parameters={checked['parameters']!r}")
-            checked["parameters"] = numbers("parameters", checked["parameters"], len(problem.parameters))
+        given = {name: checked[name] for name in VARIED if name in checked}
+        varied = problem.varied(given, checked.get("t_span", problem.t_span))
+        checked |= {name: getattr(varied, name) for name in given}
     except (TypeError, ValueError) as error:
         raise type(error)(f"variation {number}: {error}") from None
     return checked
@@ -223,8 +216,9 @@ def _solver(
         first_mesh(problem, tol, method, intervals, None)  # refuses here what would fail in every variation
 
         def refined(variation: Variation) -> Trajectory:
-            fields = {name: variation.get(name, getattr(problem, name)) for name in FIELDS[:-1]}
-            return solve(problem.varied(**fields), method, intervals, tol=tol, guess=variation.get("guess"))
+            fields = {name: value for name, value in variation.items() if name in VARIED}
+            varied = problem.varied(fields, variation.get("t_span", problem.t_span))
+            return solve(varied, method, intervals, tol=tol, guess=variation.get("guess"))
 
         return refined
     if method is None or intervals is None:

@@ -287,7 +287,7 @@ def test_derivatives_by_the_joints_are_those_of_the_action_through_the_graph():
         (0.0, 2.0),
         [0.0, 1.0],
         [1.0, None],
-        [0.7],
+        parameters=[0.7],
     )
     transcription = cg.transcribe(problem, cg.Galerkin(4), mesh=[0.0, 0.3, 0.9, 1.1, 2.0])
     unknowns = np.random.default_rng(3).standard_normal(transcription.numbering.free)

@@ -422,7 +422,7 @@ def test_a_variation_is_a_dict(variation):
         (
             {"ends": [1.0]},
             ValueError,
-            "variation 1 has 'ends'; what can be varied is start, end, parameters, t_sp",
+            "variation 1 has 'ends'; what can be varied is start, end, parameters, start_v",
         ),
         ({"periodic": True}, ValueError, "variation 1 has 'periodic'"),
         ({"end": [1.0, 2.0]}, ValueError, r"variation 1: end must have 1 component\(s\), got 2"),
