@@ -10,16 +10,17 @@ which has all other solutions of ∇S = 0 and not these.  By the formula of Sher
 Newton's own step y, τ = 1 / (1 - ∇log M · y).
 
 In between, curves of loaded paths are followed from what is known (`loaded_curve`).  Deflation alone was measured to
-find 5 of 13 geodesics on a torus in 100 solves; with the curves all are found in 7 to 16.  Wherever either comes near a
-path, the package's own Newton method takes over, and its answer is verified as every answer is.  A discrete action also
-has critical points that are no paths, zigzags of a coarse mesh: what a degree higher by two or the witnesses refute is
-dropped.
+find 5 of 13 geodesics on a torus in 100 solves; with the curves all are found in 14 to 25.  Wherever either comes near
+a path, the package's own Newton method takes over, and its answer is verified as every answer is.  A discrete action
+also has critical points that are no paths, zigzags of a coarse mesh, and makes single paths of a family: dropped is
+what a degree higher by two or the witnesses refute, and where the second variation vanishes up to the error.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -39,6 +40,7 @@ from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.paths import FINER, Paths
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
+from casadi_galerkin.solvers.second_variation import smallest_second_variation
 from casadi_galerkin.solvers.solver import newton
 from casadi_galerkin.solvers.stationarity import Stationarity
 
@@ -46,6 +48,7 @@ Symmetry = Callable[[np.ndarray], ArrayLike]
 
 SAME = 1e-6  # largest distance of two node values of one path found twice, in sizes of the component
 RESOLVED = 0.05  # largest estimated error of a path, in sizes of the component; of zigzags it is about one
+SOFT, ERRORS = 1e-3, 10.0  # relative second variation that is zero up to so many errors; regular ones are 1e-2 and more
 NEAR = 0.1  # ordinary step, over the distance to what is known and to the path's own size, from which it leads on
 LONGEST = 1.0  # deflated step in sizes of the path; where ∇log M · y is near one, it would be of any length
 DEFLATED, POLISHING = 40, 20  # iterations of the deflated and of the ordinary Newton method
@@ -78,7 +81,8 @@ def paths(
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     patience : number of solves in succession without a new path after which the search ends
     symmetries : callables that take the values of a path at all nodes, (d, N m + 1) in the order of time, to those of a
-        path that counts as the same one: of the two only one is returned
+        path that counts as the same one, such as its mirror image, or of all moved by whole turns the one that begins
+        between 0 and 2π; of such paths only one is returned
     seed : whole number, of the random guesses and loads; the same seed gives the same paths
 
     Returns
@@ -98,7 +102,7 @@ def paths(
     >>> import casadi_galerkin as cg
     >>> bratu = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - ca.exp(x[0]), (0, 1), start=[0.0], end=[0.0])
     >>> [(round(path.action, 6), path.morse_index) for path in cg.paths(bratu, cg.Galerkin(8), 10, count=2)]
-    [(-1.046517, 0), (9.186214, 1)]
+    [(-1.046517, 0), (16.440013, 1)]
     """
     transcription = transcribed(problem, method, intervals, mesh)
     count, patience = whole_number("count", count), whole_number("patience", patience)
@@ -156,13 +160,11 @@ class Search:
         while len(self.found) < count and self.solves - last < patience:
             self.solves += 1
             known, began = len(self.found), time.perf_counter()
-            try:
+            with suppress(SolveFailure):
                 for solution in self.attempt():
                     self.consider(solution, time.perf_counter() - began)
                     if len(self.found) == count:
                         break
-            except SolveFailure as failure:
-                self.singular += failure.singular
             if len(self.found) > known:
                 last = self.solves
         if not self.found:
@@ -247,15 +249,18 @@ class Search:
         if not max(error, *missed) <= RESOLVED:
             self.unresolved += 1
             return
+        if smallest_second_variation(self.stationarity, solution.unknowns, self.data) < min(SOFT, ERRORS * error):
+            self.singular += 1  # of a family that the mesh breaks up
+            return
         self.found.append(replace(path, error_estimate=error))
         self.measure(*(path.polynomial.values for path in self.found))
 
     def remembered(self, values: np.ndarray) -> bool:
-        """Remember node values with their images; whether they are new."""
-        images = [np.asarray(symmetry(values), dtype=float) for symmetry in self.symmetries]
-        new = [each for each in (values, *images) if not any(self.same(each, known) for known in self.known)]
+        """Remember node values with their images; whether none of them was known."""
+        same = [values, *(np.asarray(symmetry(values), dtype=float) for symmetry in self.symmetries)]
+        new = [each for each in same if not any(self.same(each, known) for known in self.known)]
         self.known += new
-        return any(each is values for each in new)
+        return len(new) == len(same)
 
     def nothing(self) -> ConvergenceError:
         """Say why there is no path."""

@@ -24,7 +24,7 @@ FIRST_STEP, SMALLEST_STEP, FARTHEST = 0.1, 1e-4, 1e3  # of the arc length, in si
 POINTS = 300  # of one curve, both those that were met and those that were missed
 FEW, LONGER, SHORTER = 3, 1.5, 0.5  # iterations from which the step grows; factors on it
 BEND = 0.7  # cosine of the largest angle between two tangents
-CLOSE = 1e-3  # last Newton step over the arc step: the curve is only a way to what is solved to roundoff
+CLOSE = 0.02  # last Newton step over the arc step: the curve is only a way to what is solved to roundoff
 
 
 class LoadedCurve(Curve[int]):

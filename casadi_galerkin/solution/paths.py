@@ -14,7 +14,7 @@ from casadi_galerkin.solution.trajectory import Trajectory
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SHOWN = 7  # paths in a repr
+SHOWN = 6  # paths in a repr
 SMOOTH = 600  # times of a line
 FINER = "a higher degree or more intervals may"
 
