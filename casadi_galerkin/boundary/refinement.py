@@ -133,7 +133,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         steps = self.levels.transcription(higher, path.mesh).corrections(path)
         sizes = component_sizes(path.values)[:, None]
         first, second = (float(np.max(interval_maxima(step) / sizes)) for step in steps)
-        if math.isnan(first):  # the Hessian of the higher degree is singular
+        if math.isnan(first):  # the Newton step of the higher degree is not finite
             return math.inf
         return first / (1 - min(SLOWEST, second / first)) if first > 0 else 0.0
 
