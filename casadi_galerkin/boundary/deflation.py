@@ -70,7 +70,8 @@ def paths(
     """Find several stationary paths of a problem, without a guess.
 
     The search begins with the straight line, and goes on until it has `count` paths, or finds no more.  That it finds
-    no more is no proof that there are none.
+    no more is no proof that there are none.  Guesses and distances are measured by the sizes of the components on the
+    paths found so far, and by one where these are zero.
 
     Parameters
     ----------
@@ -112,6 +113,8 @@ def paths(
 
 def _checked(symmetries: Sequence[Symmetry], transcription: Transcription) -> tuple[Symmetry, ...]:
     """Refuse what does not take node values to node values; it is asked."""
+    if callable(symmetries):
+        raise TypeError(f"symmetries must be a sequence of callables of node values, got {symmetries!r}")
     values = transcription.guess_on_mesh(None, transcription.mesh).values
     for i, symmetry in enumerate(symmetries):
         if not callable(symmetry):
@@ -201,9 +204,11 @@ class Search:
         guess = 2 ** self.random.uniform(SMALLEST, LARGEST) * self.smooth()
         bent = self.transcription.guess_on_mesh(guess, self.transcription.mesh)
         known = [self.unknowns(values) for values in self.known]
-        unknowns = deflated(self.stationarity, self.unknowns(bent.values), self.data, known, self.sizes, self.stiffest)
+        given = self.stationarity, self.unknowns(bent.values), self.data
+        unknowns, iterations = deflated(*given, known, self.sizes, self.stiffest)
         solution = damped_newton(self.stationarity, unknowns, self.data, max_iter=POLISHING)
-        return replace(solution, report="deflated Newton, from a random guess")
+        report = "deflated Newton, from a random guess"
+        return replace(solution, iterations=iterations + solution.iterations, report=report)
 
     def along_a_load(self) -> Iterator[Solution]:
         """All that a curve of loaded paths meets: first to one side of a path, in the next solve to the other."""
@@ -282,8 +287,8 @@ def deflated(
     known: Sequence[np.ndarray],
     sizes: np.ndarray,
     stiffest: float,
-) -> np.ndarray:
-    """Deflated Newton's method up to where something is near that is not known.
+) -> tuple[np.ndarray, int]:
+    """Deflated Newton's method up to where something is near that is not known: that point, and the iterations.
 
     Parameters
     ----------
@@ -304,7 +309,7 @@ def deflated(
             if not np.isfinite(length):
                 raise SolveFailure("the deflated Newton step is not finite", x, iteration)
             if length < NEAR * np.sqrt(np.min(squares, initial=1.0)):
-                return x
+                return x, iteration
             slope = 1 + 2 * np.sum(away @ (weights * step) / (squares * (1 + squares)))  # 1 - ∇log M · y
             x = x + step * np.copysign(1 / max(abs(slope), length / LONGEST), slope)
     raise SolveFailure(f"nothing is near after {DEFLATED} deflated iterations", x, DEFLATED)

@@ -232,9 +232,9 @@ def test_a_deflated_iteration_never_ends_at_what_is_known():
     upper = transcription.critical_point(guess=lambda t: [8 * t * (1 - t)])
     known, data, sizes = lower.solution.unknowns, lower.data, np.full(35, 0.64)
     given = transcription.stationarity, 1.01 * known, data
-    plain = deflated(*given, [], sizes, 1e6)
+    plain, _ = deflated(*given, [], sizes, 1e6)
     assert np.max(np.abs(plain - known)) < 0.1
-    elsewhere = deflated(*given, [known], sizes, 1e6)
+    elsewhere, _ = deflated(*given, [known], sizes, 1e6)
     assert np.max(np.abs(elsewhere - upper.solution.unknowns)) < 0.1
 
 
@@ -258,6 +258,11 @@ def test_a_load_leads_from_one_catenoid_to_the_other_and_back():
         ({"patience": 0}, ValueError, "patience must be at least 1, got 0"),
         ({"seed": -1}, ValueError, "seed must be at least 0, got -1"),
         ({"seed": None}, TypeError, "seed must be a whole number, got None"),
+        (
+            {"symmetries": np.negative},
+            TypeError,
+            "symmetries must be a sequence of callables of node values, got <ufunc",
+        ),
         ({"symmetries": [1.0]}, TypeError, r"symmetries\[0\] must be a callable of node values, got 1\.0"),
         ({"symmetries": [np.max]}, ValueError, r"symmetries\[0\] must return an array of shape \(1, 9\), got \(\)"),
         ({"method": 4}, TypeError, r"method must be a Galerkin, such as Galerkin\(degree=4\), got 4"),
