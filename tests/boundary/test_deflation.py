@@ -215,6 +215,7 @@ def test_a_table_shows_the_first_paths(geodesics):
     assert lines[-1] == "  ... 7 more"
 
 
+@pytest.mark.usefixtures("headless")
 def test_one_picture_shows_all(swings, geodesics):
     axes = swings.plot(label="angle in rad", time="t in s")
     assert (len(axes.lines), axes.get_ylabel(), axes.get_xlabel()) == (5, "angle in rad", "t in s")
