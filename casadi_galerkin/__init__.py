@@ -5,6 +5,7 @@ from casadi_galerkin._solve import transcribe as transcribe
 from casadi_galerkin.boundary.continuation import Branch as Branch
 from casadi_galerkin.boundary.continuation import Fold as Fold
 from casadi_galerkin.boundary.continuation import continuation as continuation
+from casadi_galerkin.boundary.deflation import paths as paths
 from casadi_galerkin.boundary.sensitivity import Sensitivity as Sensitivity
 from casadi_galerkin.boundary.sensitivity import sensitivity as sensitivity
 from casadi_galerkin.boundary.sensitivity import solution_function as solution_function
@@ -32,6 +33,7 @@ from casadi_galerkin.solution.errors import ConjugatePointError as ConjugatePoin
 from casadi_galerkin.solution.errors import ConvergenceError as ConvergenceError
 from casadi_galerkin.solution.errors import LimitReached as LimitReached
 from casadi_galerkin.solution.limits import Limits as Limits
+from casadi_galerkin.solution.paths import Paths as Paths
 from casadi_galerkin.solution.trajectory import Trajectory as Trajectory
 from casadi_galerkin.solvers.solver import Solver as Solver
 from casadi_galerkin.solvers.solver import ipopt as ipopt

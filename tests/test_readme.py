@@ -6,6 +6,15 @@ import pytest
 from paths import ROOT
 
 
+@pytest.fixture(autouse=True)
+def figures_closed():
+    """Matplotlib keeps those of every run, and warns from the twentieth on."""
+    yield
+    import matplotlib.pyplot as plt
+
+    plt.close("all")
+
+
 def code_blocks():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     return re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from control_problems import cart_pole, double_integrator, everything
-from scenes import BY_NAME, bratu, kepler
+from scenes import BY_NAME, bratu, kepler, pendulum
 
 import casadi_galerkin as cg
 
@@ -68,6 +68,10 @@ CASES = {
     "Sweep with failures": lambda: cg.sweep(family(), rates(9.0), METHOD, 6),
     "Branch": lambda: cg.continuation(family(), [4.0], intervals=10),
     "Fold": lambda: cg.continuation(family(), [4.0], intervals=10).folds[0],
+    "Paths": lambda: cg.paths(cg.BoundaryProblem(pendulum, (0, 5), [None], [None]), cg.Galerkin(6), 8, count=8),
+    "Paths of a coarse mesh": lambda: cg.paths(
+        BY_NAME["long pendulum, index 0"].problem, cg.Galerkin(1), 12, patience=5
+    ),
     "Comparison": lambda: cg.compare(SHORT, METHOD, 50),
     "Comparison of many components": lambda: cg.compare(chain(12), METHOD, 10),
     "Trade": lambda: cg.trade(SHORT, [cg.Galerkin(degree) for degree in range(1, 7)], [4, 8, 16]),

@@ -1,13 +1,8 @@
 """Walk the parameters of a problem along a branch of its critical paths, round folds where there are any.
 
-The parameters move on the line p(s) = p_0 + s (p_1 - p_0) from the problem's own to the target.  The branch is
-followed by its arc length (H. B. Keller, "Numerical solution of bifurcation and nonlinear eigenvalue problems",
-1977): with z = (ξ, s) and the tangent ż, each step solves
-
-    ∇S(ξ, p(s)) = 0,    <ż, z - z_predicted> = 0
-
-by Newton's method, two solves with the same Hessian an iteration.  At a fold the Hessian is singular and ṡ changes
-its sign; the branch then leads back, with another Morse index.  The fold is found as the zero of ṡ.
+The parameters move on the line p(s) = p_0 + s (p_1 - p_0) from the problem's own to the target.  The branch is the
+curve ∇S(ξ, p(s)) = 0, followed by its arc length (`arc_length`).  At a fold the Hessian is singular and ṡ changes its
+sign; the branch then leads back, with another Morse index.  The fold is found as the zero of ṡ.
 """
 
 from __future__ import annotations
@@ -18,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.boundary.arc_length import Curve
 from casadi_galerkin.boundary.transcription import CriticalPoint, Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import numbers
@@ -32,7 +28,7 @@ from casadi_galerkin.solvers.newton import Solution, verified
 
 FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.5, 1e-9  # of the arc length, in which the path counts by its size
 LONGER, SHORTER = 1.5, 0.5  # factors on the step after a correction in few iterations, and after one that failed
-FEW, MANY = 4, 10  # iterations of Newton's method
+FEW = 4  # iterations of Newton's method
 CLOSE = 1e-8  # last Newton step after which the next one is at roundoff
 LEVEL = 1e-9  # |ṡ| at a fold; s itself is then exact to its square
 POINTS = 1000  # of a branch
@@ -127,7 +123,7 @@ class Point:
     trajectory: Trajectory
 
 
-class Walk:
+class Walk(Curve[Solution]):
     """A walk under way."""
 
     def __init__(self, transcription: Transcription, target: np.ndarray) -> None:
@@ -156,35 +152,14 @@ class Walk:
             newton, follow = at.solve(at.relinearize(unknowns, data), rate)
         return newton, follow
 
-    def verified(self, z: np.ndarray, iterations: int) -> Solution | None:
+    def accepted(self, z: np.ndarray, length: float, iteration: int) -> Solution | None:
         """A point as a solution, if its residuals are at their roundoff floors."""
+        if length >= CLOSE:
+            return None
         unknowns, data = z[:-1], self.data(z)
         with self.stationarity.linearization() as at:
             at.newton_step(unknowns, data)
-            return verified(at, unknowns, data, iterations, "continuation")
-
-    def tangent(self, z: np.ndarray, forward: np.ndarray) -> np.ndarray:
-        """Unit tangent at a point of the branch, on the side of `forward`."""
-        direction = np.append(self.directions(z)[1], 1.0)
-        length = np.sqrt(direction**2 @ self.weights)
-        return np.asarray(direction * np.copysign(1 / length, (direction * forward) @ self.weights))
-
-    def corrected(self, z: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, Solution] | None:
-        """Newton's method within the plane through z across `normal`: point and solution; None if lost."""
-        start, normal = z, normal * self.weights
-        for iteration in range(1, MANY + 1):
-            newton, follow = self.directions(z)
-            ds = -(normal[:-1] @ newton + normal @ (z - start)) / (normal[:-1] @ follow + normal[-1])
-            step = np.append(newton + ds * follow, ds)
-            z = z + step
-            length = np.sqrt(step**2 @ self.weights)
-            if not np.isfinite(length) or length > LONGEST_STEP:
-                return None
-            if length < CLOSE:
-                solution = self.verified(z, iteration)
-                if solution is not None:
-                    return z, solution
-        return None
+            return verified(at, unknowns, data, iteration, "continuation")
 
     def path(self, z: np.ndarray) -> PiecewisePolynomial:
         """The path that a point stands for."""
@@ -233,7 +208,7 @@ class Walk:
                 share = (end - point.z[-1]) / point.tangent[-1]
                 predicted, normal = point.z + share * point.tangent, np.append(np.zeros(len(point.z) - 1), 1.0)
                 predicted[-1] = end
-            answer = self.corrected(predicted, normal)
+            answer = self.corrected(predicted, normal, LONGEST_STEP)
             try:
                 if answer is not None:
                     z, solution = answer
@@ -262,7 +237,7 @@ class Walk:
                 break
             share = 0.5 if iteration % 3 == 2 else rates[0] / (rates[0] - rates[1])
             middle = low + share * (high - low)
-            answer = self.corrected(before.z + middle * before.tangent, before.tangent)
+            answer = self.corrected(before.z + middle * before.tangent, before.tangent, LONGEST_STEP)
             if answer is None:
                 break
             z = answer[0]

@@ -132,6 +132,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         steps = self.levels.transcription(higher, path.mesh).corrections(path)
         sizes = component_sizes(path.values)[:, None]
         first, second = (float(np.max(interval_maxima(step) / sizes)) for step in steps)
+        if math.isnan(first):  # the Newton step of the higher degree is not finite
+            return math.inf
         return first / (1 - min(SLOWEST, second / first)) if first > 0 else 0.0
 
     def improve(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> CriticalPoint:

@@ -67,6 +67,19 @@ def plot_path(
     return axes
 
 
+def plot_family(
+    times: np.ndarray, lines: Sequence[tuple[str, np.ndarray]], axes: Axes | None, label: str, time: str
+) -> Axes:
+    """Draw one component of several paths over the same times (K,); `lines` are their names and values (K,)."""
+    axes = axes_or_new(axes)
+    for i, (name, values) in enumerate(lines):
+        axes.plot(times, values, color=COLORS[i % len(COLORS)], label=name)
+    axes.set(xlabel=time, ylabel=label)
+    if len(lines) <= len(COLORS):
+        axes.legend(fontsize="small")
+    return axes
+
+
 def _named(name: str, count: int, labels: Sequence[str] | None) -> tuple[Sequence[str], str]:
     """Names of the components, and what stands at their axis."""
     if labels is None:

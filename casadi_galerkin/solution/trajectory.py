@@ -45,7 +45,7 @@ class Trajectory(Path):
     build_seconds, solve_seconds : spent on building the graph and on the solve
     method : Galerkin
     problem : what was solved, with the ends, parameters and times that it was solved for
-    error_estimate : estimated relative error of the path between the joints; only with a tolerance
+    error_estimate : estimated relative error of the path between the joints; only with a tolerance, or found by `paths`
     count_negative : finds `morse_index`
     """
 

@@ -8,6 +8,7 @@ import pytest
 from scenes import BY_NAME, TROESCH, boundary_layer, bratu, bratu_theta, oscillator, pendulum, troesch
 
 import casadi_galerkin as cg
+from casadi_galerkin.boundary.refinement import BoundaryRefinement
 
 TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
 WORST = 5.0  # no success may have an error above this many tolerances
@@ -282,3 +283,12 @@ def test_verbose_prints_a_line_a_level(capsys):
 def test_bad_tolerances_are_refused(tol):
     with pytest.raises(ValueError, match="tol must be a number between 0 and 1, got"):
         cg.solve(BY_NAME["oscillator 1.0"].problem, tol=tol)
+
+
+def test_an_estimate_without_a_newton_step_is_infinite():
+    """Where the higher degree leaves the domain of the Lagrangian, its Newton step is not finite."""
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.sqrt(x[0]), (0, 1), [-1.0], [1.0])
+    method = cg.Galerkin(2)
+    refinement = BoundaryRefinement(problem, 1e-3, method, cg.newton, cg.Limits(), verbose=0)
+    line = cg.transcribe(problem, method, 4).guess_on_mesh(None, np.linspace(0, 1, 5))
+    assert refinement.error(line) == np.inf

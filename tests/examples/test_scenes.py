@@ -275,6 +275,25 @@ def shaken_as_measured(module, paths):
     assert len(unknown.t) > 5 * len(known.t)
 
 
+def nothing_missing(module, found):
+    swings, films, geodesics = found
+    # by shooting in higher precision, and with DOP853
+    actions = [-3.918564307581, -0.084750396892, 3.738317514793, 7.313292826489, 8.853960793439]
+    np.testing.assert_allclose([path.action for path in swings], actions, rtol=1e-10, atol=0)
+    narrowest = [path(0.0)[0] for path in films]
+    np.testing.assert_allclose(narrowest, [0.848337938094979, 0.235094990234533], rtol=1e-11, atol=0)
+    for paths in (swings, films):
+        assert sum((-1) ** path.morse_index for path in paths) == len(paths) % 2
+    assert [path.morse_index for path in geodesics] == [0, 1, 2, 3, 4, 5, 6]
+    on_the_equator = geodesics[-1]
+    assert on_the_equator.action == pytest.approx((4 * np.pi * sum(module.RADII)) ** 2 / 2, rel=1e-12)
+    for path in geodesics:
+        width = module.RADII[0] + module.RADII[1] * np.cos(path.x[0])
+        np.testing.assert_allclose(path.momentum[1], path.momentum[1, 0], rtol=1e-12, atol=0)  # Clairaut
+        speed = np.hypot(module.RADII[1] * path.velocity[0], width * path.velocity[1])
+        np.testing.assert_allclose(speed, np.sqrt(2 * path.action), rtol=1e-7, atol=0)
+
+
 def digits_lost_by_shooting(module, measured):
     errors = {name: np.array([[r.joint_error for r in rows] for rows in ways]) for name, ways in measured.items()}
     np.testing.assert_allclose(*errors["Kepler arc"], rtol=0, atol=ROUNDOFF)  # the same discrete equations
@@ -435,6 +454,7 @@ TABLE = [
     ("inverted_pendulum", digits_kept_globally, "the balanced pendulum keeps its digits only globally"),
     ("driven_oscillator", settled_response, "the driven oscillator settles into its response"),
     ("measured_drive", shaken_as_measured, "the shaken instrument moves as integrated from sample to sample"),
+    ("all_paths", nothing_missing, "no swing, no film and no geodesic is missing"),
     (
         "global_against_shooting",
         digits_lost_by_shooting,

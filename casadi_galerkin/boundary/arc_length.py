@@ -1,0 +1,63 @@
+"""A curve of solutions z = (ξ, s) of n equations in n + 1 unknowns, followed by its arc length, round its folds.
+
+With the unit tangent ż at a point and a prediction along it, the next point solves
+
+    F(ξ, s) = 0,    <ż, z - z_predicted> = 0
+
+by Newton's method, two solves with the same matrix ∂F/∂ξ an iteration (H. B. Keller, "Numerical solution of bifurcation
+and nonlinear eigenvalue problems", 1977).  At a fold that matrix is singular, the two conditions together are not.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Generic, TypeVar
+
+import numpy as np
+
+Accepted = TypeVar("Accepted")
+
+MANY = 10  # iterations of Newton's method
+
+
+class Curve(ABC, Generic[Accepted]):
+    """A curve of points z = (ξ, s).
+
+    Attributes
+    ----------
+    weights : (n + 1,), of the scalar product in which arc length is measured
+    """
+
+    weights: np.ndarray
+
+    @abstractmethod
+    def directions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The Newton step at fixed s, and how ξ follows s."""
+
+    @abstractmethod
+    def accepted(self, z: np.ndarray, length: float, iteration: int) -> Accepted | None:
+        """What a point is accepted for after a last step of this length; None where it needs another iteration."""
+
+    def length(self, step: np.ndarray) -> float:
+        """Arc length of a step."""
+        return float(np.sqrt(step**2 @ self.weights))
+
+    def tangent(self, z: np.ndarray, forward: np.ndarray) -> np.ndarray:
+        """Unit tangent at a point of the curve, on the side of `forward`."""
+        direction = np.append(self.directions(z)[1], 1.0)
+        return np.asarray(direction * np.copysign(1 / self.length(direction), (direction * forward) @ self.weights))
+
+    def corrected(self, z: np.ndarray, normal: np.ndarray, longest: float) -> tuple[np.ndarray, Accepted] | None:
+        """Newton's method within the plane through z across `normal`; None if a step is longer than `longest`."""
+        start, normal = z, normal * self.weights
+        for iteration in range(1, MANY + 1):
+            newton, follow = self.directions(z)
+            ds = -(normal[:-1] @ newton + normal @ (z - start)) / (normal[:-1] @ follow + normal[-1])
+            step = np.append(newton + ds * follow, ds)
+            z, length = z + step, self.length(step)
+            if not length <= longest:
+                return None
+            accepted = self.accepted(z, length, iteration)
+            if accepted is not None:
+                return z, accepted
+        return None

@@ -1,0 +1,99 @@
+"""From one stationary path to others, along paths under a load.
+
+The paths that a load r holds in place, s times its size, obey
+
+    ∇S(ξ) = s r.
+
+They form a curve (ξ, s) through a stationary path, where s = 0 (E. L. Allgower, K. Georg, "Numerical Continuation
+Methods", 1990).  Wherever it returns to s = 0, it has met another one.  Between paths of different Morse index the
+Hessian is singular somewhere, which is a wall for Newton's method; the curve passes there in a fold.  Nobody knows how
+long the curve is, or whether it comes back, so its points are counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from casadi_galerkin.boundary.arc_length import Curve
+from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.solvers.stationarity import Linearization
+
+FIRST_STEP, SMALLEST_STEP, FARTHEST = 0.1, 1e-4, 1e3  # of the arc length, in sizes of the path it begins at
+POINTS = 300  # of one curve, both those that were met and those that were missed
+FEW, LONGER, SHORTER = 3, 1.5, 0.5  # iterations from which the step grows; factors on it
+BEND = 0.7  # cosine of the largest angle between two tangents
+CLOSE = 0.02  # last Newton step over the arc step: the curve is only a way to what is solved to roundoff
+
+
+class LoadedCurve(Curve[int]):
+    """The curve of loaded paths through one stationary path.
+
+    Parameters
+    ----------
+    at : Linearization
+    unknowns, data : the stationary path
+    load : r, as many as there are unknowns
+    sizes : what the unknowns are measured by
+    stiffest : largest entry of the Hessian up to which the curve is followed; beyond, roundoff rules
+
+    Attributes
+    ----------
+    iterations : of Newton's method so far
+    """
+
+    def __init__(
+        self,
+        at: Linearization,
+        unknowns: np.ndarray,
+        data: Data,
+        load: np.ndarray,
+        sizes: np.ndarray,
+        stiffest: float,
+    ) -> None:
+        self.at, self.data, self.load, self.iterations = at, data, load, 0
+        self.start, self.stiffest = np.append(unknowns, 0.0), stiffest
+        self.weights = np.append(1 / (len(sizes) * sizes**2), 0.0)
+        follow = np.append(self.directions(self.start)[1], 1.0)
+        self.weights[-1] = self.length(follow) ** 2  # path and load count the same at the start
+
+    def directions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The Newton step at a fixed load, and how the path follows the load."""
+        self.iterations += 1
+        residual = self.at.relinearize(z[:-1], self.data) - z[-1] * self.load
+        if not np.max(np.abs(self.at.matrix), initial=0.0) < self.stiffest:
+            return np.full_like(residual, np.nan), np.full_like(residual, np.nan)
+        newton, follow = self.at.solve(residual, -self.load)
+        return newton, follow
+
+    def accepted(self, z: np.ndarray, length: float, iteration: int) -> int | None:  # noqa: ARG002
+        """Number of iterations, if the last was short."""
+        return iteration if length < CLOSE * self.step else None
+
+    def crossings(self, side: float) -> Iterator[np.ndarray]:
+        """Approximate paths without load, in the order in which they are met.
+
+        Parameters
+        ----------
+        side : 1.0 or -1.0, the sign of the load at the start
+        """
+        z, self.step = self.start, FIRST_STEP
+        tangent = self.tangent(z, np.append(np.zeros(len(z) - 1), side))
+        for _ in range(POINTS):
+            found = self.corrected(z + self.step * tangent, tangent, self.step)
+            following = tangent if found is None else self.tangent(found[0], tangent)
+            if found is None or not (following * tangent) @ self.weights > BEND:
+                self.step *= SHORTER
+                if self.step < SMALLEST_STEP:
+                    return
+                continue
+            before, (z, iterations) = z, found
+            tangent = following
+            if before[-1] * z[-1] < 0:
+                share = before[-1] / (before[-1] - z[-1])
+                yield before[:-1] + share * (z - before)[:-1]
+            if self.length(z - self.start) > FARTHEST:
+                return
+            if iterations <= FEW:
+                self.step *= LONGER

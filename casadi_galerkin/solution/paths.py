@@ -1,0 +1,87 @@
+"""Several answers to one problem: stationary paths in the order of their action."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from casadi_galerkin.solution.plotting import plot_family
+from casadi_galerkin.solution.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SHOWN = 6  # paths in a repr
+SMOOTH = 600  # times of a line
+FINER = "a higher degree or more intervals may"
+
+
+@dataclass(frozen=True, repr=False)
+class Paths:
+    """Stationary paths of one problem in the order of their action.
+
+    Attributes
+    ----------
+    trajectories : all different, each with its `action`, `morse_index` and `error_estimate`; `solver` says how it was
+        found
+    solves : Newton iterations begun from a guess, and curves followed
+    unresolved : critical points of the discrete action that were dropped, because the mesh does not resolve them
+    singular : critical points that were dropped, because the Hessian is singular there: they belong to a family of
+        paths, or the ends are conjugate points
+    stopped : why the search ended
+    """
+
+    trajectories: tuple[Trajectory, ...]
+    solves: int
+    unresolved: int
+    singular: int
+    stopped: str
+
+    def __len__(self) -> int:
+        return len(self.trajectories)
+
+    def __getitem__(self, i: int) -> Trajectory:
+        return self.trajectories[i]
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        return iter(self.trajectories)
+
+    def plot(self, component: int = 0, axes: Axes | None = None, label: str | None = None, time: str = "t") -> Axes:
+        """Draw one component of all paths into one picture; returns the Matplotlib axes.
+
+        Parameters
+        ----------
+        component : which, from 0 to d - 1
+        axes : Matplotlib axes to draw into; default a new figure
+        label : name of the component with its unit
+        time : name of the time with its unit
+        """
+        if not 0 <= component < len(self[0].x):
+            raise ValueError(f"component must be from 0 to {len(self[0].x) - 1}, got {component!r}")
+        first = self[0].polynomial
+        times = first.times(np.linspace(0, 1, max(2, SMOOTH // (len(first.mesh) - 1)), endpoint=False))
+        lines = [(f"action {path.action:.6g}, {_index(path)}", path(times)[component]) for path in self]
+        return plot_family(times, lines, axes, label or f"x[{component}]", time)
+
+    def __repr__(self) -> str:
+        """Tabulate the paths, and say how many were dropped and why the search ended."""
+        count = len(self)
+        lines = [f"Paths: {count} stationary path{'s' * (count > 1)} in {self.solves} solves; {self.stopped}"]
+        for path in self.trajectories[:SHOWN]:
+            lines.append(
+                f"  action {path.action:<18.12g} {_index(path):15} error {path.error_estimate:.0e}  {path.solver}"
+            )
+        if count > SHOWN:
+            lines.append(f"  ... {count - SHOWN} more")
+        if self.unresolved:
+            lines.append(f"  {self.unresolved} dropped that the mesh does not resolve; {FINER}")
+        if self.singular:
+            lines.append(f"  {self.singular} dropped with a singular Hessian: a family of paths, or conjugate points")
+        return "\n".join(lines)
+
+
+def _index(path: Trajectory) -> str:
+    return "no Morse index" if path.morse_index is None else f"Morse index {path.morse_index}"

@@ -1,0 +1,281 @@
+"""All stationary paths that are known are found without a guess, none twice, and none that the mesh invents."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scenes import bratu, bratu_theta, catenoid, oscillator_problem, pendulum
+from scipy.integrate import solve_ivp
+
+import casadi_galerkin as cg
+from casadi_galerkin.boundary.deflation import deflated
+from casadi_galerkin.boundary.loaded_curve import LoadedCurve
+
+SOLVES = 100  # within which every path has to be found
+LONG = cg.BoundaryProblem(pendulum, (0.0, 10.0), [0.0], [1.0])
+WELL = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + (1 - x[0] ** 2) ** 2 / 4, (0.0, 10.0), [0.0], [0.0])
+RADII = 2.0, 1.0  # of the torus
+
+
+def torus(t, x, v):
+    """Half the squared speed on a torus; x[0] is the angle round the tube, x[1] that round the axis."""
+    around, tube = RADII
+    return (tube**2 * v[0] ** 2 + (around + tube * ca.cos(x[0])) ** 2 * v[1] ** 2) / 2
+
+
+def euler_characteristic(paths):
+    """Σ (-1)^index, which is one for all critical points of an action on a contractible space of paths."""
+    return sum((-1) ** path.morse_index for path in paths)
+
+
+@pytest.fixture(scope="module")
+def swings():
+    return cg.paths(LONG, cg.Galerkin(10), 16)
+
+
+@pytest.fixture(scope="module")
+def geodesics():
+    problem = cg.BoundaryProblem(torus, (0.0, 1.0), [0.3, 0.0], [-0.2, 4 * np.pi])
+    return cg.paths(problem, cg.Galerkin(8), 30, count=13, seed=1)
+
+
+def test_the_known_swings_of_the_pendulum_are_found(swings):
+    """Computed by shooting in higher precision: velocity at the start, action and Morse index."""
+    assert swings.solves <= SOLVES
+    known = [
+        (1.9995687170165, -3.918564307581, 0),
+        (1.8318277309911, 7.313292826489, 1),
+        (1.3287479250456, 8.853960793439, 2),
+    ]
+    for velocity, action, index in known:
+        (path,) = [path for path in swings if abs(path.action - action) < 1e-8]
+        np.testing.assert_allclose(path.velocity[0, 0], velocity, rtol=1e-10, atol=0)
+        assert path.morse_index == index
+
+
+def test_the_swings_of_the_pendulum_are_all_and_no_others(swings):
+    """Swings that arrive at 1, by integration of all velocities from -2.1 to 2.1: beyond, the pendulum only rotates."""
+    near = np.logspace(-9, -2, 60)
+    velocities = np.sort(np.concatenate([np.linspace(-2.1, 2.1, 401), 2 - near, 2 + near, -2 - near, -2 + near]))
+    count = len(velocities)
+    initial = np.concatenate((np.zeros(count), velocities))
+    answer = solve_ivp(
+        lambda t, y: np.concatenate((y[count:], -np.sin(y[:count]))), (0, 10), initial, "DOP853", rtol=1e-12, atol=1e-12
+    )
+    off = answer.y[:count, -1] - 1.0
+    brackets = np.flatnonzero(off[:-1] * off[1:] < 0)
+    found = np.sort([path.velocity[0, 0] for path in swings])
+    assert np.searchsorted(velocities, found).tolist() == (brackets + 1).tolist()
+    assert len(swings) == 5
+    assert euler_characteristic(swings) == 1
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0, 2.0, 3.0, 3.5])
+def test_both_paths_of_bratu_are_found(rate):
+    found = cg.paths(cg.BoundaryProblem(bratu(rate), (0, 1), [0.0], [0.0]), cg.Galerkin(8), 16)
+    assert found.solves <= SOLVES
+    assert [path.morse_index for path in found] == [0, 1]
+    for path, upper in zip(found, (False, True), strict=True):
+        height = 2 * np.log(np.cosh(bratu_theta(rate, upper) / 4))
+        np.testing.assert_allclose(path(0.5), height, rtol=1e-10, atol=0)
+
+
+def test_both_catenoids_are_found():
+    found = cg.paths(cg.BoundaryProblem(catenoid, (-0.5, 0.5), [1.0], [1.0]), cg.Galerkin(8), 16)
+    assert found.solves <= SOLVES
+    assert [path.morse_index for path in found] == [0, 1]
+    narrowest = [path(0.0)[0] for path in found]
+    np.testing.assert_allclose(narrowest, [0.848337938094979, 0.235094990234533], rtol=1e-12, atol=0)
+
+
+def test_thirteen_geodesics_join_two_points_of_a_torus(geodesics):
+    assert len(geodesics) == 13
+    assert geodesics.solves <= SOLVES
+    assert euler_characteristic(geodesics) == 1
+    around, tube = RADII
+    for path in geodesics:
+        width = around + tube * np.cos(path.x[0])
+        clairaut = width**2 * path.velocity[1]
+        length = np.sqrt((tube * path.velocity[0]) ** 2 + (width * path.velocity[1]) ** 2)
+        np.testing.assert_allclose(clairaut, clairaut[0], rtol=1e-8, atol=0)
+        np.testing.assert_allclose(length, np.sqrt(2 * path.action), rtol=1e-8, atol=0)
+        assert path.residual <= 50
+        assert path.error_estimate < 1e-6
+
+
+@pytest.mark.parametrize("found", ["swings", "geodesics"])
+def test_paths_differ_and_are_ordered_by_action(found, request):
+    found = request.getfixturevalue(found)
+    assert np.all(np.diff([path.action for path in found]) > 0)
+    for i, path in enumerate(found):
+        for other in found[:i]:
+            assert np.max(np.abs(path.x - other.x)) > 1e-2
+
+
+@pytest.fixture(scope="module")
+def hops():
+    """Of the symmetric double well, from its top to its top."""
+    return cg.paths(WELL, cg.Galerkin(6), 12)
+
+
+def test_the_same_seed_gives_the_same_paths_and_another_the_same_set(hops):
+    again, other = cg.paths(WELL, cg.Galerkin(6), 12), cg.paths(WELL, cg.Galerkin(6), 12, seed=1)
+    for first, second in zip(hops, again, strict=True):
+        np.testing.assert_array_equal(first.x, second.x)
+    np.testing.assert_allclose([path.action for path in other], [path.action for path in hops], rtol=1e-9, atol=0)
+
+
+def test_of_paths_that_a_symmetry_takes_to_one_another_one_is_returned(hops):
+    folded = cg.paths(WELL, cg.Galerkin(6), 12, symmetries=[np.negative])
+    assert [path.morse_index for path in hops] == [0, 0, 1, 1, 2, 2, 3]
+    assert [path.morse_index for path in folded] == [0, 1, 2, 3]
+    np.testing.assert_allclose([path.action for path in folded], [path.action for path in hops][::2], rtol=1e-9, atol=0)
+
+
+def test_a_symmetry_may_take_all_paths_of_a_class_to_one():
+    """With both ends free, a swing may be moved by any number of turns, turned round, and mirrored."""
+    problem = cg.BoundaryProblem(pendulum, (0.0, 5.0), [None], [None])
+    found = cg.paths(
+        problem,
+        cg.Galerkin(8),
+        8,
+        symmetries=[lambda x: x - 2 * np.pi * np.round((x[0, 0] - 0.1) / (2 * np.pi))],
+    )
+    places = [np.exp(1j * path.x[0]) for path in found]
+    for i, place in enumerate(places):
+        for other in places[:i]:
+            assert np.max(np.abs(place - other)) > 1e-3
+    assert [path.morse_index for path in found] == [0, 1, 1, 2]  # upright, two swings with half a period of 5, hanging
+
+
+def test_free_and_periodic_ends():
+    free = cg.paths(cg.BoundaryProblem(pendulum, (0.0, 10.0), [1.0], [None]), cg.Galerkin(8), 24)
+    assert len(free) == 7
+    for path in free:
+        np.testing.assert_allclose(path.momentum[0, -1], 0.0, rtol=0, atol=1e-10)
+    shaken = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]) + 0.5 * x[0] * ca.cos(t), (0, 2 * np.pi), [None], periodic=True
+    )
+    for path in cg.paths(shaken, cg.Galerkin(8), 8, count=4):
+        np.testing.assert_allclose(
+            [path.x[0, 0], path.momentum[0, 0]], [path.x[0, -1], path.momentum[0, -1]], atol=1e-9
+        )
+
+
+def test_zigzags_of_a_coarse_mesh_are_dropped(swings):
+    coarse = cg.paths(LONG, cg.Galerkin(1), 12, patience=10)
+    assert coarse.unresolved > 0
+    assert f"{coarse.unresolved} dropped that the mesh does not resolve" in repr(coarse)
+    for path in coarse:
+        assert min(np.max(np.abs(path.x - swing(path.t))) for swing in swings) < 0.3
+
+
+def test_where_the_mesh_resolves_nothing_that_is_said():
+    with pytest.raises(cg.ConvergenceError, match=r"solves found no path, but \d+ critical point\(s\) of the discrete"):
+        cg.paths(LONG, cg.Galerkin(1), 3)
+
+
+def test_members_of_a_family_are_counted_and_not_returned():
+    """Any swing of a pendulum with this period may begin at any phase."""
+    found = cg.paths(cg.BoundaryProblem(pendulum, (0, 10), [None], periodic=True), cg.Galerkin(8), 8, patience=6)
+    assert found.singular > 0
+    assert f"{found.singular} dropped with a singular Hessian: a family of paths" in repr(found)
+    for path in found:  # at rest, hanging or upright
+        np.testing.assert_allclose(path.momentum, 0.0, rtol=0, atol=1e-9)
+
+
+def test_conjugate_ends_are_an_error():
+    problem = oscillator_problem(t_span=(0.0, np.pi), end=[0.0])
+    with pytest.raises(cg.ConjugatePointError, match="5 solves found no path; from the straight line, the second vari"):
+        cg.paths(problem, cg.Galerkin(6), 10, patience=5)
+
+
+def test_without_a_path_the_search_says_how_often_it_tried():
+    problem = cg.BoundaryProblem(bratu(4.0), (0, 1), [0.0], [0.0])
+    with pytest.raises(
+        cg.ConvergenceError, match="5 solves found no path; from the straight line, no path was"
+    ) as caught:
+        cg.paths(problem, cg.Galerkin(8), 10, patience=5)
+    assert caught.value.path is not None
+
+
+def test_the_search_ends_at_the_count_or_when_patience_ends(swings):
+    assert repr(swings).splitlines()[0].endswith("stopped after 20 solves without a new one")
+    few = cg.paths(LONG, cg.Galerkin(8), 12, count=2)
+    assert len(few) == 2
+    assert repr(few).splitlines()[0] == f"Paths: 2 stationary paths in {few.solves} solves; stopped at count=2"
+    single = cg.paths(oscillator_problem(), cg.Galerkin(4), 4, patience=3)
+    assert (len(single), single.solves) == (1, 4)
+    assert repr(single).startswith("Paths: 1 stationary path in 4 solves")
+
+
+def test_a_table_shows_the_first_paths(geodesics):
+    lines = repr(geodesics).splitlines()
+    assert len(lines) == 8
+    assert lines[1].split()[:5] == ["action", "146.795342683", "Morse", "index", "0"]
+    assert lines[-1] == "  ... 7 more"
+
+
+@pytest.mark.usefixtures("headless")
+def test_one_picture_shows_all(swings, geodesics):
+    axes = swings.plot(label="angle in rad", time="t in s")
+    assert (len(axes.lines), axes.get_ylabel(), axes.get_xlabel()) == (5, "angle in rad", "t in s")
+    assert axes.get_legend().get_texts()[0].get_text() == "action -3.91856, Morse index 0"
+    for line, path in zip(axes.lines, swings, strict=True):
+        np.testing.assert_array_equal(line.get_ydata()[[0, -1]], path.x[0, [0, -1]])
+    assert geodesics.plot(component=1).get_legend() is None  # more than there are colours
+    with pytest.raises(ValueError, match="component must be from 0 to 1, got 2"):
+        geodesics.plot(component=2)
+
+
+def test_a_deflated_iteration_never_ends_at_what_is_known():
+    transcription = cg.transcribe(cg.BoundaryProblem(bratu(3.0), (0, 1), [0.0], [0.0]), cg.Galerkin(6), 6)
+    lower = transcription.critical_point()
+    upper = transcription.critical_point(guess=lambda t: [8 * t * (1 - t)])
+    known, data, sizes = lower.solution.unknowns, lower.data, np.full(35, 0.64)
+    given = transcription.stationarity, 1.01 * known, data
+    plain, _ = deflated(*given, [], sizes, 1e6)
+    assert np.max(np.abs(plain - known)) < 0.1
+    elsewhere, _ = deflated(*given, [known], sizes, 1e6)
+    assert np.max(np.abs(elsewhere - upper.solution.unknowns)) < 0.1
+
+
+def test_a_load_leads_from_one_catenoid_to_the_other_and_back():
+    transcription = cg.transcribe(cg.BoundaryProblem(catenoid, (-0.5, 0.5), [1.0], [1.0]), cg.Galerkin(8), 8)
+    wide = transcription.critical_point()
+    narrow = transcription.critical_point(guess=lambda t: [0.235 * np.cosh(t / 0.235)])
+    unknowns, data = wide.solution.unknowns, wide.data
+    with transcription.stationarity.linearization() as at:
+        curve = LoadedCurve(at, unknowns, data, np.ones(len(unknowns)), np.ones(len(unknowns)), 1e8)
+        ends = [list(curve.crossings(side)) for side in (1.0, -1.0)]
+    met = [guess for crossings in ends for guess in crossings[:1]]
+    assert min(np.max(np.abs(guess - narrow.solution.unknowns)) for guess in met) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "message"),
+    [
+        ({"count": 0}, ValueError, "count must be at least 1, got 0"),
+        ({"count": 2.0}, TypeError, r"count must be a whole number, got 2\.0"),
+        ({"patience": 0}, ValueError, "patience must be at least 1, got 0"),
+        ({"seed": -1}, ValueError, "seed must be at least 0, got -1"),
+        ({"seed": None}, TypeError, "seed must be a whole number, got None"),
+        (
+            {"symmetries": np.negative},
+            TypeError,
+            "symmetries must be a sequence of callables of node values, got <ufunc",
+        ),
+        ({"symmetries": [1.0]}, TypeError, r"symmetries\[0\] must be a callable of node values, got 1\.0"),
+        ({"symmetries": [np.max]}, ValueError, r"symmetries\[0\] must return an array of shape \(1, 9\), got \(\)"),
+        ({"method": 4}, TypeError, r"method must be a Galerkin, such as Galerkin\(degree=4\), got 4"),
+        ({"intervals": None}, ValueError, "give either intervals or mesh"),
+    ],
+)
+def test_bad_input_is_refused(given, error, message):
+    with pytest.raises(error, match=message):
+        cg.paths(LONG, **{"method": cg.Galerkin(4), "intervals": 2, **given})
+
+
+def test_only_boundary_problems_have_several_paths():
+    falling = cg.InitialProblem(pendulum, (0.0, 1.0), [0.0], velocity=[1.0])
+    with pytest.raises(TypeError, match="problem must be a BoundaryProblem, got InitialProblem"):
+        cg.paths(falling, cg.Galerkin(4), 4)
