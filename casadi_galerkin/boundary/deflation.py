@@ -34,6 +34,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import whole_number
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.functional.statement import has_phase
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.limits import Limits
@@ -106,6 +107,11 @@ def paths(
     [(-1.046517, 0), (16.440013, 1)]
     """
     transcription = transcribed(problem, method, intervals, mesh)
+    if has_phase(problem):
+        raise ValueError(
+            "paths takes no periodic problem of given energy: its paths have a phase that only a guess fixes; give one "
+            "component of start"
+        )
     count, patience = whole_number("count", count), whole_number("patience", patience)
     search = Search(transcription, whole_number("seed", seed, 0), _checked(symmetries, transcription))
     return search.run(count, patience)
@@ -135,8 +141,8 @@ class Search:
         self.refinement = BoundaryRefinement(
             transcription.problem, RESOLVED, transcription.method, newton, Limits(), verbose=0
         )
-        self.found: list[Trajectory] = []
-        self.known: list[np.ndarray] = []  # node values of all critical points and their images, also of those dropped
+        self.found: list[tuple[Trajectory, np.ndarray]] = []  # with their unknowns
+        self.known: list[np.ndarray] = []  # unknowns of all critical points and their images, also of those dropped
         self.solves = self.curves = self.unresolved = self.singular = 0
         self.failure: ConvergenceError | None = None
         self.stiffest = 0.0
@@ -154,8 +160,8 @@ class Search:
         self.stiffest = max(self.stiffest, STIFFEST * largest if np.isfinite(largest) else np.inf)
 
     def unknowns(self, values: np.ndarray) -> np.ndarray:
-        """Free values out of node values (d, N m + 1)."""
-        return self.transcription.unknowns(values.T)
+        """Unknowns ξ out of node values (d, N m + 1)."""
+        return self.transcription.unknowns(values.T, self.data)
 
     def run(self, count: int, patience: int) -> Paths:
         """Search until there are so many paths, or so many solves without a new one."""
@@ -174,7 +180,7 @@ class Search:
             raise self.nothing()
         reached = len(self.found) == count
         stopped = f"stopped at count={count}" if reached else f"stopped after {patience} solves without a new one"
-        ordered = sorted(self.found, key=lambda path: path.action)
+        ordered = sorted((path for path, _ in self.found), key=lambda path: path.action)
         return Paths(tuple(ordered), self.solves, self.unresolved, self.singular, stopped)
 
     def attempt(self) -> Iterator[Solution]:
@@ -203,9 +209,8 @@ class Search:
         """Deflated Newton's method from a random guess."""
         guess = 2 ** self.random.uniform(SMALLEST, LARGEST) * self.smooth()
         bent = self.transcription.guess_on_mesh(guess, self.transcription.mesh)
-        known = [self.unknowns(values) for values in self.known]
         given = self.stationarity, self.unknowns(bent.values), self.data
-        unknowns, iterations = deflated(*given, known, self.sizes, self.stiffest)
+        unknowns, iterations = deflated(*given, self.known, self.sizes, self.stiffest)
         solution = damped_newton(self.stationarity, unknowns, self.data, max_iter=POLISHING)
         report = "deflated Newton, from a random guess"
         return replace(solution, iterations=iterations + solution.iterations, report=report)
@@ -214,25 +219,25 @@ class Search:
         """All that a curve of loaded paths meets: first to one side of a path, in the next solve to the other."""
         again = self.curves % 2
         if not again:
-            self.start = self.found[self.curves // 2 % len(self.found)]
+            self.start, self.begun = self.found[self.curves // 2 % len(self.found)]
             self.load = self.unknowns(self.smooth()) / self.sizes**2
         self.curves += 1
         values = self.start.polynomial.values
         with self.stationarity.linearization() as at:
-            curve = LoadedCurve(at, self.unknowns(values), self.data, self.load, self.sizes, self.stiffest)
+            curve = LoadedCurve(at, self.begun, self.data, self.load, self.sizes, self.stiffest)
             for guess in curve.crossings(-1.0 if again else 1.0):
                 try:
                     solution = damped_newton(self.stationarity, guess, self.data, max_iter=POLISHING)
                 except SolveFailure:
                     continue
-                if self.same(self.values(solution), values):
+                if self.same(self.values(solution.unknowns), values):
                     return  # the curve is closed
                 report = f"Newton, along a load from action {self.start.action:.6g}"
                 yield replace(solution, iterations=curve.iterations + solution.iterations, report=report)
 
-    def values(self, solution: Solution) -> np.ndarray:
-        """Node values (d, N m + 1) of a critical point."""
-        return self.transcription.emb(solution.unknowns, self.data).values
+    def values(self, unknowns: np.ndarray) -> np.ndarray:
+        """Node values (d, N m + 1) of unknowns."""
+        return self.transcription.emb(unknowns, self.data).values
 
     def same(self, values: np.ndarray, others: np.ndarray) -> bool:
         """Whether node values are those of one path found twice."""
@@ -240,8 +245,9 @@ class Search:
 
     def consider(self, solution: Solution, seconds: float) -> None:
         """Keep a critical point if it is new, regular, and a path."""
-        point = CriticalPoint(solution, self.data, self.transcription.emb(solution.unknowns, self.data))
-        if not self.remembered(point.polynomial.values):
+        polynomial = self.transcription.emb(solution.unknowns, self.data)
+        point = CriticalPoint(solution, self.transcription.problem, self.data, polynomial)
+        if not self.remembered(solution.unknowns):
             return
         try:
             path = self.transcription.trajectory(point, seconds)
@@ -257,13 +263,17 @@ class Search:
         if smallest_second_variation(self.stationarity, solution.unknowns, self.data) < min(SOFT, ERRORS * error):
             self.singular += 1  # of a family that the mesh breaks up
             return
-        self.found.append(replace(path, error_estimate=error))
-        self.measure(*(path.polynomial.values for path in self.found))
+        self.found.append((replace(path, error_estimate=error), solution.unknowns))
+        self.measure(*(path.polynomial.values for path, _ in self.found))
 
-    def remembered(self, values: np.ndarray) -> bool:
-        """Remember node values with their images; whether none of them was known."""
-        same = [values, *(np.asarray(symmetry(values), dtype=float) for symmetry in self.symmetries)]
-        new = [each for each in same if not any(self.same(each, known) for known in self.known)]
+    def remembered(self, unknowns: np.ndarray) -> bool:
+        """Remember a critical point with its images; whether none of them was known."""
+        values, numbering = self.values(unknowns), self.transcription.numbering
+        same, known = [unknowns], [self.values(each) for each in self.known]
+        for symmetry in self.symmetries:
+            image = np.asarray(symmetry(values), dtype=float).T.ravel()[numbering.place]
+            same.append(np.concatenate((image, unknowns[numbering.positions :])))
+        new = [each for each in same if not any(self.same(self.values(each), other) for other in known)]
         self.known += new
         return len(new) == len(same)
 

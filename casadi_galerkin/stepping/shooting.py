@@ -30,7 +30,7 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import SMALLEST_DAMPING
 from casadi_galerkin.solvers.stationarity import ROUNDOFF
-from casadi_galerkin.stepping.initial_value import path_of, trajectory
+from casadi_galerkin.stepping.initial_value import path_of, stepper_of, trajectory
 from casadi_galerkin.stepping.stepper import Roll
 
 ITERATIONS = 50
