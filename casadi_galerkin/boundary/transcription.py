@@ -176,7 +176,10 @@ class Transcription:
         solver: SolverLike = newton,
         verbose: int = 0,
     ) -> CriticalPoint:
-        """Find the node values of the path without what `trajectory` adds; `changes` as for `varied`, else as `solve`."""
+        """Find the node values of the path, without what `trajectory` adds.
+
+        Parameters are those of `varied` and of `solve`.
+        """
         if not callable(solver):
             raise TypeError(f"solver must be newton, rootfinder, ipopt or minimizer, got {solver!r}")
         calculus = self._calculus if mesh is None else DiscreteCalculus(self.method, mesh)
@@ -186,7 +189,7 @@ class Transcription:
             raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {len(joints) - 1}")
         problem = self.varied(changes or {}, joints)
         values = self._guess(guess, calculus, self.data(joints, problem))
-        data = self.data(joints, problem, self._plane(calculus, values))
+        data = self.data(joints, problem, self.plane(calculus.emb(values.T)) if has_phase(problem) else None)
         try:
             solution = solver(self.stationarity, self.unknowns(values, data), data, verbose)
         except SolveFailure as failure:
@@ -207,7 +210,7 @@ class Transcription:
         path moves in that time.
         """
         calculus, values, steps = DiscreteCalculus(self.method, path.mesh), path.at(self.method.element.nodes).T, []
-        data = self.data(path.mesh, None, self._plane(calculus, values))
+        data = self.data(path.mesh, None, self.plane(path))
         unknowns = self.unknowns(values, data)
         with self.stationarity.linearization() as at:
             for _ in range(2):
@@ -248,11 +251,10 @@ class Transcription:
         given = given_values(stated, plane)
         return (*ends, joints, *parameters, *([given] if len(given) else []))
 
-    def _plane(self, calculus: DiscreteCalculus, values: np.ndarray) -> np.ndarray | None:
-        """The plane through the start of a guess across its velocity, in units of its components, if one is needed."""
+    def plane(self, path: PiecewisePolynomial) -> np.ndarray | None:
+        """The plane through the start of a path across its velocity, in units of its components, if one is needed."""
         if not has_phase(self.problem):
             return None
-        path = calculus.emb(values.T)
         sizes = component_sizes(path.values)
         normal = path(path.mesh[0], 1) / sizes**2
         if not np.any(normal):
@@ -260,10 +262,10 @@ class Transcription:
                 "a periodic path of given energy needs a guess that moves at its start, got one that rests there: its "
                 "duration and its phase follow from the guess"
             )
-        return np.concatenate((normal / np.linalg.norm(normal), values[0]))
+        return np.concatenate((normal / np.linalg.norm(normal), path.values[:, 0]))
 
     def unknowns(self, values: np.ndarray, data: Data) -> np.ndarray:
-        """Unknowns ξ out of node values (N m + 1, d): multipliers are those of the Newton step from there without any."""
+        """Unknowns ξ out of node values (N m + 1, d); multipliers are those that the Newton step from there finds."""
         numbering = self.numbering
         unknowns = np.zeros(numbering.free)
         unknowns[: numbering.positions] = values.ravel()[numbering.place]
@@ -352,7 +354,7 @@ class MorseIndex:
         """Number of negative eigenvalues, or None where there is no finite one."""
         problem, mesh = self._problem, self._path.mesh
         graph = self._transcription or transcribed(problem, self._method, None, mesh, one_by_one)
-        data = graph.data(mesh, problem)
+        data = graph.data(mesh, problem, graph.plane(self._path))
         index = negative_eigenvalues(graph.stationarity, graph.unknowns(self._path.values.T, data), data)
         if not index:
             return index

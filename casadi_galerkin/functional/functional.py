@@ -15,8 +15,8 @@ What a problem says more than L is further terms of the same sum:
     S̄  =  S  +  φ(x_0, x_N)  +  μ·ψ(x_0, x_N)  +  Σ Λ_a·g(t_a, x_a)  +  E T
                 end action      end conditions    holonomic constraints   given energy, free duration
 
-The middle three are sums over places (`local_terms`); the last makes the duration T an unknown.  A force is no term of S̄
-but adds its virtual work to the equations (`pointwise`); below, ∇S stands for all rows, ∇²S for their Jacobian.
+The middle three are sums over places (`local_terms`); the last makes the duration T an unknown.  A force is no term
+of S̄ but adds its virtual work to the equations (`pointwise`); below, ∇S stands for all rows, ∇²S for their Jacobian.
 """
 
 from __future__ import annotations

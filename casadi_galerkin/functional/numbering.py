@@ -19,8 +19,8 @@ Data = tuple[np.ndarray, ...]  # what a path is found for: start, end, mesh and,
 class Numbering:
     """Which entry of the vector u stands for which value of the path: X̄ = P ξ + c as a numbering.
 
-    u holds the unknowns ξ, then the fixed components of the start, then those of the end.  ξ holds the free values of the
-    path in the order of time, then the multipliers, and last, where the duration is free, what stretches it.
+    u holds the unknowns ξ, then the fixed components of the start, then those of the end.  ξ holds the free values of
+    the path in the order of time, then the multipliers, and last, where the duration is free, what stretches it.
 
     Parameters
     ----------

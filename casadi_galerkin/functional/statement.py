@@ -50,8 +50,8 @@ def refuse_points(method: Galerkin) -> None:
     points, expected = np.array(method.control_points), lobatto_points(method.degree)
     if not np.allclose(points, expected, rtol=0, atol=1e-12):
         raise ValueError(
-            f"a constraint is held at the control points: to keep order 2m they must be lobatto_points({method.degree}), "
-            f"the default, got {points.tolist()}"
+            "a constraint is held at the control points; to keep order 2m, they must be the default, "
+            f"lobatto_points({method.degree}), got {points.tolist()}"
         )
 
 
@@ -64,15 +64,17 @@ class _Statement:
             refuse_points(method)
         self.parameters = ca.SX.sym("p", len(problem.parameters or ()))
         self.given = ca.SX.sym("given", len(given_values(problem)))
-        fixed = [tuple(i for i, value in enumerate(end) if value is not None) for end in (problem.start, problem.end)]
+        start, end = (
+            tuple(i for i, value in enumerate(side) if value is not None) for side in (problem.start, problem.end)
+        )
         d, last = problem.dimension, intervals * method.degree
-        self.constrained = np.arange(len(fixed[0]) == d, last + (not problem.periodic and len(fixed[1]) < d))
+        self.constrained = np.arange(len(start) == d, last + (not problem.periodic and len(end) < d))
         self.constraints = 0 if problem.constraint is None else problem.constraint.size1_out(0)
         self.at_ends = self._ends()
         multipliers = self.constraints * len(self.constrained) + has_phase(problem)
         multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d
         stretched = problem.energy is not None
-        self.numbering = Numbering(method, intervals, d, *fixed, problem.periodic, multipliers, stretched)
+        self.numbering = Numbering(method, intervals, d, start, end, problem.periodic, multipliers, stretched)
 
     def terms(self) -> tuple[LocalTerm, ...]:
         """All terms, their multipliers one after the other."""
@@ -155,10 +157,10 @@ class _Statement:
             unknowns.append(multipliers)
             rows += ca.jtimes(further, positions, multipliers, True)
         symmetric = True
-        for side, (name, sign) in enumerate((("start_velocity", 1), ("end_velocity", -1))):
-            own = slice(side * d, (side + 1) * d)
+        for k, (name, sign) in enumerate((("start_velocity", 1), ("end_velocity", -1))):
+            own = slice(k * d, (k + 1) * d)
             momenta, equations, velocities = self._from_velocities(
-                name, rates[name], values[name], t[side], x[side], sign * rows[own]
+                name, rates[name], values[name], t[k], x[k], sign * rows[own]
             )
             rows[own] += sign * momenta
             further, unknowns = ca.vertcat(further, equations), [*unknowns, velocities]
@@ -189,15 +191,13 @@ class _Statement:
             if position[i] is not None:
                 j = int(np.flatnonzero(chosen)[0])
                 raise ValueError(
-                    f"{name}[{j}] has a momentum that depends on the velocity of component {i}, whose position is given: "
-                    f"give the momentum of component {j} instead, or free the position of component {i}"
+                    f"{name}[{j}] has a momentum that depends on the velocity of component {i}, whose position is "
+                    f"given: give the momentum of component {j} instead, or free the position of component {i}"
                 )
         unknown = np.flatnonzero(found & ~chosen).tolist()
         other = ca.SX.sym("v", len(unknown))
-        of_all = np.zeros(d, dtype=object)
-        for which, values in ((np.flatnonzero(chosen), given), (unknown, other)):
-            for k, i in enumerate(which):
-                of_all[i] = values[k]
-        momentum = ca.substitute(momentum, v, ca.densify(ca.vertcat(*of_all)))
+        velocities = ca.SX.zeros(d)
+        velocities[np.flatnonzero(chosen).tolist()], velocities[unknown] = given, other
+        momentum = ca.substitute(momentum, v, velocities)
         equations = [momentum[i] - natural[i] for i in unknown]
         return momentum * ca.DM(chosen.astype(float)), ca.SX(ca.vertcat(*equations, ca.SX(0, 1))), other

@@ -194,8 +194,12 @@ class BoundaryProblem:
 
     def _whole_ends(self) -> dict[str, tuple[float, tuple[float, ...]]]:
         """Time and position of the ends at which all of the position is given, by name."""
-        ends = {"start": (self.t_span[0], self.start), "end": (self.t_span[1], self.end)}
-        return {name: (t, x) for name, (t, x) in ends.items() if None not in x}
+        ends = {}
+        for name, t, x in zip(ENDS, self.t_span, (self.start, self.end), strict=True):
+            given = tuple(value for value in x if value is not None)
+            if len(given) == len(x):
+                ends[name] = t, given
+        return ends
 
 
 def _finite(name: str, value: object) -> float:
@@ -231,7 +235,7 @@ def _says(value: object) -> bool:
 
 
 def _check_end_function(name: str, function: ca.Function, taken: list[list[str]]) -> None:
-    """Refuse a function of the ends that says something where all is said; `taken` lists what is given, by component."""
+    """Refuse a function of the ends that says something where all is said; `taken` lists what is given there."""
     d = len(taken) // 2
     pattern = ca.horzcat(function.sparsity_jac(0, 0), function.sparsity_jac(1, 0))
     depends = [bool(pattern.get_col() and i in pattern.get_col()) for i in range(2 * d)]
@@ -248,8 +252,8 @@ def _check_end_function(name: str, function: ca.Function, taken: list[list[str]]
         rank = ca.sprank(ca.DM(pattern, 1.0)[:, free])
         if rank < count:
             raise ValueError(
-                f"end_conditions are {count}, but only {rank} can be met by the {len(free)} component(s) that are free at "
-                "the ends: leave out some, or free more components with None"
+                f"end_conditions are {count}, but only {rank} can be met by the {len(free)} component(s) that are free "
+                "at the ends: leave out some, or free more components with None"
             )
 
 

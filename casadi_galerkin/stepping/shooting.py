@@ -31,7 +31,7 @@ from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import SMALLEST_DAMPING
 from casadi_galerkin.solvers.stationarity import ROUNDOFF
 from casadi_galerkin.stepping.initial_value import path_of, stepper_of, trajectory
-from casadi_galerkin.stepping.stepper import Roll
+from casadi_galerkin.stepping.stepper import Roll, Stepper
 
 ITERATIONS = 50
 MISS = EPS**0.5  # accepted miss of the end over the size of the path: half of the digits

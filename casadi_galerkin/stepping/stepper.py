@@ -150,9 +150,7 @@ class Stepper:
         size, t, h = _pieces(mesh)
         piece = self._piece("jacobian", size)
         pad = len(h) - n
-        columns = [
-            np.pad(a, ((0, 0), (0, k * pad)), mode="edge") for a, k in ((s, m), (x[:, :n], 1), (p[:, :n], 1))
-        ]
+        columns = [np.pad(a, ((0, 0), (0, k * pad)), mode="edge") for a, k in ((s, m), (x[:, :n], 1), (p[:, :n], 1))]
         parts = []
         for i in range(0, len(h), size):
             local = [a[:, k * i : k * (i + size)].ravel(order="F") for a, k in zip(columns, (m, 1, 1), strict=True)]
