@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.boundary.transcription import transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.functional.interval import NO_CUTOFF
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -56,7 +57,7 @@ def solution_function(
     parameters : all; left out where the problem has none
     guess : (d, N m + 1), values at all nodes, such as ``path.polynomial.values`` of an earlier path; those at fixed
         components are not used.  It chooses among several solutions, and has no derivative
-    x, momentum : (d, N + 1), at the joints
+    x, momentum : (d, N + 1), at the joints; a momentum under a constraint holds some of the constraint's impulse
     action : scalar
 
     The Function runs CasADi's Newton method and has none of the rescues of `solve`: the guess should be a path for
@@ -79,6 +80,7 @@ def solution_function(
     1.139494
     """
     transcription = transcribed(problem, method, intervals, mesh)
+    _refuse_energy("solution_function", problem)
     point = transcription.critical_point(guess=guess)
     transcription.trajectory(point, 0.0)  # refuses a singular Hessian
     functional, numbering, unknowns = transcription.functional, transcription.numbering, point.solution.unknowns
@@ -86,9 +88,10 @@ def solution_function(
     weights = EPS / np.array(floor.call([unknowns, *point.data])[1]).ravel()
     names = [name for name in ("start", "end", "parameters") if name in floor.name_in()]
     data = {name: floor.mx_in(name) for name in names}
-    joints = {"mesh": ca.DM(point.data[2])}
+    joints = {"mesh": ca.DM(point.data[2])} | ({"given": ca.DM(point.data[-1])} if "given" in floor.name_in() else {})
     nodes = ca.MX.sym("guess", problem.dimension, numbering.of_nodes.shape[0])
-    root = embeddable(functional, weights)(guess=ca.vec(nodes)[numbering.place.tolist()], **joints, **data)["unknowns"]
+    first = ca.vertcat(ca.vec(nodes)[numbering.place.tolist()], ca.MX.zeros(numbering.multipliers))
+    root = embeddable(functional, weights)(guess=first, **joints, **data)["unknowns"]
     summary = transcription.summary(unknowns=root, **joints, **data)
     u = ca.vertcat(root, data["start"], data["end"])
     x = ca.reshape(u[numbering.of_nodes[:: method.degree].ravel().tolist()], problem.dimension, -1)
@@ -159,20 +162,26 @@ def sensitivity(path: Trajectory) -> Sensitivity:
     problem = path.problem
     if not isinstance(problem, BoundaryProblem):
         raise TypeError(f"sensitivity takes the path of a BoundaryProblem, got one of {type(problem).__name__}")
+    _refuse_energy("sensitivity", problem)
     transcription = transcribed(problem, path.method, None, path.t)
     numbering, symbols = transcription.numbering, dict(_named(transcription.gradient))
     data = ca.vertcat(*(symbols[name] for name in ("start", "end", "parameters") if name in symbols))
     matrix, gradient = transcription.functional.function("derivatives").call(list(symbols.values()))
-    change = -ca.solve(matrix, ca.densify(ca.jacobian(gradient, data)), "qr")
-    unknowns = path.polynomial.values.ravel(order="F")[numbering.place]
-    ends = [np.array([value for value in end if value is not None]) for end in (problem.start, problem.end)]
-    given = [unknowns, *ends, path.t] + ([] if problem.parameters is None else [np.array(problem.parameters)])
-    derivative = np.array(ca.Function("sensitivity", list(symbols.values()), [change]).call(given)[0])
+    change = -ca.solve(matrix, ca.densify(ca.jacobian(gradient, data)), "qr", NO_CUTOFF)
+    given = transcription.data(path.t)
+    unknowns = transcription.unknowns(path.polynomial.values.T, given)
+    derivative = np.array(ca.Function("sensitivity", list(symbols.values()), [change]).call([unknowns, *given])[0])
     fixed = np.eye(numbering.size - numbering.free, data.numel())
     by_u = np.concatenate((derivative.reshape(numbering.free, -1), fixed))
     x = by_u[numbering.of_nodes[:: path.method.degree]].transpose(1, 0, 2)  # (d, N + 1, data)
     start, end = len(numbering.fixed_start), len(numbering.fixed_start) + len(numbering.fixed_end)
     return Sensitivity(path.t, x[:, :, end:], x[:, :, :start], x[:, :, start:end])
+
+
+def _refuse_energy(name: str, problem: BoundaryProblem) -> None:
+    """Refuse a free duration: its joints move with the data."""
+    if problem.energy is not None:
+        raise ValueError(f"{name} takes problems of a given duration, got one of given energy, {problem.energy}")
 
 
 def _named(function: ca.Function) -> list[tuple[str, ca.MX]]:

@@ -211,7 +211,7 @@ def _finite(name: str, value: object) -> float:
 
 def _check_ends(problem: BoundaryProblem) -> None:
     """Refuse what contradicts itself at the ends, and conditions that are too many."""
-    stated = [name for name in (*RATES, "end_action", "end_conditions") if _says(getattr(problem, name))]
+    stated = [name for name in (*RATES, "end_action", "end_conditions") if says(getattr(problem, name))]
     if problem.periodic and stated:
         raise ValueError(f"a periodic path has no ends: leave out {', '.join(stated)}")
     taken = []
@@ -230,7 +230,8 @@ def _check_ends(problem: BoundaryProblem) -> None:
             _check_end_function(name, function, taken)
 
 
-def _says(value: object) -> bool:
+def says(value: object) -> bool:
+    """Whether anything is given: None is nothing, and so are components that are all None."""
     return any(a is not None for a in value) if isinstance(value, tuple) else value is not None
 
 

@@ -95,6 +95,12 @@ def tangent_momenta(
     return np.asarray(p.T)
 
 
+def tangents(motion: ca.Function, t: float, x: np.ndarray) -> np.ndarray:
+    """Orthonormal basis of the tangents to the constraint at a position, (d, d - k)."""
+    slope = np.array(motion(t, x, np.zeros(len(x)))[1])
+    return np.asarray(np.linalg.svd(slope)[2][len(slope) :].T)
+
+
 def multipliers(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Multipliers λ of the constraint forces Gᵀλ; (k, K)."""
     matrix, _, _, pushed, turned = _at(motion, t, x, v)

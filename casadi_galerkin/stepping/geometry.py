@@ -14,6 +14,7 @@ import numpy as np
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import Traceable, trace
+from casadi_galerkin.problems.constrained_motion import motion_of, tangents
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.initial_value import stepper_of
@@ -28,7 +29,8 @@ class Geometry:
     energy_error : largest difference of the energy from its value at the start
     energy_drift : change of the energy over the whole path along its least-squares line
     momentum_map : (N + 1,), p·ξ(x) at the joints; None if no symmetry was given
-    jacobians : (N, 2d, 2d), ∂(x_{i+1}, p_{i+1})/∂(x_i, p_i)
+    jacobians : (N, 2d, 2d), ∂(x_{i+1}, p_{i+1})/∂(x_i, p_i); under k constraints (N, 2(d - k), 2(d - k)), of the
+        components along the tangents
     """
 
     energy_error: float
@@ -90,7 +92,11 @@ def geometry(path: Trajectory, symmetry: Traceable | None = None) -> Geometry:
     if symmetry is not None:
         generator = trace("symmetry", symmetry, {"x": len(path.x)}, len(path.x))
         momentum = np.sum(path.momentum * np.array(generator.map(len(path.t))(path.x)), axis=0)
-    return Geometry(float(np.max(np.abs(error))), float(drift), momentum, jacobians(path.problem, path))
+    steps, motion = jacobians(path.problem, path), motion_of(path.problem)
+    if motion is not None:
+        bases = [np.kron(np.eye(2), tangents(motion, *at)) for at in zip(path.t, path.x.T, strict=True)]
+        steps = np.stack([later.T @ step @ basis for later, step, basis in zip(bases[1:], steps, bases, strict=False)])
+    return Geometry(float(np.max(np.abs(error))), float(drift), momentum, steps)
 
 
 def jacobians(problem: InitialProblem | BoundaryProblem, path: Trajectory) -> np.ndarray:
@@ -101,4 +107,6 @@ def jacobians(problem: InitialProblem | BoundaryProblem, path: Trajectory) -> np
     columns = m * np.arange(len(path.t) - 1)[:, None] + np.arange(m + 1)
     values = path.polynomial.values[:, columns]
     s = ((values - values[:, :, :1]) @ slopes.T).transpose(1, 0, 2)
+    if problem.constraint is not None:
+        s = stepper.solved(path.t, path.x, path.momentum, s)
     return stepper.jacobians(path.t, path.x, path.momentum, s)

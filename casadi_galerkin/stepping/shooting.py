@@ -20,8 +20,9 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem, says
 from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.constrained_motion import motion_of, tangents
 from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
@@ -50,7 +51,7 @@ class Shot:
     floor : (n,), what the rounding of the start and of the end do to it; nearer Newton's method need not come
     stepper : Stepper that went the path
     steps : (N, 2d, 2d), Jacobians of the steps
-    wanted : (2d,), which of (x_N, p_N) have to meet the end
+    wanted : (n, 2d), what of (x_N, p_N) has to meet the end
     by_z : (n, n), its derivative
     terms : (n, n), sizes of the terms that the derivative sums
     growth : (N + 1, 2d, 2d), derivatives of (x_i, p_i) by (x_0, p_0)
@@ -81,7 +82,7 @@ class Shot:
         onward = chain(self.steps[::-1].transpose(0, 2, 1))[::-1].transpose(0, 2, 1)  # ∂(x_N, p_N)/∂(x_i, p_i)
         with np.errstate(over="ignore", invalid="ignore"):
             floor = EPS * np.einsum("iab,bi->a", np.abs(onward), states) + np.finfo(float).tiny
-        ratios = np.abs(self.miss) / floor[self.wanted]
+        ratios = np.abs(self.miss) / (np.abs(self.wanted) @ floor)
         return float(max(np.max(self.roll.residual), np.max(ratios, initial=0.0)))
 
 
@@ -89,26 +90,38 @@ class Shooting:
     """The boundary problem as equations in the start.
 
     Free are all start momenta of components that are given, and all start positions of those that are not; a periodic
-    path has all momenta free, and no condition on a momentum of a component that is given.
+    path has all momenta free, and no condition on a momentum of a component that is given.  Under a constraint the
+    tangent momenta are free, and wanted is the end along the tangents there.
+
+    Attributes
+    ----------
+    free : (2d, n), columns by which (x_0, p_0) varies
+    wanted : (n, 2d), rows by which (x_N, p_N) is compared with the end
     """
 
     def __init__(self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray) -> None:
+        _refuse_ends(problem)
         self.problem, self.mesh = problem, mesh
         self.stepper = stepper_of(problem, method)
-        d = problem.dimension
-        self.given = np.array([np.nan if value is None else value for value in problem.start])
-        self.end = np.array([np.nan if value is None else value for value in problem.end])
-        free = np.isnan(self.given)
-        self.free = np.concatenate((free, ~free | problem.periodic))  # which of (x_0, p_0) are unknown
-        wanted = np.isnan(self.end)
-        self.wanted = np.concatenate((~wanted | problem.periodic, free if problem.periodic else wanted))
-        self.base = np.concatenate((np.nan_to_num(self.given), np.zeros(d)))
+        start, end, *momenta = (
+            np.array([np.nan if value is None else value for value in side])
+            for side in (problem.start, problem.end, problem.start_momentum, problem.end_momentum)
+        )
+        free, wanted, identity = np.isnan(start), np.isnan(end), np.eye(2 * problem.dimension)
+        self.free = identity[:, np.concatenate((free, ~free | problem.periodic))]
+        self.wanted = identity[np.concatenate((~wanted | problem.periodic, free if problem.periodic else wanted))]
+        motion = motion_of(problem)
+        if motion is not None:
+            d = problem.dimension
+            first, last = (tangents(motion, *at) for at in zip(mesh[[0, -1]], (start, end), strict=True))
+            self.free, self.wanted = identity[:, d:] @ first, last.T @ identity[:d]
+        self.base, self.end = (
+            np.nan_to_num(np.concatenate(state)) for state in zip((start, end), momenta, strict=True)
+        )
 
     def start(self, z: np.ndarray) -> np.ndarray:
         """(x_0, p_0), (2d,)."""
-        state = self.base.copy()
-        state[self.free] = z
-        return state
+        return np.asarray(self.base + self.free @ z)
 
     def velocity(self, roll: Roll) -> np.ndarray:
         """Velocity of a path at its start, (d,)."""
@@ -125,13 +138,24 @@ class Shooting:
         growth = chain(steps)
         states = np.concatenate((roll.x, roll.p))
         shift = np.eye(2 * d) * self.problem.periodic
-        aim = start if self.problem.periodic else np.concatenate((np.nan_to_num(self.end), np.zeros(d)))
+        aim = start if self.problem.periodic else self.end
         floor = EPS * (np.abs(growth[-1]) @ np.abs(start) + np.max(np.abs(states), axis=1))
         terms = np.abs(steps[-1]) @ np.abs(growth[-2]) + shift
-        chosen = np.ix_(self.wanted, self.free)
-        miss = (states[:, -1] - aim)[self.wanted]
-        judged = (miss, floor[self.wanted], self.stepper, steps, self.wanted)
-        return Shot(roll, *judged, (growth[-1] - shift)[chosen], terms[chosen], growth)
+        wanted, sizes = self.wanted, np.abs(self.wanted)
+        judged = wanted @ (states[:, -1] - aim), sizes @ floor, self.stepper, steps, wanted
+        with np.errstate(over="ignore", invalid="ignore"):
+            by_z = wanted @ (growth[-1] - shift) @ self.free
+        return Shot(roll, *judged, by_z, sizes @ terms @ np.abs(self.free), growth)
+
+
+def _refuse_ends(problem: BoundaryProblem) -> None:
+    """Refuse what a start and an end of the state do not say."""
+    names = ("start_velocity", "end_velocity", "end_action", "end_conditions", "energy")
+    stated = [name for name in names if says(getattr(problem, name))]
+    if stated:
+        raise ValueError(f"shoot takes ends that give positions or momenta, got {stated[0]}: solve it with `solve`")
+    if problem.constraint is not None and None in (*problem.start, *problem.end):
+        raise ValueError("shoot under a constraint takes ends that give all positions: solve it with `solve`")
 
 
 def chain(jacobians: np.ndarray) -> np.ndarray:
@@ -164,7 +188,7 @@ def shoot(
 
     Parameters
     ----------
-    problem : BoundaryProblem
+    problem : BoundaryProblem whose ends give positions or momenta; under a constraint, all positions
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
@@ -172,6 +196,8 @@ def shoot(
 
     Raises
     ------
+    ValueError
+        for ends of other kinds
     ConvergenceError
         with the measured growth and the last path, if Newton's method fails or no start meets the end
     """
@@ -211,7 +237,7 @@ def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarr
 
 def _newton(shooting: Shooting, state: np.ndarray, velocity: np.ndarray) -> tuple[Shot, int]:
     """Newton's method with natural monotonicity line search: the shot that meets the end, and its iterations."""
-    z = state[shooting.free]
+    z = shooting.free.T @ (state - shooting.base)
     shot = shooting.shoot(z, velocity)
     if shot is None:
         raise ConvergenceError("shooting failed: the steps of the first path, a straight line at its start, failed")
@@ -228,7 +254,7 @@ def _newton(shooting: Shooting, state: np.ndarray, velocity: np.ndarray) -> tupl
 
 def _line_search(shooting: Shooting, shot: Shot, z: np.ndarray, step: np.ndarray) -> tuple[Shot | None, float]:
     """Halve the step until the next one, with the same derivative, is shorter; no shot if none is."""
-    sizes = np.max(np.abs(np.concatenate((shot.roll.x, shot.roll.p))), axis=1)[shooting.free]
+    sizes = np.abs(shooting.free).T @ np.max(np.abs(np.concatenate((shot.roll.x, shot.roll.p))), axis=1)
     scale = np.maximum(np.maximum(np.abs(z), np.abs(step)), MISS * sizes + np.finfo(float).tiny)
     velocity, damping = shooting.velocity(shot.roll), 1.0
     smallest = 1.0 if np.all(np.abs(shot.miss) <= ROUNDOFF * shot.floor) else SMALLEST_DAMPING
@@ -258,7 +284,7 @@ def _direction(shot: Shot, miss: np.ndarray, iteration: int = 0) -> np.ndarray:
 
 def _met(shooting: Shooting, shot: Shot, iteration: int) -> Shot:
     """Return the shot, one that cannot be bettered, if it meets the end to its roundoff and in half of the digits."""
-    sizes = np.max(np.abs(np.concatenate((shot.roll.x, shot.roll.p))), axis=1)[shooting.wanted]
+    sizes = np.abs(shooting.wanted) @ np.max(np.abs(np.concatenate((shot.roll.x, shot.roll.p))), axis=1)
     sizes = np.where(sizes > 0, sizes, 1.0)
     missed, moved = (float(np.max(np.abs(a) / sizes, initial=0.0)) for a in (shot.miss, shot.floor))
     if missed <= MISS and shot.residual <= ROUNDOFF:

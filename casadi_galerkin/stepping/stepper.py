@@ -80,7 +80,8 @@ class Stepper:
         self.dimension, self.basis = lagrangian.size1_in(1), slope_basis(method.degree)
         self.interval = interval(lagrangian, force, constraint, method)
         self._shape = self.interval.system.size_in(0)
-        self._step = self._predicted(newton_iteration(self.interval.system))
+        self._newton = newton_iteration(self.interval.system)
+        self._step = self._predicted(self._newton)
         self._pieces: dict[tuple[str, int], Evaluator] = {}
         self.build_seconds = time.perf_counter() - began
 
@@ -142,6 +143,15 @@ class Stepper:
             np.where(np.isnan(action), np.nan, ratio.reshape(len(action), -1).max(axis=1))[:n],
             action[:n],
         )
+
+    def solved(self, mesh: np.ndarray, x: np.ndarray, p: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        """Unknowns of every interval, as in `Roll`, from slopes (N, d, m) that are theirs or near: with impulses."""
+        count, (rows, columns) = len(mesh) - 1, self._shape
+        guess = np.zeros((count, rows, columns))
+        guess[:, : self.dimension, : slopes.shape[2]] = slopes
+        flat = guess.transpose(1, 0, 2).reshape(rows, -1)
+        s = np.array(self._newton.map(count)(flat, x[:, :-1], p[:, :-1], mesh[None, :-1], np.diff(mesh)[None, :])[0])
+        return s.reshape(rows, count, columns).transpose(1, 0, 2)
 
     def jacobians(self, mesh: np.ndarray, x: np.ndarray, p: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
         """∂(x_{i+1}, p_{i+1})/∂(x_i, p_i) of every step, (N, 2d, 2d); arguments as in `Roll`."""

@@ -19,14 +19,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin._solve import solve, transcribe
+from casadi_galerkin._solve import solve
+from casadi_galerkin.boundary.sensitivity import sensitivity
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes
-from casadi_galerkin.functional.interval import NO_CUTOFF
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -169,6 +168,8 @@ def compare(
         path.x[:, 0].tolist(),
         momentum=path.momentum[:, 0].tolist(),
         parameters=problem.parameters,
+        force=problem.force,
+        constraint=problem.constraint,
     )
     stepped = _attempt(path, lambda: solve(start, method, mesh=path.t))
     shooting = _attempt(path, lambda: shoot(problem, method, mesh=path.t, guess=guess))
@@ -177,7 +178,7 @@ def compare(
         stepped,
         shooting,
         _growth_rate(path.t, stepped.gap),
-        _condition_global(problem, path),
+        _condition_global(path),
         _condition_stepwise(problem, path),
         _another(problem, path, shooting.path),
     )
@@ -240,29 +241,11 @@ def _condition_stepwise(problem: BoundaryProblem, path: Trajectory) -> float:
     return float(np.max(np.abs(growth) @ np.concatenate((positions, momenta)) / positions))
 
 
-def _condition_global(problem: BoundaryProblem, path: Trajectory) -> float:
+def _condition_global(path: Trajectory) -> float:
     """κ of the map from the positions given at the ends to the joints."""
-    d, none = problem.dimension, [None] * problem.dimension
-    free = BoundaryProblem(
-        problem.lagrangian,
-        problem.t_span,
-        none,
-        None if problem.periodic else none,
-        parameters=problem.parameters,
-        periodic=problem.periodic,
-        force=problem.force,
-    )
-    transcription = transcribe(free, path.method, mesh=path.t)
-    numbering = transcription.numbering.of_nodes
-    nodes = path.polynomial.values.T.ravel()[: transcription.numbering.free]
-    data = [] if problem.parameters is None else [problem.parameters]
-    hessian = transcription.hessian(nodes, [], [], path.t, *data)
-    given = [int(numbering[0, i]) for i, value in enumerate(problem.start) if value is not None]
-    given += [int(numbering[-1, i]) for i, value in enumerate(problem.end) if value is not None]
-    inner = np.setdiff1d(np.arange(len(nodes)), given).tolist()
-    response = np.zeros((len(nodes), len(given)))
-    response[given] = np.eye(len(given))
-    response[inner] = -np.array(ca.solve(hessian[inner, inner], hessian[inner, given], "qr", NO_CUTOFF))
-    sizes = component_sizes(path.x)
-    joints = np.abs(response[numbering[:: path.method.degree]])
-    return float(np.max(joints @ sizes[np.array(given, dtype=int) % d] / sizes, initial=0.0))
+    by_ends, problem, sizes = sensitivity(path), path.problem, component_sizes(path.x)
+    assert isinstance(problem, BoundaryProblem)
+    moved = np.zeros(path.x.shape)
+    for side, given in ((by_ends.start, problem.start), (by_ends.end, problem.end)):
+        moved += np.abs(side) @ sizes[[i for i, value in enumerate(given) if value is not None]]
+    return float(np.max(moved / sizes[:, None], initial=0.0))
