@@ -188,8 +188,10 @@ class Transcription:
         if len(joints) != len(self.mesh):
             raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {len(joints) - 1}")
         problem = self.varied(changes or {}, joints)
-        values = self._guess(guess, calculus, self.data(joints, problem))
-        data = self.data(joints, problem, self.plane(calculus.emb(values.T)) if has_phase(problem) else None)
+        data = self.data(joints, problem)
+        values = self._guess(guess, calculus, data)
+        if has_phase(problem):
+            data = self.data(joints, problem, self.plane(calculus.emb(values.T)))
         try:
             solution = solver(self.stationarity, self.unknowns(values, data), data, verbose)
         except SolveFailure as failure:
@@ -246,6 +248,16 @@ class Transcription:
         plane : normal and point, (2d,), that fix the phase where it is free
         """
         stated = problem or self.problem
+        if joints is self.mesh and stated is self.problem and plane is None:
+            return self._stated
+        return self._given(stated, joints, plane)
+
+    @lazy
+    def _stated(self) -> Data:
+        """The data of the problem itself."""
+        return self._given(self.problem, self.mesh, None)
+
+    def _given(self, stated: BoundaryProblem, joints: np.ndarray, plane: np.ndarray | None) -> Data:
         ends = [np.array([value for value in end if value is not None]) for end in (stated.start, stated.end)]
         parameters = [] if stated.parameters is None else [np.array(stated.parameters)]
         given = given_values(stated, plane)

@@ -88,11 +88,11 @@ class Pointwise:
     @lazy
     def supplied(self) -> ca.Function | None:
         """∂L̂/∂t - h F·v, by which the energy falls; None where it is kept."""
+        if self.symmetric and not ca.depends_on(self._value, self._inputs["t"]):
+            return None
         falls = ca.gradient(self._value, self._inputs["t"])
         if not self.symmetric:
             falls -= ca.dot(self._work, self._inputs["slope"] / self._inputs["h"])
-        if not falls.nnz():
-            return None
         return self._function("supplied", {"ft": ca.densify(falls)})
 
     @lazy
