@@ -79,12 +79,13 @@ class Transcription:
     numbering : Numbering, which unknown is which value of the path
     functional : Functional, the one graph
     stationarity : Stationarity, what the solvers take
+    phase : bool, whether a plane has to fix the phase of a path
     """
 
     def __init__(
         self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, mapping: Mapping = by_rows
     ) -> None:
-        self.problem, self.method, self.mesh = problem, method, mesh
+        self.problem, self.method, self.mesh, self.phase = problem, method, mesh, has_phase(problem)
         self.functional = functional_of(problem, method, len(mesh) - 1, mapping)
         self.numbering = self.functional.numbering
         self.stationarity = Stationarity(self.functional)
@@ -190,7 +191,7 @@ class Transcription:
         problem = self.varied(changes or {}, joints)
         data = self.data(joints, problem)
         values = self._guess(guess, calculus, data)
-        if has_phase(problem):
+        if self.phase:
             data = self.data(joints, problem, self.plane(calculus.emb(values.T)))
         try:
             solution = solver(self.stationarity, self.unknowns(values, data), data, verbose)
@@ -265,7 +266,7 @@ class Transcription:
 
     def plane(self, path: PiecewisePolynomial) -> np.ndarray | None:
         """The plane through the start of a path across its velocity, in units of its components, if one is needed."""
-        if not has_phase(self.problem):
+        if not self.phase:
             return None
         sizes = component_sizes(path.values)
         normal = path(path.mesh[0], 1) / sizes**2
@@ -279,9 +280,10 @@ class Transcription:
     def unknowns(self, values: np.ndarray, data: Data) -> np.ndarray:
         """Unknowns ξ out of node values (N m + 1, d); multipliers are those that the Newton step from there finds."""
         numbering = self.numbering
-        unknowns = np.zeros(numbering.free)
-        unknowns[: numbering.positions] = values.ravel()[numbering.place]
-        unknowns[numbering.positions + numbering.multipliers :] = 1.0
+        positions = np.asarray(values.ravel()[numbering.place])
+        if numbering.free == numbering.positions:
+            return positions
+        unknowns = np.concatenate((positions, np.zeros(numbering.multipliers), np.ones(int(numbering.stretched))))
         if numbering.multipliers:
             multipliers = slice(numbering.positions, numbering.positions + numbering.multipliers)
             with self.stationarity.linearization() as at:
@@ -327,6 +329,8 @@ class Transcription:
 
     def _work(self, point: CriticalPoint) -> float:
         """p_0·x_0 - p_N·x_N of given momenta, which the graph adds to the action."""
+        if not self.functional.terms:
+            return 0.0
         ends = point.polynomial.values[:, [0, -1]].T
         given = point.problem.start_momentum, point.problem.end_momentum
         sums = [
