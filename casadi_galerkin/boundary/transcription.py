@@ -17,12 +17,14 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.numbers import components, numbers
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.mapping import Mapping, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data, Numbering
+from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
+from casadi_galerkin.problems.legendre_transform import convex, degenerate, legendre_transform, refuse_degenerate
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.guess import Guess, given_values, meeting_ends
 from casadi_galerkin.solution.plotting import plot_pattern
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 REGULAR = 1e-9  # `Solution.regularity` above which the second variation need not be looked at
+GENERIC = 0.1, 0.4, 0.7  # parts of a line between the ends, bent, at which a Lagrangian is asked for its mass matrix
 
 
 @dataclass(frozen=True)
@@ -336,6 +339,22 @@ class MorseIndex:
         return {**self.__dict__, "_transcription": None}
 
 
+def check_mass(problem: BoundaryProblem) -> None:
+    """Refuse a Lagrangian whose mass matrix is singular at all of some generic points between the ends."""
+    derived, (first, last) = pointwise(problem.lagrangian), problem.t_span
+    start, end = (np.array([x or 0.0 for x in end]) for end in (problem.start, problem.end))
+    rise, size, span = end - start, component_sizes(np.array([start, end]).T), last - first
+    bend = size * np.cos(1.0 + np.arange(len(start)))
+    given = [] if problem.parameters is None else [problem.parameters]
+    for share in GENERIC:
+        t, x, slope = first + share * span, start + share * (rise + bend), rise + (1 - share) * bend
+        blocks = derived.derivatives(t, span, x, slope, *given)[3:]
+        mass = derived.mass([np.array(block) for block in blocks])[0] * span
+        if not (np.isfinite(mass).all() and degenerate(mass)):
+            return
+    refuse_degenerate(mass, f"wherever it was tried, such as at t = {t:.6g}, x = {x}, v = {slope / span}")
+
+
 def transcribed(
     problem: BoundaryProblem,
     method: Galerkin,
@@ -345,4 +364,5 @@ def transcribed(
 ) -> Transcription:
     """Check what is given, and build the graph; arguments as for `transcribe`, and how L is evaluated at the points."""
     check_types(problem, method, BoundaryProblem)
+    check_mass(problem)
     return Transcription(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), mapping)

@@ -109,7 +109,7 @@ def witnesses(
 
     lagrangian, _, slope, *blocks = evaluate(pointwise.derivatives)
     of_steps = np.append(steps, steps[-1])
-    mass = _dense(pointwise, [at_joints(block) * of_steps for block in blocks])
+    mass = pointwise.mass([at_joints(block) * of_steps for block in blocks])
     velocity, missing = at_joints(v), momentum - at_joints(slope)
     correction = np.einsum("it,tij,jt->t", missing, np.linalg.pinv(mass, rcond=EPS, hermitian=True), missing) / 2
     kinetic = np.sum(momentum * velocity, axis=0)
@@ -127,15 +127,3 @@ def witnesses(
     change = np.abs(integral(lagrangian) - coarser) / (mean * float(np.sum(steps)))
     change = np.where(np.isfinite(change), change, np.inf)
     return {"balance of energy": balance.missed(tol), "action by a finer rule": change / ACTION}
-
-
-def _dense(pointwise: Pointwise, blocks: list[np.ndarray]) -> np.ndarray:
-    """Mass matrices ∂²L/∂v², (K, d, d), from the stored entries of the blocks; zero where L is linear in v."""
-    d, count = pointwise.stored.size1(), blocks[0].shape[1]
-    mass = np.zeros((count, d, d))
-    if (1, 1) in pointwise.blocks:
-        rows, columns = (np.array(index, dtype=int) for index in pointwise.stored.get_triplet())
-        entries = blocks[pointwise.blocks.index((1, 1))].T
-        mass[:, rows, columns] = entries
-        mass[:, columns, rows] = entries
-    return mass

@@ -11,15 +11,13 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
+from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate, velocities
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.stationarity import ROUNDOFF
 from casadi_galerkin.stepping.stepper import Roll, Stepper
-
-DEGENERATE = 1e-13  # reciprocal condition of the scaled mass matrix below which no velocity belongs to a momentum
 
 
 def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbose: int = 0) -> Trajectory:
@@ -61,34 +59,23 @@ def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
     """Momentum and velocity (d,) at the start, one from the other through p = ∂L/∂v."""
     legendre = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
     x, start = np.array(problem.position), problem.t_span[0]
+
+    def checked(v: np.ndarray) -> np.ndarray:
+        """The momentum of a velocity; refuses a singular mass matrix there."""
+        p, mass = (np.array(a) for a in legendre(start, x, v))
+        refuse_degenerate(mass, f"at the start, x = {x}, v = {v}")
+        return p.ravel()
+
     if problem.velocity is not None:
         v = np.array(problem.velocity)
-        p, mass = (np.array(a) for a in legendre(start, x, v))
-        refuse_degenerate(mass, x, v)
-        return p.ravel(), v
+        return checked(v), v
     p, rest = np.array(problem.momentum), np.zeros(len(x))
-    refuse_degenerate(legendre(start, x, rest)[1].full(), x, rest)
+    checked(rest)
     v = velocities(legendre, np.array([start]), x[:, None], p[:, None], rest[:, None])[:, 0]
     if np.isnan(v).any():
         raise ValueError(f"no velocity was found that has the momentum {p} at the start, x = {x}; give the velocity")
-    refuse_degenerate(legendre(start, x, v)[1].full(), x, v)
+    checked(v)
     return p, v
-
-
-def refuse_degenerate(mass: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
-    """Raise a ValueError if the mass matrix is singular, whatever the units of the components."""
-    where = f"at the start, x = {x}, v = {v}"
-    if not np.all(np.isfinite(mass)):
-        raise ValueError(f"the lagrangian must be finite with its derivatives {where}; its mass matrix is {mass}")
-    rows = np.sqrt(np.max(np.abs(mass), axis=1))
-    if np.all(rows > 0):
-        singular = np.linalg.svd(mass / rows[:, None] / rows, compute_uv=False)
-        if singular[-1] > DEGENERATE * singular[0]:
-            return
-    raise ValueError(
-        f"the lagrangian is degenerate: its mass matrix ∂²L/∂v² is singular {where}, so its momenta do not determine "
-        f"the velocities; got {mass.tolist()}"
-    )
 
 
 def verified(roll: Roll, stepper: Stepper) -> Roll:
