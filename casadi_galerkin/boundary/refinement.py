@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,15 +29,14 @@ from casadi_galerkin.calculus.mesh_adaptation import (
     FEWER,
     FEWEST,
     FINEST,
+    HIGHER,
     TARGET,
     degree_for,
     equidistributed,
-    interval_maxima,
     of_degree,
     truncation,
 )
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import check_types
@@ -53,8 +51,6 @@ from casadi_galerkin.solvers.solver import SolverLike
 
 FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
 RISE = 3  # degrees that a level may gain on the one before
-HIGHER = 2  # degrees added for the error estimate; two, because one adds nothing to a path of the other parity
-SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
 LEAST, MOST = 0.1, 1e6  # parts that an interval is split into for the energy it misses; a mesh splits by less at once
 SHORTEST = 1e-13  # interval over the duration at which a refinement stops: a double has three digits more
 UNSMOOTH = (
@@ -113,14 +109,12 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     def witnesses(self, level: CriticalPoint) -> dict[str, np.ndarray]:
         """What two degrees may miss alike, a kink of L or a jump over a singularity, by interval; (N,) each."""
-        problem, solution = self.levels.problem, level.solution
-        momentum = solution.momentum.reshape(problem.dimension, -1, order="F")
-        derived, parts = pointwise(problem.lagrangian), []
-        joints = [0, *np.searchsorted(level.polynomial.mesh, problem.breakpoints), len(level.polynomial.mesh) - 1]
-        for first, last in pairwise(joints):
-            part, of_part = level.polynomial.between(first, last), momentum[:, first : last + 1]
-            parts.append(witnesses(derived, part, of_part, problem.parameters, self.tol))
-        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        problem, momentum = (
+            self.levels.problem,
+            level.solution.momentum.reshape(len(level.polynomial.values), -1, order="F"),
+        )
+        given = level.polynomial, momentum, problem.parameters, self.tol, problem.breakpoints
+        return witnesses(pointwise(problem.lagrangian), *given)
 
     def _left_out_for(self, missed: np.ndarray, degree: int) -> np.ndarray:
         """What would have intervals split in proportion to the energy they miss, which at a kink falls like h."""
@@ -128,12 +122,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         return np.asarray(target * np.clip(missed / target, LEAST, MOST) ** (degree + 1))
 
     def error(self, path: PiecewisePolynomial) -> float:
-        """Largest error on a path, relative to the size of its components: two Newton steps as a geometric series."""
-        higher = of_degree(path.degree + HIGHER)
-        steps = self.levels.transcription(higher, path.mesh).corrections(path)
-        sizes = component_sizes(path.values)[:, None]
-        first, second = (float(np.max(interval_maxima(step) / sizes)) for step in steps)
-        return first / (1 - min(SLOWEST, second / first)) if first > 0 else 0.0
+        """Largest error on a path, from Newton steps in a higher degree on the same mesh."""
+        return self.levels.transcription(of_degree(path.degree + HIGHER), path.mesh).error(path)
 
     def improve(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> CriticalPoint:
         """Solve on the equidistributed mesh; where Newton's method does not follow, on one changed less.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from casadi_galerkin.boundary.failure_report import conjugate, explained, refuse
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_breakpoints, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.mesh_adaptation import HIGHER, interval_maxima, of_degree
 from casadi_galerkin.calculus.numbers import components, numbers
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import component_sizes
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 REGULAR = 1e-9  # `Solution.regularity` above which the second variation need not be looked at
+SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
 GENERIC = 0.1, 0.4, 0.7  # parts of a line between the ends, bent, at which a Lagrangian is asked for its mass matrix
 
 
@@ -200,6 +203,17 @@ class Transcription:
                 unknowns = unknowns + steps[-1]
         return [calculus.emb(self.change(step)) for step in steps]
 
+    def error(self, path: PiecewisePolynomial) -> float:
+        """Largest error of a path of a lower degree, relative to the size of its components.
+
+        The two Newton steps from it are summed as a geometric series; infinite where one is not finite.
+        """
+        sizes = component_sizes(path.values)[:, None]
+        first, second = (float(np.max(interval_maxima(step) / sizes)) for step in self.corrections(path))
+        if not math.isfinite(first + second):
+            return math.inf
+        return first / (1 - min(SLOWEST, second / first)) if first > 0 else 0.0
+
     def change(self, step: np.ndarray) -> np.ndarray:
         """Node values (d, N m + 1) of a step of the unknowns."""
         given = np.zeros(self.numbering.size - self.numbering.free)
@@ -283,6 +297,7 @@ class Transcription:
             method=self.method,
             problem=problem,
             count_negative=MorseIndex(self, problem, point.polynomial),
+            find_error=error_between_ends,
         )
 
     def _solved(self, data: Data) -> BoundaryProblem:
@@ -337,6 +352,14 @@ class MorseIndex:
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "_transcription": None}
+
+
+def error_between_ends(path: Trajectory) -> float:
+    """Estimate the relative error of a path between two ends: see `Trajectory.estimate_error`."""
+    problem = path.problem
+    assert isinstance(problem, BoundaryProblem)
+    higher = Transcription(problem, of_degree(path.method.degree + HIGHER), path.t, one_by_one)
+    return path.doubted(higher.error(path.polynomial))
 
 
 def check_mass(problem: BoundaryProblem) -> None:

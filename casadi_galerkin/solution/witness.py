@@ -13,7 +13,9 @@ does where a path jumps over a singularity between two points, though the energi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -72,19 +74,38 @@ def witnesses(
     momentum: np.ndarray,
     parameters: tuple[float, ...] | None,
     tol: float,
+    breakpoints: Sequence[float] = (),
 ) -> dict[str, np.ndarray]:
     """What each witness says against a path, by interval and relative to the sizes of its terms; (N,) each.
-
-    Where the momentum p of a joint differs from ∂L/∂v at the path's own slope v there by δ, the energy is
-    p·v - L + δᵀ(∂²L/∂v²)⁻¹δ/2 up to terms of third order.
 
     Parameters
     ----------
     pointwise : Pointwise, of the Lagrangian
-    path : PiecewisePolynomial of degree m, between two breakpoints: at a step of L in time the energy jumps
+    path : PiecewisePolynomial of degree m
     momentum : (d, N + 1), at the joints
     parameters : values of p
     tol : relative tolerance
+    breakpoints : joints between which the balance is drawn up; at a step of L in time the energy jumps
+    """
+    joints = [0, *np.searchsorted(path.mesh, breakpoints), len(path.mesh) - 1]
+    parts = [
+        _between_breakpoints(pointwise, path.between(i, j), momentum[:, i : j + 1], parameters, tol)
+        for i, j in pairwise(joints)
+    ]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _between_breakpoints(
+    pointwise: Pointwise,
+    path: PiecewisePolynomial,
+    momentum: np.ndarray,
+    parameters: tuple[float, ...] | None,
+    tol: float,
+) -> dict[str, np.ndarray]:
+    """The same without breakpoints.
+
+    Where the momentum p of a joint differs from ∂L/∂v at the path's own slope v there by δ, the energy is
+    p·v - L + δᵀ(∂²L/∂v²)⁻¹δ/2 up to terms of third order.
     """
     coarse, fine, steps = gauss(path.degree), gauss(path.degree + 1), np.diff(path.mesh)
     parts = np.array([0.0, 1.0, *fine.points, *coarse.points])

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.mesh_adaptation import HIGHER, interval_maxima, of_degree
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.initial_problem import InitialProblem
@@ -103,6 +106,21 @@ def path_of(roll: Roll, stepper: Stepper, count: int) -> PiecewisePolynomial:
     return PiecewisePolynomial(roll.mesh[: count + 1], nodes, values)
 
 
+def error_of_steps(path: Trajectory) -> float:
+    """Estimate the relative error of a path of steps: see `Trajectory.estimate_error`."""
+    problem, higher = path.problem, of_degree(path.method.degree + HIGHER)
+    force = getattr(problem, "force", None)
+    force = None if force is None else with_parameters(force, path.parameters)
+    stepper = Stepper(with_parameters(path.lagrangian, path.parameters), force, higher)
+    roll = stepper.roll(path.x[:, 0], path.momentum[:, 0], path.velocity[:, 0], path.t)
+    if roll.verified < len(path.t) - 1:
+        return math.inf
+    finer, nodes = path_of(roll, stepper, len(path.t) - 1), higher.element.nodes
+    change = PiecewisePolynomial(path.t, nodes, finer.values - path.polynomial.at(nodes))
+    sizes = component_sizes(path.polynomial.values)[:, None]
+    return path.doubted(float(np.max(interval_maxima(change) / sizes)))
+
+
 def trajectory(
     problem: InitialProblem | BoundaryProblem,
     stepper: Stepper,
@@ -124,4 +142,5 @@ def trajectory(
         solve_seconds=solve_seconds,
         method=stepper.method,
         problem=problem,
+        find_error=error_of_steps,
     )
