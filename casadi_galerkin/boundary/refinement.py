@@ -37,6 +37,7 @@ from casadi_galerkin.calculus.mesh_adaptation import (
     truncation,
 )
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import check_types
@@ -51,6 +52,12 @@ from casadi_galerkin.solvers.solver import SolverLike
 
 FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
 RISE = 3  # degrees that a level may gain on the one before
+CLEAR = 1e-9  # part left out below which a path is near enough to its limit to tell how rounding moves it
+BLURRED = 1e-14  # part left out that rounding of the node values alone looks like
+TELLS = 1e-12  # energies that agree to so much agree: they sum the rounding of all intervals
+FAR = 0.1  # part of the tolerance below which rounding need not be looked at: it moves a path by eps / regularity
+ILL = 1e4  # roundoff floor over eps from which it is the problem's conditioning that is named
+NOISE = 10.0  # an error that is not so many times what rounding does no longer falls with the mesh
 LEAST, MOST = 0.1, 1e6  # parts that an interval is split into for the energy it misses; a mesh splits by less at once
 SHORTEST = 1e-13  # interval over the duration at which a refinement stops: a double has three digits more
 UNSMOOTH = (
@@ -63,7 +70,7 @@ SMALLEST_SPLIT = 1.2  # where Newton's method does not follow even a mesh this l
 class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     """One refinement of a boundary problem under way; arguments as for `solve`."""
 
-    roundoff_level, stalls = 1e-9, 2
+    roundoff_level, stalls = 0.0, 1
 
     def __init__(
         self,
@@ -97,15 +104,34 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         path = level.polynomial
         left_out = truncation(path)
         suits = not self.fixed or path.degree == self.method.degree
-        if not (suits and np.max(left_out) <= self.tol):
-            return Estimate(float(np.max(left_out)), False, "Legendre coefficients", left_out)
-        error = self.error(path)
+        largest = float(np.max(left_out))
+        floor = self.floor(level) if suits and largest <= max(self.tol, CLEAR) else 0.0
+        if not (suits and largest <= max(self.tol, BLURRED)):
+            return Estimate(largest, False, "Legendre coefficients", left_out)
+        error = math.hypot(self.error(path), floor)
+        self.roundoff_level = NOISE * floor
         if error <= self.tol:
             source, missed = max(self.witnesses(level).items(), key=lambda item: float(np.max(item[1])))
-            if np.max(missed) > self.tol:
+            if np.max(missed) > max(self.tol, TELLS):
                 return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed, path.degree))
         left_out *= error / max(np.max(left_out), 1e-300)
         return Estimate(error, True, f"degree {path.degree + HIGHER}", left_out)
+
+    def floor(self, level: CriticalPoint) -> float:
+        """What rounding does to the path, zero where that is far below the tolerance; refuses a tolerance below it."""
+        regularity = level.solution.regularity
+        if FAR * self.tol * regularity > EPS:
+            return 0.0
+        graph = self.levels.transcription(of_degree(level.polynomial.degree), level.polynomial.mesh)
+        floor = graph.roundoff(level)
+        if floor > self.tol:
+            graph.refuse_conjugate(level)
+            cause = (
+                "the ends are nearly conjugate, or the action's terms cancel" if floor > ILL * EPS else "a double ends"
+            )
+            reason = f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here, on any mesh: {cause}"
+            raise self.stopped(reason, level, floor)
+        return floor
 
     def witnesses(self, level: CriticalPoint) -> dict[str, np.ndarray]:
         """What two degrees may miss alike, a kink of L or a jump over a singularity, by interval; (N,) each."""
