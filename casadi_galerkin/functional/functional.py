@@ -21,6 +21,7 @@ import casadi as ca
 
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.functional.embedding import (
+    Embedded,
     assembly,
     boundary_terms,
     embedded,
@@ -69,18 +70,23 @@ class Functional:
         self.build_seconds = time.perf_counter() - began
 
     @lazy
+    def _embedded(self) -> Embedded:
+        """The embedded symbols, kept: all Functions must have the same, even where the cache has dropped them."""
+        return embedded(self.numbering)
+
+    @lazy
     def symbols(self) -> dict[str, ca.MX]:
         """Unknowns ξ, start, end, mesh and, if the Lagrangian has some, parameters, by name."""
-        return embedded(self.numbering).symbols | {symbol.name(): symbol for symbol in self._parameters}
+        return self._embedded.symbols | {symbol.name(): symbol for symbol in self._parameters}
 
     @lazy
     def u(self) -> ca.MX:
         """The vector u = (ξ, start, end) of the numbering."""
-        return embedded(self.numbering).u
+        return self._embedded.u
 
     @lazy
     def _at(self) -> list[ca.MX]:
-        return [*embedded(self.numbering).points, *self._parameters]
+        return [*self._embedded.points, *self._parameters]
 
     def _at_points(self, function: ca.Function) -> list[ca.MX]:
         return list(self._mapping(function, self.numbering.points, self._shared).call(self._at))
