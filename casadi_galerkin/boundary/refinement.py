@@ -60,6 +60,11 @@ ILL = 1e4  # roundoff floor over eps from which it is the problem's conditioning
 NOISE = 10.0  # an error that is not so many times what rounding does no longer falls with the mesh
 LEAST, MOST = 0.1, 1e6  # parts that an interval is split into for the energy it misses; a mesh splits by less at once
 SHORTEST = 1e-13  # interval over the duration at which a refinement stops: a double has three digits more
+SHARP = 1e-6  # interval over the duration from which a refused mesh is said to crowd at a place
+BLUNT = 1e5 * EPS  # the same over the time there, whose rounding then is 1e-5 of the interval
+CROWD, SHORT = 50, 1e-3  # intervals, in this part of the duration, among which rounding hides a kink
+WANDERING = 12  # the same of Legendre coefficients, while intervals are moved to where they are large
+STUBBORN = 3  # meshes on which what a witness misses may stay until it is said to do so on any
 UNSMOOTH = (
     "Either L is not smooth there, and its time should be a breakpoint of the problem, or the path passes through a "
     "singularity, and a guess should lead around it"
@@ -84,6 +89,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         super().__init__(tol, limits, verbose)
         self.method, self.fixed = method or of_degree(degree_for(tol)), method is not None
         self.levels, self.patience = Levels(problem), math.inf
+        self.seen: dict[str, tuple[float, int]] = {}
         self.solver, self.following = solver, following(solver)
 
     @property
@@ -107,13 +113,14 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         largest = float(np.max(left_out))
         floor = self.floor(level) if suits and largest <= max(self.tol, CLEAR) else 0.0
         if not (suits and largest <= max(self.tol, BLURRED)):
+            self.check_stubborn(level, "Legendre coefficients", left_out, WANDERING)
             return Estimate(largest, False, "Legendre coefficients", left_out)
         error = math.hypot(self.error(path), floor)
         self.roundoff_level = NOISE * floor
-        if error <= self.tol:
-            source, missed = max(self.witnesses(level).items(), key=lambda item: float(np.max(item[1])))
-            if np.max(missed) > max(self.tol, TELLS):
-                return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed, path.degree))
+        source, missed = max(self.witnesses(level).items(), key=lambda item: float(np.max(item[1])))
+        if np.max(missed) > max(self.tol, TELLS):
+            self.check_stubborn(level, source, missed, STUBBORN)
+            return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed, path.degree))
         left_out *= error / max(np.max(left_out), 1e-300)
         return Estimate(error, True, f"degree {path.degree + HIGHER}", left_out)
 
@@ -164,8 +171,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         fewer = FEWER if method.degree == degree else 1.0  # where the graph is built anew, it may as well be small
         while True:
             mesh = equidistributed(level.polynomial.mesh, expected, order, self.tol, finest, fewer=fewer)
-            self.check_intervals(len(mesh) - 1, level, estimate.error)
-            self.check_shortest(mesh, level, estimate)
+            self.check_mesh(mesh, level, estimate)
             try:
                 return self.levels.solve(method, mesh, level.polynomial, self.following)
             except ConvergenceError:
@@ -173,18 +179,30 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                 if finest < SMALLEST_SPLIT or self.patience < 0:
                     raise
 
-    def check_shortest(self, mesh: np.ndarray, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> None:
-        """Stop before intervals become so short that nothing more can be learnt there."""
-        steps = np.diff(mesh)
-        i = int(np.argmin(steps))
-        if steps[i] > SHORTEST * (mesh[-1] - mesh[0]):
+    def check_mesh(self, mesh: np.ndarray, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> None:
+        """Stop before there are too many intervals, or some so short that nothing more can be learnt there."""
+        steps, duration = np.diff(mesh), mesh[-1] - mesh[0]
+        shortest = np.maximum(SHORTEST * duration, BLUNT * np.abs(mesh[:-1]))
+        i, few = int(np.argmin(steps / shortest)), len(steps) <= self.limits.intervals
+        if few and steps[i] > shortest[i]:
             return
-        raise self.stopped(
-            f"the mesh would need intervals of {max(steps[i], 0.0):.1e} near t = {mesh[i]:.9g}, for an error of "
-            f"{estimate.error:.1e} by the {estimate.source}. {UNSMOOTH}",
-            level,
-            estimate.error,
-        )
+        needs = f"intervals of {max(steps[i], 0.0):.1e}" if few else f"{len(steps)} intervals"
+        sharp = f", the shortest near t = {mesh[i]:.9g}. {UNSMOOTH}" if steps[i] < SHARP * duration else ""
+        reason = f"the mesh would need {needs} for an error of {estimate.error:.1e} by the {estimate.source}{sharp}"
+        raise self.stopped(reason, level, estimate.error)
+
+    def check_stubborn(self, level: CriticalPoint, source: str, missed: np.ndarray, patience: int) -> None:
+        """Stop where what is missed does not fall with the mesh, or hides among many short intervals."""
+        mesh, worst, crowd = level.polynomial.mesh, float(np.max(missed)), missed > np.max(missed) / 2
+        hidden = np.count_nonzero(crowd) > CROWD and np.sum(np.diff(mesh)[crowd]) < SHORT * (mesh[-1] - mesh[0])
+        least, count = self.seen.get(source, (math.inf, 0))
+        count = count + 1 if worst > least / 2 else 0
+        self.seen[source] = min(worst, least), count
+        if count == patience or hidden:
+            i = int(np.argmax(missed))
+            where = f"near t = {(mesh[i] + mesh[i + 1]) / 2:.9g}"
+            reason = f"{worst:.1e} are missed {where} by the {source}, on any mesh. {UNSMOOTH}"
+            raise self.stopped(reason, level, worst)
 
     def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:
         """Refine the first path found that can be followed."""
