@@ -61,7 +61,7 @@ NOISE = 10.0  # an error that is not so many times what rounding does no longer 
 LEAST, MOST = 0.1, 1e6  # parts that an interval is split into for the energy it misses; a mesh splits by less at once
 SHORTEST = 1e-13  # interval over the duration at which a refinement stops: a double has three digits more
 SHARP = 1e-6  # interval over the duration from which a refused mesh is said to crowd at a place
-BLUNT = 1e5 * EPS  # the same over the time there, whose rounding then is 1e-5 of the interval
+BLUNT = 1e5 * EPS  # the same over the distance to the ends, at which a layer may be: inside, times are too blunt
 CROWD, SHORT = 50, 1e-3  # intervals, in this part of the duration, among which rounding hides a kink
 WANDERING = 12  # the same of Legendre coefficients, while intervals are moved to where they are large
 STUBBORN = 3  # meshes on which what a witness misses may stay until it is said to do so on any
@@ -89,7 +89,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         super().__init__(tol, limits, verbose)
         self.method, self.fixed = method or of_degree(degree_for(tol)), method is not None
         self.levels, self.patience = Levels(problem), math.inf
-        self.seen: dict[str, tuple[float, int]] = {}
+        self.seen: dict[str, tuple[float, float, float, int]] = {}
         self.solver, self.following = solver, following(solver)
 
     @property
@@ -182,7 +182,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     def check_mesh(self, mesh: np.ndarray, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> None:
         """Stop before there are too many intervals, or some so short that nothing more can be learnt there."""
         steps, duration = np.diff(mesh), mesh[-1] - mesh[0]
-        shortest = np.maximum(SHORTEST * duration, BLUNT * np.abs(mesh[:-1]))
+        inside = np.minimum(mesh[:-1] - mesh[0], mesh[-1] - mesh[1:])
+        shortest = np.maximum(SHORTEST * duration, BLUNT * inside)
         i, few = int(np.argmin(steps / shortest)), len(steps) <= self.limits.intervals
         if few and steps[i] > shortest[i]:
             return
@@ -192,15 +193,16 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         raise self.stopped(reason, level, estimate.error)
 
     def check_stubborn(self, level: CriticalPoint, source: str, missed: np.ndarray, patience: int) -> None:
-        """Stop where what is missed does not fall with the mesh, or hides among many short intervals."""
+        """Stop where what is missed at a place does not fall with the mesh, or hides among many short intervals."""
         mesh, worst, crowd = level.polynomial.mesh, float(np.max(missed)), missed > np.max(missed) / 2
         hidden = np.count_nonzero(crowd) > CROWD and np.sum(np.diff(mesh)[crowd]) < SHORT * (mesh[-1] - mesh[0])
-        least, count = self.seen.get(source, (math.inf, 0))
-        count = count + 1 if worst > least / 2 else 0
-        self.seen[source] = min(worst, least), count
+        i = int(np.argmax(missed))
+        when, step = (mesh[i] + mesh[i + 1]) / 2, mesh[i + 1] - mesh[i]
+        last, place, width, count = self.seen.get(source, (math.inf, 0.0, 0.0, 0))
+        count = count + 1 if worst > last / 2 and abs(when - place) <= width + step else 0
+        self.seen[source] = worst, when, step, count
         if count == patience or hidden:
-            i = int(np.argmax(missed))
-            where = f"near t = {(mesh[i] + mesh[i + 1]) / 2:.9g}"
+            where = f"near t = {when:.9g}"
             reason = f"{worst:.1e} are missed {where} by the {source}, on any mesh. {UNSMOOTH}"
             raise self.stopped(reason, level, worst)
 

@@ -8,7 +8,6 @@ with an independent integration (DOP853 in pieces, its start corrected until it 
 
 import argparse
 import time
-from collections import Counter, defaultdict
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +20,7 @@ import casadi_galerkin as cg
 WORST = 5.0  # an answer off by more tolerances is wrong
 ORACLE = 1e-12  # relative error of the integrations
 TIMES = 1001
+SLOW = 10.0  # seconds that no run should take
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,6 @@ class Trial:
     problem: cg.BoundaryProblem
     exact: Any
     smooth: bool = False
-    guess: Any = None
 
 
 def integrated(acceleration, end, cuts=(), surface=None):
@@ -243,36 +242,50 @@ def trial(seed):
     return KINDS[seed % len(KINDS)](random), float(10 ** random.uniform(-11, -3))
 
 
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a trial: right, refused or wrong; seconds; error over the tolerance; the words of a refusal."""
+
+    trial: Trial
+    tol: float
+    verdict: str
+    seconds: float
+    error: float = np.nan
+    said: str = ""
+
+
 def outcome(seed):
-    """Kind, verdict and seconds of one problem, its error over the tolerance, and what was said of a refusal."""
+    """Solve the problem of a seed, and judge its path."""
     case, tol = trial(seed)
     began = time.perf_counter()
     try:
-        path = cg.solve(case.problem, tol=tol, guess=case.guess)
+        path = cg.solve(case.problem, tol=tol)
     except cg.ConvergenceError as failure:
-        return case, tol, "refused", time.perf_counter() - began, np.nan, str(failure)
+        return Outcome(case, tol, "refused", time.perf_counter() - began, said=str(failure))
     seconds = time.perf_counter() - began
     times = np.linspace(*case.problem.t_span, TIMES)
     exact = case.exact(path, times)
     error = np.max(np.abs(path(times) - exact) / np.max(np.abs(exact), axis=1, keepdims=True))
-    right = error <= WORST * max(tol, ORACLE)
-    return case, tol, "right" if right else "wrong", seconds, error / tol, ""
+    verdict = "right" if error <= WORST * max(tol, ORACLE) else "wrong"
+    return Outcome(case, tol, verdict, seconds, error / tol)
 
 
 def main(count=2000, first=0):
     """Solve so many problems and print what came of them, by kind; returns the outcomes."""
-    found, table = [], defaultdict(Counter)
+    found = []
     for seed in range(first, first + count):
-        found.append(outcome(seed))
-        case, tol, verdict, seconds, error, said = found[-1]
-        table[case.kind][verdict] += 1
-        table[case.kind]["slowest"] = max(table[case.kind]["slowest"], seconds)
-        if verdict == "wrong" or seconds > 10 or (case.smooth and verdict == "refused"):
-            print(f"seed {seed}, {case.kind}, tol {tol:.1e}: {verdict} by {error:.1f} tol, {seconds:.1f} s {said}")
+        one = outcome(seed)
+        found.append(one)
+        if one.verdict == "wrong" or one.seconds > SLOW or (one.trial.smooth and one.verdict == "refused"):
+            print(f"seed {seed}, {one.trial.kind}, tol {one.tol:.1e}: {one.verdict}, {one.error:.1f} tol off, "
+                  f"{one.seconds:.1f} s {one.said}")  # fmt: skip
     print(f"{'kind':22}{'right':>8}{'refused':>9}{'wrong':>7}{'slowest/s':>11}")
-    for kind, row in table.items():
-        print(f"{kind:22}{row['right']:8d}{row['refused']:9d}{row['wrong']:7d}{row['slowest']:11.2f}")
-    smooth = [verdict for case, _, verdict, *_ in found if case.smooth]
+    for kind in dict.fromkeys(one.trial.kind for one in found):
+        group = [one for one in found if one.trial.kind == kind]
+        verdicts = [one.verdict for one in group]
+        counts = f"{verdicts.count('right'):8d}{verdicts.count('refused'):9d}{verdicts.count('wrong'):7d}"
+        print(f"{kind:22}{counts}{max(one.seconds for one in group):11.2f}")
+    smooth = [one.verdict for one in found if one.trial.smooth]
     print(f"{smooth.count('right')} of {len(smooth)} smooth ones solved")
     return found
 
