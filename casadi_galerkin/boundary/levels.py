@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_galerkin.boundary.transcription import CriticalPoint, Transcription
+from casadi_galerkin.boundary.transcription import CriticalPoint, Transcription, check_mass
 from casadi_galerkin.calculus.discrete_calculus import with_breakpoints
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.mapping import Mapping, one_by_one
@@ -27,6 +27,7 @@ class Levels:
     """
 
     def __init__(self, problem: BoundaryProblem) -> None:
+        check_mass(problem)
         self.problem, self.iterations = problem, 0
         self._transcriptions: dict[tuple[int, int], Transcription] = {}
 

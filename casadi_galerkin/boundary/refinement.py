@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,15 +29,15 @@ from casadi_galerkin.calculus.mesh_adaptation import (
     FEWER,
     FEWEST,
     FINEST,
+    HIGHER,
     TARGET,
     degree_for,
     equidistributed,
-    interval_maxima,
     of_degree,
     truncation,
 )
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import check_types
@@ -53,10 +52,19 @@ from casadi_galerkin.solvers.solver import SolverLike
 
 FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
 RISE = 3  # degrees that a level may gain on the one before
-HIGHER = 2  # degrees added for the error estimate; two, because one adds nothing to a path of the other parity
-SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
+CLEAR = 1e-9  # part left out below which a path is near enough to its limit to tell how rounding moves it
+BLURRED = 1e-14  # part left out that rounding of the node values alone looks like
+TELLS = 1e-12  # energies that agree to so much agree: they sum the rounding of all intervals
+FAR = 0.1  # part of the tolerance below which rounding need not be looked at: it moves a path by eps / regularity
+ILL = 1e4  # roundoff floor over eps from which it is the problem's conditioning that is named
+NOISE = 10.0  # an error that is not so many times what rounding does no longer falls with the mesh
 LEAST, MOST = 0.1, 1e6  # parts that an interval is split into for the energy it misses; a mesh splits by less at once
 SHORTEST = 1e-13  # interval over the duration at which a refinement stops: a double has three digits more
+SHARP = 1e-6  # interval over the duration from which a refused mesh is said to crowd at a place
+BLUNT = 1e5 * EPS  # the same over the distance to the ends, at which a layer may be: inside, times are too blunt
+CROWD, SHORT = 20, 1e-3  # intervals, in this part of the duration, among which rounding hides a kink
+WANDERING = 12  # the same of Legendre coefficients, while intervals are moved to where they are large
+STUBBORN = 3  # meshes on which what a witness misses may stay until it is said to do so on any
 UNSMOOTH = (
     "Either L is not smooth there, and its time should be a breakpoint of the problem, or the path passes through a "
     "singularity, and a guess should lead around it"
@@ -67,7 +75,7 @@ SMALLEST_SPLIT = 1.2  # where Newton's method does not follow even a mesh this l
 class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     """One refinement of a boundary problem under way; arguments as for `solve`."""
 
-    roundoff_level, stalls = 1e-9, 2
+    roundoff_level, stalls = 0.0, 1
 
     def __init__(
         self,
@@ -81,6 +89,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         super().__init__(tol, limits, verbose)
         self.method, self.fixed = method or of_degree(degree_for(tol)), method is not None
         self.levels, self.patience = Levels(problem), math.inf
+        self.seen: dict[str, tuple[float, float, float, int]] = {}
         self.solver, self.following = solver, following(solver)
 
     @property
@@ -101,25 +110,41 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         path = level.polynomial
         left_out = truncation(path)
         suits = not self.fixed or path.degree == self.method.degree
-        if not (suits and np.max(left_out) <= self.tol):
-            return Estimate(float(np.max(left_out)), False, "Legendre coefficients", left_out)
-        error = self.error(path)
-        if error <= self.tol:
-            source, missed = max(self.witnesses(level).items(), key=lambda item: float(np.max(item[1])))
-            if np.max(missed) > self.tol:
-                return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed, path.degree))
+        largest = float(np.max(left_out))
+        floor = self.floor(level) if suits and largest <= max(self.tol, CLEAR) else 0.0
+        if not (suits and largest <= max(self.tol, BLURRED)):
+            self.check_stubborn(level, "Legendre coefficients", left_out, WANDERING)
+            return Estimate(largest, False, "Legendre coefficients", left_out)
+        error = math.hypot(self.error(path), floor)
+        self.roundoff_level = NOISE * floor
+        source, missed = max(self.witnesses(level).items(), key=lambda item: float(np.max(item[1])))
+        if np.max(missed) > max(self.tol, TELLS):
+            self.check_stubborn(level, source, missed, STUBBORN)
+            return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed, path.degree))
         left_out *= error / max(np.max(left_out), 1e-300)
         return Estimate(error, True, f"degree {path.degree + HIGHER}", left_out)
 
+    def floor(self, level: CriticalPoint) -> float:
+        """What rounding does to the path, zero where that is far below the tolerance; refuses a tolerance below it."""
+        regularity = level.solution.regularity
+        if FAR * self.tol * regularity > EPS:
+            return 0.0
+        graph = self.levels.transcription(of_degree(level.polynomial.degree), level.polynomial.mesh)
+        floor = graph.roundoff(level)
+        if floor > self.tol:
+            graph.refuse_conjugate(level)
+            cause = (
+                "the ends are nearly conjugate, or the action's terms cancel" if floor > ILL * EPS else "a double ends"
+            )
+            reason = f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here, on any mesh: {cause}"
+            raise self.stopped(reason, level, floor)
+        return floor
+
     def witnesses(self, level: CriticalPoint) -> dict[str, np.ndarray]:
         """What two degrees may miss alike, a kink of L or a jump over a singularity, by interval; (N,) each."""
-        problem, momentum = self.levels.problem, level.momentum
-        derived, parts = pointwise(problem.lagrangian, problem.force), []
-        joints = [0, *np.searchsorted(level.polynomial.mesh, problem.breakpoints), len(level.polynomial.mesh) - 1]
-        for first, last in pairwise(joints):
-            part, of_part = level.polynomial.between(first, last), momentum[:, first : last + 1]
-            parts.append(witnesses(derived, part, of_part, problem.parameters, self.tol))
-        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        problem = self.levels.problem
+        given = level.polynomial, level.momentum, problem.parameters, self.tol, problem.breakpoints
+        return witnesses(pointwise(problem.lagrangian, problem.force), *given)
 
     def _left_out_for(self, missed: np.ndarray, degree: int) -> np.ndarray:
         """What would have intervals split in proportion to the energy they miss, which at a kink falls like h."""
@@ -127,14 +152,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         return np.asarray(target * np.clip(missed / target, LEAST, MOST) ** (degree + 1))
 
     def error(self, path: PiecewisePolynomial) -> float:
-        """Largest error on a path, relative to the size of its components: two Newton steps as a geometric series."""
-        higher = of_degree(path.degree + HIGHER)
-        steps = self.levels.transcription(higher, path.mesh).corrections(path)
-        sizes = component_sizes(path.values)[:, None]
-        first, second = (float(np.max(interval_maxima(step) / sizes)) for step in steps)
-        if math.isnan(first):  # the Newton step of the higher degree is not finite
-            return math.inf
-        return first / (1 - min(SLOWEST, second / first)) if first > 0 else 0.0
+        """Largest error on a path, from Newton steps in a higher degree on the same mesh."""
+        return self.levels.transcription(of_degree(path.degree + HIGHER), path.mesh).error(path)
 
     def improve(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> CriticalPoint:
         """Solve on the equidistributed mesh; where Newton's method does not follow, on one changed less.
@@ -149,8 +168,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         fewer = FEWER if method.degree == degree else 1.0  # where the graph is built anew, it may as well be small
         while True:
             mesh = equidistributed(level.polynomial.mesh, expected, order, self.tol, finest, fewer=fewer)
-            self.check_intervals(len(mesh) - 1, level, estimate.error)
-            self.check_shortest(mesh, level, estimate)
+            self.check_mesh(mesh, level, estimate)
             try:
                 return self.levels.solve(method, mesh, level.polynomial, self.following)
             except ConvergenceError:
@@ -158,18 +176,32 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                 if finest < SMALLEST_SPLIT or self.patience < 0:
                     raise
 
-    def check_shortest(self, mesh: np.ndarray, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> None:
-        """Stop before intervals become so short that nothing more can be learnt there."""
-        steps = np.diff(mesh)
-        i = int(np.argmin(steps))
-        if steps[i] > SHORTEST * (mesh[-1] - mesh[0]):
+    def check_mesh(self, mesh: np.ndarray, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> None:
+        """Stop before there are too many intervals, or some so short that nothing more can be learnt there."""
+        steps, duration = np.diff(mesh), mesh[-1] - mesh[0]
+        inside = np.minimum(mesh[:-1] - mesh[0], mesh[-1] - mesh[1:])
+        shortest = np.maximum(SHORTEST * duration, BLUNT * inside)
+        i, few = int(np.argmin(steps / shortest)), len(steps) <= self.limits.intervals
+        if few and steps[i] > shortest[i]:
             return
-        raise self.stopped(
-            f"the mesh would need intervals of {max(steps[i], 0.0):.1e} near t = {mesh[i]:.9g}, for an error of "
-            f"{estimate.error:.1e} by the {estimate.source}. {UNSMOOTH}",
-            level,
-            estimate.error,
-        )
+        needs = f"intervals of {max(steps[i], 0.0):.1e}" if few else f"{len(steps)} intervals"
+        sharp = f", the shortest near t = {mesh[i]:.9g}. {UNSMOOTH}" if steps[i] < SHARP * duration else ""
+        reason = f"the mesh would need {needs} for an error of {estimate.error:.1e} by the {estimate.source}{sharp}"
+        raise self.stopped(reason, level, estimate.error)
+
+    def check_stubborn(self, level: CriticalPoint, source: str, missed: np.ndarray, patience: int) -> None:
+        """Stop where what is missed at a place does not fall with the mesh, or hides among many short intervals."""
+        mesh, worst, crowd = level.polynomial.mesh, float(np.max(missed)), missed > np.max(missed) / 2
+        hidden = np.count_nonzero(crowd) > CROWD and np.sum(np.diff(mesh)[crowd]) < SHORT * (mesh[-1] - mesh[0])
+        i = int(np.argmax(missed))
+        when, step = (mesh[i] + mesh[i + 1]) / 2, mesh[i + 1] - mesh[i]
+        last, place, width, count = self.seen.get(source, (math.inf, 0.0, 0.0, 0))
+        count = count + 1 if worst > last / 2 and abs(when - place) <= width + step else 0
+        self.seen[source] = worst, when, step, count
+        if count == patience or hidden:
+            where = f"near t = {when:.9g}"
+            reason = f"{worst:.1e} are missed {where} by the {source}, on any mesh. {UNSMOOTH}"
+            raise self.stopped(reason, level, worst)
 
     def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:
         """Refine the first path found that can be followed."""

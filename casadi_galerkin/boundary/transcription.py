@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping as Named
 from collections.abc import Sequence
@@ -16,15 +17,17 @@ from casadi_galerkin.boundary.failure_report import conjugate, explained, refuse
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_breakpoints, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.mesh_adaptation import HIGHER, interval_maxima, of_degree
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.calculus.roundoff import EPS, component_sizes
 from casadi_galerkin.functional.mapping import Mapping, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data, joints_of
+from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.functional.statement import functional_of, given_values, has_phase
 from casadi_galerkin.problems.boundary_problem import RATES, BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, tangent_momenta
-from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
+from casadi_galerkin.problems.legendre_transform import convex, degenerate, legendre_transform, refuse_degenerate
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
 from casadi_galerkin.solution.plotting import plot_pattern
@@ -38,6 +41,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 REGULAR = 1e-9  # `Solution.regularity` above which the second variation need not be looked at
+SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
+ROUNDED = 0.2  # of eps: what rounding to the nearest double changes in the root mean square
+SIGNS = 4  # random signs of the rounding of the equations, from which its effect on the path is estimated
+GENERIC = 0.1, 0.4, 0.7  # parts of a line between the ends, bent, at which a Lagrangian is asked for its mass matrix
 
 
 @dataclass(frozen=True)
@@ -227,6 +234,33 @@ class Transcription:
             changes = [change - step[-1] * by_stretch for change, step in zip(changes, steps, strict=True)]
         return [calculus.emb(change) for change in changes]
 
+    def error(self, path: PiecewisePolynomial) -> float:
+        """Largest error of a path of a lower degree, relative to the size of its components.
+
+        The two Newton steps from it are summed as a geometric series; infinite where one is not finite.
+        """
+        sizes = component_sizes(path.values)[:, None]
+        first, second = (float(np.max(interval_maxima(step) / sizes)) for step in self.corrections(path))
+        if not math.isfinite(first + second):
+            return math.inf
+        return first / (1 - min(SLOWEST, second / first)) if first > 0 else 0.0
+
+    def roundoff(self, point: CriticalPoint) -> float:
+        """Estimate what rounding does to a path, relative to the size of its components.
+
+        It is the root mean square, over a few choices of random signs, of the largest |∇²S⁻¹ r|, where every r_i is
+        `ROUNDED` times eps and the terms that the i-th equation sums.  The true error was measured at 0.1 to 5 times
+        that, or less by luck and symmetry.
+        """
+        unknowns, data = point.solution.unknowns, point.data
+        terms = ROUNDED * EPS * np.array(self.summary(unknowns, *data)[3]).ravel()
+        signs = np.random.default_rng(len(unknowns)).choice((-1.0, 1.0), (SIGNS, len(unknowns)))
+        with self.stationarity.linearization() as at:
+            at.relinearize(unknowns, data)
+            moved = np.array(at.solve(*(signs * terms))) / self.stationarity.sizes(unknowns, data)
+        floor = float(np.sqrt(np.mean(np.max(np.abs(moved), axis=1) ** 2))) + EPS
+        return floor if math.isfinite(floor) else math.inf
+
     def change(self, step: np.ndarray) -> np.ndarray:
         """Node values (d, N m + 1) of a step of the unknowns."""
         given = np.zeros(self.numbering.size - self.numbering.free)
@@ -309,10 +343,7 @@ class Transcription:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
         solution, data = point.solution, point.data
         refuse_undefined(self.functional, solution, point.polynomial, data)
-        if not solution.regularity > REGULAR:
-            quotient = smallest_second_variation(self.stationarity, solution.unknowns, data)
-            if quotient < SINGULAR:
-                raise conjugate(solution, point.polynomial, quotient)
+        self.refuse_conjugate(point)
         return Trajectory(
             polynomial=point.polynomial,
             momentum=point.momentum,
@@ -325,6 +356,7 @@ class Transcription:
             method=self.method,
             problem=point.problem,
             count_negative=MorseIndex(self, point.problem, point.polynomial),
+            find_error=error_between_ends,
         )
 
     def _work(self, point: CriticalPoint) -> float:
@@ -337,6 +369,13 @@ class Transcription:
             sum(p * x for p, x in zip(*pair, strict=True) if p is not None) for pair in zip(given, ends, strict=True)
         ]
         return float(sums[0] - sums[1])
+
+    def refuse_conjugate(self, point: CriticalPoint) -> None:
+        """Raise if the second variation vanishes at a critical point."""
+        if not point.solution.regularity > REGULAR:
+            quotient = smallest_second_variation(self.stationarity, point.solution.unknowns, point.data)
+            if quotient < SINGULAR:
+                raise conjugate(point.solution, point.polynomial, quotient)
 
     def plot_hessian(self, axes: Axes | None = None) -> Axes:
         """Draw the sparsity pattern of the Hessian, a chain of blocks; returns the Matplotlib axes."""
@@ -381,6 +420,35 @@ class MorseIndex:
         return {**self.__dict__, "_transcription": None}
 
 
+def error_between_ends(path: Trajectory) -> float:
+    """Estimate the relative error of a path between two ends: see `Trajectory.estimate_error`."""
+    problem = path.problem
+    assert isinstance(problem, BoundaryProblem)
+    higher = Transcription(problem, of_degree(path.method.degree + HIGHER), path.t, one_by_one)
+    return path.doubted(higher.error(path.polynomial))
+
+
+def check_mass(problem: BoundaryProblem) -> None:
+    """Refuse a Lagrangian whose mass matrix is singular at all of some generic points between the ends.
+
+    Under a constraint it may be: what the constraint holds need have no mass.
+    """
+    if problem.constraint is not None:
+        return
+    derived, (first, last) = pointwise(problem.lagrangian), problem.t_span
+    start, end = (np.array([x or 0.0 for x in end]) for end in (problem.start, problem.end))
+    rise, size, span = end - start, component_sizes(np.array([start, end]).T), last - first
+    bend = size * np.cos(1.0 + np.arange(len(start)))
+    given = [] if problem.parameters is None else [problem.parameters]
+    for share in GENERIC:
+        t, x, slope = first + share * span, start + share * (rise + bend), rise + (1 - share) * bend
+        blocks = derived.derivatives(t, span, x, slope, *given)[3:]
+        mass = derived.mass([np.array(block) for block in blocks])[0] * span
+        if not (np.isfinite(mass).all() and degenerate(mass)):
+            return
+    refuse_degenerate(mass, f"wherever it was tried, such as at t = {t:.6g}, x = {x}, v = {slope / span}")
+
+
 def transcribed(
     problem: BoundaryProblem,
     method: Galerkin,
@@ -390,4 +458,5 @@ def transcribed(
 ) -> Transcription:
     """Check what is given, and build the graph; arguments as for `transcribe`, and how L is evaluated at the points."""
     check_types(problem, method, BoundaryProblem)
+    check_mass(problem)
     return Transcription(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), mapping)

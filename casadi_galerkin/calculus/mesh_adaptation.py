@@ -22,6 +22,7 @@ NEIGHBOURS = 8.0  # largest ratio of densities of neighbouring intervals of a ne
 FEWEST = 4  # intervals of a new mesh
 FEWER = 3.0  # factor of too many intervals from which the number of intervals is lowered
 GROWTH = 1.25  # least factor by which the number of intervals grows, if it does
+HIGHER = 2  # degrees added for an error estimate; two, because one adds nothing to a path of the other parity
 TARGET = 0.3  # a new mesh aims at this part of the tolerance
 
 
@@ -52,13 +53,20 @@ def truncation(path: PiecewisePolynomial) -> np.ndarray:
     """Estimate what a path of its degree leaves out on each interval, relative to the size of the components; (N,).
 
     The Legendre coefficients of an analytic function fall geometrically.  Their rate is taken from the last four,
-    in pairs because of parity, and the first coefficient left out follows from the last two with it.
+    in pairs because of parity, and the first coefficient left out follows from the last two with it.  Below degree 3
+    there are no four: the first coefficient left out then follows from the last one's change between neighbours.
     """
     m = len(path.nodes) - 1
     local = path.local / component_sizes(path.values)[:, None, None]
-    coefficients = np.abs(local @ _to_legendre(tuple(path.nodes.tolist())).T)  # (d, N, m + 1)
+    signed = local @ _to_legendre(tuple(path.nodes.tolist())).T  # (d, N, m + 1)
+    coefficients = np.abs(signed)
     if m < 3:
-        return np.asarray(np.max(coefficients[:, :, -1], axis=0))
+        steps, last = np.diff(path.mesh), np.max(coefficients[:, :, -1], axis=0)
+        if len(steps) == 1:
+            return np.asarray(last)
+        change = np.max(np.abs(np.diff(signed[:, :, -1] / steps**m, axis=1)), axis=0) / (steps[1:] + steps[:-1]) * 2
+        largest = np.maximum(np.append(change[:1], change), np.append(change, change[-1:]))
+        return np.asarray(largest * steps ** (m + 1) / (4 * m + 2))
     last = np.maximum(coefficients[:, :, -1], coefficients[:, :, -2])
     before = np.maximum(coefficients[:, :, -3], coefficients[:, :, -4])
     rate = np.sqrt(np.minimum(last / np.maximum(before, 1e-300), 1.0))

@@ -29,6 +29,7 @@ import casadi as ca
 
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.functional.embedding import (
+    Embedded,
     assembly,
     boundary_terms,
     embedded,
@@ -94,10 +95,15 @@ class Functional:
         self.build_seconds = time.perf_counter() - began
 
     @lazy
+    def _embedded(self) -> Embedded:
+        """The embedded symbols, kept: all Functions must have the same, even where the cache has dropped them."""
+        return embedded(self.numbering)
+
+    @lazy
     def symbols(self) -> dict[str, ca.MX]:
         """Unknowns ξ, start, end, mesh and, if there are some, parameters and given values of the terms, by name."""
         further = (*self._parameters, *self._given)
-        return embedded(self.numbering).symbols | {symbol.name(): symbol for symbol in further}
+        return self._embedded.symbols | {symbol.name(): symbol for symbol in further}
 
     def parameters_of(self, data: Data) -> Data:
         """The parameters among the data, if there are some."""
@@ -118,11 +124,11 @@ class Functional:
     @lazy
     def u(self) -> ca.MX:
         """The vector u = (ξ, start, end) of the numbering."""
-        return embedded(self.numbering).u
+        return self._embedded.u
 
     @lazy
     def _at(self) -> list[ca.MX]:
-        return [*embedded(self.numbering).points, *self._parameters]
+        return [*self._embedded.points, *self._parameters]
 
     def _at_points(self, function: ca.Function) -> list[ca.MX]:
         return list(self._mapping(function, self.numbering.points, self._shared).call(self._at))
@@ -144,7 +150,7 @@ class Functional:
     def _terms(self) -> list[list[ca.MX]]:
         """What the local terms are at all of their places."""
         parameters, given = (ca.vertcat(*symbols) for symbols in (self._parameters, self._given))
-        at = (self.u, embedded(self.numbering).joints, parameters, given)
+        at = (self.u, self._embedded.joints, parameters, given)
         return [term.evaluated(*at) for term in self.terms]
 
     @lazy

@@ -9,9 +9,11 @@ function has this as its gradient, so that its Jacobian, J below, is no longer s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import casadi as ca
+import numpy as np
 
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.functional.numbering import KEPT
@@ -84,6 +86,17 @@ class Pointwise:
         """
         columns = {f"block{i}{j}": ca.project(self._cells[i, j], self.stored).nz[:] for i, j in self.blocks}
         return self._function("derivatives", {"f": self._value, **self._slopes, **columns}, CSE)
+
+    def mass(self, blocks: Sequence[np.ndarray]) -> np.ndarray:
+        """∂²L̂/∂x'² at K points, (K, d, d), from the columns of `blocks`, (stored, K) each; zero where L is linear."""
+        d, count = self.pattern.size1(), blocks[0].shape[1]
+        mass = np.zeros((count, d, d))
+        if (1, 1) in self.blocks:
+            rows, columns = (np.array(index, dtype=int) for index in self.stored.get_triplet())
+            entries = blocks[self.blocks.index((1, 1))].T
+            mass[:, rows, columns] = entries
+            mass[:, columns, rows] = entries
+        return mass
 
     @lazy
     def supplied(self) -> ca.Function | None:

@@ -13,6 +13,7 @@ from casadi_galerkin.calculus.roundoff import EPS
 ITERATIONS = 100
 FOUND = 1e-9  # relative step below which a velocity that roundoff keeps from settling counts as found
 UNDETERMINED = 1e-14  # part of the largest singular value of ∂²L/∂v² below which a direction of v has no momentum
+DEGENERATE = 1e-13  # reciprocal condition of the scaled mass matrix below which no velocity belongs to a momentum
 
 
 @lru_cache(8)
@@ -33,6 +34,26 @@ def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.nd
         return momenta, masses.reshape(d, count, d).transpose(1, 0, 2)
 
     return at
+
+
+def degenerate(mass: np.ndarray) -> bool:
+    """Whether a mass matrix (d, d) is singular, whatever the units of the components."""
+    rows = np.sqrt(np.max(np.abs(mass), axis=1))
+    if not np.all(rows > 0):
+        return True
+    singular = np.linalg.svd(mass / rows[:, None] / rows, compute_uv=False)
+    return bool(singular[-1] <= DEGENERATE * singular[0])
+
+
+def refuse_degenerate(mass: np.ndarray, where: str) -> None:
+    """Raise a ValueError if the mass matrix (d, d) at a point is singular or not finite; `where` tells the point."""
+    if not np.all(np.isfinite(mass)):
+        raise ValueError(f"the lagrangian must be finite with its derivatives {where}; its mass matrix is {mass}")
+    if degenerate(mass):
+        raise ValueError(
+            f"the lagrangian is degenerate: its mass matrix ∂²L/∂v² is singular {where}, so its momenta do not "
+            f"determine the velocities; got {mass.tolist()}"
+        )
 
 
 def convex(transform: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> bool:

@@ -12,20 +12,32 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.mesh_adaptation import truncation
+from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, multipliers
 from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import FRAMES_A_SECOND, animate_linkage, plot_phase
+from casadi_galerkin.solution.witness import ACTION, witnesses
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
     from matplotlib.axes import Axes
 
 
+UNRESOLVED = 1e-3  # part of a component that the polynomials leave out from which a path is called unresolved
+TELLS = 1e-3  # a balance of energy that rounding alone misses by more tells nothing
+
+
 def _no_index() -> None:
     """Steps have none."""
+
+
+def _no_error(path: Trajectory) -> float:
+    raise TypeError(f"the error of a {type(path).__name__} is estimated where it is solved to a tolerance: give tol")
 
 
 @dataclass(frozen=True, repr=False)
@@ -45,8 +57,9 @@ class Trajectory(Path):
     build_seconds, solve_seconds : spent on building the graph and on the solve
     method : Galerkin
     problem : what was solved, with the ends, parameters and times that it was solved for
-    error_estimate : estimated relative error of the path between the joints; only with a tolerance, or found by `paths`
+    error_estimate : estimated relative error of x, at the joints and between them; None before `estimate_error`
     count_negative : finds `morse_index`
+    find_error : estimates the error of this path
     """
 
     momentum: np.ndarray
@@ -60,6 +73,31 @@ class Trajectory(Path):
     problem: Problem
     error_estimate: float | None = None
     count_negative: Callable[[], int | None] = field(default=_no_index, repr=False)
+    find_error: Callable[[Trajectory], float] = field(default=_no_error, repr=False)
+
+    def estimate_error(self) -> float:
+        """Estimate the relative error of x, at the joints and between them; kept as `error_estimate`.
+
+        The same problem in degree m + 2 on the same mesh tells it: by Newton steps from a path between two ends, by
+        steps from the same start otherwise.  It is no less than what the balance of energy misses, relative to the
+        energy's terms, nor than the change of the action by a finer rule: a kink of L or a singularity, which both
+        degrees may miss, shows there.  Infinite where the higher degree has no answer.
+        """
+        if self.error_estimate is None:
+            object.__setattr__(self, "error_estimate", self.find_error(self))
+        assert self.error_estimate is not None
+        return self.error_estimate
+
+    def doubted(self, error: float) -> float:
+        """An error, or what the witnesses miss where that is more."""
+        missed = self._missed(max(error, EPS))
+        return max(error, missed["balance of energy"], missed["action by a finer rule"] * ACTION)
+
+    def _missed(self, tol: float) -> dict[str, float]:
+        """The largest of what each witness says against this path."""
+        given = self.polynomial, self.momentum, self.parameters, tol, getattr(self.problem, "breakpoints", ())
+        said = witnesses(pointwise(self.lagrangian, self.problem.force), *given)
+        return {name: float(np.max(said[name])) for name in said}
 
     @lazy
     def morse_index(self) -> int | None:
@@ -166,6 +204,23 @@ class Trajectory(Path):
             raise ValueError(f"points must return an array of shape (n, 2, {count}), got {places.shape}")
         return animate_linkage(times, places, duration / count, axes, unit)
 
+    def _balance(self) -> str:
+        """Words on how well the balance of energy is kept."""
+        return f"its balance kept to {self._missed(TELLS)['balance of energy']:.1e} of its terms"
+
+    def _accuracy(self) -> list[str]:
+        """A line on the error of x, if it is known, or if this mesh plainly does not resolve the path."""
+        if self.error_estimate is not None:
+            return [f"  error       {self.error_estimate:.1e}, estimated, relative to the size of each component"]
+        left_out = truncation(self.polynomial)
+        i = int(np.argmax(left_out))
+        if not left_out[i] > UNRESOLVED:
+            return []
+        where = f"between t = {self.t[i]:.4g} and {self.t[i + 1]:.4g}"
+        return [
+            f"  NOT RESOLVED: about {left_out[i]:.0e} of x is left out {where}; take more intervals or a higher degree"
+        ]
+
     @property
     def _lagrangian(self) -> ca.Function:
         """L(t, x, v) with the parameters put in."""
@@ -182,7 +237,8 @@ class Trajectory(Path):
                 f"{len(self.t) - 1} intervals",
                 f"  method      {self.method}",
                 f"  action      {self.action:.15g}, {kind}",
-                f"  energy      {energy[0]:.12g} at the start, varies by {np.ptp(energy):.1e}",
+                f"  energy      {energy[0]:.12g} at the start, {self._balance()}",
+                *self._accuracy(),
                 f"  solver      {self.solver}, {self.iterations} iterations, residual {self.residual:.1g} of its "
                 "roundoff floor",
                 f"  seconds     {self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve",

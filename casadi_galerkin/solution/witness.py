@@ -13,7 +13,9 @@ does where a path jumps over a singularity between two points, though the energi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -72,19 +74,38 @@ def witnesses(
     momentum: np.ndarray,
     parameters: tuple[float, ...] | None,
     tol: float,
+    breakpoints: Sequence[float] = (),
 ) -> dict[str, np.ndarray]:
     """What each witness says against a path, by interval and relative to the sizes of its terms; (N,) each.
-
-    Where the momentum p of a joint differs from ∂L/∂v at the path's own slope v there by δ, the energy is
-    p·v - L + δᵀ(∂²L/∂v²)⁻¹δ/2 up to terms of third order.
 
     Parameters
     ----------
     pointwise : Pointwise, of the Lagrangian
-    path : PiecewisePolynomial of degree m, between two breakpoints: at a step of L in time the energy jumps
+    path : PiecewisePolynomial of degree m
     momentum : (d, N + 1), at the joints
     parameters : values of p
     tol : relative tolerance
+    breakpoints : joints between which the balance is drawn up; at a step of L in time the energy jumps
+    """
+    joints = [0, *np.searchsorted(path.mesh, breakpoints), len(path.mesh) - 1]
+    parts = [
+        _between_breakpoints(pointwise, path.between(i, j), momentum[:, i : j + 1], parameters, tol)
+        for i, j in pairwise(joints)
+    ]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _between_breakpoints(
+    pointwise: Pointwise,
+    path: PiecewisePolynomial,
+    momentum: np.ndarray,
+    parameters: tuple[float, ...] | None,
+    tol: float,
+) -> dict[str, np.ndarray]:
+    """The same without breakpoints.
+
+    Where the momentum p of a joint differs from ∂L/∂v at the path's own slope v there by δ, the energy is
+    p·v - L + δᵀ(∂²L/∂v²)⁻¹δ/2 up to terms of third order.
     """
     coarse, fine, steps = gauss(path.degree), gauss(path.degree + 1), np.diff(path.mesh)
     parts = np.array([0.0, 1.0, *fine.points, *coarse.points])
@@ -109,7 +130,7 @@ def witnesses(
 
     lagrangian, _, slope, *blocks = evaluate(pointwise.derivatives)
     of_steps = np.append(steps, steps[-1])
-    mass = _dense(pointwise, [at_joints(block) * of_steps for block in blocks])
+    mass = pointwise.mass([at_joints(block) * of_steps for block in blocks])
     velocity, missing = at_joints(v), momentum - at_joints(slope)
     correction = np.einsum("it,tij,jt->t", missing, np.linalg.pinv(mass, rcond=EPS, hermitian=True), missing) / 2
     kinetic = np.sum(momentum * velocity, axis=0)
@@ -127,15 +148,3 @@ def witnesses(
     change = np.abs(integral(lagrangian) - coarser) / (mean * float(np.sum(steps)))
     change = np.where(np.isfinite(change), change, np.inf)
     return {"balance of energy": balance.missed(tol), "action by a finer rule": change / ACTION}
-
-
-def _dense(pointwise: Pointwise, blocks: list[np.ndarray]) -> np.ndarray:
-    """Mass matrices ∂²L/∂v², (K, d, d), from the stored entries of the blocks; zero where L is linear in v."""
-    d, count = pointwise.stored.size1(), blocks[0].shape[1]
-    mass = np.zeros((count, d, d))
-    if (1, 1) in pointwise.blocks:
-        rows, columns = (np.array(index, dtype=int) for index in pointwise.stored.get_triplet())
-        entries = blocks[pointwise.blocks.index((1, 1))].T
-        mass[:, rows, columns] = entries
-        mass[:, columns, rows] = entries
-    return mass

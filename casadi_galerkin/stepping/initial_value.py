@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.mesh_adaptation import HIGHER, interval_maxima, of_degree
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import HELD, motion_of, tangent_momenta
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
-from casadi_galerkin.problems.problem import check_types
+from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate, velocities
+from casadi_galerkin.problems.problem import Problem, check_types
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.stationarity import ROUNDOFF
 from casadi_galerkin.stepping.stepper import Roll, Stepper
-
-DEGENERATE = 1e-13  # reciprocal condition of the scaled mass matrix below which no velocity belongs to a momentum
 
 
 def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbose: int = 0) -> Trajectory:
@@ -57,7 +58,7 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     return path
 
 
-def stepper_of(problem: InitialProblem | BoundaryProblem, method: Galerkin) -> Stepper:
+def stepper_of(problem: Problem, method: Galerkin) -> Stepper:
     """The step of a problem, with its parameters put in."""
     functions = problem.lagrangian, problem.force, problem.constraint
     given = [f if f is None else with_parameters(f, problem.parameters) for f in functions]
@@ -68,22 +69,26 @@ def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
     """Momentum and velocity (d,) at the start, one from the other through p = ∂L/∂v."""
     legendre = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
     x, start = np.array(problem.position), problem.t_span[0]
+
+    def checked(v: np.ndarray) -> np.ndarray:
+        """The momentum of a velocity; refuses a singular mass matrix there."""
+        p, mass = (np.array(a) for a in legendre(start, x, v))
+        refuse_degenerate(mass, f"at the start, x = {x}, v = {v}")
+        return p.ravel()
+
     if problem.velocity is not None:
         v = np.array(problem.velocity)
-        p, mass = (np.array(a) for a in legendre(start, x, v))
-        refuse_degenerate(mass, x, v)
         refuse_off_constraint(problem, x, v)
-        return p.ravel(), v
+        return checked(v), v
     p, rest = np.array(problem.momentum), np.zeros(len(x))
     motion = motion_of(problem)
     if motion is not None:
-        times = np.array([start])
-        p = tangent_momenta(motion, times, x[:, None], p[:, None], rest[:, None])[:, 0]
-    refuse_degenerate(legendre(start, x, rest)[1].full(), x, rest)
+        p = tangent_momenta(motion, np.array([start]), x[:, None], p[:, None], rest[:, None])[:, 0]
+    checked(rest)
     v = velocities(legendre, np.array([start]), x[:, None], p[:, None], rest[:, None])[:, 0]
     if np.isnan(v).any():
         raise ValueError(f"no velocity was found that has the momentum {p} at the start, x = {x}; give the velocity")
-    refuse_degenerate(legendre(start, x, v)[1].full(), x, v)
+    checked(v)
     return p, v
 
 
@@ -98,22 +103,6 @@ def refuse_off_constraint(problem: InitialProblem, x: np.ndarray, v: np.ndarray)
             f"the velocity must be tangent to the constraint, ∂g/∂x·v + ∂g/∂t = 0, got {rate.ravel().tolist()} for "
             f"v = {v.tolist()}"
         )
-
-
-def refuse_degenerate(mass: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
-    """Raise a ValueError if the mass matrix is singular, whatever the units of the components."""
-    where = f"at the start, x = {x}, v = {v}"
-    if not np.all(np.isfinite(mass)):
-        raise ValueError(f"the lagrangian must be finite with its derivatives {where}; its mass matrix is {mass}")
-    rows = np.sqrt(np.max(np.abs(mass), axis=1))
-    if np.all(rows > 0):
-        singular = np.linalg.svd(mass / rows[:, None] / rows, compute_uv=False)
-        if singular[-1] > DEGENERATE * singular[0]:
-            return
-    raise ValueError(
-        f"the lagrangian is degenerate: its mass matrix ∂²L/∂v² is singular {where}, so its momenta do not determine "
-        f"the velocities; got {mass.tolist()}"
-    )
 
 
 def verified(roll: Roll, stepper: Stepper) -> Roll:
@@ -140,6 +129,19 @@ def path_of(roll: Roll, stepper: Stepper, count: int) -> PiecewisePolynomial:
     return PiecewisePolynomial(roll.mesh[: count + 1], nodes, values)
 
 
+def error_of_steps(path: Trajectory) -> float:
+    """Estimate the relative error of a path of steps: see `Trajectory.estimate_error`."""
+    higher = of_degree(path.method.degree + HIGHER)
+    stepper = stepper_of(path.problem, higher)
+    roll = stepper.roll(path.x[:, 0], path.momentum[:, 0], path.velocity[:, 0], path.t)
+    if roll.verified < len(path.t) - 1:
+        return math.inf
+    finer, nodes = path_of(roll, stepper, len(path.t) - 1), higher.element.nodes
+    change = PiecewisePolynomial(path.t, nodes, finer.values - path.polynomial.at(nodes))
+    sizes = component_sizes(path.polynomial.values)[:, None]
+    return path.doubted(float(np.max(interval_maxima(change) / sizes)))
+
+
 def trajectory(
     problem: InitialProblem | BoundaryProblem,
     stepper: Stepper,
@@ -161,4 +163,5 @@ def trajectory(
         solve_seconds=solve_seconds,
         method=stepper.method,
         problem=problem,
+        find_error=error_of_steps,
     )

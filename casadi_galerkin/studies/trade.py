@@ -138,7 +138,9 @@ def trade(
     paths = [cell.path for cell in cells if cell.path is not None]
     if not paths:
         raise ConvergenceError(f"no cell of the trade was solved; the first: {cells[0].failure}")
-    described, own = "given", 0.0
+    described, own = "given", getattr(reference, "error_estimate", None) or 0.0
+    if own:
+        described = f"given, own error {own:.1e}"
     if reference is None:
         reference, own = finer(problem, paths, guess)
         described = f"{reference.method} on {len(reference.t) - 1} intervals, own error {own:.1e}"

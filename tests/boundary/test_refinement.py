@@ -15,6 +15,7 @@ WORST = 5.0  # no success may have an error above this many tolerances
 MOSTLY = 0.95  # part of the runs whose error is at most the tolerance
 SHARP = (0.2, 100.0)  # estimated over true error
 ORACLE = 2e-13  # relative; below it, neither the reference paths nor the arithmetic tell errors apart
+EPS = float(np.finfo(float).eps)
 PER_INTERVAL = 50  # samples, so that there are about a thousand along a path
 
 
@@ -292,3 +293,41 @@ def test_an_estimate_without_a_newton_step_is_infinite():
     refinement = BoundaryRefinement(problem, 1e-3, method, cg.newton, cg.Limits(), verbose=0)
     line = cg.transcribe(problem, method, 4).guess_on_mesh(None, np.linspace(0, 1, 5))
     assert refinement.error(line) == np.inf
+
+
+def kink(half):
+    """The kink of φ⁴ between the times ±half, whose place is fixed by what is left of its tails."""
+    ends = [float(np.tanh(side * half / np.sqrt(2))) for side in (-1, 1)]
+    return cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 + (x[0] ** 2 - 1) ** 2 / 4, (-half, half), ends[:1], ends[1:]
+    )
+
+
+def nearly_conjugate(gap):
+    end = np.pi - gap
+    return cg.BoundaryProblem(oscillator, (0, end), [0.0], [float(np.sin(end))])
+
+
+@pytest.mark.parametrize(
+    ("problem", "tol"),
+    [(nearly_conjugate(gap), tol) for gap, tol in [(1e-4, 1e-12), (1e-6, 1e-11), (1e-8, 1e-9), (1e-10, 1e-7)]]
+    + [(kink(half), tol) for half, tol in [(6, 1e-12), (8, 1e-9), (10, 1e-9)]]
+    + [(BY_NAME["short pendulum"].problem, 1e-17)],
+)
+def test_a_tolerance_below_the_roundoff_floor_is_refused_before_a_mesh_is_refined_for_it(problem, tol):
+    with pytest.raises(cg.LimitReached, match="is the roundoff floor here, on any mesh") as caught:
+        cg.solve(problem, tol=tol)
+    assert len(caught.value.path.t) < 400  # it went up to 25,588
+
+
+@pytest.mark.parametrize("gap", [10.0**-k for k in np.arange(2, 11.5, 0.5)])
+@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
+def test_no_lucky_estimate_is_accepted_near_a_conjugate_point(gap, tol):
+    """At a gap of 1e-10 a tolerance of 1e-6 was missed by a factor of 5.7, by one noisy estimate of many."""
+    problem = nearly_conjugate(gap)
+    try:
+        path = cg.solve(problem, tol=tol)
+    except cg.LimitReached:
+        assert tol < 200 * EPS / gap  # nothing that could be reached is refused
+        return
+    assert relative_error(path, lambda t: np.sin(t)[None]) <= WORST * tol

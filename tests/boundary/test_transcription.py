@@ -171,3 +171,27 @@ def test_pattern_shows_every_nonzero_of_the_hessian():
     np.testing.assert_array_equal(shown, np.array(ca.DM(sparsity, 1).full(), dtype=bool))
     assert axes.get_ylim()[0] > axes.get_ylim()[1], "row 0 is on top"
     assert f"{sparsity.nnz()} nonzeros" in axes.get_title()
+
+
+DEGENERATE = {
+    "one direction": lambda t, x, v: (v[0] + v[1]) ** 2 / 2 - ca.dot(x, x) / 2,
+    "linear in v": lambda t, x, v: (x[0] * v[1] - x[1] * v[0]) / 2 - ca.dot(x, x) / 2,
+    "of degree one": lambda t, x, v: ca.sqrt(v[0] ** 2 + ca.sin(1 + x[0]) ** 2 * v[1] ** 2),
+    "small units": lambda t, x, v: 1e-20 * (v[0] + 1e12 * v[1]) ** 2 / 2 - x[0] ** 2 / 2,
+}
+
+
+@pytest.mark.parametrize("discretisation", [{"method": cg.Galerkin(4), "intervals": 8}, {"tol": 1e-6}], ids=str)
+@pytest.mark.parametrize("end", [[1.0, 0.2], [1.0, 1.0], [1.0, None]])
+@pytest.mark.parametrize("name", DEGENERATE)
+def test_a_degenerate_lagrangian_is_refused_before_anything_is_solved(name, end, discretisation):
+    """It has no path between most ends; a zigzag that followed the mesh was returned, of Morse index 26, 35, 71."""
+    problem = cg.BoundaryProblem(DEGENERATE[name], (0, 1), [0.0, 0.0], end)
+    with pytest.raises(ValueError, match=r"degenerate: its mass matrix .* is singular wherever it was tried"):
+        cg.solve(problem, **discretisation)
+
+
+def test_a_mass_that_vanishes_at_single_points_is_no_degenerate_lagrangian():
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 4 / 4 + x[0] ** 2 / 2, (0, 1), [0.0], [1.0])
+    path = cg.solve(problem, cg.Galerkin(6), intervals=8)
+    np.testing.assert_allclose(path.energy, path.energy[0], rtol=1e-6, atol=0)

@@ -8,6 +8,7 @@ import pytest
 from scenes import oscillator_problem
 
 import casadi_galerkin as cg
+from casadi_galerkin.functional.numbering import KEPT
 
 METHOD = cg.Galerkin(2)
 
@@ -301,3 +302,13 @@ def test_derivatives_by_the_joints_are_those_of_the_action_through_the_graph():
     built = np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1)
     np.testing.assert_allclose(slope, expected_slope.ravel(), rtol=0, atol=ROUNDOFF * np.max(np.abs(expected_slope)))
     np.testing.assert_allclose(built, expected, rtol=0, atol=ROUNDOFF * np.max(np.abs(expected)))
+
+
+def test_a_graph_outlives_the_cache_of_its_symbols():
+    """A descent builds more graphs than are kept; Newton's method on an earlier one then met foreign symbols."""
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0, 1), [0.0], [1.0])
+    early = cg.transcribe(problem, cg.Galerkin(2), 5)
+    early.gradient  # noqa: B018  its symbols are made
+    for intervals in range(6, 6 + 2 * KEPT):
+        cg.transcribe(problem, cg.Galerkin(2), intervals).gradient  # noqa: B018
+    np.testing.assert_array_equal(early.solve().x, cg.transcribe(problem, cg.Galerkin(2), 5).solve().x)

@@ -1,5 +1,7 @@
 """Witnesses against paths whose error estimate is fooled: kinks, steps, singularities; none against smooth paths."""
 
+import re
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -62,8 +64,9 @@ def test_a_step_in_time_is_refused_with_its_time(when):
     problem = cg.BoundaryProblem(
         lambda t, x, v: v[0] ** 2 / 2 - ca.if_else(t < when, 1, 3) * x[0] ** 2 / 2, (0, 2), [1.0], [-0.5]
     )
-    with pytest.raises(cg.LimitReached, match=rf"near t = {when:.2g}.*breakpoint"):
+    with pytest.raises(cg.LimitReached, match=r"near t = .*breakpoint") as caught:
         cg.solve(problem, tol=1e-3)
+    assert float(re.search(r"near t = (\S+),? ", str(caught.value))[1].rstrip(".,")) == pytest.approx(when, abs=1e-3)
 
 
 @pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9, 1e-12])
@@ -87,8 +90,10 @@ def test_a_step_in_time_that_is_named_is_resolved(when, tol):
     assert abs(y[0] + 0.5) <= 10 * tol + 1e-11
 
 
-@pytest.mark.parametrize("tol", [1e-6, 1e-9])
-@pytest.mark.parametrize(("start", "end", "duration"), [(0.5, -0.5, 1.0), (1.0, -2.0, 3.0), (0.3, -0.7, 1.5)])
+@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize(
+    ("start", "end", "duration"), [(0.7, -0.7, 1.5), (0.5, -0.5, 1.0), (1.0, -2.0, 3.0), (0.3, -0.7, 1.5)]
+)
 def test_no_path_through_the_sun_is_returned(start, end, duration, tol):
     """From the straight line all of these were returned, with an estimate below the tolerance."""
     problem = cg.BoundaryProblem(
