@@ -344,6 +344,9 @@ class Transcription:
         solution, data = point.solution, point.data
         refuse_undefined(self.functional, solution, point.polynomial, data)
         self.refuse_conjugate(point)
+        problem, mesh = point.problem, point.polynomial.mesh
+        if self.numbering.stretched:
+            problem = problem.varied({}, (float(mesh[0]), float(mesh[-1])))
         return Trajectory(
             polynomial=point.polynomial,
             momentum=point.momentum,
@@ -354,8 +357,8 @@ class Transcription:
             build_seconds=self.build_seconds,
             solve_seconds=solve_seconds,
             method=self.method,
-            problem=point.problem,
-            count_negative=MorseIndex(self, point.problem, point.polynomial),
+            problem=problem,
+            second_variation=SecondVariation(self, problem, point.polynomial),
             find_error=error_between_ends,
         )
 
@@ -391,8 +394,8 @@ class Transcription:
         )
 
 
-class MorseIndex:
-    """Counts the negative eigenvalues of a path's Hessian; pickled without the graph, which is then built again.
+class SecondVariation:
+    """What tells how the action varies about a path; pickled without the graph, which is then built again.
 
     Parameters
     ----------
@@ -405,12 +408,21 @@ class MorseIndex:
         self._transcription: Transcription | None = transcription
         self._problem, self._method, self._path = problem, transcription.method, path
 
-    def __call__(self) -> int | None:
-        """Number of negative eigenvalues, or None where there is no finite one."""
+    def _at_path(self) -> tuple[Stationarity, np.ndarray, Data]:
+        """The graph's conditions, unknowns and data at the path."""
         problem, mesh = self._problem, self._path.mesh
         graph = self._transcription or transcribed(problem, self._method, None, mesh, one_by_one)
         data = graph.data(mesh, problem, graph.plane(self._path))
-        index = negative_eigenvalues(graph.stationarity, graph.unknowns(self._path.values.T, data), data)
+        return graph.stationarity, graph.unknowns(self._path.values.T, data), data
+
+    def smallest(self) -> float:
+        """Smallest second variation relative to the sizes of its terms; see `softest`."""
+        return smallest_second_variation(*self._at_path())
+
+    def negative(self) -> int | None:
+        """Number of negative eigenvalues, or None where there is no finite one."""
+        problem, mesh = self._problem, self._path.mesh
+        index = negative_eigenvalues(*self._at_path())
         if not index:
             return index
         transform = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import casadi as ca
 import numpy as np
@@ -32,8 +32,14 @@ UNRESOLVED = 1e-3  # part of a component that the polynomials leave out from whi
 TELLS = 1e-3  # a balance of energy that rounding alone misses by more tells nothing
 
 
-def _no_index() -> None:
-    """Steps have none."""
+class SecondVariation(Protocol):
+    """How the action varies about a path, found when it is asked for."""
+
+    def negative(self) -> int | None:
+        """Number of negative eigenvalues of the Hessian, or None where there is no finite one."""
+
+    def smallest(self) -> float:
+        """Smallest second variation relative to the sizes of its terms."""
 
 
 def _no_error(path: Trajectory) -> float:
@@ -58,7 +64,7 @@ class Trajectory(Path):
     method : Galerkin
     problem : what was solved, with the ends, parameters and times that it was solved for
     error_estimate : estimated relative error of x, at the joints and between them; None before `estimate_error`
-    count_negative : finds `morse_index`
+    second_variation : finds `morse_index` and `regularity`; None for steps
     find_error : estimates the error of this path
     """
 
@@ -72,7 +78,7 @@ class Trajectory(Path):
     method: Galerkin
     problem: Problem
     error_estimate: float | None = None
-    count_negative: Callable[[], int | None] = field(default=_no_index, repr=False)
+    second_variation: SecondVariation | None = field(default=None, repr=False)
     find_error: Callable[[Trajectory], float] = field(default=_no_error, repr=False)
 
     def estimate_error(self) -> float:
@@ -103,9 +109,19 @@ class Trajectory(Path):
     def morse_index(self) -> int | None:
         """Number of negative eigenvalues of the action's Hessian, 0 for a local minimum; found when first asked for.
 
-        None for steps, and where ∂²L/∂v² is not positive at every joint, so that no finer mesh has a finite index.
+        None for steps, under a force, which makes the equations those of no action, and where ∂²L/∂v² is not positive
+        at every joint, so that no finer mesh has a finite index.
         """
-        return self.count_negative()
+        return None if self.second_variation is None else self.second_variation.negative()
+
+    @lazy
+    def regularity(self) -> float | None:
+        """Smallest second variation relative to the sizes of its terms; found when first asked for.
+
+        It is zero at a conjugate point, and tells how well the ends determine the path: errors are magnified by its
+        inverse.  Under a force it is that of the equations' Jacobian, between its softest directions.  None for steps.
+        """
+        return None if self.second_variation is None else self.second_variation.smallest()
 
     @property
     def lagrangian(self) -> ca.Function:
@@ -229,8 +245,10 @@ class Trajectory(Path):
     def __repr__(self) -> str:
         """Summarise path and solve in a few lines."""
         size, energy = len(self.x), self.energy
-        saddle = "no Morse index" if self.morse_index is None else f"a saddle of Morse index {self.morse_index}"
-        kind = "a local minimum" if self.morse_index == 0 else saddle
+        kind = "a local minimum" if self.morse_index == 0 else f"a saddle of Morse index {self.morse_index}"
+        if self.morse_index is None:
+            least = "" if self.regularity is None else f", its smallest variation is {self.regularity:.0e} of its terms"
+            kind = f"no Morse index{least}"
         return "\n".join(
             [
                 f"Trajectory of {size} component{'s' if size > 1 else ''} on [{self.t[0]:g}, {self.t[-1]:g}], "
