@@ -40,6 +40,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.constrained_motion import moving_motion_of
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
@@ -144,7 +145,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """What two degrees may miss alike, a kink of L or a jump over a singularity, by interval; (N,) each."""
         problem = self.levels.problem
         given = level.polynomial, level.momentum, problem.parameters, self.tol, problem.breakpoints
-        return witnesses(pointwise(problem.lagrangian, problem.force), *given)
+        return witnesses(pointwise(problem.lagrangian, problem.force), *given, moving_motion_of(problem))
 
     def _left_out_for(self, missed: np.ndarray, degree: int) -> np.ndarray:
         """What would have intervals split in proportion to the energy they miss, which at a kink falls like h."""

@@ -108,6 +108,19 @@ def multipliers(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray
     return np.asarray(solved[:, len(x) :, 0].T)
 
 
+def moving_motion_of(problem: Problem) -> ca.Function | None:
+    """`motion_of` a problem whose constraint moves with time, and so does work; None for all others."""
+    moves = problem.constraint is not None and problem.constraint.sparsity_jac(0, 0).nnz() > 0
+    return motion_of(problem) if moves else None
+
+
+def work_of_constraint(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """λ·∂g/∂t, the rate at which a constraint that moves takes energy from the path; (K,), arguments as before."""
+    matrix, _, rate, _, _ = _at(motion, t, x, v)
+    moved = rate - np.einsum("kij,jk->ki", matrix[:, len(x) :, : len(x)], v)  # G v + ∂g/∂t less G v
+    return np.asarray(np.sum(multipliers(motion, t, x, v) * moved.T, axis=0))
+
+
 def check_constraint(problem: Problem, given: Mapping[str, tuple[float, tuple[float, ...]]]) -> None:
     """Refuse more constraints than a path can hold, given positions that are off it, and redundant constraints there.
 

@@ -25,6 +25,7 @@ from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.functional.pointwise import Pointwise
+from casadi_galerkin.problems.constrained_motion import work_of_constraint
 
 ACTION = 0.1  # part of the tolerance by which an action may change; smooth paths were measured below 0.03
 
@@ -75,6 +76,7 @@ def witnesses(
     parameters: tuple[float, ...] | None,
     tol: float,
     breakpoints: Sequence[float] = (),
+    moving: ca.Function | None = None,
 ) -> dict[str, np.ndarray]:
     """What each witness says against a path, by interval and relative to the sizes of its terms; (N,) each.
 
@@ -86,10 +88,11 @@ def witnesses(
     parameters : values of p
     tol : relative tolerance
     breakpoints : joints between which the balance is drawn up; at a step of L in time the energy jumps
+    moving : `moving_motion_of` the problem
     """
     joints = [0, *np.searchsorted(path.mesh, breakpoints), len(path.mesh) - 1]
     parts = [
-        _between_breakpoints(pointwise, path.between(i, j), momentum[:, i : j + 1], parameters, tol)
+        _between_breakpoints(pointwise, path.between(i, j), momentum[:, i : j + 1], parameters, tol, moving)
         for i, j in pairwise(joints)
     ]
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -101,6 +104,7 @@ def _between_breakpoints(
     momentum: np.ndarray,
     parameters: tuple[float, ...] | None,
     tol: float,
+    moving: ca.Function | None,
 ) -> dict[str, np.ndarray]:
     """The same without breakpoints.
 
@@ -136,6 +140,9 @@ def _between_breakpoints(
     kinetic = np.sum(momentum * velocity, axis=0)
     energy = kinetic - at_joints(lagrangian)[0] / of_steps + correction
     supplied = 0 * steps if pointwise.supplied is None else integral(evaluate(pointwise.supplied)[0])
+    if moving is not None:
+        rate = work_of_constraint(moving, times, x.reshape(len(x), -1), v.reshape(len(v), -1))
+        supplied = supplied + steps * integral(rate.reshape(1, len(steps), len(parts)))
     speed, mass = np.abs(velocity), np.abs(mass)
     # p·v may be a small difference of its terms
     local = np.abs(kinetic) + np.abs(energy) + np.einsum("it,tij,jt->t", speed, mass, speed)
