@@ -1,5 +1,7 @@
 """Guesses: of every kind, stretched and bent to the problem, or refused."""
 
+import math
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from given import Series
 from scenes import BY_NAME, oscillator, oscillator_problem, pendulum
 
 import casadi_galerkin as cg
-from casadi_galerkin.solution.guess import guess_values
+from casadi_galerkin.solution.guess import guess_values, sampled
 
 METHOD = cg.Galerkin(2)
 TIME = ca.SX.sym("t")
@@ -93,3 +95,32 @@ def test_a_guess_that_misses_the_ends_is_bent_to_them():
 def test_a_callable_guess_returns_its_values_in_any_form(guess):
     calculus = cg.DiscreteCalculus(METHOD, [0.0, 0.5, 1.0])
     np.testing.assert_allclose(guess_values(guess, calculus, 1), [np.sin(calculus.node_times)], rtol=1e-15)
+
+
+class Counted:
+    """A guess that counts how often it is called."""
+
+    def __init__(self, function):
+        self.function, self.calls = function, 0
+
+    def __call__(self, t):
+        self.calls += 1
+        return self.function(t)
+
+
+@pytest.mark.parametrize(
+    ("function", "most"),
+    [
+        (lambda t: [np.sin(t), 2 * t], 4),  # all at once, and three to see whether that is what it means
+        (lambda t: np.interp(t, [0.0, 1.0, 2.0], [0.0, 3.0, 1.0]) * np.ones((2, *np.shape(t))), 4),
+        (lambda t: [math.sin(t), 2 * t], 22),  # of one time only
+        (lambda t: [0.5, 2 * t], 22),
+        (lambda t: [0.5, 0.0] if t < 1 else [0.0, t], 22),
+        (lambda t: [t * np.max(t), t], 25),  # takes an array, but not as so many times
+    ],
+)
+def test_a_callable_is_called_once_for_all_times_where_it_can_be(function, most):
+    times, guess = np.linspace(0.0, 2.0, 21), Counted(function)
+    found = sampled("the guess", guess, times, 2)
+    np.testing.assert_allclose(found, np.transpose([function(t) for t in times.tolist()]), rtol=1e-15)
+    assert guess.calls <= most
