@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.solvers.threads import within_ipopt
+from casadi_galerkin.solvers.threads import fork_waits
 
 ITERATION_LIMIT = 500  # the scenes take 5 to 100; a problem without a bound from below walks on for ever
 TOLERANCE = 1e-12  # of IPOPT's scaled optimality error; at 1e-10 costs were seen to be wrong by 3e-9
@@ -106,7 +106,7 @@ def interior_point(program: Program, verbose: int, given: Mapping[str, Any]) -> 
 
 def optimize(solver: ca.Function, guess: np.ndarray, data: np.ndarray, limits: ProgramBounds) -> Optimum:
     """Run the solver from a guess."""
-    with within_ipopt:
+    with fork_waits:
         answer = solver(
             x0=guess,
             p=data,

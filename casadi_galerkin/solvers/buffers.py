@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.solvers.threads import one_thread
+from casadi_galerkin.solvers.threads import fork_waits, one_thread
 
 
 class Evaluator:
@@ -22,12 +22,11 @@ class Evaluator:
     Attributes
     ----------
     inputs, outputs : arrays of what is not bound
-    run : evaluates from and to all arrays, without a look at whether it was aborted
     """
 
     def __init__(self, function: ca.Function, bound: Mapping[str, np.ndarray] | None = None) -> None:
         self._function = function  # the buffer does not keep it alive
-        self._buffer, self.run = function.buffer()
+        self._buffer, self._run = function.buffer()
         names = (function.name_in(), function.name_out())
         sizes = (function.nnz_in, function.nnz_out)
         own: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
@@ -39,6 +38,11 @@ class Evaluator:
                     own[side].append(array)
                 bind(i, memoryview(array))
         self.inputs, self.outputs = own
+
+    def run(self) -> None:
+        """Evaluate from and to all arrays, without a look at whether it was aborted."""
+        with fork_waits:
+            self._run()
 
     def __call__(self, *arguments: np.ndarray) -> list[np.ndarray]:
         """Evaluate; the returned arrays are copies."""

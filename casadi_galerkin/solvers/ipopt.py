@@ -15,7 +15,7 @@ from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 from casadi_galerkin.solvers.stationarity import Stationarity
-from casadi_galerkin.solvers.threads import within_ipopt
+from casadi_galerkin.solvers.threads import fork_waits
 
 DEFAULTS = {"sb": "yes", "tol": 1e-10, "max_iter": 500}
 DIVERGED = "Diverging Iterates"  # at numbers so large that nothing is left to polish
@@ -64,7 +64,7 @@ def _interior_point(
     with stationarity.linearization() as at:
         key = f"ipopt {minimize} {verbose > 1} {sorted(options.items())}"
         solver = at.keep(key, lambda: _nlpsol(stationarity.functional, minimize, verbose, options))
-        with within_ipopt:
+        with fork_waits:
             first = {"x0": guess / sizes}
             if minimize and held:
                 first = {"x0": first["x0"][:positions], "lam_g0": first["x0"][positions:]}

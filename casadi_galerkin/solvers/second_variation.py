@@ -9,6 +9,7 @@ import numpy as np
 
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.stationarity import Linearization, Stationarity, joined
+from casadi_galerkin.solvers.threads import fork_waits
 
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
 SOFTENED = 1e-8  # part of the second variation by which a condition is softened to count negative eigenvalues
@@ -49,7 +50,7 @@ def softest(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.nda
 
 def smallest_second_variation(stationarity: Stationarity, unknowns: np.ndarray, data: Data) -> float:
     """Smallest second variation relative to the sizes of its terms, as `softest` finds it."""
-    with stationarity.linearization() as at:
+    with fork_waits, stationarity.linearization() as at:
         return softest(at, unknowns, data)[1]
 
 
@@ -67,10 +68,16 @@ def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data:
         return None
     if len(unknowns) == 0:
         return 0
-    matrix = functional.function("derivatives").call([unknowns, *data])[0]
-    numbering = functional.numbering
-    if not numbering.multipliers:
-        return linear.negative_eigenvalues(matrix)
+    with fork_waits:
+        matrix = functional.function("derivatives").call([unknowns, *data])[0]
+        if functional.numbering.multipliers:
+            matrix = matrix + _softening(stationarity, matrix, unknowns, data)
+        return linear.negative_eigenvalues(matrix) - functional.numbering.multipliers
+
+
+def _softening(stationarity: Stationarity, matrix: ca.DM, unknowns: np.ndarray, data: Data) -> ca.DM:
+    """What stands in the place of the zeros on the diagonal of the multipliers; sparse."""
+    linear, numbering = stationarity.linear_solver, stationarity.functional.numbering
     sizes = stationarity.sizes(unknowns, data)
     measured = np.where(np.isfinite(sizes), sizes, 0.0)
     rows = np.array(linear.abs_hessian_product(matrix, measured)).ravel()
@@ -78,4 +85,4 @@ def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data:
     held = slice(numbering.positions, numbering.positions + numbering.multipliers)
     softened = np.zeros(len(unknowns))
     softened[held] = -SOFTENED * rows[held] ** 2 / action
-    return linear.negative_eigenvalues(matrix + ca.diag(ca.sparsify(ca.DM(softened)))) - numbering.multipliers
+    return ca.diag(ca.sparsify(ca.DM(softened)))

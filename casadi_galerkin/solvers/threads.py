@@ -1,11 +1,12 @@
-"""What CasADi shares with the whole process: the threads of its OpenBLAS, and the lock of IPOPT.
+"""What CasADi shares with the whole process: the threads of its OpenBLAS, and locks of its own.
 
 From some 250,000 multiplications on it shares a product among all cores.  Those of a Newton iteration are small: on two
 cores it was no faster and took twice the processor time, and beside another busy pool of threads, such as SciPy's, a
 solve took 22 ms instead of 3.  Other users of the library are not asked, so the number is put back.
 
-CasADi lets one thread at a time into IPOPT, by a lock of its own.  A process that is forked meanwhile would find it
-taken for ever: a fork waits until IPOPT is left.
+CasADi lets one thread at a time into IPOPT, and takes short locks whenever a Function is evaluated.  A process that is
+forked beside a thread that holds one would find it taken for ever: 2 of 450 forked children hung.  A fork waits until
+what runs without Python's own lock, IPOPT and evaluations of buffers, is left.
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ def one_thread() -> Iterator[None]:
         use(several)
 
 
-within_ipopt = threading.RLock()  # held wherever IPOPT is called
+fork_waits = threading.RLock()  # held wherever CasADi runs without Python's own lock
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(
-        before=within_ipopt.acquire, after_in_parent=within_ipopt.release, after_in_child=within_ipopt.release
+        before=fork_waits.acquire, after_in_parent=fork_waits.release, after_in_child=fork_waits.release
     )
