@@ -182,11 +182,12 @@ class LinearSolver:
 
 
 @lru_cache(KEPT)
-def _kept(numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...], symmetric: bool) -> LinearSolver:
+def of_pattern(numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...], symmetric: bool) -> LinearSolver:
+    """The linear algebra of a sparsity without further terms, kept; arguments as for `hessian_pattern`."""
     return LinearSolver(numbering, hessian_pattern(numbering, colind, row, symmetric).sparsity)
 
 
 def linear_solver(functional: Functional) -> LinearSolver:
     """The linear algebra of a functional; the same for all that have no further terms and the same sparsity."""
     plain = not (functional.terms or functional.numbering.stretched)
-    return _kept(*functional.pattern_key) if plain else LinearSolver(functional.numbering, functional.sparsity)
+    return of_pattern(*functional.pattern_key) if plain else LinearSolver(functional.numbering, functional.sparsity)

@@ -91,7 +91,7 @@ def forget():
         embedding.summation,
         embedding.assembly,
         embedding.hessian_pattern,
-        linear_solver.linear_solver,
+        linear_solver.of_pattern,
     ):
         kept.cache_clear()
 
