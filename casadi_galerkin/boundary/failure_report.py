@@ -10,7 +10,7 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.embedding import embedding
 from casadi_galerkin.functional.functional import Functional
-from casadi_galerkin.functional.numbering import Data, clock, joints_of
+from casadi_galerkin.functional.numbering import Data, Numbering, clock, joints_of
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
@@ -75,15 +75,27 @@ def explained(
     if failure.singular:
         return ConjugatePointError(
             f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free: "
-            "move an end, change the time span, or fix that component",
+            f"move an end, change the time span, or fix that component{_about_conditions(numbering)}",
             Path(path),
             float(residual[worst]),
             failure.iterations,
         )
     return ConvergenceError(
         f"no path was found: {failure} ({where}). Try a guess nearer to the path, more intervals, "
-        "or a shorter time span; there may be no path between these ends",
+        f"or a shorter time span; there may be no path between these ends{_about_conditions(numbering)}",
         Path(path),
         float(residual[worst]),
         failure.iterations,
     )
+
+
+def _about_conditions(numbering: Numbering) -> str:
+    """What else may be wrong where a problem states conditions or an energy."""
+    words = []
+    if numbering.multipliers:
+        words.append(
+            "the constraints and the conditions on the ends may contradict one another, or say one thing twice"
+        )
+    if numbering.stretched:
+        words.append("there may be no path of this energy")
+    return "".join(f"; {each}" for each in words)

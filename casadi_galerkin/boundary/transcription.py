@@ -318,7 +318,7 @@ class Transcription:
         positions = np.asarray(values.ravel()[numbering.place])
         if numbering.free == numbering.positions:
             return positions
-        unknowns = np.concatenate((positions, np.zeros(numbering.multipliers), np.ones(int(numbering.stretched))))
+        unknowns = np.append(positions, np.zeros(numbering.free - numbering.positions))
         if numbering.multipliers:
             multipliers = slice(numbering.positions, numbering.positions + numbering.multipliers)
             with self.stationarity.linearization() as at:

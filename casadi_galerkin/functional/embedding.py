@@ -82,7 +82,7 @@ def embedded(numbering: Numbering) -> Embedded:
     }
     *values, mesh = symbols.values()
     u = ca.vertcat(*values)
-    joints = mesh[0] + symbols["unknowns"][-1] * (mesh - mesh[0]) if numbering.stretched else mesh
+    joints = mesh[0] + ca.exp(symbols["unknowns"][-1]) * (mesh - mesh[0]) if numbering.stretched else mesh
     steps = joints[1:] - joints[:-1]
     t = ca.repmat(joints[:-1], 1, len(points)) + _times(steps, points[None, :])
     times = [ca.reshape(t, 1, numbering.points), ca.repmat(steps.T, 1, len(points))]

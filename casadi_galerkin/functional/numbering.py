@@ -20,7 +20,7 @@ class Numbering:
     """Which entry of the vector u stands for which value of the path: X̄ = P ξ + c as a numbering.
 
     u holds the unknowns ξ, then the fixed components of the start, then those of the end.  ξ holds the free values of
-    the path in the order of time, then the multipliers, and last, where the duration is free, what stretches it.
+    the path in the order of time, then the multipliers, and last, where the duration is free, what stretches the mesh.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class Numbering:
     fixed_start, fixed_end : indices of the components that are given at the ends
     periodic : bool, whether the last joint is the first one; `fixed_start` then holds for both
     multipliers : int, unknowns beside the path
-    stretched : bool, whether the duration is an unknown, in units of the one that the mesh has
+    stretched : bool, whether the duration is unknown; the last of ξ is the logarithm of its ratio to that of the mesh
     """
 
     method: Galerkin
@@ -114,7 +114,7 @@ def kept(numbering: Numbering) -> Numbering:
 def joints_of(numbering: Numbering, unknowns: np.ndarray, data: Data) -> np.ndarray:
     """Joints of a path, (N + 1,): those of its mesh, stretched where the duration is free."""
     mesh = data[2]
-    return np.asarray(mesh[0] + unknowns[-1] * (mesh - mesh[0])) if numbering.stretched else mesh
+    return np.asarray(mesh[0] + np.exp(unknowns[-1]) * (mesh - mesh[0])) if numbering.stretched else mesh
 
 
 def clock(numbering: Numbering, mesh: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -42,7 +42,8 @@ class BoundaryProblem:
     force : callable (t, x, v) -> d generalised forces, that do the virtual work F·δx (Lagrange-d'Alembert)
     constraint : callable (t, x) -> k < d values that are zero all along the path (holonomic)
     start_velocity, end_velocity, start_momentum, end_momentum : d numbers each, None where nothing is given.  They
-        replace the natural condition of a component whose position is None
+        replace the natural condition of a component whose position is None.  Under a constraint only the tangent part
+        of a momentum counts, and velocities cannot be given
     end_action : callable (x_0, x_N) -> scalar φ, added to the action, so that p_0 = ∂φ/∂x_0 and p_N = -∂φ/∂x_N where
         the position is free: springs, costs of the end
     end_conditions : callable (x_0, x_N) -> values that are zero: an end on a curve, an end that is the start rotated.
@@ -215,6 +216,9 @@ def _check_ends(problem: BoundaryProblem) -> None:
     stated = [name for name in (*RATES, "end_action", "end_conditions") if says(getattr(problem, name))]
     if problem.periodic and stated:
         raise ValueError(f"a periodic path has no ends: leave out {', '.join(stated)}")
+    given = [name for name in RATES[:2] if says(getattr(problem, name))]
+    if problem.constraint is not None and given:
+        raise ValueError(f"a constraint leaves only tangent velocities: instead of {given[0]} give the momentum there")
     taken = []
     for side in ENDS:
         position, *rates = (getattr(problem, name) for name in (side, f"{side}_velocity", f"{side}_momentum"))
