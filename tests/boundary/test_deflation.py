@@ -279,3 +279,54 @@ def test_only_boundary_problems_have_several_paths():
     falling = cg.InitialProblem(pendulum, (0.0, 1.0), [0.0], velocity=[1.0])
     with pytest.raises(TypeError, match="problem must be a BoundaryProblem, got InitialProblem"):
         cg.paths(falling, cg.Galerkin(4), 4)
+
+
+def test_all_four_normals_from_a_point_inside_an_ellipse_are_found():
+    """Apollonius: from inside its evolute, four straight lines meet an ellipse at right angles."""
+    point, axes = np.array([0.3, 0.1]), np.array([2.0, 1.0])
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2,
+        (0.0, 1.0),
+        point.tolist(),
+        [None, None],
+        end_conditions=lambda x0, x1: (x1[0] / 2) ** 2 + x1[1] ** 2 - 1,
+    )
+    found = cg.paths(problem, cg.Galerkin(2), 4)
+    ends = np.array([path.x[:, -1] for path in found])
+    # the foot is the point stretched by a² / (a² + λ), for the real roots λ of a quartic
+    factors = [np.poly1d([1.0, square]) ** 2 for square in axes**2]
+    quartic = factors[0] * factors[1]
+    for other, square, x in zip(factors[::-1], axes**2, point, strict=True):
+        quartic = quartic - square * x**2 * other
+    roots = np.real(quartic.roots[np.isreal(quartic.roots)])
+    feet = point * axes**2 / (axes**2 + roots[:, None])
+    assert len(found) == len(feet) == 4
+    np.testing.assert_allclose(ends[np.argsort(ends[:, 0])], feet[np.argsort(feet[:, 0])], rtol=0, atol=1e-12)
+
+
+def test_paths_on_a_circle_in_the_plane_are_those_in_its_angle(swings):
+    """Up to whole turns: in the plane a swing that goes round and one that does not have the same ends."""
+
+    def pose(angle):
+        return [float(np.sin(angle)), float(-np.cos(angle))]
+
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - x[1],
+        LONG.t_span,
+        pose(0.0),
+        pose(1.0),
+        constraint=lambda t, x: ca.dot(x, x) - 1,
+    )
+    found = cg.paths(problem, cg.Galerkin(8), 30, count=4)
+    assert len(found) >= 2
+    for path in found:
+        angles = np.unwrap(np.arctan2(path.x[0], -path.x[1]))
+        if abs(angles[-1] - 1.0) < 1.0:  # no turn more: one of the swings
+            assert min(abs(path.action - swing.action) for swing in swings) < 1e-7
+            assert path.morse_index in [swing.morse_index for swing in swings]
+
+
+def test_a_periodic_problem_of_given_energy_needs_a_guess():
+    problem = cg.BoundaryProblem(pendulum, (0.0, 7.0), [None], periodic=True, energy=-0.5)
+    with pytest.raises(ValueError, match="paths takes no periodic problem of given energy"):
+        cg.paths(problem, cg.Galerkin(4), 10)

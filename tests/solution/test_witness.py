@@ -127,3 +127,35 @@ def test_joints_that_rounding_blurs_tell_nothing():
 def test_an_energy_that_is_not_a_number_is_a_miss():
     balance = EnergyBalance(np.array([1.0, np.nan, 1.0]), np.ones(3), np.zeros(3))
     assert np.all(np.isinf(balance.missed(1e-3)))
+
+
+def test_the_balance_holds_with_friction_and_under_a_constraint_that_moves():
+    """A force takes energy by its work, a constraint that moves gives some by its own."""
+
+    def length(t):
+        return 1 + 0.1 * t
+
+    def pose(t, angle):
+        return (length(t) * np.array([np.sin(angle), -np.cos(angle)])).tolist()
+
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - x[1],
+        (0.0, 2.0),
+        pose(0.0, 0.3),
+        pose(2.0, 1.4),
+        constraint=lambda t, x: ca.dot(x, x) - length(t) ** 2,
+        force=lambda t, x, v: -0.2 * v,
+    )
+    path = cg.solve(problem, tol=1e-10, guess=lambda t: pose(t, 0.3 + 0.55 * t))
+    assert len(path.t) < 20
+    assert np.ptp(path.energy) > 0.1
+    # the same in its angle, where the friction of the moving rod is a force of time
+    angle = cg.BoundaryProblem(
+        lambda t, x, v: (length(t) * v[0]) ** 2 / 2 + length(t) * ca.cos(x[0]),
+        (0.0, 2.0),
+        [0.3],
+        [1.4],
+        force=lambda t, x, v: -0.2 * length(t) ** 2 * v,
+    )
+    exact = cg.solve(angle, tol=1e-12)
+    np.testing.assert_allclose(np.arctan2(path.x[0], -path.x[1]), exact(path.t)[0], rtol=0, atol=1e-9)
