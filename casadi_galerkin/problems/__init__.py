@@ -1,5 +1,6 @@
 """What a user states, checked before anything is solved.
 
-A problem holds a Lagrangian L(t, x, v), traced once into a CasADi Function, with its ends, times, forces, costs and
-bounds.  The Legendre transform p = ∂L/∂v is here too.  This folder imports `calculus`.
+A problem holds a Lagrangian L(t, x, v), traced once into a CasADi Function, with its ends, times, forces, constraints,
+costs and bounds.  The Legendre transform p = ∂L/∂v is here too, and what a constraint makes of it at one instant.  This
+folder imports `calculus`.
 """
