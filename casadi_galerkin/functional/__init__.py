@@ -2,7 +2,7 @@
 
 `functional` says the paper's sentence: embed (`embedding`), evaluate pointwise (`pointwise`, `mapping`), integrate
 (`embedding` again).  Its gradient holds the discrete Euler-Lagrange equations (paper, eqs. euler1 and euler2).
-`statement` adds what a problem says more than L, ends, constraints and a given energy, as `local_terms` of the same sum.
+`statement` adds what a problem says more than L, such as ends and constraints, as `local_terms` of the same sum.
 `numbering` says which unknown is which value of the path, and `interval` writes the same equations as a map of one
 interval.
 This folder imports `calculus` and `problems`.

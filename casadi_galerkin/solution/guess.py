@@ -16,10 +16,9 @@ Guess = Callable[[float], ArrayLike] | ArrayLike | Path | PiecewisePolynomial
 
 
 def sampled(name: str, function: Callable[[float], ArrayLike], times: np.ndarray, dimension: int) -> np.ndarray:
-    """Values (d, K) of a path that is given as a callable, of one time or of an array of them."""
-
-    def at(t: float) -> np.ndarray:
-        """Value (d,) at one time."""
+    """Values (d, K) of a path that is given as a callable, called once for every time."""
+    values = np.empty((dimension, len(times)))
+    for k, t in enumerate(times.tolist()):
         try:
             value = function(t)
         except Exception as error:
@@ -28,22 +27,23 @@ def sampled(name: str, function: Callable[[float], ArrayLike], times: np.ndarray
         column = real_array(f"values of {name}", value)
         if column.shape != (dimension,):
             raise ValueError(f"{name} must return an array of shape ({dimension},), got {column.shape} at t = {t}")
-        return column
-
-    whole, tried = _at_once(function, times, dimension), [0, len(times) // 2, len(times) - 1]
-    if whole is not None and np.allclose(whole[:, tried].T, [at(t) for t in times[tried].tolist()], rtol=1e-12, atol=0):
-        return whole
-    return np.stack([at(t) for t in times.tolist()], axis=1)
+        values[:, k] = column
+    return values
 
 
-def _at_once(function: Callable[..., ArrayLike], times: np.ndarray, dimension: int) -> np.ndarray | None:
-    """Values (d, K) of a callable that takes an array of times; None of one that does not, or is not finite."""
+def guessed(function: Callable[..., ArrayLike], times: np.ndarray, dimension: int) -> np.ndarray:
+    """Values (d, K) of a guess, called once where it takes an array of times, which three of them are to confirm."""
     try:
         with np.errstate(all="ignore"):
-            values = np.asarray(function(times), dtype=float)
+            whole = np.asarray(function(times.copy()), dtype=float)  # it may write to what it is given
     except Exception:  # what a callable of one time makes of an array
-        return None
-    return values if values.shape == (dimension, len(times)) and np.isfinite(values).all() else None
+        return sampled("the guess", function, times, dimension)
+    tried = [0, len(times) // 2, len(times) - 1]
+    if whole.shape == (dimension, len(times)) and np.isfinite(whole).all():
+        one_by_one = sampled("the guess", function, times[tried], dimension)
+        if np.allclose(whole[:, tried], one_by_one, rtol=1e-12, atol=0):
+            return whole
+    return sampled("the guess", function, times, dimension)
 
 
 def meeting_ends(values: np.ndarray, parts: np.ndarray, ends: np.ndarray) -> np.ndarray:
@@ -93,7 +93,7 @@ def _values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndar
         stretched = old[0] + calculus.node_parts * (old[-1] - old[0])
         return path(times if same else np.clip(stretched, old[0], old[-1]))
     if callable(guess):
-        return sampled("the guess", guess, times, d)
+        return guessed(guess, times, d)
     array = real_array("the guess", guess)
     if array.shape == (d, len(times)):
         return array

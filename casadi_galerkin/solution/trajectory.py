@@ -21,7 +21,7 @@ from casadi_galerkin.problems.legendre_transform import legendre_transform, velo
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import FRAMES_A_SECOND, animate_linkage, plot_phase
-from casadi_galerkin.solution.witness import ACTION, witnesses
+from casadi_galerkin.solution.witness import ACTION, BALANCE, witnesses
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -97,7 +97,7 @@ class Trajectory(Path):
     def doubted(self, error: float) -> float:
         """An error, or what the witnesses miss where that is more."""
         missed = self._missed(max(error, EPS))
-        return max(error, missed["balance of energy"], missed["action by a finer rule"] * ACTION)
+        return max(error, missed["balance of energy"] * BALANCE, missed["action by a finer rule"] * ACTION)
 
     def _missed(self, tol: float) -> dict[str, float]:
         """The largest of what each witness says against this path."""
@@ -222,7 +222,7 @@ class Trajectory(Path):
 
     def _balance(self) -> str:
         """Words on how well the balance of energy is kept."""
-        return f"its balance kept to {self._missed(TELLS)['balance of energy']:.1e} of its terms"
+        return f"its balance kept to {self._missed(TELLS)['balance of energy'] * BALANCE:.1e} of its terms"
 
     def _accuracy(self) -> list[str]:
         """A line on the error of x, if it is known, or if this mesh plainly does not resolve the path."""

@@ -27,6 +27,7 @@ from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.functional.pointwise import Pointwise
 from casadi_galerkin.problems.constrained_motion import work_of_constraint
 
+BALANCE = 0.3  # part of the tolerance by which the energy may be missed; smooth paths were measured below 0.25
 ACTION = 0.1  # part of the tolerance by which an action may change; smooth paths were measured below 0.03
 
 
@@ -55,7 +56,7 @@ class EnergyBalance:
         missed = np.zeros(len(self.kept) - 1)
         if not np.all(np.isfinite(self.kept)):
             return np.where(np.isfinite(self.kept[1:] + self.kept[:-1]), 0.0, np.inf)
-        told = np.flatnonzero(self.floor <= tol / 2 * self.scale)
+        told = np.flatnonzero(self.floor <= BALANCE * tol / 2 * self.scale)
         if len(told) < 2:
             return missed
         order = told[np.argsort(self.scale[told])]
@@ -154,4 +155,4 @@ def _between_breakpoints(
     coarser = lagrangian[0, :, 2 + len(fine) :] @ np.array(coarse.weights)
     change = np.abs(integral(lagrangian) - coarser) / (mean * float(np.sum(steps)))
     change = np.where(np.isfinite(change), change, np.inf)
-    return {"balance of energy": balance.missed(tol), "action by a finer rule": change / ACTION}
+    return {"balance of energy": balance.missed(tol) / BALANCE, "action by a finer rule": change / ACTION}
