@@ -36,7 +36,18 @@ POINTS = 1000  # of a branch
 
 @dataclass(frozen=True)
 class Fold:
-    """Where a branch turns back: parameters (n,), path, and number of paths of the branch before it."""
+    """Where a branch turns back: parameters (n,), path, and number of paths of the branch before it.
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> import casadi_galerkin as cg
+    >>> bratu = lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0])
+    >>> problem = cg.BoundaryProblem(bratu, (0, 1), [0.0], [0.0], parameters=[1.0])
+    >>> (fold,) = cg.continuation(problem, [4.0], intervals=10).folds
+    >>> fold.parameters.round(6).tolist(), fold.path(0.5).round(4).tolist()
+    ([3.513831], [1.1868])
+    """
 
     parameters: np.ndarray
     path: Path
@@ -53,6 +64,16 @@ class Branch:
     trajectories : K of them
     folds : in the order of the walk
     reached : whether the walk ended at the target; otherwise a fold led it back to the parameters it began with
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> import casadi_galerkin as cg
+    >>> bratu = lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0])
+    >>> problem = cg.BoundaryProblem(bratu, (0, 1), [0.0], [0.0], parameters=[1.0])
+    >>> branch = cg.continuation(problem, [3.0], intervals=10)
+    >>> branch.reached, branch.parameters[[0, -1]].tolist(), branch.trajectories[-1](0.5).round(6).tolist()
+    (True, [[1.0], [3.0]], [0.640147])
     """
 
     parameters: np.ndarray

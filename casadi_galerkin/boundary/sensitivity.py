@@ -121,6 +121,14 @@ class Sensitivity:
     t : (N + 1,), joints
     parameters : (d, N + 1, number of parameters), ∂x_i/∂p_j, in units of x[i] over units of p[j]
     start, end : (d, N + 1, number of components that the problem fixes there), in units of x over units of x
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> line = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), start=[0.0], end=[1.0])
+    >>> by = cg.sensitivity(cg.solve(line, cg.Galerkin(degree=2), intervals=4))
+    >>> by.start[0, :, 0].round(9).tolist(), by.parameters.shape
+    ([1.0, 0.75, 0.5, 0.25, 0.0], (1, 5, 0))
     """
 
     t: np.ndarray

@@ -26,6 +26,17 @@ class ControlPath:
     mesh : (N + 1,), the joints
     points : (r,), quadrature points of the reference interval
     values : (n, N r), controls at the quadrature points in the order of time
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> move = cg.ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0], [0.0], [0.0],
+    ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1)
+    >>> control = cg.solve(move, cg.Galerkin(degree=3), intervals=4).control
+    >>> control
+    ControlPath of 1 control(s) at 3 points in each of 4 intervals of [0, 1]
+    >>> control([0.25, 1.0]).round(6).tolist()
+    [[3.0, -6.0]]
     """
 
     def __init__(self, mesh: np.ndarray, points: np.ndarray, values: np.ndarray) -> None:

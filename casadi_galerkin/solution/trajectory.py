@@ -66,6 +66,18 @@ class Trajectory(Path):
     error_estimate : estimated relative error of x, at the joints and between them; None before `estimate_error`
     second_variation : finds `morse_index` and `regularity`; None for steps
     find_error : estimates the error of this path
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> fall = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 10 * x[0], (0, 1), start=[0.0], end=[0.0])
+    >>> path = cg.solve(fall, cg.Galerkin(degree=2), intervals=4)
+    >>> path(0.25).round(9).tolist(), path(0.25, 1).round(9).tolist(), path.morse_index
+    ([0.9375], [2.5], 0)
+    >>> path.velocity[:, 0].round(9).tolist(), path.energy[0].round(9).tolist()
+    ([5.0], 12.5)
+    >>> path.estimate_error() < 1e-14
+    True
     """
 
     momentum: np.ndarray

@@ -200,6 +200,13 @@ def shoot(
         for ends of other kinds
     ConvergenceError
         with the measured growth and the last path, if Newton's method fails or no start meets the end
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> fall = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 10 * x[0], (0, 1), start=[0.0], end=[1.0])
+    >>> cg.shoot(fall, cg.Galerkin(degree=2), intervals=4).momentum[0, 0].round(9).tolist()
+    6.0
     """
     check_types(problem, method, BoundaryProblem)
     if guess is not None and (not isinstance(guess, Trajectory) or len(guess.x) != problem.dimension):

@@ -77,6 +77,14 @@ class Comparison:
     condition_global, condition_stepwise : κ of both formulations, defined in the module
     another : Trajectory, the path of `shooting` if it is another stationary path than `global_path`, solved globally
         from there if that can be, so that it has a Morse index; None if shooting has found no other path
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> balance = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + x[0] ** 2 / 2, (0, 40), start=[1.0], end=[1.0])
+    >>> compared = cg.compare(balance, cg.Galerkin(degree=4), intervals=80)
+    >>> round(compared.gap_growth, 1), compared.shooting.path is None
+    (1.0, True)
     """
 
     global_path: Trajectory
@@ -160,6 +168,14 @@ def compare(
     ------
     ConvergenceError
         if the global solve fails; failures of the stepwise ways are part of the answer
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> balance = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + x[0] ** 2 / 2, (0, 40), start=[1.0], end=[1.0])
+    >>> compared = cg.compare(balance, cg.Galerkin(degree=4), intervals=80)
+    >>> compared.condition_global < 2, compared.condition_stepwise > 1e16
+    (True, True)
     """
     path = solve(problem, method, intervals, mesh=mesh, guess=guess)
     start = InitialProblem(

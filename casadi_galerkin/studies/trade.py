@@ -122,6 +122,14 @@ def trade(
         for input that does not fit, before anything is solved
     ConvergenceError
         if no cell was solved, or no finer solve was found to measure against
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> oscillator = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), start=[0.0], end=[1.0])
+    >>> measured = cg.trade(oscillator, [cg.Galerkin(2)], [4, 8, 16])
+    >>> round(measured.order(cg.Galerkin(2)), 1)
+    3.0
     """
     keys = _check(problem, list(methods), list(intervals), guess)
     if reference is not None:
