@@ -62,7 +62,7 @@ def solution_function(
 
     The Function runs CasADi's Newton method and has none of the rescues of `solve`: the guess should be a path for
     data nearby.  Where the answer does not pass the check that `solve` makes, all outputs are NaN, which IPOPT takes
-    for a step too far; nothing unverified is returned.  That a Hessian is singular, it does not tell.
+    for a step too far; nothing unverified is returned.  It does not tell where a Hessian is singular.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def sensitivity(path: Trajectory) -> Sensitivity:
 
     Returns
     -------
-    Sensitivity, whose columns are zero-sized for what the problem has not
+    Sensitivity, whose arrays have no columns for what the problem does not have
 
     Examples
     --------

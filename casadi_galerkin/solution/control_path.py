@@ -15,11 +15,11 @@ SAME_TIME = 4 * EPS  # of the largest time: what t_i + h q may be past the joint
 
 
 class ControlPath:
-    """Controls between their values at the quadrature points: degree r - 1 an interval, free to jump at joints.
+    """Controls as functions of time: on each interval the polynomial through their values at the quadrature points.
 
-    At a joint they are those of the interval after it, of the one before where the rule has a point at 1 and none at 0
-    (Radau): so times at the quadrature points give the values there.  A rule with both (Lobatto) has two values at a
-    joint, of which the later one is taken.
+    They may jump at joints.  At a joint the value is that of the interval after it; where the rule has a point at 1 and
+    none at 0 (Radau), it is that of the interval before.  So times at the quadrature points give the values there.  A
+    rule with both points (Lobatto) has two values at a joint, of which the later one is taken.
 
     Parameters
     ----------

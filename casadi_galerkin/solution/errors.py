@@ -12,7 +12,8 @@ class ConvergenceError(RuntimeError):
 
     Attributes
     ----------
-    path : what the solve had come to, which can be called and plotted, but is no answer; None if there is nothing
+    path : the last path that the solve had reached, which can be called and plotted, but is no answer; None if there
+        is none
     residual : float, its largest residual over that residual's roundoff floor; of an optimisation its largest violation
         over the relative precision of a double
     iterations : int
@@ -50,7 +51,7 @@ class ConjugatePointError(ConvergenceError):
 
 
 class LimitReached(ConvergenceError):
-    """A refinement that follows a path and was stopped before its tolerance; another start would not help.
+    """A refinement was stopped before it reached its tolerance; another guess for the same path would not help.
 
     Its `path` is the best so far: of a trajectory optimisation a ControlTrajectory that solves its own mesh.
 

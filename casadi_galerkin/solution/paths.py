@@ -27,7 +27,7 @@ class Paths:
     ----------
     trajectories : all different, each with its `action`, `morse_index` and `error_estimate`; `solver` says how it was
         found
-    solves : Newton iterations begun from a guess, and curves followed
+    solves : how often Newton's method was begun from a guess, or a curve of paths followed
     unresolved : critical points of the discrete action that were dropped, because the mesh does not resolve them
     singular : critical points that were dropped, because the Hessian is singular there: they belong to a family of
         paths, or the ends are conjugate points

@@ -64,7 +64,7 @@ class Trajectory(Path):
     method : Galerkin
     problem : what was solved, with the ends, parameters and times that it was solved for
     error_estimate : estimated relative error of x, at the joints and between them; None before `estimate_error`
-    second_variation : finds `morse_index` and `regularity`; None for steps
+    second_variation : finds `morse_index` and `regularity`; None for a path that was found step by step
     find_error : estimates the error of this path
 
     Examples
@@ -96,10 +96,10 @@ class Trajectory(Path):
     def estimate_error(self) -> float:
         """Estimate the relative error of x, at the joints and between them; kept as `error_estimate`.
 
-        The same problem in degree m + 2 on the same mesh tells it: by Newton steps from a path between two ends, by
-        steps from the same start otherwise.  It is no less than what the balance of energy misses, relative to the
-        energy's terms, nor than the change of the action by a finer rule: a kink of L or a singularity, which both
-        degrees may miss, shows there.  Infinite where the higher degree has no answer.
+        The path is compared with degree m + 2 on the same mesh: with Newton steps from it where it joins two ends, with
+        steps from the same start otherwise.  The estimate is at least what the balance of energy is violated by,
+        relative to the energy's terms, and at least the change of the action by a finer rule: these show a kink of L or
+        a singularity, which both degrees may miss.  It is infinite where the higher degree has no answer.
         """
         if self.error_estimate is None:
             object.__setattr__(self, "error_estimate", self.find_error(self))
@@ -107,7 +107,7 @@ class Trajectory(Path):
         return self.error_estimate
 
     def doubted(self, error: float) -> float:
-        """An error, or what the witnesses miss where that is more."""
+        """The larger of an error and of what the balance of energy and the action by a finer rule are violated by."""
         missed = self._missed(max(error, EPS))
         return max(error, missed["balance of energy"], missed["action by a finer rule"] * ACTION)
 
@@ -121,8 +121,8 @@ class Trajectory(Path):
     def morse_index(self) -> int | None:
         """Number of negative eigenvalues of the action's Hessian, 0 for a local minimum; found when first asked for.
 
-        None for steps, under a force, which makes the equations those of no action, and where ∂²L/∂v² is not positive
-        at every joint, so that no finer mesh has a finite index.
+        It is None for a path that was found step by step; under a force, because the path is then a critical point of
+        no action; and where ∂²L/∂v² is not positive at every joint, because no finer mesh then has a finite index.
         """
         return None if self.second_variation is None else self.second_variation.negative()
 
@@ -131,7 +131,8 @@ class Trajectory(Path):
         """Smallest second variation relative to the sizes of its terms; found when first asked for.
 
         It is zero at a conjugate point, and tells how well the ends determine the path: errors are magnified by its
-        inverse.  Under a force it is that of the equations' Jacobian, between its softest directions.  None for steps.
+        inverse.  Under a force it is that of the equations' Jacobian, between its softest directions.  It is None for
+        a path that was found step by step.
         """
         return None if self.second_variation is None else self.second_variation.smallest()
 

@@ -50,12 +50,12 @@ class Geometry:
 
     @property
     def determinants(self) -> np.ndarray:
-        """Of the steps' Jacobians, (N,): 1 without forces."""
+        """Determinants of the steps' Jacobians, (N,); without forces they are 1."""
         return np.asarray(np.linalg.det(self.jacobians))
 
     @property
     def symplecticity_defects(self) -> np.ndarray:
-        """Largest entry of AᵀΩA - Ω, (N,): 0 without forces."""
+        """Largest entry of AᵀΩA - Ω for the Jacobian A of each step, (N,); without forces they are 0."""
         d = self.jacobians.shape[1] // 2
         omega = np.block([[np.zeros((d, d)), np.eye(d)], [-np.eye(d), np.zeros((d, d))]])
         defect = self.jacobians.transpose(0, 2, 1) @ omega @ self.jacobians - omega

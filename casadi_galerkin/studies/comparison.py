@@ -154,7 +154,7 @@ def compare(
     mesh: ArrayLike | None = None,
     guess: Trajectory | None = None,
 ) -> Comparison:
-    """Solve a boundary problem globally and stepwise, and measure how the two part.
+    """Solve a boundary problem globally and stepwise, and measure how far the two come apart.
 
     Parameters
     ----------

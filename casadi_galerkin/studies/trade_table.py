@@ -21,7 +21,7 @@ PLATEAU = 30.0  # errors below so many times the floor take no part in the fit o
 
 @dataclass(frozen=True)
 class Row:
-    """One cell of a trade: a method on so many intervals, its cost and its errors.
+    """One row of a trade: a method on a number of intervals, with its cost and its errors.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Trade:
 
     Attributes
     ----------
-    rows : all cells, methods slowest
+    rows : for each method in turn, one row per number of intervals
     reference : what the errors are differences to
     reference_error : its own estimated relative error; 0 where it was given
 
