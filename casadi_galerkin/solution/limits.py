@@ -15,9 +15,9 @@ class Limits:
 
     Parameters
     ----------
-    intervals : most intervals of a mesh
+    intervals : largest number of intervals of a mesh
     seconds : longest time, checked between levels
-    levels : most meshes
+    levels : largest number of meshes
 
     Examples
     --------

@@ -220,7 +220,8 @@ class Trajectory(Path):
 
         Parameters
         ----------
-        points : x (d, K) -> (n, 2, K), places in the plane of the n ends of a chain of bars, fixed ones included
+        points : callable, positions x (d, K) at K times -> (n, 2, K), places in the plane of all ends of the bars of a
+            chain, one after the other, the fixed one included
         axes : Matplotlib axes to draw into, labelled by their owner; default a new figure
         seconds : how long it runs; default the duration of the path, taken as seconds
         unit : of the time shown in the title
@@ -270,7 +271,7 @@ class Trajectory(Path):
                 f"  action      {self.action:.15g}, {kind}",
                 f"  energy      {energy[0]:.12g} at the start, {self._balance()}",
                 *self._accuracy(),
-                f"  solver      {self.solver}, {self.iterations} iterations, residual {self.residual:.1g} of its "
+                f"  solver      {self.solver}, {self.iterations} iterations, residual {self.residual:.1g} times its "
                 "roundoff floor",
                 f"  seconds     {self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve",
             ]

@@ -150,8 +150,9 @@ def sweep(
     Parameters
     ----------
     problem : BoundaryProblem
-    variations : dicts of what differs from the problem: `start`, `end`, `parameters`, `t_span`; and `guess`, as for
-        `solve`, which with a process pool has to be picklable (an array, a Trajectory, a module's function)
+    variations : dicts of what differs from the problem: `start`, `end`, `parameters`, `t_span`; the velocities and
+        momenta at the ends, and the energy, where the problem states them; and `guess`, as for `solve`, which with a
+        process pool has to be picklable (an array, a Trajectory, a module's function)
     method, intervals, tol : as for `solve`; with `tol`, every variation gets a mesh of its own
     executor : any Executor of processes in the sense of `concurrent.futures`; default none, one after the other.
         Not of threads: CasADi Functions are not thread-safe
