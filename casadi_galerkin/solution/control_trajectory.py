@@ -72,7 +72,7 @@ class ControlTrajectory(Trajectory):
     end_velocity: np.ndarray
 
     def replay(self) -> ca.Function:
-        """The force (t, x, v[, p]) -> (d,) with the optimised controls put in, for an `InitialProblem`.
+        """Return the force (t, x, v[, p]) -> (d,) of the optimised controls, for an `InitialProblem`.
 
         Stepped with the same method on the same joints it gives the same path.
 

@@ -72,9 +72,10 @@ class Comparison:
     global_path : Trajectory
     stepped : Attempt, the steps from the global path's own (x_0, p_0)
     shooting : Attempt, the boundary problem solved by `shoot`
-    gap_growth : rate λ of the gap of `stepped`, fitted to e^{λ t} from roundoff to 0.1; not a number if fewer than
-        three joints are there
-    condition_global, condition_stepwise : κ of both formulations, defined in the module
+    gap_growth : rate λ of the gap of `stepped`, fitted to e^{λ t} at the joints where the gap lies between roundoff and
+        0.1; not a number if these are fewer than three
+    condition_global, condition_stepwise : how many times a formulation magnifies a relative change of its data: of the
+        ends globally, of (x_0, p_0) step by step; the module defines them
     another : Trajectory, the path of `shooting` if it is another stationary path than `global_path`, solved globally
         from there if that can be, so that it has a Morse index; None if shooting has found no other path
 
