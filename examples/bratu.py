@@ -1,7 +1,7 @@
 """Bratu's problem, x'' + λ exp(x) = 0: two paths meet in a fold, and beyond it there is none.
 
-The exact fold is where θ = √(2λ) cosh(θ/4) has a double root.  The walk begins on the lower
-branch at λ = 1 and aims at λ = 4; the fold turns it round, and it comes back to λ = 1 on the upper branch.
+The exact fold is where θ = √(2λ) cosh(θ/4) has a double root.  Continuation begins on the
+lower branch at λ = 1 and aims at λ = 4; at the fold λ turns back, and reaches 1 again on the upper branch.
 """
 
 import casadi as ca

@@ -1,9 +1,15 @@
-"""The README's code runs, and prints the numbers that it states."""
+"""The code of the README and of every guide runs and prints the numbers beside it; their links lead somewhere."""
 
 import re
 
 import pytest
-from paths import ROOT
+from paths import EXAMPLES, ROOT
+
+README = ROOT / "README.md"
+GUIDES = sorted((EXAMPLES / "guides").glob("*.md"))
+DOCUMENTS = [README, *GUIDES]
+NUMBER = r"-?\d+\.\d+(?:e[+-]?\d+)?"
+SHORTEST, LONGEST = 60, 150  # lines of a guide
 
 
 @pytest.fixture(autouse=True)
@@ -15,34 +21,80 @@ def figures_closed():
     plt.close("all")
 
 
-def code_blocks():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    return re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+def name(document):
+    return document.name
 
 
-def test_readme_has_code():
-    assert code_blocks()
+def read(document):
+    return document.read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("number", range(len(code_blocks())))
-def test_readme_code_runs(number, monkeypatch, tmp_path):
+def code_blocks(document):
+    """Code with as many empty lines before it as there are lines above it, so that a traceback names the right one."""
+    text = read(document)
+    for match in re.finditer(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+        yield "\n" * text.count("\n", 0, match.start(1)) + match[1]
+
+
+def stated_numbers(code):
+    """Numbers in the comments behind what is printed; those after a bracket are arguments, such as 0.5 in x(0.5)."""
+    comments = re.findall(r"^ *print\(.*#(.*)$", code, re.MULTILINE)
+    return [text for comment in comments for text in re.findall(r"(?<!\()" + NUMBER, comment)]
+
+
+def run(code, document, shared):
+    exec(compile(code, str(document), "exec"), shared)
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=name)
+def test_code_runs_in_order_and_prints_the_numbers_beside_it(document, monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     monkeypatch.chdir(tmp_path)  # pictures that the code saves go there
-    shared = {}
-    for block in code_blocks()[: number + 1]:  # a block may use the names of the ones before it
-        exec(compile(block, "README.md", "exec"), shared)
+    shared = {"__name__": "__main__"}  # as in a script; a block may use the names of the ones before it
+    for code in code_blocks(document):
+        run(code, document, shared)
+        printed = [float(text) for text in re.findall(NUMBER, capsys.readouterr().out)]
+        for text in stated_numbers(code):
+            digits = len(re.sub(r"e.*|\D", "", text).lstrip("0")) or 1
+            assert float(text) in [float(f"{value:.{digits}g}") for value in printed], text
 
 
-def test_numbers_that_the_readme_states_are_those_that_its_code_prints(monkeypatch, tmp_path, capsys):
-    monkeypatch.setenv("MPLBACKEND", "Agg")
-    monkeypatch.chdir(tmp_path)
-    shared, number = {}, r"-?\d+\.\d+(?:e[+-]?\d+)?"
-    for block in code_blocks():
-        exec(compile(block, "README.md", "exec"), shared)
-    printed = [float(text) for text in re.findall(number, capsys.readouterr().out)]
-    comments = re.findall(r"^print\(.*#(.*)$", "".join(code_blocks()), re.MULTILINE)
-    stated = [text for comment in comments for text in re.findall(r"(?<!\()" + number, comment)]  # no arguments
-    assert len(stated) >= 4
-    for text in stated:
-        digits = len(re.sub(r"e.*|\D", "", text).lstrip("0"))
-        assert float(text) in [float(f"{value:.{digits}g}") for value in printed]
+def test_a_stated_number_that_is_not_printed_is_found():
+    assert stated_numbers("print(x(0.5))  # x(0.5) is 1.25 and -2.5e-3") == ["1.25", "-2.5e-3"]
+
+
+@pytest.mark.parametrize("document", [README, *(guide for guide in GUIDES if "```python" in read(guide))], ids=name)
+def test_documents_with_code_state_numbers_that_are_checked(document):
+    assert any(stated_numbers(code) for code in code_blocks(document))
+
+
+def prose(document):
+    return re.sub(r"^```.*?^```", "", read(document), flags=re.MULTILINE | re.DOTALL)
+
+
+def anchors(document):
+    """What the headings of a document are linked by."""
+    headings = re.findall(r"^#+ (.*)$", prose(document), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=name)
+def test_links_lead_to_files_and_headings(document):
+    for link in re.findall(r"\]\(([^)]+)\)", prose(document)):
+        file, _, anchor = link.partition("#")
+        target = (document.parent / file).resolve() if file else document
+        assert target.exists(), link
+        assert not anchor or anchor in anchors(target), link
+
+
+def test_readme_links_every_guide():
+    assert sorted(set(re.findall(r"\]\(examples/guides/(\w+\.md)\)", read(README)))) == [guide.name for guide in GUIDES]
+
+
+@pytest.mark.parametrize("guide", GUIDES, ids=name)
+def test_guides_are_as_long_as_one_sitting(guide):
+    assert SHORTEST <= len(read(guide).splitlines()) <= LONGEST
+
+
+def test_readme_is_as_long_as_three_minutes():
+    assert len(read(README).splitlines()) <= 200

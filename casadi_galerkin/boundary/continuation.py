@@ -1,4 +1,4 @@
-"""Walk the parameters of a problem along a branch of its critical paths, round folds where there are any.
+"""Follow a branch of critical paths while the parameters of a problem change, past the folds of the branch.
 
 The parameters move on the line p(s) = p_0 + s (p_1 - p_0) from the problem's own to the target.  The branch is the
 curve ∇S(ξ, p(s)) = 0, followed by its arc length (`arc_length`).  At a fold the Hessian is singular and ṡ changes its
@@ -36,7 +36,24 @@ POINTS = 1000  # of a branch
 
 @dataclass(frozen=True)
 class Fold:
-    """Where a branch turns back: parameters (n,), path, and number of paths of the branch before it."""
+    """A turning point of a branch: beyond its parameters the path no longer exists.
+
+    Attributes
+    ----------
+    parameters : (n,), at which the branch turns back
+    path : Path there
+    after : number of paths of the branch before it
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> import casadi_galerkin as cg
+    >>> bratu = lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0])
+    >>> problem = cg.BoundaryProblem(bratu, (0, 1), [0.0], [0.0], parameters=[1.0])
+    >>> (fold,) = cg.continuation(problem, [4.0], intervals=10).folds
+    >>> fold.parameters.round(6).tolist(), fold.path(0.5).round(4).tolist()
+    ([3.513831], [1.1868])
+    """
 
     parameters: np.ndarray
     path: Path
@@ -49,10 +66,20 @@ class Branch:
 
     Attributes
     ----------
-    parameters : (K, n), in the order of the walk
-    trajectories : K of them
-    folds : in the order of the walk
-    reached : whether the walk ended at the target; otherwise a fold led it back to the parameters it began with
+    parameters : (K, n), of each path, in the order in which the branch was followed
+    trajectories : the K paths
+    folds : in the same order
+    reached : whether the branch led to the target; otherwise a fold turned it back to the parameters it began with
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> import casadi_galerkin as cg
+    >>> bratu = lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0])
+    >>> problem = cg.BoundaryProblem(bratu, (0, 1), [0.0], [0.0], parameters=[1.0])
+    >>> branch = cg.continuation(problem, [3.0], intervals=10)
+    >>> branch.reached, branch.parameters[[0, -1]].tolist(), branch.trajectories[-1](0.5).round(6).tolist()
+    (True, [[1.0], [3.0]], [0.640147])
     """
 
     parameters: np.ndarray
@@ -61,7 +88,7 @@ class Branch:
     reached: bool
 
     def __repr__(self) -> str:
-        """Summarise the walk."""
+        """Summarise the branch."""
         end = "the target" if self.reached else "the start, on another branch"
         lines = [f"Branch of {len(self.trajectories)} paths from {self.parameters[0]} to {self.parameters[-1]}, {end}"]
         lines += [f"  fold at {fold.parameters}, after {fold.after} paths" for fold in self.folds]
@@ -77,9 +104,10 @@ def continuation(
     mesh: ArrayLike | None = None,
     guess: Guess | None = None,
 ) -> Branch:
-    """Follow a path while the parameters walk from the problem's own to a target.
+    """Follow a path while the parameters change from the problem's own to a target.
 
-    Where a fold lies between, the walk goes round it and ends where it began, on the other side of the fold.
+    At a fold the path meets another one, and beyond it neither exists.  Where a fold lies between, the branch turns
+    back there, and ends at the parameters it began with, at another path.
 
     Parameters
     ----------
@@ -106,7 +134,9 @@ def continuation(
     array([3.513831])
     """
     if problem.parameters is None:
-        raise ValueError("continuation walks parameters: give the problem some")
+        raise ValueError(
+            "continuation changes the parameters of a problem, and this one has none: state it with parameters"
+        )
     aim = np.array(numbers("target", target, len(problem.parameters)))
     if np.array_equal(aim, problem.parameters):
         raise ValueError(f"the target must differ from the problem's parameters, got {target!r} for both")
@@ -124,7 +154,7 @@ class Point:
 
 
 class Walk(Curve[Solution]):
-    """A walk under way."""
+    """The following of a branch, under way."""
 
     def __init__(self, transcription: Transcription, target: np.ndarray) -> None:
         self.transcription, self.stationarity = transcription, transcription.stationarity

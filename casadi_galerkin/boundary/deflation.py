@@ -82,9 +82,9 @@ def paths(
     count : number of paths at which the search ends
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     patience : number of solves in succession without a new path after which the search ends
-    symmetries : callables that take the values of a path at all nodes, (d, N m + 1) in the order of time, to those of a
-        path that counts as the same one, such as its mirror image, or of all moved by whole turns the one that begins
-        between 0 and 2π; of such paths only one is returned
+    symmetries : callables that take the values of a path at all nodes, (d, N m + 1) in the order of time, and return
+        those of a path that counts as the same one: its mirror image, as in ``lambda x: -x``, or, of angles, the path
+        moved by whole turns so that it begins between 0 and 2π.  Of such paths only one is returned
     seed : whole number, of the random guesses and loads; the same seed gives the same paths
 
     Returns

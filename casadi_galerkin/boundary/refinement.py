@@ -67,8 +67,8 @@ CROWD, SHORT = 20, 1e-3  # intervals, in this part of the duration, among which 
 WANDERING = 12  # the same of Legendre coefficients, while intervals are moved to where they are large
 STUBBORN = 3  # meshes on which what a witness misses may stay until it is said to do so on any
 UNSMOOTH = (
-    "Either L is not smooth there, and its time should be a breakpoint of the problem, or the path passes through a "
-    "singularity, and a guess should lead around it"
+    "Either L is not smooth there: name that time in the breakpoints of the problem. Or the path passes through a "
+    "singularity: give a guess that leads around it"
 )
 SMALLEST_SPLIT = 1.2  # where Newton's method does not follow even a mesh this little finer, it has lost the path
 
@@ -135,7 +135,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         if floor > self.tol:
             graph.refuse_conjugate(level)
             cause = (
-                "the ends are nearly conjugate, or the action's terms cancel" if floor > ILL * EPS else "a double ends"
+                "the ends are nearly conjugate, or the action's terms cancel"
+                if floor > ILL * EPS
+                else "doubles hold no more digits"
             )
             reason = f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here, on any mesh: {cause}"
             raise self.stopped(reason, level, floor)
@@ -187,7 +189,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             return
         needs = f"intervals of {max(steps[i], 0.0):.1e}" if few else f"{len(steps)} intervals"
         sharp = f", the shortest near t = {mesh[i]:.9g}. {UNSMOOTH}" if steps[i] < SHARP * duration else ""
-        reason = f"the mesh would need {needs} for an error of {estimate.error:.1e} by the {estimate.source}{sharp}"
+        reason = (
+            f"the mesh would need {needs} for an error of {estimate.error:.1e}, estimated from {estimate.source}{sharp}"
+        )
         raise self.stopped(reason, level, estimate.error)
 
     def check_stubborn(self, level: CriticalPoint, source: str, missed: np.ndarray, patience: int) -> None:
@@ -201,7 +205,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         self.seen[source] = worst, when, step, count
         if count == patience or hidden:
             where = f"near t = {when:.9g}"
-            reason = f"{worst:.1e} are missed {where} by the {source}, on any mesh. {UNSMOOTH}"
+            reason = f"an error of {worst:.1e} {where}, measured by the {source}, stays on any mesh. {UNSMOOTH}"
             raise self.stopped(reason, level, worst)
 
     def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:

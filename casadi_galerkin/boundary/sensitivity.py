@@ -62,7 +62,7 @@ def solution_function(
 
     The Function runs CasADi's Newton method and has none of the rescues of `solve`: the guess should be a path for
     data nearby.  Where the answer does not pass the check that `solve` makes, all outputs are NaN, which IPOPT takes
-    for a step too far; nothing unverified is returned.  That a Hessian is singular, it does not tell.
+    for a step too far; nothing unverified is returned.  It does not tell where a Hessian is singular.
 
     Raises
     ------
@@ -121,6 +121,14 @@ class Sensitivity:
     t : (N + 1,), joints
     parameters : (d, N + 1, number of parameters), ∂x_i/∂p_j, in units of x[i] over units of p[j]
     start, end : (d, N + 1, number of components that the problem fixes there), in units of x over units of x
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> line = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), start=[0.0], end=[1.0])
+    >>> by = cg.sensitivity(cg.solve(line, cg.Galerkin(degree=2), intervals=4))
+    >>> by.start[0, :, 0].round(9).tolist(), by.parameters.shape
+    ([1.0, 0.75, 0.5, 0.25, 0.0], (1, 5, 0))
     """
 
     t: np.ndarray
@@ -148,7 +156,7 @@ def sensitivity(path: Trajectory) -> Sensitivity:
 
     Returns
     -------
-    Sensitivity, whose columns are zero-sized for what the problem has not
+    Sensitivity, whose arrays have no columns for what the problem does not have
 
     Examples
     --------

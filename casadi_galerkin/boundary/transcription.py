@@ -87,6 +87,16 @@ class Transcription:
     functional : Functional, the one graph
     stationarity : Stationarity, what the solvers take
     phase : bool, whether a plane has to fix the phase of a path
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> fall = cg.BoundaryProblem(lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0], (0, 1), [0], [0], parameters=[10])
+    >>> transcription = cg.transcribe(fall, cg.Galerkin(degree=2), intervals=4)
+    >>> transcription.solve(parameters=[2.0]).momentum[:, 0].round(9).tolist()
+    [1.0]
+    >>> transcription.hessian.sparsity_out(0).shape
+    (7, 7)
     """
 
     def __init__(

@@ -50,6 +50,16 @@ class DiscreteCalculus:
     Attributes
     ----------
     mesh : (N + 1,), the time scale T
+
+    Examples
+    --------
+    >>> calculus = DiscreteCalculus(Galerkin(2), [0.0, 0.5, 1.0])
+    >>> squares = calculus.node_times[None, :] ** 2  # X̄ of t²
+    >>> path = calculus.emb(squares)
+    >>> path(0.3).round(12).tolist(), calculus.delta(squares)[:, 1].round(12).tolist()
+    ([0.09], [1.0])
+    >>> calculus.integral(path(calculus.quadrature_times)).round(6).tolist()  # ∫ t² dt up to every joint
+    [[0.0, 0.041667, 0.333333]]
     """
 
     def __init__(self, method: Galerkin, mesh: ArrayLike) -> None:

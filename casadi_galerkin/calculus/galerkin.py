@@ -49,6 +49,14 @@ class Galerkin:
     "Superconvergence of Galerkin variational integrators", 2021); between the joints the position is of order
     min(m + 1, u) and the velocity of order m; with ``lobatto(m)`` one less of each.  With r < m points the equations
     still have a solution, but a wrong one: each interval adds a spurious critical direction, so it is refused.
+
+    Examples
+    --------
+    >>> Galerkin(3)
+    Galerkin(degree 3, 3 quadrature points of order 6)
+    >>> from casadi_galerkin import trapezoid
+    >>> Galerkin(1, quadrature=trapezoid()).order  # Störmer-Verlet
+    2
     """
 
     degree: int

@@ -14,18 +14,36 @@ from casadi_galerkin.calculus.quadrature import lobatto
 
 
 def lobatto_points(degree: int) -> np.ndarray:
-    """Control points of the given degree >= 1 at the inner Gauss-Lobatto points; shape (degree - 1,)."""
+    """Control points of the given degree >= 1 at the inner Gauss-Lobatto points; shape (degree - 1,).
+
+    Examples
+    --------
+    >>> lobatto_points(3).round(6).tolist()
+    [0.276393, 0.723607]
+    """
     return np.array(lobatto(whole_number("degree", degree) + 1).points[1:-1])
 
 
 def chebyshev_points(degree: int) -> np.ndarray:
-    """Control points at the inner Chebyshev points (1 - cos(jπ/m))/2, m = degree >= 1; shape (degree - 1,)."""
+    """Control points at the inner Chebyshev points (1 - cos(jπ/m))/2, m = degree >= 1; shape (degree - 1,).
+
+    Examples
+    --------
+    >>> chebyshev_points(3).round(6).tolist()
+    [0.25, 0.75]
+    """
     degree = whole_number("degree", degree)
     return np.sin(np.pi / 2 * np.arange(1, degree) / degree) ** 2
 
 
 def equispaced_points(degree: int) -> np.ndarray:
-    """Equally spaced control points j/m, m = degree >= 1; shape (degree - 1,).  Ill-conditioned above 10."""
+    """Equally spaced control points j/m, m = degree >= 1; shape (degree - 1,).  Ill-conditioned above 10.
+
+    Examples
+    --------
+    >>> equispaced_points(4).tolist()
+    [0.25, 0.5, 0.75]
+    """
     degree = whole_number("degree", degree)
     return np.arange(1, degree) / degree
 

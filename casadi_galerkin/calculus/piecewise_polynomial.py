@@ -40,6 +40,12 @@ class PiecewisePolynomial:
     mesh : (N + 1,), the joints
     nodes : (m + 1,), nodes of the reference interval, 0 and 1 among them
     values : (d, N m + 1), values at joints and control points in the order of time
+
+    Examples
+    --------
+    >>> line = PiecewisePolynomial(np.array([0.0, 1.0, 3.0]), np.array([0.0, 1.0]), np.array([[0.0, 2.0, 0.0]]))
+    >>> line(2.0).tolist(), line(2.0, 1).tolist()
+    ([1.0], [-1.0])
     """
 
     def __init__(self, mesh: np.ndarray, nodes: np.ndarray, values: np.ndarray) -> None:

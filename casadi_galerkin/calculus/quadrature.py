@@ -141,7 +141,13 @@ def _from_symmetric_interval(x: np.ndarray, w: np.ndarray) -> Quadrature:
 
 @_family(1)
 def gauss(n: int) -> Quadrature:
-    """Gauss-Legendre rule with n >= 1 points, of order 2n."""
+    """Gauss-Legendre rule with n >= 1 points, of order 2n.
+
+    Examples
+    --------
+    >>> gauss(3)
+    Quadrature of 3 point(s) from 0.1127 to 0.8873, order 6
+    """
     return _from_symmetric_interval(*legendre.leggauss(n))
 
 
@@ -150,6 +156,13 @@ def lobatto(n: int) -> Quadrature:
     """Gauss-Lobatto rule with n >= 2 points, both ends among them, of order 2n - 2.
 
     ``lobatto(2)`` is the trapezoidal rule, ``lobatto(3)`` Simpson's.
+
+    Examples
+    --------
+    >>> lobatto(3) == Quadrature([0, 1 / 2, 1], [1 / 6, 2 / 3, 1 / 6])
+    True
+    >>> lobatto(4).order
+    6
     """
 
     def slope(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -164,7 +177,13 @@ def lobatto(n: int) -> Quadrature:
 
 @_family(1)
 def radau(n: int) -> Quadrature:
-    """Gauss-Radau rule with n >= 1 points, the right end among them, of order 2n - 1."""
+    """Gauss-Radau rule with n >= 1 points, the right end among them, of order 2n - 1.
+
+    Examples
+    --------
+    >>> radau(2)
+    Quadrature of 2 point(s) from 0.3333 to 1, order 3
+    """
 
     def value(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p = _legendre(n, x)  # the points are the roots of P_{n-1} - P_n
@@ -177,15 +196,33 @@ def radau(n: int) -> Quadrature:
 
 
 def midpoint() -> Quadrature:
-    """Mid-point rule: one point, 1/2; order 2.  The same as ``gauss(1)``."""
+    """Mid-point rule: one point, 1/2; order 2.  The same as ``gauss(1)``.
+
+    Examples
+    --------
+    >>> midpoint() == gauss(1)
+    True
+    """
     return Quadrature((0.5,), (1.0,))
 
 
 def trapezoid() -> Quadrature:
-    """Trapezoidal rule, w(0) = w(1) = 1/2; order 2.  The same as ``lobatto(2)``."""
+    """Trapezoidal rule, w(0) = w(1) = 1/2; order 2.  The same as ``lobatto(2)``.
+
+    Examples
+    --------
+    >>> trapezoid() == lobatto(2)
+    True
+    """
     return Quadrature((0.0, 1.0), (0.5, 0.5))
 
 
 def left_rectangle() -> Quadrature:
-    """Left rectangle rule, w(0) = 1; order 1."""
+    """Left rectangle rule, w(0) = 1; order 1.
+
+    Examples
+    --------
+    >>> left_rectangle()
+    Quadrature of 1 point(s) from 0 to 0, order 1
+    """
     return Quadrature((0.0,), (1.0,))

@@ -61,6 +61,15 @@ class ControlTranscription:
     graph : ControlGraph, the Functions
     program, limits : what IPOPT is given
     build_seconds : float
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> move = cg.ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0], [0.0], [0.0],
+    ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1)
+    >>> transcription = cg.transcribe(move, cg.Galerkin(degree=3), intervals=4)
+    >>> [round(transcription.solve(guess=guess).cost, 6) for guess in (None, lambda t: [t**2])]
+    [6.0, 6.0]
     """
 
     def __init__(self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray) -> None:

@@ -48,8 +48,9 @@ class BoundaryProblem:
         the position is free: springs, costs of the end
     end_conditions : callable (x_0, x_N) -> values that are zero: an end on a curve, an end that is the start rotated.
         The momenta that go with them, across the curve, follow (transversality)
-    energy : frees the duration, so that the path has this energy p·v - L; of a Lagrangian that does not depend on time.
-        The phase of a periodic path of given energy is fixed by a plane through the guess's start, across its velocity
+    energy : a number, the energy p·v - L of the path; it frees the duration, and L must not depend on time.  A periodic
+        path of given energy could begin anywhere on its orbit: it begins in the plane through the start of the guess
+        and across its velocity there
     breakpoints : increasing times inside of `t_span` where L or a force is not smooth, such as the knots of tabulated
         data.  Every mesh has them as joints, so that the order holds between them.  Where L jumps in time, take a rule
         without points at the ends of an interval, such as Gauss: a function of time has one value there

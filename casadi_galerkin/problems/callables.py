@@ -122,7 +122,7 @@ def _column(name: str, values: Iterable[Any]) -> Any:
     try:
         return ca.vertcat(*values)
     except (NotImplementedError, TypeError) as error:
-        raise TypeError(f"{name} must return one CasADi expression a component, got {values!r}") from error
+        raise TypeError(f"{name} must return one CasADi expression per component, got {values!r}") from error
 
 
 def _is_constant(function: ca.Function, instruction: int) -> bool:

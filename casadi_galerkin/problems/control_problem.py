@@ -63,7 +63,7 @@ class ControlProblem:
     force : callable (t, x, v, u) -> d generalised forces
     running_cost : callable (t, x, v, u) -> scalar, integrated over time
     controls : number of controls, the length of u
-    terminal_cost : callable (t, x, v) -> scalar, added for the end
+    terminal_cost : callable (t, x, v) -> scalar, added to the cost with the values at the end
     control_bounds : (lo, hi), each a scalar or one number per control; held at the quadrature points
     position_bounds : (lo, hi), each a scalar or one number per component; held at joints and control points
     path_constraint : (g, lo, hi) with g(t, x, v, u) -> scalar or vector; held at the quadrature points

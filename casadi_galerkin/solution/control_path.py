@@ -15,17 +15,28 @@ SAME_TIME = 4 * EPS  # of the largest time: what t_i + h q may be past the joint
 
 
 class ControlPath:
-    """Controls between their values at the quadrature points: degree r - 1 an interval, free to jump at joints.
+    """Controls as functions of time: on each interval the polynomial through their values at the quadrature points.
 
-    At a joint they are those of the interval after it, of the one before where the rule has a point at 1 and none at 0
-    (Radau): so times at the quadrature points give the values there.  A rule with both (Lobatto) has two values at a
-    joint, of which the later one is taken.
+    They may jump at joints.  At a joint the value is that of the interval after it; where the rule has a point at 1 and
+    none at 0 (Radau), it is that of the interval before.  So times at the quadrature points give the values there.  A
+    rule with both points (Lobatto) has two values at a joint, of which the later one is taken.
 
     Parameters
     ----------
     mesh : (N + 1,), the joints
     points : (r,), quadrature points of the reference interval
     values : (n, N r), controls at the quadrature points in the order of time
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> move = cg.ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0], [0.0], [0.0],
+    ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1)
+    >>> control = cg.solve(move, cg.Galerkin(degree=3), intervals=4).control
+    >>> control
+    ControlPath of 1 control(s) at 3 points in each of 4 intervals of [0, 1]
+    >>> control([0.25, 1.0]).round(6).tolist()
+    [[3.0, -6.0]]
     """
 
     def __init__(self, mesh: np.ndarray, points: np.ndarray, values: np.ndarray) -> None:

@@ -47,6 +47,19 @@ class ControlTrajectory(Trajectory):
     start_velocity, end_velocity : (d,), the velocities imposed or found at the ends
 
     `action` is that of the Lagrangian alone, `morse_index` is None, and `parameters` are the optimised ones.
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> move = cg.ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0], [0.0], [0.0],
+    ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1)
+    >>> path = cg.solve(move, cg.Galerkin(degree=3), intervals=4)
+    >>> round(path.cost, 6), path.control([0.0, 1.0]).round(6).tolist()
+    (6.0, [[6.0, -6.0]])
+    >>> start = {"position": path.x[:, 0], "velocity": path.start_velocity}
+    >>> again = cg.InitialProblem(move.lagrangian, move.t_span, force=path.replay(), **start)
+    >>> cg.solve(again, path.method, mesh=path.t).x[0, -1].round(9).tolist()
+    1.0
     """
 
     problem: ControlProblem
@@ -59,7 +72,7 @@ class ControlTrajectory(Trajectory):
     end_velocity: np.ndarray
 
     def replay(self) -> ca.Function:
-        """The force (t, x, v[, p]) -> (d,) with the optimised controls put in, for an `InitialProblem`.
+        """Return the force (t, x, v[, p]) -> (d,) of the optimised controls, for an `InitialProblem`.
 
         Stepped with the same method on the same joints it gives the same path.
 

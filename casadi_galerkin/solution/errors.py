@@ -12,10 +12,22 @@ class ConvergenceError(RuntimeError):
 
     Attributes
     ----------
-    path : what the solve had come to, which can be called and plotted, but is no answer; None if there is nothing
+    path : the last path that the solve had reached, which can be called and plotted, but is no answer; None if there
+        is none
     residual : float, its largest residual over that residual's roundoff floor; of an optimisation its largest violation
         over the relative precision of a double
     iterations : int
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> import casadi_galerkin as cg
+    >>> steep = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - ca.log(x[0] - 2), (0, 1), start=[0.0], end=[1.0])
+    >>> try:
+    ...     cg.solve(steep, cg.Galerkin(degree=4), intervals=4)
+    ... except cg.ConvergenceError as error:
+    ...     print(error.path)
+    Path of 1 component on [0, 1], degree 4 on 4 intervals; not an answer
     """
 
     def __init__(self, message: str, path: Path | None = None, residual: float = np.nan, iterations: int = 0) -> None:
@@ -24,11 +36,32 @@ class ConvergenceError(RuntimeError):
 
 
 class ConjugatePointError(ConvergenceError):
-    """The Hessian of the action is singular: the ends are conjugate, or a family of paths joins them."""
+    """The Hessian of the action is singular: the ends are conjugate, or a family of paths joins them.
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> free = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), start=[None], end=[None])
+    >>> try:
+    ...     cg.solve(free, cg.Galerkin(degree=2), intervals=4)
+    ... except cg.ConjugatePointError as error:
+    ...     print(type(error.path).__name__)
+    Path
+    """
 
 
 class LimitReached(ConvergenceError):
-    """A refinement that follows a path and was stopped before its tolerance; another start would not help.
+    """A refinement was stopped before it reached its tolerance; another guess for the same path would not help.
 
     Its `path` is the best so far: of a trajectory optimisation a ControlTrajectory that solves its own mesh.
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> layer = cg.BoundaryProblem(lambda t, x, v: 1e-8 * v[0] ** 2 / 2 + x[0] ** 2 / 2, (0, 1), start=[1.0], end=[0.0])
+    >>> try:
+    ...     cg.solve(layer, tol=1e-9, limits=cg.Limits(intervals=10))
+    ... except cg.LimitReached as error:
+    ...     print(len(error.path.t) - 1 <= 10)
+    True
     """

@@ -15,9 +15,16 @@ class Limits:
 
     Parameters
     ----------
-    intervals : most intervals of a mesh
+    intervals : largest number of intervals of a mesh
     seconds : longest time, checked between levels
-    levels : most meshes
+    levels : largest number of meshes
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> layer = cg.BoundaryProblem(lambda t, x, v: 1e-8 * v[0] ** 2 / 2 + x[0] ** 2 / 2, (0, 1), start=[1.0], end=[0.0])
+    >>> cg.solve(layer, tol=1e-6, limits=Limits(intervals=5000, seconds=30)).error_estimate < 1e-6
+    True
     """
 
     intervals: float = 20_000

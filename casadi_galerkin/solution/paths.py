@@ -27,11 +27,20 @@ class Paths:
     ----------
     trajectories : all different, each with its `action`, `morse_index` and `error_estimate`; `solver` says how it was
         found
-    solves : Newton iterations begun from a guess, and curves followed
+    solves : how often Newton's method was begun from a guess, or a curve of paths followed
     unresolved : critical points of the discrete action that were dropped, because the mesh does not resolve them
     singular : critical points that were dropped, because the Hessian is singular there: they belong to a family of
         paths, or the ends are conjugate points
     stopped : why the search ended
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> import casadi_galerkin as cg
+    >>> bratu = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - ca.exp(x[0]), (0, 1), start=[0.0], end=[0.0])
+    >>> found = cg.paths(bratu, cg.Galerkin(8), 10, count=2)
+    >>> len(found), found.stopped, [path.x[0, 5].round(6).tolist() for path in found]
+    (2, 'stopped at count=2', [0.140539, 4.091467])
     """
 
     trajectories: tuple[Trajectory, ...]

@@ -64,8 +64,20 @@ class Trajectory(Path):
     method : Galerkin
     problem : what was solved, with the ends, parameters and times that it was solved for
     error_estimate : estimated relative error of x, at the joints and between them; None before `estimate_error`
-    second_variation : finds `morse_index` and `regularity`; None for steps
+    second_variation : finds `morse_index` and `regularity`; None for a path that was found step by step
     find_error : estimates the error of this path
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> fall = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 10 * x[0], (0, 1), start=[0.0], end=[0.0])
+    >>> path = cg.solve(fall, cg.Galerkin(degree=2), intervals=4)
+    >>> path(0.25).round(9).tolist(), path(0.25, 1).round(9).tolist(), path.morse_index
+    ([0.9375], [2.5], 0)
+    >>> path.velocity[:, 0].round(9).tolist(), path.energy[0].round(9).tolist()
+    ([5.0], 12.5)
+    >>> path.estimate_error() < 1e-14
+    True
     """
 
     momentum: np.ndarray
@@ -84,10 +96,10 @@ class Trajectory(Path):
     def estimate_error(self) -> float:
         """Estimate the relative error of x, at the joints and between them; kept as `error_estimate`.
 
-        The same problem in degree m + 2 on the same mesh tells it: by Newton steps from a path between two ends, by
-        steps from the same start otherwise.  It is no less than what the balance of energy misses, relative to the
-        energy's terms, nor than the change of the action by a finer rule: a kink of L or a singularity, which both
-        degrees may miss, shows there.  Infinite where the higher degree has no answer.
+        The path is compared with degree m + 2 on the same mesh: with Newton steps from it where it joins two ends, with
+        steps from the same start otherwise.  The estimate is at least what the balance of energy is violated by,
+        relative to the energy's terms, and at least the change of the action by a finer rule: these show a kink of L or
+        a singularity, which both degrees may miss.  It is infinite where the higher degree has no answer.
         """
         if self.error_estimate is None:
             object.__setattr__(self, "error_estimate", self.find_error(self))
@@ -95,7 +107,7 @@ class Trajectory(Path):
         return self.error_estimate
 
     def doubted(self, error: float) -> float:
-        """An error, or what the witnesses miss where that is more."""
+        """The larger of an error and of what the balance of energy and the action by a finer rule are violated by."""
         missed = self._missed(max(error, EPS))
         return max(error, missed["balance of energy"] * BALANCE, missed["action by a finer rule"] * ACTION)
 
@@ -109,8 +121,8 @@ class Trajectory(Path):
     def morse_index(self) -> int | None:
         """Number of negative eigenvalues of the action's Hessian, 0 for a local minimum; found when first asked for.
 
-        None for steps, under a force, which makes the equations those of no action, and where ∂²L/∂v² is not positive
-        at every joint, so that no finer mesh has a finite index.
+        It is None for a path that was found step by step; under a force, because the path is then a critical point of
+        no action; and where ∂²L/∂v² is not positive at every joint, because no finer mesh then has a finite index.
         """
         return None if self.second_variation is None else self.second_variation.negative()
 
@@ -119,7 +131,8 @@ class Trajectory(Path):
         """Smallest second variation relative to the sizes of its terms; found when first asked for.
 
         It is zero at a conjugate point, and tells how well the ends determine the path: errors are magnified by its
-        inverse.  Under a force it is that of the equations' Jacobian, between its softest directions.  None for steps.
+        inverse.  Under a force it is that of the equations' Jacobian, between its softest directions.  It is None for
+        a path that was found step by step.
         """
         return None if self.second_variation is None else self.second_variation.smallest()
 
@@ -207,7 +220,8 @@ class Trajectory(Path):
 
         Parameters
         ----------
-        points : x (d, K) -> (n, 2, K), places in the plane of the n ends of a chain of bars, fixed ones included
+        points : callable, positions x (d, K) at K times -> (n, 2, K), places in the plane of all ends of the bars of a
+            chain, one after the other, the fixed one included
         axes : Matplotlib axes to draw into, labelled by their owner; default a new figure
         seconds : how long it runs; default the duration of the path, taken as seconds
         unit : of the time shown in the title
@@ -257,7 +271,7 @@ class Trajectory(Path):
                 f"  action      {self.action:.15g}, {kind}",
                 f"  energy      {energy[0]:.12g} at the start, {self._balance()}",
                 *self._accuracy(),
-                f"  solver      {self.solver}, {self.iterations} iterations, residual {self.residual:.1g} of its "
+                f"  solver      {self.solver}, {self.iterations} iterations, residual {self.residual:.1g} times its "
                 "roundoff floor",
                 f"  seconds     {self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve",
             ]

@@ -164,7 +164,7 @@ def _line_search(
         )  # half where it is not a number
     if softest(linear, at.unknowns, data)[1] < SINGULAR:
         raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=True)
-    raise SolveFailure("the line search found no step that leads on", at.unknowns, iteration)
+    raise SolveFailure("the line search found no step that comes nearer to a solution", at.unknowns, iteration)
 
 
 def verified(

@@ -31,6 +31,16 @@ class Geometry:
     momentum_map : (N + 1,), p·ξ(x) at the joints; None if no symmetry was given
     jacobians : (N, 2d, 2d), ∂(x_{i+1}, p_{i+1})/∂(x_i, p_i); under k constraints (N, 2(d - k), 2(d - k)), of the
         components along the tangents
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> import casadi_galerkin as cg
+    >>> gravity = lambda t, x, v: ca.dot(v, v) / 2 + 1 / ca.norm_2(x)
+    >>> orbit = cg.solve(cg.InitialProblem(gravity, (0, 10), [1.0, 0.0], velocity=[0.0, 1.1]), cg.Galerkin(4), 40)
+    >>> kept = cg.geometry(orbit)
+    >>> kept.determinants.round(9).min().tolist(), bool(kept.symplecticity_defects.max() < 1e-13)
+    (1.0, True)
     """
 
     energy_error: float
@@ -40,12 +50,12 @@ class Geometry:
 
     @property
     def determinants(self) -> np.ndarray:
-        """Of the steps' Jacobians, (N,): 1 without forces."""
+        """Determinants of the steps' Jacobians, (N,); without forces they are 1."""
         return np.asarray(np.linalg.det(self.jacobians))
 
     @property
     def symplecticity_defects(self) -> np.ndarray:
-        """Largest entry of AᵀΩA - Ω, (N,): 0 without forces."""
+        """Largest entry of AᵀΩA - Ω for the Jacobian A of each step, (N,); without forces they are 0."""
         d = self.jacobians.shape[1] // 2
         omega = np.block([[np.zeros((d, d)), np.eye(d)], [-np.eye(d), np.zeros((d, d))]])
         defect = self.jacobians.transpose(0, 2, 1) @ omega @ self.jacobians - omega
@@ -77,6 +87,16 @@ def geometry(path: Trajectory, symmetry: Traceable | None = None) -> Geometry:
     ------
     TypeError, ValueError
         for a symmetry that does not return d components, or a path of another problem
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> import casadi_galerkin as cg
+    >>> gravity = lambda t, x, v: ca.dot(v, v) / 2 + 1 / ca.norm_2(x)
+    >>> orbit = cg.solve(cg.InitialProblem(gravity, (0, 10), [1.0, 0.0], velocity=[0.0, 1.1]), cg.Galerkin(4), 40)
+    >>> momentum = cg.geometry(orbit, symmetry=lambda x: [-x[1], x[0]]).momentum_map  # x × p, of rotations
+    >>> float(momentum[0].round(9)), bool(momentum.max() - momentum.min() < 1e-13)
+    (1.1, True)
     """
     if not isinstance(path, Trajectory):
         raise TypeError(f"geometry takes a Trajectory, got {type(path).__name__}")

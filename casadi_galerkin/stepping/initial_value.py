@@ -113,8 +113,8 @@ def verified(roll: Roll, stepper: Stepper) -> Roll:
     start, end = roll.mesh[good : good + 2]
     raise ConvergenceError(
         f"step {good + 1} of {n}, from t = {start:.6g} to {end:.6g}, was not solved: its residual is "
-        f"{roll.residual[good]:.1e} of its roundoff floor, {ROUNDOFF:g} is accepted. Take shorter steps there; "
-        "the path may run into a collision or another singularity",
+        f"{roll.residual[good]:.1e} times its roundoff floor, up to {ROUNDOFF:g} is accepted. Take shorter steps "
+        "there; the path may run into a collision or another singularity",
         Path(path_of(roll, stepper, good)) if good else None,
         float(roll.residual[good]),
         int(np.nansum(roll.iterations[: good + 1])),

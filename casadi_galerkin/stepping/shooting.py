@@ -178,10 +178,10 @@ def shoot(
 ) -> Trajectory:
     """Solve a boundary problem stepwise, by single shooting.
 
-    The end is met to roundoff, which is not the roundoff of the end: it is that of every joint, carried on to the end,
-    where it has grown as the path makes it grow.  `Trajectory.residual` is the largest residual of a step, or miss of
-    the end, over that floor, and accepted up to 50; `Trajectory.solver` gives the miss itself.  Where the growth was
-    1e7 it was 2e-9 of the path's size; above 1.5e-8, half of the digits, it is refused.  `solve` has no such loss.
+    The end is met up to the rounding of all joints, which grows on its way to the end as a change of the start does.
+    `Trajectory.residual` is the largest residual of a step, or miss of the end, over the floor that follows from that
+    rounding; up to 50 is accepted.  `Trajectory.solver` gives the miss itself.  For a growth of 1e7 the miss was 2e-9
+    of the path's size; a miss of more than 1.5e-8, half of the digits, is refused.  `solve` has no such loss.
 
     Of a guess only the start is used, and Newton's method may end at another path of the same ends: `Trajectory.solver`
     says so where the path found is further than half of the guess's size from the guess.
@@ -200,6 +200,13 @@ def shoot(
         for ends of other kinds
     ConvergenceError
         with the measured growth and the last path, if Newton's method fails or no start meets the end
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> fall = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 10 * x[0], (0, 1), start=[0.0], end=[1.0])
+    >>> cg.shoot(fall, cg.Galerkin(degree=2), intervals=4).momentum[0, 0].round(9).tolist()
+    6.0
     """
     check_types(problem, method, BoundaryProblem)
     if guess is not None and (not isinstance(guess, Trajectory) or len(guess.x) != problem.dimension):
@@ -290,7 +297,7 @@ def _met(shooting: Shooting, shot: Shot, iteration: int) -> Shot:
     if missed <= MISS and shot.residual <= ROUNDOFF:
         return shot
     reason = (
-        f"the end is missed by {missed:.1e} of the path's size, the rounding of the start alone moves it {moved:.1e}"
+        f"the end is missed by {missed:.1e} of the path's size, the rounding of the start alone moves it by {moved:.1e}"
     )
     raise _failure(reason, shot, iteration)
 

@@ -72,11 +72,20 @@ class Comparison:
     global_path : Trajectory
     stepped : Attempt, the steps from the global path's own (x_0, p_0)
     shooting : Attempt, the boundary problem solved by `shoot`
-    gap_growth : rate λ of the gap of `stepped`, fitted to e^{λ t} from roundoff to 0.1; not a number if fewer than
-        three joints are there
-    condition_global, condition_stepwise : κ of both formulations, defined in the module
+    gap_growth : rate λ of the gap of `stepped`, fitted to e^{λ t} at the joints where the gap lies between roundoff and
+        0.1; not a number if these are fewer than three
+    condition_global, condition_stepwise : how many times a formulation magnifies a relative change of its data: of the
+        ends globally, of (x_0, p_0) step by step; the module defines them
     another : Trajectory, the path of `shooting` if it is another stationary path than `global_path`, solved globally
         from there if that can be, so that it has a Morse index; None if shooting has found no other path
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> balance = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + x[0] ** 2 / 2, (0, 40), start=[1.0], end=[1.0])
+    >>> compared = cg.compare(balance, cg.Galerkin(degree=4), intervals=80)
+    >>> round(compared.gap_growth, 1), compared.shooting.path is None
+    (1.0, True)
     """
 
     global_path: Trajectory
@@ -146,7 +155,7 @@ def compare(
     mesh: ArrayLike | None = None,
     guess: Trajectory | None = None,
 ) -> Comparison:
-    """Solve a boundary problem globally and stepwise, and measure how the two part.
+    """Solve a boundary problem globally and stepwise, and measure how far the two come apart.
 
     Parameters
     ----------
@@ -160,6 +169,14 @@ def compare(
     ------
     ConvergenceError
         if the global solve fails; failures of the stepwise ways are part of the answer
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> balance = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + x[0] ** 2 / 2, (0, 40), start=[1.0], end=[1.0])
+    >>> compared = cg.compare(balance, cg.Galerkin(degree=4), intervals=80)
+    >>> compared.condition_global < 2, compared.condition_stepwise > 1e16
+    (True, True)
     """
     path = solve(problem, method, intervals, mesh=mesh, guess=guess)
     start = InitialProblem(

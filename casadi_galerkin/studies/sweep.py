@@ -44,7 +44,14 @@ Answers = dict[int, Answer]  # by the number of the variation
 
 
 class CutShort(ConvergenceError):
-    """A solve that something else ended: its worker failed, or the sweep was interrupted.  A path may well exist."""
+    """A solve that something else ended: its worker failed, or the sweep was interrupted.  A path may well exist.
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> issubclass(cg.CutShort, cg.ConvergenceError)
+    True
+    """
 
 
 @dataclass(frozen=True, repr=False)
@@ -55,6 +62,14 @@ class Sweep:
     ----------
     answers : one for each variation, its Trajectory or the exception that says why there is none: a ConvergenceError,
         a CutShort where its worker failed or an interrupt came first, or whatever its guess raised
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> fall = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 10 * x[0], (0, 1), start=[0.0], end=[0.0])
+    >>> throws = cg.sweep(fall, [{"end": [1.0]}, {"end": [2.0]}], cg.Galerkin(degree=2), intervals=4)
+    >>> throws.x.shape, throws[1](1.0).tolist(), throws.failures
+    ((2, 1, 5), [2.0], {})
     """
 
     answers: tuple[Answer, ...]
@@ -135,8 +150,9 @@ def sweep(
     Parameters
     ----------
     problem : BoundaryProblem
-    variations : dicts of what differs from the problem: `start`, `end`, `parameters`, `t_span`; and `guess`, as for
-        `solve`, which with a process pool has to be picklable (an array, a Trajectory, a module's function)
+    variations : dicts of what differs from the problem: `start`, `end`, `parameters`, `t_span`; the velocities and
+        momenta at the ends, and the energy, where the problem states them; and `guess`, as for `solve`, which with a
+        process pool has to be picklable (an array, a Trajectory, a module's function)
     method, intervals, tol : as for `solve`; with `tol`, every variation gets a mesh of its own
     executor : any Executor of processes in the sense of `concurrent.futures`; default none, one after the other.
         Not of threads: CasADi Functions are not thread-safe

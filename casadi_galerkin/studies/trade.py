@@ -1,7 +1,7 @@
 """Speed against accuracy, measured on the user's own problem: every method on every number of intervals.
 
 Every cell is built once and solved repeatedly; its time is the median of the warm solves.  Errors are differences to
-a reference, which is given or solved for (`accuracy`).
+a reference, which is given or solved for (`reference`).
 """
 
 from __future__ import annotations
@@ -121,7 +121,15 @@ def trade(
     TypeError, ValueError
         for input that does not fit, before anything is solved
     ConvergenceError
-        if no cell was solved, or no finer solve was found to measure against
+        if no method solved the problem, or no finer solve was found to measure against
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> oscillator = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), start=[0.0], end=[1.0])
+    >>> measured = cg.trade(oscillator, [cg.Galerkin(2)], [4, 8, 16])
+    >>> round(measured.order(cg.Galerkin(2)), 1)
+    3.0
     """
     keys = _check(problem, list(methods), list(intervals), guess)
     if reference is not None:
@@ -137,7 +145,7 @@ def trade(
                 bar.update()
     paths = [cell.path for cell in cells if cell.path is not None]
     if not paths:
-        raise ConvergenceError(f"no cell of the trade was solved; the first: {cells[0].failure}")
+        raise ConvergenceError(f"no method solved the problem on any mesh; the first failure: {cells[0].failure}")
     described, own = "given", getattr(reference, "error_estimate", None) or 0.0
     if own:
         described = f"given, own error {own:.1e}"

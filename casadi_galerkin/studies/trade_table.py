@@ -21,7 +21,7 @@ PLATEAU = 30.0  # errors below so many times the floor take no part in the fit o
 
 @dataclass(frozen=True)
 class Row:
-    """One cell of a trade: a method on so many intervals, its cost and its errors.
+    """One row of a trade: a method on a number of intervals, with its cost and its errors.
 
     Attributes
     ----------
@@ -34,6 +34,14 @@ class Row:
     action_error : of the action, relative to ∫ |L| dt
     energy_error : largest error of the energy at the joints, relative to the largest of its terms |p·v| + |L|
     failure : why there is no answer; the numbers above are then NaN or 0.  None if there is one
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> oscillator = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), start=[0.0], end=[1.0])
+    >>> (row,) = cg.trade(oscillator, [cg.Galerkin(6)], [4]).rows
+    >>> row.intervals, row.unknowns, row.error < 1e-9, row.failure
+    (4, 23, True, None)
     """
 
     method: Galerkin
@@ -55,9 +63,17 @@ class Trade:
 
     Attributes
     ----------
-    rows : all cells, methods slowest
+    rows : for each method in turn, one row per number of intervals
     reference : what the errors are differences to
     reference_error : its own estimated relative error; 0 where it was given
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> oscillator = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), start=[0.0], end=[1.0])
+    >>> measured = cg.trade(oscillator, [cg.Galerkin(2), cg.Galerkin(6)], [4])
+    >>> measured.cheapest(1e-9).method
+    Galerkin(degree 6, 6 quadrature points of order 12)
     """
 
     rows: tuple[Row, ...]

@@ -87,7 +87,7 @@ def test_a_branch_is_summarised(round_the_fold):
 def test_bad_input_is_refused():
     problem = bratu()
     plain = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0])
-    with pytest.raises(ValueError, match="continuation walks parameters"):
+    with pytest.raises(ValueError, match="continuation changes the parameters of a problem, and this one has none"):
         cg.continuation(plain, [1.0], intervals=4)
     with pytest.raises(ValueError, match="the target must differ"):
         cg.continuation(problem, [1.0], intervals=4)

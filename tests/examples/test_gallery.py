@@ -25,8 +25,8 @@ def test_every_scene_has_its_picture_and_its_words_in_the_manual(gallery):
     assert sorted(shown) == gallery.SCENES
 
 
-def test_pictures_are_those_of_scenes_and_of_the_peers_and_small(gallery):
-    assert {file.stem for file in PICTURES.glob("*.png")} == {*gallery.SCENES, "peers"}
+def test_pictures_are_those_of_scenes_of_the_peers_and_of_the_first_page_and_small(gallery):
+    assert {file.stem for file in PICTURES.glob("*.png")} == {*gallery.SCENES, "peers", "swings"}
     assert {file.name for file in PICTURES.iterdir() if file.stat().st_size > BYTES} == set()
 
 
