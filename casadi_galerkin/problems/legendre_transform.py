@@ -100,7 +100,8 @@ def velocities(
                 break
             damping[refused] /= 2
         v, last = trial, length
-    sizes = np.abs(momentum) + np.abs(found) + np.einsum("kij,jk->ik", np.abs(masses), np.abs(v))
+    rounded = np.abs(v) + EPS / FOUND * np.max(np.abs(v), axis=0)  # a component near zero is as good as the others
+    sizes = np.abs(momentum) + np.abs(found) + 4 * np.einsum("kij,jk->ik", np.abs(masses), rounded)
     missed = (np.abs(momentum - found) > FOUND * sizes).any(axis=0)  # where ∂²L/∂v² vanishes, there are no steps
     return np.where(settled & ~missed, v, np.nan)
 

@@ -25,3 +25,16 @@ def test_a_velocity_that_does_not_exist_is_not_a_number():
         legendre_transform(lagrangian), np.zeros(3), np.zeros((1, 3)), momenta, np.full((1, 3), 30.0)
     )
     np.testing.assert_allclose(found, [[1 / np.sqrt(3), np.nan, -1 / np.sqrt(3)]], rtol=1e-14)
+
+
+def test_a_velocity_that_passes_through_zero_in_one_component_is_found():
+    """Its momentum is roundoff there, and the velocity settles to the roundoff of the other component."""
+    swing = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - 9.81 * x[1],
+        (0.0, 0.5),
+        [-np.sin(0.5), -np.cos(0.5)],
+        [np.sin(0.5), -np.cos(0.5)],
+        constraint=lambda t, x: ca.dot(x, x) - 1,
+    )
+    path = cg.solve(swing, cg.Galerkin(4), 10, guess=lambda t: [np.sin(2 * t - 0.5), -np.cos(2 * t - 0.5)])
+    np.testing.assert_allclose(path.velocity, path.momentum, rtol=0, atol=1e-15)
