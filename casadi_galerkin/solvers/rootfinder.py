@@ -1,8 +1,10 @@
 """CasADi's own rootfinder on the same graph.
 
-Its ``newton`` plugin takes full steps, or with ``line_search`` shorter ones that lower the residual, until an absolute
-residual is reached.  So the residuals are measured by the sizes of the terms that they sum.  It reports NaN as success,
-and from a straight line it diverges on large swings: what it finds is verified as any other answer.
+Its ``newton`` plugin shortens its steps until they lower the residual, or with ``line_search=False`` takes full ones,
+until an absolute residual is reached.  So the residuals are measured by the sizes of the terms that they sum.  With
+multipliers among the unknowns, full steps are the default: the first of them leaves a constraint that was met, and from
+then on the residual falls, while a line search was measured to stall.  It reports NaN as success, and from a straight
+line it may diverge on large swings: what it finds is verified as any other answer.
 """
 
 from __future__ import annotations
@@ -41,14 +43,15 @@ def casadi_newton(functional: Functional, options: Mapping[str, Any]) -> tuple[c
     symbols, names = [*symbols, rows], [*names, "rows"]
     residual = ca.Function("residual", symbols, [rows * gradient], names, ["residual"])
     scaled = [ca.mtimes(ca.diag(rows), matrix), rows * gradient]
-    common = {
+    common = DEFAULTS | {
+        "line_search": not functional.numbering.multipliers,
         "jacobian_function": ca.Function("jacobian", symbols, scaled, names, ["matrix", "residual"]),
         "show_eval_warnings": False,
         "error_on_fail": False,
         "abstolStep": 0.0,  # it is absolute, whatever the unit of x
     }
-    near = ca.rootfinder("near", "newton", residual, {**common, **DEFAULTS, **options})
-    last = ca.rootfinder("last", "newton", residual, {**common, **DEFAULTS, **options, "abstol": 0.0, "max_iter": 2})
+    near = ca.rootfinder("near", "newton", residual, {**common, **options})
+    last = ca.rootfinder("last", "newton", residual, {**common, **options, "abstol": 0.0, "max_iter": 2})
     return near, last
 
 
