@@ -216,7 +216,10 @@ class Transcription:
         except SolveFailure as failure:
             path = self.emb(failure.unknowns, data)
             raise explained(self.stationarity, failure, path, data) from None
-        return CriticalPoint(solution, problem, data, self.emb(solution.unknowns, data))
+        path = self.emb(solution.unknowns, data)
+        if self.numbering.stretched:  # the duration asked for was a guess
+            problem = problem.varied({}, (float(path.mesh[0]), float(path.mesh[-1])))
+        return CriticalPoint(solution, problem, data, path)
 
     def guess_on_mesh(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:
         """Put a guess on a mesh, bent to meet the ends."""
