@@ -73,9 +73,7 @@ def test_the_velocity_found_for_a_projectile_hits_the_target_when_integrated():
 def test_a_force_that_is_a_gradient_gives_the_path_of_its_potential(degree, rule):
     method = cg.Galerkin(degree, quadrature=rule(degree))
     bound = cg.solve(cg.BoundaryProblem(pendulum, (0, 3), [0.2], [1.0]), method, intervals=12)
-    free = cg.BoundaryProblem(
-        lambda t, x, v: v[0] ** 2 / 2, (0, 3), [0.2], [1.0], force=lambda t, x, v: -ca.sin(x[0])
-    )
+    free = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 3), [0.2], [1.0], force=lambda t, x, v: -ca.sin(x[0]))
     path = cg.solve(free, method, intervals=12, guess=bound)
     np.testing.assert_allclose(path.polynomial.values, bound.polynomial.values, rtol=0, atol=SAME)
     np.testing.assert_allclose(path.momentum, bound.momentum, rtol=0, atol=SAME)
@@ -147,7 +145,9 @@ def test_solvers_agree_on_a_forced_path(solver):
 
 
 def test_the_minimizer_refuses_a_force():
-    with pytest.raises(ValueError, match="minimizer lowers the action, which a force, .* do not allow: take newton or"):
+    with pytest.raises(
+        ValueError, match=r"minimizer lowers the action, which a force, .* do not allow: take newton or"
+    ):
         cg.solve(projectile(), METHOD, intervals=4, solver=cg.minimizer)
 
 
