@@ -45,6 +45,7 @@ SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their
 ROUNDED = 0.2  # of eps: what rounding to the nearest double changes in the root mean square
 SIGNS = 4  # random signs of the rounding of the equations, from which its effect on the path is estimated
 GENERIC = 0.1, 0.4, 0.7  # parts of a line between the ends, bent, at which a Lagrangian is asked for its mass matrix
+AT_REST = 1e-3  # speed at the start over the largest, below which the start tells no phase
 
 
 @dataclass(frozen=True)
@@ -317,12 +318,13 @@ class Transcription:
         if not self.phase:
             return None
         sizes = component_sizes(path.values)
-        normal = path(path.mesh[0], 1) / sizes**2
-        if not np.any(normal):
+        speeds = np.linalg.norm(path(path.mesh, 1) / sizes[:, None], axis=0)
+        if not speeds[0] > AT_REST * np.max(speeds):
             raise ValueError(
                 "a periodic path of given energy needs a guess that moves at its start, got one that rests there: its "
                 "duration and its phase follow from the guess"
             )
+        normal = path(path.mesh[0], 1) / sizes**2
         return np.concatenate((normal / np.linalg.norm(normal), path.values[:, 0]))
 
     def unknowns(self, values: np.ndarray, data: Data) -> np.ndarray:

@@ -144,7 +144,8 @@ class _Statement:
         x, t = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], ca.SX.sym("t", 2)
         positions = ca.vertcat(*x)
         sizes = [int(np.count_nonzero(chosen)) for chosen in rates.values()]
-        values = dict(zip(RATES, ca.vertsplit(self.given[: sum(sizes)], np.cumsum([0, *sizes]).tolist()), strict=True))
+        parts = ca.vertsplit(self.given, [*np.cumsum([0, *sizes]).tolist(), self.given.numel()])
+        values = dict(zip(RATES, parts, strict=False))  # the last part is no rate
         action = ca.SX(0) if problem.end_action is None else self._called(problem.end_action, *x)
         for side, sign, at in (("start", 1, x[0]), ("end", -1, x[1])):
             for k, i in enumerate(np.flatnonzero(rates[f"{side}_momentum"]).tolist()):

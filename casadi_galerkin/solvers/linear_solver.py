@@ -18,6 +18,8 @@ from casadi_galerkin.functional.numbering import KEPT, Numbering
 
 LOCAL = 1e-3  # part of a right-hand side that a solution may miss; below such a step, no line search is needed
 METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 times faster than QR, which is for where it fails
+# A free duration has a full row, which makes all factors of QR full: it is eliminated, where the rest is regular.
+STRETCHED = "bordered", "qr"
 
 
 class LinearSolver:
@@ -49,7 +51,36 @@ class LinearSolver:
 
     def _solution(self, method: str, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
         """Solution of ∇²S Y = -B."""
-        return -(self._ldl.solve(matrix, rhs) if method == "ldl" else ca.solve(matrix, rhs, method))
+        if method == "ldl":
+            return -self._ldl.solve(matrix, rhs)
+        solved = self._bordered(matrix, rhs) if method == "bordered" else ca.solve(matrix, rhs, method)
+        return -self._reached(matrix, rhs) * solved
+
+    def _reached(self, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
+        """One where the right-hand side reaches an unknown through the matrix, zero where the solution is zero.
+
+        A component that a symmetry keeps at zero must stay there exactly: QR, unlike LDLᵀ, mixes its rows with others,
+        and what rounding then leaves would never become small relative to itself.  Asked of whole components of the
+        path, and of every further unknown.
+        """
+        positions, free, d = self.numbering.positions, self.numbering.free, self.numbering.dimension
+        owner = np.append(self.numbering.component[:positions], d + np.arange(free - positions)).tolist()
+        members = ca.MX(ca.DM.triplet(owner, list(range(free)), ca.DM.ones(free), d + free - positions, free))
+        coupled = ca.mtimes(ca.mtimes(members, ca.fabs(matrix)), members.T)
+        began = ca.mtimes(members, ca.fabs(ca.densify(rhs)))
+        reached = began > 0
+        for _ in range(min(2 * d, d + free - positions) - 1):  # through components and what couples them
+            reached = began + ca.mtimes(coupled, reached) > 0
+        return ca.mtimes(members.T, reached)
+
+    def _bordered(self, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
+        """Solution of ∇²S Y = B from one with all rows and columns but the last, by its Schur complement."""
+        n = self.numbering.free - 1
+        column, row = ca.densify(matrix[:n, n]), matrix[n, :n]
+        solved = ca.solve(matrix[:n, :n], ca.horzcat(ca.densify(rhs[:n, :]), column), "qr")
+        y, response = solved[:, :-1], solved[:, -1]
+        last = (rhs[n, :] - ca.mtimes(row, y)) / (matrix[n, n] - ca.mtimes(row, response))
+        return ca.vertcat(y - ca.mtimes(response, last), last)
 
     def _defect(self, matrix: ca.MX, y: ca.MX, rhs: ca.MX) -> ca.MX:
         """‖∇²S y + b‖₁ - LOCAL ‖b‖₁: the linear system is solved where this is at most zero."""

@@ -22,7 +22,7 @@ import numpy as np
 from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.buffers import Evaluator
-from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
+from casadi_galerkin.solvers.linear_solver import METHODS, STRETCHED, linear_solver
 from casadi_galerkin.solvers.threads import one_thread
 
 Built = TypeVar("Built")
@@ -59,6 +59,7 @@ class Stationarity:
     linear_solver : LinearSolver for the functional's Hessian
     allows_ldl : whether LDLᵀ without pivoting can work: not where ∂²L/∂v_i² is structurally zero for some i, nor with a
         force, which makes ∇²S unsymmetric, nor with multipliers
+    linear_methods : how ∇²S is solved with: LDLᵀ or, of a free duration, by elimination; QR where that fails
     quadratic : whether the Hessian depends on the data alone
     variational : whether the conditions are those of an action that may be lowered, under conditions if there are some
     """
@@ -69,6 +70,8 @@ class Stationarity:
         pointwise, plain = functional.pointwise, not (functional.terms or functional.numbering.stretched)
         self.variational = functional.symmetric and not functional.numbering.stretched
         self.allows_ldl = pointwise.kinetic and functional.symmetric and not functional.numbering.multipliers
+        without_ldl = STRETCHED if functional.numbering.stretched else METHODS[1:]
+        self.linear_methods = METHODS if self.allows_ldl else without_ldl
         self.quadratic = pointwise.quadratic and plain
         self._idle: list[Linearization] = []
 
@@ -80,13 +83,13 @@ class Stationarity:
 
         Parameters
         ----------
-        linear_solver : name of a CasADi linear solver; default LDLᵀ, and QR where that fails
+        linear_solver : name of a CasADi linear solver; default `linear_methods`
         """
         try:
             lent = self._idle.pop()
         except IndexError:  # none yet, or all lent to other threads
             lent = Linearization(self)
-        lent.methods = (linear_solver,) if linear_solver else METHODS if self.allows_ldl else METHODS[1:]
+        lent.methods = (linear_solver,) if linear_solver else self.linear_methods
         try:
             with one_thread():
                 yield lent

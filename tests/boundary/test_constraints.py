@@ -277,6 +277,35 @@ def test_ends_that_leave_the_constraint_are_refused_in_a_repeated_solve():
         cg.transcribe(problem, METHOD, 4).solve(end=[1.0, 1.0])
 
 
+# paths in a plane of symmetry, where a component stays zero
+
+
+@pytest.mark.parametrize("more", [{}, {"force": lambda t, x, v: -v / 3}, {"energy": 0.4}], ids=list)
+def test_a_spherical_pendulum_in_a_plane_is_the_plane_one_and_stays_there_exactly(more):
+    in_space, in_plane = (lambda a: np.array([np.sin(a), 0.0, -np.cos(a)])), on_circle
+    paths = []
+    for lagrangian, place in ((spatial, in_space), (planar, in_plane)):
+        problem = cg.BoundaryProblem(lagrangian, (0, 1.5), place(0.2), place(1.3), constraint=unit_length, **more)
+        guess = lambda t, place=place: place(0.2 + 1.1 * t / 1.5)  # noqa: E731
+        paths.append(cg.solve(problem, METHOD, intervals=8, guess=guess))
+    assert not np.any(paths[0].x[1])
+    np.testing.assert_allclose(paths[0].x[::2], paths[1].x, rtol=0, atol=1e-14)
+
+
+def test_a_constraint_on_a_component_that_stays_zero_is_harmless():
+    problem = cg.BoundaryProblem(
+        spatial,
+        (0, 1.5),
+        [np.sin(0.2), 0.0, -np.cos(0.2)],
+        [np.sin(1.3), 0.0, -np.cos(1.3)],
+        constraint=lambda t, x: [ca.sumsqr(x) - 1, x[1]],
+    )
+    guess = lambda t: np.array([np.sin(0.2 + 1.1 * t / 1.5), 0.0, -np.cos(0.2 + 1.1 * t / 1.5)])  # noqa: E731
+    path = cg.solve(problem, METHOD, intervals=8, guess=guess)
+    np.testing.assert_allclose(path.x[::2], both_ways("pendulum")[1](path.t), rtol=0, atol=JOINTS)
+    assert not np.any(path.x[1])
+
+
 # index, many constraints, tolerances, solvers
 
 

@@ -56,6 +56,15 @@ def test_a_projectile_with_quadratic_drag_has_its_computed_velocities():
     np.testing.assert_allclose(path.velocity[:, 4], [14.533117872692, -1.190493484620], rtol=0, atol=DIGITS)
 
 
+def test_a_projectile_in_space_stays_in_its_plane_exactly():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2 - 9.81 * x[2], (0.0, 4.0), [0.0, 0.0, 0.0], [60.0, 0.0, 0.0], force=drag
+    )
+    path, planar = cg.solve(problem, METHOD, intervals=8), cg.solve(projectile(), METHOD, intervals=8)
+    assert not np.any(path.x[1])
+    np.testing.assert_allclose(path.x[::2], planar.x, rtol=0, atol=60 * SAME)
+
+
 def test_the_velocity_found_for_a_projectile_hits_the_target_when_integrated():
     path = cg.solve(projectile(), METHOD, intervals=8)
 
