@@ -7,6 +7,7 @@ import sys
 import casadi as ca
 import numpy as np
 import pytest
+from constrained import on_circle, pendulum, planar, unit_length
 from control_problems import everything
 
 import casadi_galerkin as cg
@@ -55,6 +56,49 @@ def test_a_problem_made_of_a_lambda_is_solved_to_the_same_bits(problem):
     np.testing.assert_array_equal(theirs.polynomial.values, ours.polynomial.values)
     np.testing.assert_array_equal(theirs.momentum, ours.momentum)
     assert theirs.action == ours.action
+
+
+def orbit():
+    return cg.BoundaryProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2 + 1 / ca.norm_2(x), (0, np.pi), [0.9, 0.0], [None, 0.0], energy=-0.5
+    )
+
+
+def half_turn(t):
+    return [np.cos(t) - 0.1, np.sin(t)]
+
+
+MECHANICS = {
+    "force": (cg.BoundaryProblem(pendulum, (0, 1), [0.2], [1.3], force=lambda t, x, v: -v), None),
+    "constraint": (
+        cg.BoundaryProblem(planar, (0, 1), on_circle(0.2), on_circle(1.3), constraint=unit_length),
+        lambda t: on_circle(0.2 + 1.1 * t),
+    ),
+    "ends": (
+        cg.BoundaryProblem(
+            pendulum, (0, 1), [None], [None], start_velocity=[0.5], end_conditions=lambda x0, x1: x1[0] - 1
+        ),
+        None,
+    ),
+    "energy": (orbit(), half_turn),
+}
+
+
+@pytest.mark.parametrize("name", MECHANICS)
+def test_problems_of_mechanics_and_their_answers_survive_pickling(name):
+    problem, guess = MECHANICS[name]
+    copy = there_and_back(problem)
+    assert repr(copy) == repr(problem)
+    path, again = (cg.solve(each, cg.Galerkin(6), 8, guess=guess) for each in (problem, copy))
+    kept = there_and_back(path)
+    for other in (again, kept):
+        np.testing.assert_array_equal(other.x, path.x)
+        np.testing.assert_array_equal(other.momentum, path.momentum)
+        np.testing.assert_array_equal(other.t, path.t)
+        assert other.morse_index == path.morse_index
+    assert kept.problem.t_span == path.problem.t_span
+    if problem.constraint is not None:
+        np.testing.assert_array_equal(kept.multipliers(0.3), path.multipliers(0.3))
 
 
 def test_another_process_needs_no_source_of_the_lambda(tmp_path):

@@ -6,6 +6,7 @@ from inspect import isclass
 import casadi as ca
 import numpy as np
 import pytest
+from constrained import on_sphere, spatial, unit_length
 from control_problems import cart_pole, double_integrator, everything
 from scenes import BY_NAME, bratu, kepler, pendulum
 
@@ -51,6 +52,19 @@ def rotation(x):
     return [-x[1], x[0]]
 
 
+def constrained():
+    """A spherical pendulum with friction that ends at rest somewhere at a given height."""
+    return cg.BoundaryProblem(
+        spatial,
+        (0, 1),
+        on_sphere((1.0, 0.0)),
+        [None] * 3,
+        constraint=unit_length,
+        force=lambda t, x, v: -v,
+        end_conditions=lambda x0, x1: x1[2] - x0[2] / 2,
+    )
+
+
 SHORT = BY_NAME["short pendulum"].problem
 MESH = np.linspace(0, 1, 101)
 CASES = {
@@ -87,7 +101,12 @@ CASES = {
     "BoundaryProblem": lambda: SHORT,
     "BoundaryProblem of many components": chain,
     "BoundaryProblem with parameters": family,
+    "BoundaryProblem with a constraint, a force and end conditions": constrained,
+    "BoundaryProblem of given energy": lambda: cg.BoundaryProblem(pendulum, (0, 5), [None], periodic=True, energy=0.5),
     "InitialProblem": falling,
+    "InitialProblem with a constraint": lambda: cg.InitialProblem(
+        spatial, (0, 1), on_sphere((1.0, 0.0)), velocity=[0.0, 1.0, 0.0], constraint=unit_length
+    ),
     "ControlProblem": everything,
     "ControlProblem with bounds": cart_pole,
     "Galerkin": lambda: METHOD,

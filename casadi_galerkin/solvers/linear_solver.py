@@ -61,17 +61,30 @@ class LinearSolver:
 
         A component that a symmetry keeps at zero must stay there exactly: QR, unlike LDLᵀ, mixes its rows with others,
         and what rounding then leaves would never become small relative to itself.  Asked of whole components of the
-        path, and of every further unknown.
+        path, of every multiplier, and of all further unknowns that meet one another in the matrix together.
         """
+        members, others = self._groups
+        size, given = ca.fabs(matrix), ca.fabs(ca.densify(rhs))
+        size += size.T
+        tied = ca.mtimes(members, size[:, others])
+        coupled = ca.mtimes(ca.mtimes(members, size), members.T) + ca.mtimes(tied, tied.T)
+        reached = ca.mtimes(members, given) + ca.mtimes(tied, given[others, :]) > 0
+        for _ in range(members.shape[0] - 1):
+            reached = reached + ca.mtimes(coupled, reached) > 0
+        found = ca.mtimes(members.T, reached)
+        found[others, :] = given[others, :] + ca.mtimes(tied.T, reached) > 0
+        return found
+
+    @lazy
+    def _groups(self) -> tuple[ca.MX, list[int]]:
+        """Members of every component, and of the further unknowns that meet others, (d + 1, free); the other ones."""
         positions, free, d = self.numbering.positions, self.numbering.free, self.numbering.dimension
-        owner = np.append(self.numbering.component[:positions], d + np.arange(free - positions)).tolist()
-        members = ca.MX(ca.DM.triplet(owner, list(range(free)), ca.DM.ones(free), d + free - positions, free))
-        coupled = ca.mtimes(ca.mtimes(members, ca.fabs(matrix)), members.T)
-        began = ca.mtimes(members, ca.fabs(ca.densify(rhs)))
-        reached = began > 0
-        for _ in range(min(2 * d, d + free - positions) - 1):  # through components and what couples them
-            reached = began + ca.mtimes(coupled, reached) > 0
-        return ca.mtimes(members.T, reached)
+        rows, columns = (np.array(index, dtype=int) for index in self.sparsity.get_triplet())
+        meeting = np.unique(rows[(rows >= positions) & (columns >= positions)])
+        chosen = np.append(np.arange(positions), meeting).tolist()
+        owner = np.append(self.numbering.component[:positions], np.full(len(meeting), d)).tolist()
+        members = ca.DM.triplet(owner, chosen, ca.DM.ones(len(chosen)), d + 1, free)
+        return ca.MX(members), np.setdiff1d(np.arange(positions, free), meeting).tolist()
 
     def _bordered(self, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
         """Solution of ∇²S Y = B from one with all rows and columns but the last, by its Schur complement."""

@@ -294,6 +294,86 @@ def nothing_missing(module, found):
         np.testing.assert_allclose(speed, np.sqrt(2 * path.action), rtol=1e-7, atol=0)
 
 
+def thrown_at_the_target(module, throws):
+    """Against velocities computed with other methods, and against the flight integrated from the throw."""
+    np.testing.assert_allclose(throws[4.0].velocity[:, 0], [21.997650341247, 23.207649053857], rtol=1e-12, atol=0)
+
+    def rate(t, y):
+        return [*y[2:], *(-module.DRAG * np.hypot(*y[2:]) * y[2:] - [0, module.GRAVITY])]
+
+    for duration, path in throws.items():
+        flight = solve_ivp(rate, (0, duration), [0, 0, *path.velocity[:, 0]], "DOP853", rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(flight.y[:2, -1], module.TARGET, rtol=0, atol=1e-9)
+
+
+def swung_on_its_rods(module, path):
+    """Against the motion of the free masses under gravity and the tensions found; energy and spin are kept."""
+    np.testing.assert_allclose(module.spin(path), module.spin(path)[0], rtol=1e-12, atol=0)
+    np.testing.assert_allclose(path.energy, path.energy[0], rtol=1e-11, atol=0)
+    lengths = np.hypot.reduce(path.x[:3]), np.hypot.reduce(path.x[3:] - path.x[:3])
+    np.testing.assert_allclose(lengths, 1, rtol=ROUNDOFF, atol=0)
+
+    def rate(t, y):  # Baumgarte's stabilisation is not needed for so short a time
+        (first, second), v = np.split(y[:6], 2), y[6:]
+        along, relative = second - first, v[3:] - v[:3]
+        slope = np.block([[first, np.zeros(3)], [-along, along]])
+        pull = -np.array([v[:3] @ v[:3], relative @ relative]) + module.GRAVITY * slope[:, [2, 5]].sum(axis=1)
+        gravity = np.array([0, 0, module.GRAVITY] * 2)
+        return np.concatenate((v, slope.T @ np.linalg.solve(slope @ slope.T, pull) - gravity))
+
+    start = np.concatenate((path.x[:, 0], path.velocity[:, 0]))
+    end = solve_ivp(rate, (0, module.DURATION), start, "DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+    np.testing.assert_allclose(end, [*path.x[:, -1], *path.velocity[:, -1]], rtol=0, atol=1e-8)  # grows 1e3 times
+    assert path.morse_index == 0
+
+
+def across_the_slope(module, curves):
+    """Against the cycloid, from rest higher up, that goes through the first point and meets the slope at right angles.
+
+    x = c + r (θ - sin θ), y = r (1 - cos θ) heads along (1 - cos θ, sin θ), at θ/2 from the vertical; time is √(r/g) θ.
+    """
+    for degrees, path in curves.items():
+        angle = np.radians(degrees)
+        last = 2 * angle  # heading along (sin, cos) of the angle
+        x, y = module.START
+
+        def of_radius(r, y=y):
+            first = np.arccos(1 - y / r)
+            return first, r * (first - np.sin(first))
+
+        def missed(r, angle=angle, last=last, x=x):
+            end = np.array([x - of_radius(r)[1] + r * (last - np.sin(last)), r * (1 - np.cos(last))])
+            return (end - module.FOOT) @ [np.sin(angle), np.cos(angle)]
+
+        r = brentq(missed, 0.1, 20.0, xtol=1e-15, rtol=1e-15)
+        time = np.sqrt(r / module.GRAVITY) * (last - of_radius(r)[0])
+        np.testing.assert_allclose(module.duration(path), time, rtol=1e-12, atol=0)
+        across = path.momentum[:, -1] @ [-np.cos(angle), np.sin(angle)]
+        assert abs(across) <= 1e-11 * np.linalg.norm(path.momentum[:, -1])
+
+
+def closed_around_the_point(module, orbits):
+    """Half of every orbit, integrated from its start, meets the axis at right angles; then it closes by symmetry."""
+
+    def rate(t, y):
+        x, v = y[:2], y[2:]
+        pull = sum(
+            mass * (x - at) / np.linalg.norm(x - at) ** 3
+            for mass, at in ((1 - module.MOON, [-module.MOON, 0]), (module.MOON, [1 - module.MOON, 0]))
+        )
+        return [*v, 2 * v[1] + x[0] - pull[0], -2 * v[0] + x[1] - pull[1]]
+
+    for constant, path in orbits.items():
+        start = np.concatenate((path.x[:, 0], path.velocity[:, 0]))
+        end = solve_ivp(rate, (0, path.t[-1]), start, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+        np.testing.assert_allclose(end, [path.x[0, -1], 0, 0, path.velocity[1, -1]], rtol=0, atol=1e-11)
+        np.testing.assert_allclose(-2 * path.energy, constant, rtol=1e-12, atol=0)
+    periods = [2 * path.t[-1] for path in orbits.values()]
+    # the linearised motion around L1 has the rate 2.334386
+    assert 2 * np.pi / 2.334386 < periods[0] < 1.02 * 2 * np.pi / 2.334386
+    assert np.all(np.diff(periods) > 0)
+
+
 def digits_lost_by_shooting(module, measured):
     errors = {name: np.array([[r.joint_error for r in rows] for rows in ways]) for name, ways in measured.items()}
     np.testing.assert_allclose(*errors["Kepler arc"], rtol=0, atol=ROUNDOFF)  # the same discrete equations
@@ -454,6 +534,14 @@ TABLE = [
     ("inverted_pendulum", digits_kept_globally, "the balanced pendulum keeps its digits only globally"),
     ("driven_oscillator", settled_response, "the driven oscillator settles into its response"),
     ("measured_drive", shaken_as_measured, "the shaken instrument moves as integrated from sample to sample"),
+    ("projectile", thrown_at_the_target, "the ball thrown with drag hits its target"),
+    ("swinging_chain", swung_on_its_rods, "the chain moves as its masses do under gravity and tension"),
+    (
+        "descent_to_a_slope",
+        across_the_slope,
+        "the fastest descent to a slope is the cycloid that meets it at right angles",
+    ),
+    ("lyapunov_orbit", closed_around_the_point, "Lyapunov orbits close when integrated"),
     ("all_paths", nothing_missing, "no swing, no film and no geodesic is missing"),
     (
         "global_against_shooting",

@@ -8,6 +8,8 @@ import pytest
 from given import Series
 from scenes import oscillator_problem
 
+import casadi_galerkin as cg
+
 
 @pytest.mark.parametrize(
     ("changes", "kind", "message"),
@@ -87,3 +89,91 @@ def test_numbers_of_any_kind_are_taken(numbers):
     free = oscillator_problem(lagrangian=lambda t, x, v: ca.sumsqr(v), start=numbers, end=numbers)
     assert free.start == free.end == oscillator_problem(t_span=numbers).t_span == (0.0, 1.0)
     assert all(type(value) is float for value in free.start)
+
+
+def one(t, x, v):
+    return ca.sumsqr(v) / 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind", "message"),
+    [
+        (
+            {"end_velocity": [1.0]},
+            ValueError,
+            r"only one of position, velocity and momentum may be given at an end, got end\[0\] = 1.0 and end_velo",
+        ),
+        (
+            {"start": [None], "start_velocity": [1.0], "start_momentum": [2.0]},
+            ValueError,
+            r"got start_velocity\[0\] = 1.0 and start_momentum\[0\] = 2.0",
+        ),
+        ({"end": [None], "end_velocity": [1.0, 2.0]}, ValueError, r"end_velocity must have 1 component\(s\), got 2"),
+        ({"end": [None], "end_momentum": ["1"]}, TypeError, r"end_momentum\[0\] must be a number or None, got '1'"),
+        ({"end": [None], "end_momentum": 1.0}, TypeError, "end_momentum must be a sequence of numbers.* got 1.0"),
+        (
+            {"end": None, "periodic": True, "start_velocity": [1.0], "end_action": lambda x0, x1: x1[0]},
+            ValueError,
+            "a periodic path has no ends: leave out start_velocity, end_action",
+        ),
+        (
+            {"end_action": lambda x0, x1: x1[0] ** 2},
+            ValueError,
+            "end_action depends on no component that is free at the ends, so it changes nothing",
+        ),
+        (
+            {"end_conditions": lambda x0, x1: x1[0] - x0[0]},
+            ValueError,
+            "end_conditions depends on no component that is free at the ends, so it changes nothing",
+        ),
+        (
+            {"end": [None], "end_conditions": lambda x0, x1: [x1[0] - 1, x1[0] ** 2]},
+            ValueError,
+            r"end_conditions are 2, but only 1 can be met by the 1 component\(s\) that are free at the ends: leave out",
+        ),
+        (
+            {"end": [None], "end_velocity": [1.0], "end_conditions": lambda x0, x1: x1[0] - 1},
+            ValueError,
+            "end_conditions depends on end component 0, where end_velocity is given: leave out one",
+        ),
+        (
+            {"start": [None], "start_momentum": [1.0], "end_action": lambda x0, x1: x0[0] ** 2},
+            ValueError,
+            "end_action depends on start component 0, where start_momentum is given: leave out one",
+        ),
+        ({"end": [None], "end_action": lambda x0, x1: [x1[0], 1]}, TypeError, "end_action must return a CasADi exp"),
+        ({"end": [None], "end_action": lambda x1: x1[0]}, TypeError, r"end_action is called as end_action\(x0, x1\)"),
+        ({"end": [None], "end_conditions": lambda x0, x1: x1[1]}, ValueError, "an index is out of range.* x1 has 1"),
+        ({"end_conditions": 1.0}, TypeError, r"end_conditions must be a callable of \(x0, x1\), got 1.0"),
+    ],
+    ids=lambda value: ", ".join(value) if isinstance(value, dict) else "",
+)
+def test_ends_that_contradict_one_another_are_refused(changes, kind, message):
+    with pytest.raises(kind, match=message):
+        oscillator_problem(**changes)
+
+
+def test_components_of_which_nothing_is_given_are_as_if_left_out():
+    stated = cg.BoundaryProblem(one, (0, 1), [0.0, None], [1.0, None], end_velocity=[None, None])
+    assert "end_velocity" not in repr(stated)
+    assert stated.end_velocity == (None, None)
+
+
+def test_a_problem_says_what_it_states():
+    problem = cg.BoundaryProblem(
+        one,
+        (0, 1),
+        [0.0, None, None],
+        [None, None, 3.0],
+        constraint=lambda t, x: x[1] - x[0],
+        start_velocity=[None, None, 1.0],
+        end_momentum=[0.5, None, None],
+        end_action=lambda x0, x1: x1[1] ** 2,
+        end_conditions=lambda x0, x1: x1[1] - x0[1] - 1,
+        energy=2.0,
+    )
+    words = (
+        "energy 2, constraint, end_action, end_conditions, start_velocity (None, None, 1.0), end_momentum (0.5, None, N"
+    )
+    assert words in repr(problem)
+    assert "force" not in repr(problem)

@@ -1,0 +1,174 @@
+"""Constrained motion step by step: the same paths as in angles, orders, no drift, refusals."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from constrained import (
+    of_rods,
+    on_circle,
+    on_sphere,
+    pendulum,
+    planar,
+    rods,
+    spatial,
+    spherical_pendulum,
+    two_masses,
+    unit_length,
+)
+from motions import double_pendulum
+
+import casadi_galerkin as cg
+
+JOINTS = 1e-11
+HELD = 1e-13
+STARTS = {  # in angles; in Cartesian coordinates; positions of angles; constraint; angles and their rates at the start
+    "pendulum": (pendulum, planar, lambda a: on_circle(a[0]), unit_length, [1.0], [0.4]),
+    "spherical pendulum": (spherical_pendulum, spatial, on_sphere, unit_length, [1.0, 0.0], [0.3, 0.8]),
+    "double pendulum": (double_pendulum, two_masses, of_rods, rods, [1.0, 1.2], [0.5, -0.2]),
+}
+
+
+def motions(name, duration, **changes):
+    """The problem in angles, and in Cartesian coordinates."""
+    angular, cartesian, place, constraint, angles, rates = STARTS[name]
+    step = 1e-30  # complex steps have no cancellation
+    turned = place(np.array(angles) + 1j * step * np.array(rates))
+    cartesian_start = {"position": turned.real, "velocity": turned.imag / step}
+    return (
+        cg.InitialProblem(angular, (0, duration), angles, velocity=rates),
+        cg.InitialProblem(cartesian, (0, duration), constraint=constraint, **cartesian_start, **changes),
+    )
+
+
+@pytest.mark.parametrize("name", STARTS)
+def test_steps_in_cartesian_coordinates_are_those_in_angles(name):
+    angles, path = (cg.solve(problem, cg.Galerkin(10), intervals=20) for problem in motions(name, 1.0))
+    np.testing.assert_allclose(path.x, STARTS[name][2](angles.x), rtol=0, atol=JOINTS)
+    assert path.action == pytest.approx(angles.action, rel=1e-13)
+
+
+@pytest.mark.parametrize("name", STARTS)
+@pytest.mark.parametrize("degree", [1, 3])
+def test_constraint_and_tangent_velocity_hold_whatever_the_degree(name, degree):
+    path = cg.solve(motions(name, 1.0)[1], cg.Galerkin(degree), intervals=20)
+    x = ca.SX.sym("x", len(path.x))
+    value = STARTS[name][3](0, x)
+    both = ca.Function("both", [x], [value, ca.jacobian(value, x)])
+    for place, velocity in zip(path.x.T, path.velocity.T, strict=True):
+        held, slope = (np.array(a) for a in both(place))
+        assert np.max(np.abs(held)) <= HELD
+        assert np.max(np.abs(slope @ velocity)) <= 10 * HELD  # velocities of up to 5
+
+
+@pytest.mark.parametrize("rule", [cg.gauss, lambda m: cg.lobatto(m + 1), cg.radau], ids=["gauss", "lobatto", "radau"])
+@pytest.mark.parametrize(("degree", "counts"), [(1, (60, 80, 120)), (2, (24, 32, 48)), (3, (16, 20, 24))])
+def test_order_at_the_joints_is_that_without_a_constraint(degree, counts, rule):
+    """In a potential that is no polynomial, which Radau's rule of m points would integrate exactly."""
+    method = cg.Galerkin(degree, quadrature=rule(degree))
+    lagrangian = lambda t, x, v: (1 + x[0] / 3) * ca.sumsqr(v) / 2 - ca.exp(x[1])  # noqa: E731
+    start = {"position": on_circle(0.2), "velocity": 1.2 * np.array([np.cos(0.2), np.sin(0.2)])}
+    problem = cg.InitialProblem(lagrangian, (0, 3), constraint=unit_length, **start)
+    exact, errors = cg.solve(problem, cg.Galerkin(10), intervals=60), []
+    for count in counts:
+        path = cg.solve(problem, method, intervals=count)
+        ends = [np.concatenate((each.x[:, -1], each.velocity[:, -1])) for each in (path, exact)]
+        errors.append(np.max(np.abs(ends[0] - ends[1])))
+    assert min(errors) > HELD
+    assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] == pytest.approx(method.order, abs=0.2)
+
+
+def test_ten_thousand_steps_leave_the_constraint_no_farther_than_a_hundred():
+    problem = cg.InitialProblem(planar, (0, 1000.0), [1.0, 0.0], velocity=[0.0, 0.3], constraint=unit_length)
+    path = cg.solve(problem, cg.Galerkin(3), intervals=10_000)
+    off = np.abs(np.sum(path.x**2, axis=0) - 1)
+    slipping = np.abs(np.sum(path.x * path.velocity, axis=0))
+    assert max(np.max(off), np.max(slipping)) <= HELD
+    assert np.max(off[-100:]) <= 4 * np.finfo(float).eps
+    thirds = [np.mean(part) for part in np.array_split(path.energy, 3)]
+    assert np.ptp(thirds) < 0.01 * np.ptp(path.energy)  # it oscillates with the error of the method, and has no drift
+
+
+@pytest.mark.parametrize("degree", [1, 2, 4])
+def test_steps_are_those_of_the_global_solve_between_the_same_ends(degree):
+    path = cg.solve(motions("spherical pendulum", 1.0)[1], cg.Galerkin(degree), intervals=8)
+    ends = {"start": path.x[:, 0], "end": path.x[:, -1], "constraint": unit_length}
+    whole = cg.solve(cg.BoundaryProblem(spatial, (0, 1), **ends), cg.Galerkin(degree), intervals=8, guess=path)
+    np.testing.assert_allclose(whole.polynomial.values, path.polynomial.values, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(whole.momentum, path.momentum, rtol=0, atol=1e-12)
+
+
+def test_friction_on_a_sphere_takes_the_energy_that_it_takes_in_angles():
+    """A force -c v in space has the generalised forces -c (θ', sin² θ φ')."""
+    angular = cg.InitialProblem(
+        spherical_pendulum,
+        (0, 1),
+        [1.0, 0.0],
+        velocity=[0.3, 0.8],
+        force=lambda t, x, v: [-v[0] / 5, -(ca.sin(x[0]) ** 2) * v[1] / 5],
+    )
+    cartesian = motions("spherical pendulum", 1.0, force=lambda t, x, v: -v / 5)[1]
+    angles, path = (cg.solve(problem, cg.Galerkin(8), intervals=10) for problem in (angular, cartesian))
+    np.testing.assert_allclose(path.x, on_sphere(angles.x), rtol=0, atol=JOINTS)
+    np.testing.assert_allclose(path.energy, angles.energy, rtol=1e-12)
+
+
+def test_a_pendulum_of_growing_length_is_that_in_its_angle():
+    length = lambda t: 1 + t / 5  # noqa: E731
+    angular = cg.InitialProblem(
+        lambda t, x, v: (length(t) ** 2 * v[0] ** 2 + 0.04) / 2 + length(t) * ca.cos(x[0]),
+        (0, 2),
+        [1.0],
+        velocity=[0.0],
+    )
+    cartesian = cg.InitialProblem(
+        planar, (0, 2), on_circle(1.0), velocity=on_circle(1.0) / 5, constraint=lambda t, x: ca.norm_2(x) - length(t)
+    )
+    angle, path = (cg.solve(problem, cg.Galerkin(8), intervals=16) for problem in (angular, cartesian))
+    np.testing.assert_allclose(path.x, length(path.t) * on_circle(angle.x[0]), rtol=0, atol=JOINTS)
+
+
+def test_multipliers_of_steps_are_the_tension_of_the_rod():
+    angle, path = (cg.solve(problem, cg.Galerkin(8), intervals=20) for problem in motions("pendulum", 2.0))
+    tension = angle.velocity[0] ** 2 + np.cos(angle.x[0])
+    np.testing.assert_allclose(path.multipliers(path.t)[0], -tension / 2, rtol=0, atol=JOINTS)
+
+
+def test_of_a_momentum_the_part_along_the_constraint_counts():
+    starts = ({"momentum": [0.7, 0.0]}, {"momentum": [0.7, -3.0]}, {"velocity": [0.7, 0.0]})
+    first, *others = (
+        cg.solve(
+            cg.InitialProblem(planar, (0, 1), [0.0, -1.0], constraint=unit_length, **start), cg.Galerkin(4), intervals=5
+        )
+        for start in starts
+    )
+    for other in others:
+        np.testing.assert_allclose(other.x, first.x, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"position": [0.0, -2.0]},
+            r"the constraint must be zero at the given position, x = \[0.0, -2.0\]: its value 0 is 3",
+        ),
+        (
+            {"velocity": [0.7, 0.1]},
+            r"the velocity must be tangent to the constraint, .* got \[-0.2\] for v = \[0.7, 0.1\]",
+        ),
+        (
+            {"constraint": lambda t, x: [ca.sumsqr(x) - 1, x[0]]},
+            r"must leave the path free to move: 2 value\(s\) for 2 component\(s\)",
+        ),
+    ],
+)
+def test_a_start_off_the_constraint_is_refused(changes, message):
+    stated = {"position": [0.0, -1.0], "velocity": [0.7, 0.0], "constraint": unit_length} | changes
+    with pytest.raises(ValueError, match=message):
+        cg.solve(cg.InitialProblem(planar, (0, 1), **stated), cg.Galerkin(3), intervals=4)
+
+
+def test_control_points_that_lose_the_order_are_refused():
+    problem = cg.InitialProblem(planar, (0, 1), [0.0, -1.0], velocity=[0.7, 0.0], constraint=unit_length)
+    with pytest.raises(ValueError, match="a constraint is held at the control points; to keep order 2m, they must be"):
+        cg.solve(problem, cg.Galerkin(3, control_points=cg.equispaced_points(4)[:2]), intervals=4)
