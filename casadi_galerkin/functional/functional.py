@@ -273,7 +273,7 @@ class Functional:
             "sensitivity": lambda: (
                 {"direction": change},
                 ["change"],
-                [ca.jtimes(self.gradient(), parameters, change)],
+                [ca.densify(ca.jtimes(self.gradient(), parameters, change))],  # few rows may depend on parameters
             ),
         }
         return self.keep(name, builders[name])

@@ -3,7 +3,8 @@
 import casadi as ca
 import numpy as np
 import pytest
-from scenes import bratu_theta
+from constrained import on_circle
+from scenes import bratu_theta, pendulum
 
 import casadi_galerkin as cg
 
@@ -95,3 +96,65 @@ def test_bad_input_is_refused():
         cg.continuation(problem, [1.0, 2.0], intervals=4)
     with pytest.raises(ValueError, match="give either intervals or mesh"):
         cg.continuation(problem, [2.0])
+
+
+def towards(radius):
+    """A free particle to a circle whose radius is the parameter."""
+    return cg.BoundaryProblem(
+        lambda t, x, v, p: ca.sumsqr(v) / 2,
+        (0, 1),
+        [3.0, 4.0],
+        [None, None],
+        parameters=[radius],
+        end_conditions=lambda x0, x1, p: ca.sumsqr(x1) - p[0] ** 2,
+    )
+
+
+def test_a_parameter_of_the_end_conditions_alone_is_walked():
+    branch = cg.continuation(towards(1.0), [2.0], intervals=3)
+    for radius, path in zip(branch.parameters[:, 0], branch.trajectories, strict=True):
+        np.testing.assert_allclose(path.x[:, -1], [0.6 * radius, 0.8 * radius], rtol=0, atol=1e-12)
+
+
+def test_the_friction_of_a_forced_path_is_walked():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - 2 * x[0] ** 2,
+        (0, 2),
+        [1.0],
+        [0.5],
+        parameters=[0.0],
+        force=lambda t, x, v, p: -p[0] * v,
+    )
+    branch = cg.continuation(problem, [0.5], cg.Galerkin(10), 8)
+    assert branch.reached
+    assert branch.trajectories[-1](1.0)[0] == pytest.approx(-1.767917533169265, abs=1e-12)
+
+
+def test_the_gravity_of_a_constrained_path_is_walked():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: ca.sumsqr(v) / 2 - p[0] * x[1],
+        (0, 1.5),
+        on_circle(0.2),
+        on_circle(1.3),
+        parameters=[0.0],
+        constraint=lambda t, x, p: ca.sumsqr(x) - 1,
+    )
+    branch = cg.continuation(problem, [1.0], cg.Galerkin(10), 8, guess=lambda t: on_circle(0.2 + 1.1 * t / 1.5))
+    angle = cg.solve(cg.BoundaryProblem(pendulum, (0, 1.5), [0.2], [1.3]), cg.Galerkin(10), 8)
+    np.testing.assert_allclose(branch.trajectories[-1].x, on_circle(angle.x[0]), rtol=0, atol=1e-12)
+
+
+def test_the_attraction_of_an_orbit_of_given_energy_is_walked():
+    """The axis is μ/(-2E), the period 2π √(axis³/μ): half a turn from pericentre 0.7 takes π μ/(-2E)^(3/2)."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: ca.sumsqr(v) / 2 + p[0] / ca.norm_2(x),
+        (0, 3),
+        [0.7, 0.0],
+        [None, 0.0],
+        parameters=[1.0],
+        energy=-0.5,
+    )
+    guess = lambda t: [np.cos(np.pi * t / 3) - 0.3, 0.95 * np.sin(np.pi * t / 3)]  # noqa: E731
+    branch = cg.continuation(problem, [1.2], cg.Galerkin(10), 12, guess=guess)
+    for (mu,), path in zip(branch.parameters, branch.trajectories, strict=True):
+        assert path.t[-1] == pytest.approx(np.pi * mu, rel=1e-11)

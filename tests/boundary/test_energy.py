@@ -71,6 +71,32 @@ def test_a_periodic_pendulum_of_given_energy_has_the_period_of_its_elliptic_inte
     assert path.t[-1] == pytest.approx(4 * ellipk(np.sin(amplitude / 2) ** 2), rel=PERIOD)
 
 
+def test_an_oscillator_whose_period_is_that_of_every_energy_has_the_amplitude_of_its_own():
+    """At a given duration its matrix is singular, so that the duration cannot be eliminated first."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 6.0), [None], periodic=True, energy=0.5
+    )
+    path = cg.solve(problem, METHOD, intervals=8, guess=lambda t: [0.9 * np.sin(np.pi * t / 3)])
+    assert path.t[-1] == pytest.approx(2 * np.pi, rel=PERIOD)
+    np.testing.assert_allclose(path.x[0] ** 2 + path.momentum[0] ** 2, 1, rtol=0, atol=PERIOD)
+
+
+def test_a_periodic_pendulum_in_the_plane_has_the_period_of_its_elliptic_integral():
+    problem = cg.BoundaryProblem(
+        planar, (0, 6.5), [None, None], periodic=True, constraint=unit_length, energy=-np.cos(1.0)
+    )
+    path = cg.solve(problem, METHOD, intervals=12, guess=lambda t: on_circle(np.sin(2 * np.pi * t / 6.5)))
+    assert path.t[-1] == pytest.approx(4 * ellipk(np.sin(0.5) ** 2), rel=PERIOD)
+
+
+def test_many_intervals_of_a_constrained_path_of_given_energy_are_solved():
+    """The row of the duration is full: QR of all rows would have full factors, and take minutes."""
+    problem = cg.BoundaryProblem(planar, (0, 1), on_circle(0.2), on_circle(1.3), constraint=unit_length, energy=0.4)
+    path = cg.solve(problem, cg.Galerkin(4), intervals=400, guess=lambda t: on_circle(0.2 + 1.1 * t))
+    time = quad(lambda a: 1 / np.sqrt(2 * (0.4 + np.cos(a))), 0.2, 1.3, epsabs=1e-14)[0]
+    assert path.t[-1] == pytest.approx(time, rel=PERIOD)
+
+
 def test_the_phase_of_a_periodic_path_is_that_of_its_guess():
     problem = cg.BoundaryProblem(pendulum, (0, 7.0), [None], periodic=True, energy=-np.cos(1.0))
     paths = [

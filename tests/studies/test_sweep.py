@@ -487,3 +487,35 @@ def test_a_bad_guess_is_kept_as_the_failure_of_its_variation(guess, kind, messag
 def test_no_progress_bar_where_there_is_no_terminal(capfd):
     cg.sweep(bratu(), VARIATIONS[:1], METHOD, INTERVALS)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("ends", "variations", "exact"),
+    [
+        ({"end": [None], "end_velocity": [0.0]}, [{"end_velocity": [v]} for v in (-1.0, 0.5)], [-1.0, 0.5]),
+        ({"end": [None], "end_momentum": [0.0]}, [{"end_momentum": [v]} for v in (-1.0, 0.5)], [-1.0, 0.5]),
+    ],
+    ids=["velocity", "momentum"],
+)
+def test_given_ends_of_any_kind_are_varied(ends, variations, exact):
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], **ends)
+    sweep = cg.sweep(problem, variations, cg.Galerkin(2), 3)
+    np.testing.assert_allclose(sweep.x[:, 0, -1], exact, rtol=0, atol=1e-14)
+
+
+def test_the_friction_of_a_force_is_varied():
+    """x'' + c x' + 4 x = 0 between 1 and 1/2 in two units of time."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - 2 * x[0] ** 2,
+        (0, 2),
+        [1.0],
+        [0.5],
+        parameters=[0.0],
+        force=lambda t, x, v, p: -p[0] * v,
+    )
+    rates = [0.0, 0.5, 1.0]
+    sweep = cg.sweep(problem, [{"parameters": [c]} for c in rates], cg.Galerkin(10), 8)
+    for c, x in zip(rates, sweep.x[:, 0, 4], strict=True):
+        w = np.sqrt(4 - c**2 / 4)
+        sine = (0.5 * np.exp(c) - np.cos(2 * w)) / np.sin(2 * w)
+        assert x == pytest.approx(np.exp(-c / 2) * (np.cos(w) + sine * np.sin(w)), abs=1e-12)
