@@ -360,9 +360,6 @@ class Transcription:
         solution, data = point.solution, point.data
         refuse_undefined(self.functional, solution, point.polynomial, data)
         self.refuse_conjugate(point)
-        problem, mesh = point.problem, point.polynomial.mesh
-        if self.numbering.stretched:
-            problem = problem.varied({}, (float(mesh[0]), float(mesh[-1])))
         return Trajectory(
             polynomial=point.polynomial,
             momentum=point.momentum,
@@ -373,8 +370,8 @@ class Transcription:
             build_seconds=self.build_seconds,
             solve_seconds=solve_seconds,
             method=self.method,
-            problem=problem,
-            second_variation=SecondVariation(self, problem, point.polynomial),
+            problem=point.problem,
+            second_variation=SecondVariation(self, point.problem, point.polynomial),
             find_error=error_between_ends,
         )
 
