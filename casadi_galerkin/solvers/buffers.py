@@ -50,3 +50,8 @@ class Evaluator:
             for array in self.outputs:
                 array[:] = np.nan
         return [array.copy() for array in self.outputs]
+
+    @property
+    def stats(self) -> dict[str, Any]:
+        """What CasADi tells of the last call."""
+        return dict(self._buffer.stats())
