@@ -195,7 +195,8 @@ class ControlGraph:
         count, d = self.numbering.equations, self.numbering.dimension
         given = np.zeros(count) if multipliers is None else multipliers
         (told,) = Evaluator(self._verification)(unknowns, data, given)
+        cost, action = told[:2].tolist()
         equations, moving, cancelled = told[2 : 2 + 3 * count].reshape(3, -1)
-        momentum, hamiltonian = np.split(told[2 + 3 * count :], [-self.numbering.intervals])
-        terms, momentum = self._terms(moving, cancelled), momentum.reshape(d, -1, order="F")
-        return Report(float(told[0]), float(told[1]), equations, terms, momentum, hamiltonian)
+        momentum = told[2 + 3 * count : -self.numbering.intervals].reshape(d, -1, order="F")
+        terms, hamiltonian = self._terms(moving, cancelled), told[-self.numbering.intervals :]
+        return Report(cost, action, equations, terms, momentum, hamiltonian)
