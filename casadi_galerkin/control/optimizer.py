@@ -14,6 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.solvers.buffers import Evaluator
 from casadi_galerkin.solvers.threads import within_ipopt
 
@@ -33,28 +34,6 @@ WARM = {
     "warm_start_init_point": "yes",
     "acceptable_iter": 2,  # of Newton steps that converge quadratically
 }
-
-
-@dataclass(frozen=True)
-class Program:
-    """A nonlinear program; all Functions start with the inputs (unknowns, data).
-
-    Attributes
-    ----------
-    unknowns, data : MX symbols
-    cost, equations : MX expressions f and G
-    gradient : -> f, ∇f
-    jacobian : -> G, ∇G
-    hessian : with (φ, λ) as further inputs -> upper half of the second derivatives of φ f + λ·G
-    """
-
-    unknowns: ca.MX
-    data: ca.MX
-    cost: ca.MX
-    equations: ca.MX
-    gradient: ca.Function
-    jacobian: ca.Function
-    hessian: ca.Function
 
 
 @dataclass(frozen=True)
@@ -88,16 +67,16 @@ class Optimum:
     iterations: int
 
 
-def interior_point(program: Program, warm: bool, verbose: int, given: Mapping[str, Any]) -> ca.Function:
+def interior_point(graph: ControlGraph, warm: bool, verbose: int, given: Mapping[str, Any]) -> ca.Function:
     """Build IPOPT for a program, to start warm or not, with the options given for it.
 
     Bounds are held exactly (``bound_relax_factor`` 0): IPOPT's default lets them slip by 1e-8, which shows in the
     cost of every problem that lives on its bounds.
     """
     options = {
-        "grad_f": program.gradient,
-        "jac_g": program.jacobian,
-        "hess_lag": program.hessian,
+        "grad_f": graph.gradient,
+        "jac_g": graph.jacobian,
+        "hess_lag": graph.hessian,
         "print_time": False,
         "show_eval_warnings": False,
         "calc_lam_p": False,
@@ -115,7 +94,7 @@ def interior_point(program: Program, warm: bool, verbose: int, given: Mapping[st
             **given,
         },
     }
-    nlp = {"x": program.unknowns, "p": program.data, "f": program.cost, "g": program.equations}
+    nlp = {"x": graph.unknowns, "p": graph.data, "f": graph.cost, "g": graph.equations}
     return ca.nlpsol("optimizer", "ipopt", nlp, options)
 
 

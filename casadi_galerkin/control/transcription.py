@@ -23,7 +23,7 @@ from casadi_galerkin.control.constraint_violation import limits_of, name_equatio
 from casadi_galerkin.control.graph import ControlGraph, Report
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
 from casadi_galerkin.control.numbering import ControlNumbering
-from casadi_galerkin.control.optimizer import Optimum, Program, interior_point, optimize
+from casadi_galerkin.control.optimizer import Optimum, interior_point, optimize
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.control_path import ControlPath
@@ -60,7 +60,7 @@ class ControlTranscription:
     ----------
     numbering : ControlNumbering, which unknown is what
     graph : ControlGraph, the Functions
-    program, limits : what IPOPT is given
+    limits : bounds of unknowns and equations
     build_seconds : float
     """
 
@@ -81,9 +81,7 @@ class ControlTranscription:
         )
         self._calculus = DiscreteCalculus(method, mesh)
         first = self.numbering.pack(first_values(problem, self.numbering, self._calculus, None))
-        graph = self.graph = ControlGraph(problem, self.numbering, *first)
-        functions = (graph.gradient, graph.jacobian, graph.hessian)
-        self.program = Program(graph.unknowns, graph.data, graph.cost, graph.equations, *functions)
+        self.graph = ControlGraph(problem, self.numbering, *first)
         self.limits = limits_of(problem, self.numbering)
         self._check_count()
         self._solvers: dict[str, ca.Function] = {}
@@ -181,7 +179,7 @@ class ControlTranscription:
         key = f"{warm} {verbose > 1} {solver!r}"
         if key not in self._solvers:
             began = time.perf_counter()
-            self._solvers[key] = interior_point(self.program, warm, verbose, solver.options)
+            self._solvers[key] = interior_point(self.graph, warm, verbose, solver.options)
             self.build_seconds += time.perf_counter() - began
         return self._solvers[key]
 

@@ -173,14 +173,7 @@ class ControlProblem:
         return other
 
     def varied(self, changes: Mapping[str, Any], t_span: tuple[float, float]) -> ControlProblem:
-        """Copy with other given values, checked; unlike ``dataclasses.replace`` it traces nothing.
-
-        Parameters
-        ----------
-        changes : new `start`, `end`, `start_velocity`, `end_velocity` or `parameters` by name: with None exactly where
-            the problem has None
-        t_span : (t_0, t_N), checked before
-        """
+        """Copy with other ends, velocities or parameters, by name, and other times; see `BoundaryProblem.varied`."""
         other = self.found(t_span, self.parameters)
         other.__dict__.update(varied_values(self, changes))
         other._check_ends()
