@@ -85,7 +85,7 @@ def solve(
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     tol : relative tolerance between 0 and 1; for boundary and control problems
-    guess : as for `Transcription.solve`; for boundary and control problems
+    guess : as for `Transcription.solve` and `ControlTranscription.solve`; for boundary and control problems
     solver : newton (the default), rootfinder, ipopt or minimizer for a BoundaryProblem, ipopt for a ControlProblem;
         each also ``.with_options(...)``
     limits : Limits that stop a refinement; only with `tol`
@@ -116,7 +116,8 @@ def solve(
     if method is None:
         raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
     if isinstance(problem, ControlProblem):
-        return transcribed_control(problem, method, intervals, mesh).solve(guess, solver or ipopt, verbose)
+        program = transcribed_control(problem, method, intervals, mesh)
+        return program.solve(guess=guess, solver=solver or ipopt, verbose=verbose)
     transcription = transcribed(problem, method, intervals, mesh, one_by_one)
     return transcription.solve(guess=guess, solver=solver or newton, verbose=verbose)
 
@@ -177,8 +178,7 @@ def transcribe(
 
     Returns
     -------
-    Transcription, whose ``solve`` takes other ends, parameters, joints and guesses; or ControlTranscription, whose
-    ``solve`` takes other guesses
+    Transcription or ControlTranscription, whose ``solve`` takes other ends, parameters, joints and guesses
 
     Raises
     ------

@@ -18,6 +18,7 @@ def test_problem_and_answer_survive_pickling():
     path = cg.solve(problem, cg.Galerkin(3), intervals=4)
     again = pickle.loads(pickle.dumps(path))
     assert again.cost == path.cost
+    np.testing.assert_array_equal(again.costate.values, path.costate.values)
     np.testing.assert_array_equal(again.control(0.7), path.control(0.7))
     np.testing.assert_array_equal(again.dynamics_defect, path.dynamics_defect)
 

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import casadi as ca
 import numpy as np
 import pytest
+from control_problems import cart_pole
 from paths import EXAMPLES
 
 import casadi_galerkin as cg
@@ -27,6 +28,25 @@ def test_solves_after_an_interrupt_are_right_whatever_it_stopped(state):
     stopped, wrong = state.interrupts(150, seed=1)
     assert stopped > 30
     assert wrong == 0
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs a timer signal")
+def test_an_optimisation_that_was_interrupted_says_so_and_is_right_the_next_time():
+    program = cg.transcribe(cart_pole(), cg.Galerkin(8), 150)
+    expected = program.solve()
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, expected.solve_seconds / 4)
+        with pytest.raises(KeyboardInterrupt):
+            program.solve()
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    np.testing.assert_array_equal(program.solve().polynomial.values, expected.polynomial.values)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs forks")

@@ -15,7 +15,10 @@ def optimised(problem: cg.ControlProblem) -> float:
     return cg.solve(problem, cg.Galerkin(3), 4).cost
 
 def optimised_often(problem: cg.ControlProblem) -> float:
-    return cg.transcribe(problem, cg.Galerkin(3), 4).solve().cost
+    return cg.transcribe(problem, cg.Galerkin(3), 4).solve(start=[0.1], guess=(lambda t: [t], lambda t: [0.0])).cost
+
+def warm(problem: cg.ControlProblem, last: cg.ControlTrajectory) -> cg.ControlTrajectory:
+    return cg.solve(problem, cg.Galerkin(3), 4, guess=last)
 
 def found(problem: cg.BoundaryProblem) -> float:
     return cg.solve(problem, cg.Galerkin(3), 4).action

@@ -255,9 +255,8 @@ class Search:
             self.failure = self.failure or failure
             self.singular += isinstance(failure, ConjugatePointError)
             return
-        error = self.refinement.error(point.polynomial)
-        missed = [float(np.max(each)) for each in self.refinement.witnesses(point).values()]
-        if not max(error, *missed) <= RESOLVED:
+        error = path.doubted(self.refinement.error(point.polynomial))
+        if not error <= RESOLVED:
             self.unresolved += 1
             return
         if smallest_second_variation(self.stationarity, solution.unknowns, self.data) < min(SOFT, ERRORS * error):

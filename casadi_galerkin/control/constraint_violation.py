@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from casadi_galerkin.control.graph import Report
 from casadi_galerkin.control.numbering import ControlNumbering
 from casadi_galerkin.control.optimizer import ProgramBounds
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -33,8 +34,7 @@ def violations(
     numbering: ControlNumbering,
     limits: ProgramBounds,
     unknowns: np.ndarray,
-    equations: np.ndarray,
-    terms: np.ndarray,
+    report: Report,
     terms_before: np.ndarray,
 ) -> np.ndarray:
     """Violation of every equation, then of every unknown's bounds, relative to the sizes of what is compared.
@@ -44,13 +44,13 @@ def violations(
     constraint by the sizes of what its value is made of, |∇g||z|, or its finite bound, a bound by itself.
     """
     motion, d, c = numbering.nodes * numbering.dimension, numbering.dimension, numbering.constraints
-    now, before = (np.max(given[:motion].reshape(-1, d), axis=0) for given in (terms, terms_before))
+    now, before = (np.max(given[:motion].reshape(-1, d), axis=0) for given in (report.terms, terms_before))
     sizes = [_or_one(np.where(now <= VANISHED * before, before, now))] * numbering.nodes
     if c:
-        sides = (limits.equations_lower, limits.equations_upper, terms)
+        sides = (limits.equations_lower, limits.equations_upper, report.terms)
         finite = [np.abs(np.where(np.isfinite(side), side, 0.0))[motion:].reshape(-1, c).max(axis=0) for side in sides]
         sizes += [_or_one(np.max(finite, axis=0))] * numbering.points
-    excess = _excess(equations, limits.equations_lower, limits.equations_upper)
+    excess = _excess(report.equations, limits.equations_lower, limits.equations_upper)
     beyond = _excess(unknowns, limits.lower, limits.upper)
     return np.concatenate((excess / np.concatenate(sizes), beyond / _or_one(np.abs(unknowns))))
 

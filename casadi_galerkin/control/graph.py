@@ -16,7 +16,6 @@ The multipliers λ are a discrete path: (Θᵀλ)_k = w_k (δx, δx') is its emb
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -24,11 +23,12 @@ import numpy as np
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.control.numbering import ControlNumbering
 from casadi_galerkin.control.pointwise import places
+from casadi_galerkin.functional.embedding import boundary_terms
+from casadi_galerkin.functional.numbering import Numbering
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.solvers.buffers import Evaluator
 
 RESTING = 1e-13  # terms of motion below this part of what cancels in them are its roundoff
-
-Vector: TypeAlias = Any  # MX in the graph, DM where the same is evaluated in numbers
 
 
 @dataclass(frozen=True)
@@ -37,18 +37,18 @@ class Report:
 
     Attributes
     ----------
-    cost : f
-    equations, terms : G, and the sizes of the terms it compares
-    slopes : (N r,), derivative of every point's Lagrangian by its share of the duration
-    z, rows : (rows, N r), what is known at the quadrature points, and e there
+    cost, action : f, and the discrete action of the Lagrangian alone
+    equations, terms : G, not divided by `sizes`, and the sizes of the terms it compares
+    momentum : (d, N + 1), at the joints, by the discrete Legendre transform
+    hamiltonian : (N,), mean over each interval; without multipliers that of the cost alone
     """
 
     cost: float
+    action: float
     equations: np.ndarray
     terms: np.ndarray
-    slopes: np.ndarray
-    z: np.ndarray
-    rows: np.ndarray
+    momentum: np.ndarray
+    hamiltonian: np.ndarray
 
 
 class ControlGraph:
@@ -58,63 +58,59 @@ class ControlGraph:
     ----------
     problem : ControlProblem
     numbering : ControlNumbering
-    first : (unknowns and data,) a guess, to measure the equations of motion by
+    first : unknowns and data of a guess, to measure the equations of motion by
 
     Attributes
     ----------
     unknowns, data : MX symbols
     cost, equations : MX expressions f and G
     places : quadrature points, and the ends
-    sizes : (d,), what the equations of motion of each component are divided by, so that the solver's tolerance, which
-        is absolute, does not depend on units
+    sizes : (equations,), what the solver's equations are divided by: those of motion of each component so that its
+        tolerance, which is absolute, does not depend on units
     test : Θᵀ so divided
     """
 
-    def __init__(self, problem: ControlProblem, numbering: ControlNumbering, first: np.ndarray) -> None:
+    def __init__(self, problem: ControlProblem, numbering: ControlNumbering, *first: np.ndarray) -> None:
         self.numbering, self.places = numbering, places(problem, numbering)
         weights = ca.repmat(ca.DM(numbering.method.element.weights).T, 1, numbering.intervals)
         self.weights = [weights, ca.DM(1)]
-        self.sizes = self._sizes(first)
-        divisors = np.append(np.tile(self.sizes, numbering.nodes), np.ones(numbering.constraints * numbering.points))
-        self.test = ca.mtimes(numbering.test, ca.diag(1 / divisors))
         self.unknowns = ca.MX.sym("unknowns", numbering.unknowns)
         self.data = ca.MX.sym("data", numbering.size - numbering.unknowns)
         self.at = self._embedded(ca.vertcat(self.unknowns, self.data))
-        self.cost = self._cost(self.at)
+        self.cost = self._total("value")
+        self.sizes = self._sizes(*first)
+        self.test = ca.mtimes(numbering.test, ca.diag(1 / self.sizes))
         self.equations = ca.mtimes(self.test.T, self._stack(self._evaluate("equations", self.at)))
 
-    def _sizes(self, first: np.ndarray) -> np.ndarray:
-        """Largest sum of terms of an equation of motion at a guess, one per component; 1 where that says nothing."""
-        at = self._embedded(ca.DM(first))
-        terms = self._terms(self.numbering.test, at, self._evaluate("equations", at), first)
-        d = self.numbering.dimension
-        sizes = np.max(terms[: self.numbering.nodes * d].reshape(-1, d), axis=0)
-        return np.asarray(np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0))
+    def _sizes(self, unknowns: np.ndarray, data: np.ndarray) -> np.ndarray:
+        """Largest sum of terms of an equation of motion at a guess, by component; 1 where that says nothing."""
+        nodes, d = self.numbering.nodes, self.numbering.dimension
+        sizes = np.max(self.report(unknowns, data).terms[: nodes * d].reshape(-1, d), axis=0)
+        motion = np.tile(np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0), nodes)
+        return np.append(motion, np.ones(self.numbering.constraints * self.numbering.points))
 
-    def _terms(self, test: ca.DM, at: list[ca.DM], rows: list[ca.DM], everything: np.ndarray) -> np.ndarray:
+    def _terms(self, moving: np.ndarray, cancelled: np.ndarray) -> np.ndarray:
         """Sizes |Θ| |e| of the terms of the equations; |Θ| |∇e| |A| |ξ| for a component that stands still.
 
         There the first are roundoff of slopes, and say nothing; the second are what cancels in the slopes.
         """
-        blocks = self._blocks([p.jacobian_pattern for p in self.places], self._evaluate("jacobian", at))
-        spread = ca.mtimes(ca.fabs(blocks), ca.mtimes(ca.fabs(self.numbering.differentiated), np.abs(everything)))
-        weights, shape = ca.fabs(test.T), (self.numbering.nodes, self.numbering.dimension)
-        terms, cancelled = (np.array(ca.mtimes(weights, part)).ravel() for part in (ca.fabs(self._stack(rows)), spread))
-        motion = np.prod(shape)
-        moving, still = terms[:motion].reshape(shape), cancelled[:motion].reshape(shape)
-        resting = np.max(moving, axis=0) <= RESTING * np.max(still, axis=0)
-        terms[:motion] = np.where(resting & np.all(np.isfinite(still), axis=0), still, moving).ravel()
-        terms[motion:] = np.fmax(terms, cancelled)[motion:]  # a path constraint compares what its value is made of
+        shape = nodes, d = self.numbering.nodes, self.numbering.dimension
+        terms, motion = np.fmax(moving, cancelled), nodes * d  # a path constraint compares what its value is made of
+        moving, still = moving[:motion].reshape(shape), cancelled[:motion].reshape(shape)
+        largest = still.max(axis=0)
+        resting = (moving.max(axis=0) <= RESTING * largest) & np.isfinite(largest)
+        terms[:motion] = np.where(resting, still, moving).ravel()
         return np.asarray(terms)
 
-    def _embedded(self, everything: Vector) -> list[Vector]:
+    def _embedded(self, everything: ca.MX) -> list[ca.MX]:
         """What is known at all kinds of places, A ξ, as one matrix (rows, count) each."""
         return self._split(ca.mtimes(self.numbering.matrix, everything), [place.z.numel() for place in self.places])
 
-    def _cost(self, at: list[Vector]) -> Vector:
-        return sum(ca.sum2(value) for value in self._evaluate("value", at, self.weights))
+    def _total(self, name: str) -> ca.MX:
+        """Sum of a weighted pointwise scalar over all places."""
+        return sum(ca.sum2(value) for value in self._evaluate(name, self.at, self.weights))
 
-    def _split(self, stacked: Vector, rows: list[int]) -> list[Vector]:
+    def _split(self, stacked: ca.MX, rows: list[int]) -> list[ca.MX]:
         """Cut a long vector into one matrix (rows, count) a kind of place."""
         counts = [place.count for place in self.places]
         offsets = np.cumsum([0, *(r * k for r, k in zip(rows, counts, strict=True))]).tolist()
@@ -122,18 +118,18 @@ class ControlGraph:
         return [ca.reshape(part, r, k) for part, r, k in zip(parts, rows, counts, strict=True)]
 
     @staticmethod
-    def _stack(parts: list[Vector]) -> Vector:
+    def _stack(parts: list[ca.MX]) -> ca.MX:
         return ca.vertcat(*(ca.vec(part) for part in parts))
 
-    def _evaluate(self, name: str, *arguments: list[Vector]) -> list[Vector]:
+    def _evaluate(self, name: str, *arguments: list[ca.MX]) -> list[ca.MX]:
         """Evaluate one pointwise Function at all kinds of places."""
         return [getattr(place, name)(*given) for place, *given in zip(self.places, *arguments, strict=True)]
 
-    def _blocks(self, patterns: list[ca.Sparsity], entries: list[Vector]) -> Vector:
+    def _blocks(self, patterns: list[ca.Sparsity], entries: list[ca.MX]) -> ca.MX:
         """blockdiag(·) over all places, from the nonzeros of the blocks."""
         blocks = [p for pattern, place in zip(patterns, self.places, strict=True) for p in [pattern] * place.count]
         stacked = self._stack(entries)
-        return type(stacked)(ca.diagcat(*blocks), stacked)
+        return ca.MX(ca.diagcat(*blocks), stacked)
 
     def _name(self, name: str, outputs: list[ca.MX], *extra: ca.MX) -> ca.Function:
         return ca.Function(name, [self.unknowns, self.data, *extra], outputs)
@@ -152,30 +148,55 @@ class ControlGraph:
         matrix = ca.mtimes(self.test.T, ca.mtimes(blocks, self.numbering.derivative))
         return self._name("jacobian", [self.equations, matrix])
 
-    def _multiplied(self, factor: Vector, multipliers: Vector) -> tuple[list[Vector], list[Vector]]:
-        """Weights φ w_k, and multipliers (Θᵀλ)_k of the rows, at all kinds of places."""
-        everywhere = ca.mtimes(self.test, multipliers)
-        return [factor * w for w in self.weights], self._split(everywhere, [p.rows.numel() for p in self.places])
+    def _along(self, test: ca.DM, multipliers: ca.MX) -> list[ca.MX]:
+        """Multipliers (Θᵀλ)_k of the rows, at all kinds of places."""
+        return self._split(ca.mtimes(test, multipliers), [place.rows.numel() for place in self.places])
 
     @lazy
     def hessian(self) -> ca.Function:
         """(unknowns, data, φ, λ) -> upper half of ∇²f̄."""
         factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", self.equations.numel())
-        entries = self._evaluate("hessian", self.at, *self._multiplied(factor, multipliers))
+        weights, along = [factor * w for w in self.weights], self._along(self.test, multipliers)
+        entries = self._evaluate("hessian", self.at, weights, along)
         blocks = self._blocks([place.hessian_pattern for place in self.places], entries)
         right = ca.mtimes(blocks, self.numbering.derivative)
         left = ca.MX(self.numbering.derivative.T)
         upper = ca.triu(ca.mtimes(left.sparsity(), right.sparsity()))
         return self._name("hessian", [ca.mac(left, right, ca.MX.zeros(upper))], factor, multipliers)
 
+    @lazy
+    def _verification(self) -> ca.Function:
+        """(unknowns, data, λ) -> all that is told of a point as one vector, with equations that nothing divides."""
+        numbering, (point, _) = self.numbering, self.places
+        d, test = numbering.dimension, numbering.test
+        rows = self._evaluate("equations", self.at)
+        blocks = self._blocks([place.jacobian_pattern for place in self.places], self._evaluate("jacobian", self.at))
+        everything = ca.vertcat(self.unknowns, self.data)
+        cancelled = ca.mtimes(ca.fabs(blocks), ca.mtimes(ca.fabs(numbering.differentiated), ca.fabs(everything)))
+        by_part = np.arange(numbering.points).reshape(numbering.intervals, -1).T.ravel().tolist()
+        slopes = (rows[0][:d, by_part], rows[0][d : 2 * d, by_part])
+        multipliers = ca.MX.sym("multipliers", numbering.equations)
+        along, _ = self._along(test, multipliers)
+        shares = point.derivative(numbering.point_rows - 1)(self.at[0], self.weights[0], along)
+        duration = everything[numbering.fields["duration"].tolist()]
+        told = [
+            self.cost,
+            self._total("weighted_action"),
+            ca.mtimes(test.T, self._stack(rows)),
+            ca.mtimes(ca.fabs(test.T), ca.fabs(self._stack(rows))),
+            ca.mtimes(ca.fabs(test.T), cancelled),
+            boundary_terms(Numbering(numbering.method, numbering.intervals, d))(*slopes)[0],
+            ca.sum1(ca.reshape(shares, -1, numbering.intervals)) / duration,
+        ]
+        return self._name("verification", [ca.densify(ca.veccat(*told))], multipliers)
+
     def report(self, unknowns: np.ndarray, data: np.ndarray, multipliers: np.ndarray | None = None) -> Report:
-        """Evaluate all that is told of a point, in numbers; without λ its `slopes` are those of the cost."""
-        everything = np.concatenate((unknowns, data))
-        at = self._embedded(ca.DM(everything))
-        rows = self._evaluate("equations", at)
-        given = np.zeros(self.equations.numel()) if multipliers is None else multipliers
-        weights, by_rows = self._multiplied(ca.DM(1), ca.DM(given))
-        slopes = self.places[0].derivative(self.numbering.point_rows - 1)(at[0], weights[0], by_rows[0])
-        equations, slopes = (np.array(a).ravel() for a in (ca.mtimes(self.test.T, self._stack(rows)), slopes))
-        terms = self._terms(self.test, at, rows, everything)
-        return Report(float(self._cost(at)), equations, terms, slopes, np.array(at[0]), np.array(rows[0]))
+        """Evaluate all that is told of a point; the multipliers are those of the undivided equations."""
+        count, d = self.numbering.equations, self.numbering.dimension
+        given = np.zeros(count) if multipliers is None else multipliers
+        (told,) = Evaluator(self._verification)(unknowns, data, given)
+        cost, action = told[:2].tolist()
+        equations, moving, cancelled = told[2 : 2 + 3 * count].reshape(3, -1)
+        momentum = told[2 + 3 * count : -self.numbering.intervals].reshape(d, -1, order="F")
+        terms, hamiltonian = self._terms(moving, cancelled), told[-self.numbering.intervals :]
+        return Report(cost, action, equations, terms, momentum, hamiltonian)

@@ -5,34 +5,40 @@ from __future__ import annotations
 import numpy as np
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
+from casadi_galerkin.calculus.numbers import real_array
 from casadi_galerkin.control.numbering import ControlNumbering
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
-from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
+from casadi_galerkin.solution.guess import Guess, Values, guess_values, meeting_ends, sampled
+
+SAME_FRACTION = 1e-12  # of the duration: rounding of joints that were stretched
 
 
 def first_values(
-    problem: ControlProblem, numbering: ControlNumbering, mesh: np.ndarray, guess: Guess | None
+    problem: ControlProblem, numbering: ControlNumbering, calculus: DiscreteCalculus, guess: Guess | None
 ) -> dict[str, np.ndarray]:
     """Values of all fields at a guess, within the bounds and with what is fixed as it is fixed.
 
     Without a guess the path is the straight line between the ends, and controls are zero, or the middle of their
     bounds where these exclude zero.
     """
-    calculus = DiscreteCalculus(numbering.method, mesh)
-    begin, duration = mesh[0], mesh[-1] - mesh[0]
-    fractions = (mesh - begin) / duration
-    path = _path(problem, calculus, guess)
-    velocities = (path[[1, -1]] - path[[0, -2]]) / np.diff(calculus.node_times)[[0, -1], None]
-    controls = np.tile(_resting(*problem.control_bounds), (numbering.points, 1))
-    parameters = np.array(problem.parameters or ())
+    path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
+    near = near_answer(guess, numbering, calculus)
+    path = _path(problem, calculus, near.polynomial.values if near else path_guess)
+    mesh, times = calculus.mesh, calculus.node_times
+    velocities = [(path[1] - path[0]) / (times[1] - times[0]), (path[-1] - path[-2]) / (times[-1] - times[-2])]
+    duration, parameters = mesh[-1] - mesh[0], np.array(problem.parameters or ())
     if isinstance(guess, ControlTrajectory):
-        controls = _earlier_controls(guess, numbering, (calculus.quadrature_times - begin) / duration)
-        velocities = np.stack((guess.start_velocity, guess.end_velocity))
+        controls = near.control.values.T if near else _earlier_controls(guess, numbering, calculus)
+        velocities = [guess.start_velocity.copy(), guess.end_velocity.copy()]
         if numbering.free_duration:
             duration = np.clip(guess.t[-1] - guess.t[0], *(problem.duration_bounds or ()))
         if numbering.free_parameters and guess.parameters is not None and len(guess.parameters) == numbering.parameters:
             parameters = np.clip(guess.parameters, *(problem.parameter_bounds or ()))
+    elif control_guess is None:
+        controls = np.tile(_resting(*problem.control_bounds), (numbering.points, 1))
+    else:
+        controls = _given_controls(control_guess, numbering, calculus)
     for velocity, fixed in zip(velocities, (problem.start_velocity, problem.end_velocity), strict=True):
         for i, value in enumerate(fixed):
             velocity[i] = velocity[i] if value is None else value
@@ -43,9 +49,26 @@ def first_values(
         "end_velocity": velocities[1],
         "duration": np.array([duration]),
         "parameters": parameters,
-        "begin": np.array([begin]),
-        "fractions": fractions,
+        "begin": mesh[:1],
+        "fractions": _fractions(mesh),
     }
+
+
+def _fractions(mesh: np.ndarray) -> np.ndarray:
+    return np.asarray((mesh - mesh[0]) / (mesh[-1] - mesh[0]))
+
+
+def near_answer(
+    guess: Guess | None, numbering: ControlNumbering, calculus: DiscreteCalculus
+) -> ControlTrajectory | None:
+    """The guess, if it has the same unknowns and equations at the same fractions of its duration, to start warm."""
+    if not (isinstance(guess, ControlTrajectory) and guess.method == calculus.method):
+        return None
+    n, duals = numbering, guess.duals
+    shapes = [guess.polynomial.values.shape, guess.control.values.shape, duals[0].shape, duals[1].shape]
+    if shapes != [(n.dimension, n.nodes), (n.controls, n.points), (n.equations,), (n.unknowns,)]:
+        return None
+    return guess if np.max(np.abs(_fractions(guess.t) - _fractions(calculus.mesh))) <= SAME_FRACTION else None
 
 
 def _resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
@@ -60,33 +83,43 @@ def _resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
 
 def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None) -> np.ndarray:
     """Node values (N m + 1, d) that meet the fixed ends and keep within bounds."""
-    d, nodes = problem.dimension, len(calculus.node_times)
-    resting = _resting(*problem.position_bounds)
-    values = np.tile(resting, (nodes, 1)) if guess is None else guess_values(guess, calculus, d).T
-    ends = np.array([[np.nan if v is None else v for v in end] for end in (problem.start, problem.end)])
+    if guess is None:
+        values = np.tile(_resting(*problem.position_bounds), (len(calculus.node_times), 1))
+    else:
+        values = guess_values(guess, calculus, problem.dimension).T
+    ends = np.array([problem.start, problem.end], dtype=float)  # NaN for None
     bent = np.clip(meeting_ends(values, calculus.node_parts, ends), *problem.position_bounds)
     bent[[0, -1]] = np.where(np.isnan(ends), bent[[0, -1]], ends)
     return np.asarray(bent)
 
 
-def _earlier_controls(guess: ControlTrajectory, numbering: ControlNumbering, fractions: np.ndarray) -> np.ndarray:
+def _earlier_controls(guess: ControlTrajectory, numbering: ControlNumbering, calculus: DiscreteCalculus) -> np.ndarray:
     """Controls (N r, n) of an earlier answer at the same fractions of its duration."""
     if len(guess.control.values) != numbering.controls:
         raise ValueError(f"the guess must have {numbering.controls} control(s), got {len(guess.control.values)}")
-    old = guess.control.mesh
+    old, new = guess.control.mesh, calculus.mesh
+    fractions = (calculus.quadrature_times - new[0]) / (new[-1] - new[0])
     return guess.control(np.clip(old[0] + fractions * (old[-1] - old[0]), old[0], old[-1])).T
 
 
-def check_finite(
-    problem: ControlProblem, numbering: ControlNumbering, values: dict[str, np.ndarray], z: np.ndarray
-) -> None:
-    """Raise a ValueError that names the first callable, and the time, that is not finite at the guess.
+def _given_controls(guess: Values, numbering: ControlNumbering, calculus: DiscreteCalculus) -> np.ndarray:
+    """Controls (N r, n) from a callable of time or an array at the quadrature points."""
+    name, times, shape = "the guess of the controls", calculus.quadrature_times, (numbering.controls, numbering.points)
+    values = sampled(name, guess, times, shape[0]) if callable(guess) else real_array(name, guess)
+    if values.shape != shape:
+        raise ValueError(f"{name} must have the shape {shape} for values at the quadrature points, got {values.shape}")
+    wrong = ~np.isfinite(values).all(axis=0)
+    if np.any(wrong):
+        i = int(np.argmax(wrong))
+        raise ValueError(f"{name} must be finite, got {values[:, i]} at t = {times[i]:.6g}")
+    return values.T
 
-    Parameters
-    ----------
-    z : (rows, N r), what is known at the quadrature points
-    """
+
+def check_finite(problem: ControlProblem, numbering: ControlNumbering, values: dict[str, np.ndarray]) -> None:
+    """Raise a ValueError that names the first callable, and the time, that is not finite at the guess."""
     d, n = numbering.dimension, numbering.controls
+    everything = numbering.matrix @ np.concatenate(numbering.pack(values))
+    z = everything.full()[: numbering.points * numbering.point_rows].reshape(numbering.points, -1).T
     times = values["begin"] + values["duration"] * z[-2]
     state = [times[None, :], z[:d], z[d : 2 * d] / (values["duration"] * z[-1])]
     given = [np.tile(values["parameters"][:, None], (1, numbering.points))] if numbering.parameters else []

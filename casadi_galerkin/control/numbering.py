@@ -125,6 +125,11 @@ class ControlNumbering:
         return {name: everything[index] for name, index in self.fields.items()}
 
     @property
+    def equations(self) -> int:
+        """Number of equations: of motion at all nodes, then path constraints at all points."""
+        return self.nodes * self.dimension + self.points * self.constraints
+
+    @property
     def point_rows(self) -> int:
         """Rows of A at a quadrature point: x, x', u, T, p, t_0, s, σ."""
         return 2 * self.dimension + self.controls + self.parameters + 4

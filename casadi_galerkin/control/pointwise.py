@@ -29,7 +29,7 @@ class PointwiseTerms:
     count : number of places
     z : SX, what is known at the place
     active : rows of z that are differentiated by
-    cost, rows : SX expressions in z
+    cost, action, rows : SX expressions in z
     """
 
     name: str
@@ -37,6 +37,7 @@ class PointwiseTerms:
     z: ca.SX
     active: np.ndarray
     cost: ca.SX
+    action: ca.SX
     rows: ca.SX
 
     @property
@@ -52,6 +53,12 @@ class PointwiseTerms:
         """(z, weight) -> weighted cost, one per place."""
         weight = ca.SX.sym("weight")
         return self._function([self.z, weight], weight * self.cost)
+
+    @lazy
+    def weighted_action(self) -> ca.Function:
+        """(z, weight) -> weighted action, one per place."""
+        weight = ca.SX.sym("weight")
+        return self._function([self.z, weight], weight * self.action)
 
     @lazy
     def gradient(self) -> ca.Function:
@@ -122,6 +129,7 @@ def places(problem: ControlProblem, numbering: ControlNumbering) -> tuple[Pointw
         z,
         numbering.active(2 * d + numbering.controls),
         h * problem.running_cost(*at),
+        pulled,
         ca.vertcat(*rows),
     )
     z = ca.SX.sym("z", numbering.end_rows)
@@ -131,4 +139,5 @@ def places(problem: ControlProblem, numbering: ControlNumbering) -> tuple[Pointw
     start, end = ((begin + duration * s, *states[2 * k : 2 * k + 2]) for k, s in ((0, first), (1, last)))
     momenta = [ca.gradient(problem.lagrangian(*at, *given), at[2]) for at in (start, end)]
     terminal = ca.SX(1, 1) if problem.terminal_cost is None else problem.terminal_cost(*end, *given)
-    return point, PointwiseTerms("ends", 1, z, numbering.active(4 * d), terminal, ca.vertcat(*momenta))
+    ends = PointwiseTerms("ends", 1, z, numbering.active(4 * d), terminal, ca.SX(1, 1), ca.vertcat(*momenta))
+    return point, ends

@@ -27,10 +27,11 @@ from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.control.error_estimate import better_mesh, estimated_error
 from casadi_galerkin.control.transcription import transcribed_control
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.limits import Limits
+from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.refinement import Estimate, Refinement
 from casadi_galerkin.solvers.solver import Solver
 
@@ -86,7 +87,7 @@ class ControlRefinement(Refinement[ControlTrajectory, ControlTrajectory]):
         """Solve with one degree on one mesh; joints are scaled to the span of the problem, whatever was found."""
         joints = np.interp(mesh, mesh[[0, -1]], self.problem.t_span)
         transcription = transcribed_control(self.problem, method, None, joints)
-        path = transcription.solve(guess, self.solver, max(self.verbose - 1, 0))
+        path = transcription.solve(guess=guess, solver=self.solver, verbose=max(self.verbose - 1, 0))
         self._iterations += path.iterations
         self.build_seconds += path.build_seconds
         return path
@@ -129,6 +130,15 @@ class ControlRefinement(Refinement[ControlTrajectory, ControlTrajectory]):
         )
 
 
+def first_control_mesh(
+    problem: ControlProblem, tol: float, method: Galerkin | None, intervals: int | None, mesh: ArrayLike | None
+) -> np.ndarray:
+    """Joints where a refinement begins; refuses what does not fit, see `solve` for the arguments."""
+    check_tolerance(tol)
+    check_types(problem, Galerkin(degree_for(tol)) if method is None else method, ControlProblem)
+    return mesh_of(problem.t_span, FIRST_INTERVALS if intervals is None and mesh is None else intervals, mesh)
+
+
 def solve_control_to_tolerance(
     problem: ControlProblem,
     tol: float,
@@ -149,7 +159,5 @@ def solve_control_to_tolerance(
     ConvergenceError
         where IPOPT finds no path on the first mesh, nor on the same mesh twice and four times as fine
     """
-    if intervals is None and mesh is None:
-        intervals = FIRST_INTERVALS
-    joints = mesh_of(problem.t_span, intervals, mesh)
+    joints = first_control_mesh(problem, tol, method, intervals, mesh)
     return ControlRefinement(problem, tol, method, limits, solver, verbose).run(joints, guess)

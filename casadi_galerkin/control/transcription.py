@@ -9,6 +9,7 @@ nodes; those of the first and the last hold the momenta there, p = ∂L/∂v(t, 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
@@ -16,15 +17,13 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.constraint_violation import limits_of, name_equation, name_unknown, violations
 from casadi_galerkin.control.graph import ControlGraph, Report
-from casadi_galerkin.control.initial_guess import check_finite, first_values
+from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
 from casadi_galerkin.control.numbering import ControlNumbering
-from casadi_galerkin.control.optimizer import Optimum, Program, interior_point, optimize
-from casadi_galerkin.functional.embedding import boundary_terms
-from casadi_galerkin.functional.numbering import Numbering
-from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.control.optimizer import Optimum, interior_point, optimize
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.control_path import ControlPath
@@ -47,19 +46,21 @@ ENDS = ("start", "end", "start_velocity", "end_velocity")
 
 
 class ControlTranscription:
-    """A control problem on N intervals as a nonlinear program, built once, solved from as many guesses as wanted.
+    """A control problem on N intervals as a nonlinear program, built once and solved often.
+
+    Ends, velocities, parameters and joints are parameters of the program: nothing is rebuilt when they change.
 
     Parameters
     ----------
     problem : ControlProblem
     method : Galerkin
-    mesh : (N + 1,), the joints; with a free duration they scale with it
+    mesh : (N + 1,), the joints used unless others are given to `solve`; with a free duration they scale with it
 
     Attributes
     ----------
     numbering : ControlNumbering, which unknown is what
     graph : ControlGraph, the Functions
-    program, limits : what IPOPT is given
+    limits : bounds of unknowns and equations
     build_seconds : float
 
     Examples
@@ -87,10 +88,9 @@ class ControlTranscription:
             problem.duration_bounds is not None,
             problem.parameter_bounds is not None,
         )
-        first = self.numbering.pack(first_values(problem, self.numbering, mesh, None))
-        graph = self.graph = ControlGraph(problem, self.numbering, np.concatenate(first))
-        functions = (graph.gradient, graph.jacobian, graph.hessian)
-        self.program = Program(graph.unknowns, graph.data, graph.cost, graph.equations, *functions)
+        self._calculus = DiscreteCalculus(method, mesh)
+        first = self.numbering.pack(first_values(problem, self.numbering, self._calculus, None))
+        self.graph = ControlGraph(problem, self.numbering, *first)
         self.limits = limits_of(problem, self.numbering)
         self._check_count()
         self._solvers: dict[str, ca.Function] = {}
@@ -107,13 +107,30 @@ class ControlTranscription:
                 f"{self.method.degree}: take more intervals, a higher degree or more controls, or free a component"
             )
 
-    def solve(self, guess: Guess | None = None, solver: Solver = ipopt, verbose: int = 0) -> ControlTrajectory:
-        """Solve for the optimal path.
+    def solve(
+        self,
+        start: Sequence[float | None] | None = None,
+        end: Sequence[float | None] | None = None,
+        start_velocity: Sequence[float | None] | None = None,
+        end_velocity: Sequence[float | None] | None = None,
+        parameters: Sequence[float] | None = None,
+        guess: Guess | None = None,
+        mesh: ArrayLike | None = None,
+        solver: Solver = ipopt,
+        verbose: int = 0,
+    ) -> ControlTrajectory:
+        """Solve for the optimal path; whatever is left out is taken from the problem.
 
         Parameters
         ----------
+        start, end, start_velocity, end_velocity : d numbers each, with None exactly where the problem has None
+        parameters : as many numbers as the problem has; where they are free, the guess
         guess : nothing (the straight line between the ends, controls of zero), anything `Transcription.solve` takes
-            for the path, or an earlier ControlTrajectory, whose controls, duration and parameters are then used too
+            for the path, a tuple of that and a guess of the controls, or an earlier ControlTrajectory, whose controls,
+            duration and parameters are then used too; where it has the same method and intervals, the solver starts
+            warm, from its multipliers.  A guess of the controls is a callable t -> (n,), or an array (n, N r) of values
+            at the quadrature points
+        mesh : (N + 1,) joints; where the duration is free their span is its guess
         solver : ipopt, with or without options
         verbose : 1 prints a summary, 2 also IPOPT's own output
 
@@ -123,66 +140,85 @@ class ControlTranscription:
             with the solver's own words and the constraint that is violated worst
         ValueError, TypeError
             for input that does not fit, and for callables that are not finite at the guess
+
+        Examples
+        --------
+        >>> import casadi_galerkin as cg
+        >>> cart = cg.ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0], [0.0], [0.0],
+        ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1)
+        >>> transcription = cg.transcribe(cart, cg.Galerkin(degree=3), intervals=4)
+        >>> near = transcription.solve()
+        >>> far = transcription.solve(end=[2.0], guess=near)
+        >>> round(near.cost, 6), round(far.cost, 6), far.problem.end
+        (6.0, 24.0, (2.0,))
         """
         began = time.perf_counter() - self.build_seconds
         check_solver(solver)
-        unknowns, data, terms = self._start(guess)
-        optimum = optimize(self._interior_point(solver, verbose), unknowns, data, self.limits)
-        if optimum.status == INVALID:
-            self._check_derivatives(unknowns, data)
-        report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
-        relative = violations(self.numbering, self.limits, optimum.unknowns, report.equations, report.terms, terms)
+        calculus = self._calculus if mesh is None else DiscreteCalculus(self.method, mesh)
+        if len(calculus.mesh) != len(self.mesh):
+            count = len(calculus.mesh) - 1
+            raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {count}")
+        ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
+        changes = {name: value for name, value in {**ends, "parameters": parameters}.items() if value is not None}
+        problem = self.problem.varied(changes, (float(calculus.mesh[0]), float(calculus.mesh[-1])))
+        values = first_values(problem, self.numbering, calculus, guess)
+        unknowns, data = self.numbering.pack(values)
+        near = near_answer(guess, self.numbering, calculus)
+        duals = () if near is None else (near.duals[1], near.duals[0] * self.graph.sizes)
+        optimum = optimize(self._interior_point(solver, bool(duals), verbose), unknowns, data, self.limits, *duals)
+        report = self.graph.report(optimum.unknowns, data, optimum.multipliers / self.graph.sizes)
+        if optimum.status == INVALID or not np.isfinite(report.cost + report.action):
+            check_finite(problem, self.numbering, values)
+            self._check_derivatives(unknowns, data, calculus.mesh)
+        relative = violations(self.numbering, self.limits, optimum.unknowns, report, report.terms)
+        if np.max(relative) > FEASIBLE:  # perhaps a component has vanished, and its terms with it
+            terms = self.graph.report(unknowns, data).terms
+            relative = violations(self.numbering, self.limits, optimum.unknowns, report, terms)
+        values = self.numbering.unpack(optimum.unknowns, data)
+        joints = self._joints(values, calculus.mesh)
         if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
-            raise self._error(optimum, report.cost, relative, data)
-        path = self._trajectory(optimum, report, relative, data, began)
+            raise self._error(optimum, report.cost, relative, values, joints)
+        path = self._trajectory(optimum, report, problem, values, joints, float(np.max(relative)), began)
         if verbose:
             print(path)
         return path
 
-    def _interior_point(self, solver: Solver, verbose: int) -> ca.Function:
+    def _interior_point(self, solver: Solver, warm: bool, verbose: int) -> ca.Function:
         """IPOPT for this program, built when it is first needed."""
-        key = f"{verbose > 1} {solver!r}"
+        key = f"{warm} {verbose > 1} {solver!r}"
         if key not in self._solvers:
             began = time.perf_counter()
-            self._solvers[key] = interior_point(self.program, verbose, solver.options)
+            self._solvers[key] = interior_point(self.graph, warm, verbose, solver.options)
             self.build_seconds += time.perf_counter() - began
         return self._solvers[key]
 
-    def _start(self, guess: Guess | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Unknowns, data and sizes of terms at the guess; refuses one where anything that is needed is not finite."""
-        values = first_values(self.problem, self.numbering, self.mesh, guess)
-        unknowns, data = self.numbering.pack(values)
-        report = self.graph.report(unknowns, data)
-        if not all(np.all(np.isfinite(a)) for a in (report.cost, report.equations, self._action(report.z, values))):
-            check_finite(self.problem, self.numbering, values, report.z)
-        return unknowns, data, report.terms
-
-    def _check_derivatives(self, unknowns: np.ndarray, data: np.ndarray) -> None:
+    def _check_derivatives(self, unknowns: np.ndarray, data: np.ndarray, mesh: np.ndarray) -> None:
         """Name a first derivative that is not finite at the guess."""
         gradient = np.array(self.graph.gradient(unknowns, data)[1]).ravel()
         matrix = self.graph.jacobian(unknowns, data)[1]
         entries = np.isfinite(np.array(matrix.nonzeros()))
         if not np.all(np.isfinite(gradient)):
-            what, place = name_unknown(self.numbering, int(np.argmax(~np.isfinite(gradient))))
-            raise self._not_finite(f"the derivative of the cost by {what}", place)
-        if not np.all(entries):
-            what, place = name_equation(self.numbering, matrix.sparsity().row()[int(np.argmax(~entries))])
-            raise self._not_finite(f"a derivative of {what}", place)
+            name, place = name_unknown(self.numbering, int(np.argmax(~np.isfinite(gradient))))
+            what = f"the derivative of the cost by {name}"
+        elif not np.all(entries):
+            name, place = name_equation(self.numbering, matrix.sparsity().row()[int(np.argmax(~entries))])
+            what = f"a derivative of {name}"
+        else:
+            return
+        when = np.interp(place, np.arange(len(mesh)), mesh)
+        raise ValueError(f"{what} is not finite at the guess at t = {when:.6g}. Give a guess that avoids it")
 
-    def _not_finite(self, what: str, place: float) -> ValueError:
-        when = np.interp(place, np.arange(len(self.mesh)), self.mesh)
-        return ValueError(f"{what} is not finite at the guess at t = {when:.6g}. Give a guess that avoids it")
-
-    def _joints(self, values: dict[str, np.ndarray]) -> np.ndarray:
+    def _joints(self, values: dict[str, np.ndarray], mesh: np.ndarray) -> np.ndarray:
         """The time scale with the duration found; exactly the mesh where the duration is given."""
         if not self.numbering.free_duration:
-            return self.mesh
+            return mesh
         return np.asarray(values["begin"] + values["duration"] * values["fractions"])
 
-    def _error(self, optimum: Optimum, cost: float, relative: np.ndarray, data: np.ndarray) -> ConvergenceError:
+    def _error(
+        self, optimum: Optimum, cost: float, relative: np.ndarray, values: dict[str, np.ndarray], joints: np.ndarray
+    ) -> ConvergenceError:
         """Say how the solver ended, what is violated worst and when, and what to try."""
-        values = self.numbering.unpack(optimum.unknowns, data)
-        joints, worst = self._joints(values), int(np.argmax(relative))
+        worst = int(np.argmax(relative))
         rows = len(self.limits.equations_lower)
         name, place = (
             name_equation(self.numbering, worst) if worst < rows else name_unknown(self.numbering, worst - rows)
@@ -195,52 +231,39 @@ class ControlTranscription:
             state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
         hint = HINTS.get(optimum.status, OTHER_HINT)
         message = f"IPOPT stopped with '{optimum.status}' after {optimum.iterations} iterations; {state}. {hint}"
-        path = Path(DiscreteCalculus(self.method, joints).emb(values["path"].T))
+        path = Path(PiecewisePolynomial(joints, self.method.element.nodes, values["path"].T))
         return ConvergenceError(message, path, float(relative[worst] / EPS), optimum.iterations)
 
     def _trajectory(
-        self, optimum: Optimum, report: Report, relative: np.ndarray, data: np.ndarray, began: float
+        self,
+        optimum: Optimum,
+        report: Report,
+        problem: ControlProblem,
+        values: dict[str, np.ndarray],
+        joints: np.ndarray,
+        violation: float,
+        began: float,
     ) -> ControlTrajectory:
-        values, numbering = self.numbering.unpack(optimum.unknowns, data), self.numbering
-        d = numbering.dimension
-        calculus = DiscreteCalculus(self.method, self._joints(values))
-        costate = optimum.multipliers[: numbering.nodes * d]
-        parameters = None if self.problem.parameters is None else tuple(values["parameters"].tolist())
+        parameters = None if problem.parameters is None else tuple(values["parameters"].tolist())
         return ControlTrajectory(
-            polynomial=calculus.emb(values["path"].T),
-            momentum=self._momenta(report.rows[:d], report.rows[d : 2 * d]),
-            action=self._action(report.z, values),
+            polynomial=PiecewisePolynomial(joints, self.method.element.nodes, values["path"].T),
+            momentum=report.momentum,
+            action=report.action,
             iterations=optimum.iterations,
-            residual=float(np.max(relative) / EPS),
+            residual=violation / EPS,
             solver=f"IPOPT ({optimum.status})",
             build_seconds=self.build_seconds,
             solve_seconds=time.perf_counter() - began - self.build_seconds,
             method=self.method,
-            problem=self.problem.found((float(calculus.mesh[0]), float(calculus.mesh[-1])), parameters),
+            problem=problem.found((float(joints[0]), float(joints[-1])), parameters),
             cost=report.cost,
-            control=ControlPath(calculus.mesh, self.method.element.points, values["controls"].T),
-            costate=calculus.emb((costate.reshape(-1, d) / self.graph.sizes).T),
-            hamiltonian=report.slopes.reshape(numbering.intervals, -1).sum(axis=1) / values["duration"],
-            violation=float(np.max(relative)),
+            control=ControlPath(joints, self.method.element.points, values["controls"].T),
+            duals=(optimum.multipliers / self.graph.sizes, optimum.bound_multipliers),
+            hamiltonian=report.hamiltonian,
+            violation=violation,
             start_velocity=values["start_velocity"],
             end_velocity=values["end_velocity"],
         )
-
-    def _momenta(self, *derivatives: np.ndarray) -> np.ndarray:
-        """Momenta at the joints (d, N + 1) by the discrete Legendre transform, from ∂L̂/∂x + h F and ∂L̂/∂x' (d, N r)."""
-        d, intervals = self.numbering.dimension, self.numbering.intervals
-        by_point = [a.reshape(d, intervals, -1).transpose(0, 2, 1).reshape(d, -1) for a in derivatives]
-        return np.array(boundary_terms(Numbering(self.method, intervals, d))(*by_point)[0])
-
-    def _action(self, z: np.ndarray, values: dict[str, np.ndarray]) -> float:
-        """Discrete action of the Lagrangian alone, from what is known at the points (rows, N r)."""
-        d, count = self.numbering.dimension, self.numbering.points
-        times, steps = values["begin"] + values["duration"] * z[-2], values["duration"] * z[-1]
-        parameters = tuple(values["parameters"].tolist()) if self.problem.parameters is not None else None
-        along = with_parameters(self.problem.lagrangian, parameters).map(count)
-        lagrangian = along(times[None, :], z[:d], z[d : 2 * d] / steps)
-        weights = np.tile(self.method.element.weights, self.numbering.intervals)
-        return float(weights * steps @ np.array(lagrangian).ravel())
 
     def __repr__(self) -> str:
         """Say what was built."""

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import components, number, numbers, time_span, times_inside
+from casadi_galerkin.calculus.numbers import components, numbers, time_span, times_inside
 from casadi_galerkin.problems.callables import (
     Traceable,
     trace_constraint,
@@ -18,7 +18,7 @@ from casadi_galerkin.problems.callables import (
     trace_lagrangian,
 )
 from casadi_galerkin.problems.constrained_motion import check_constraint
-from casadi_galerkin.problems.problem import shown
+from casadi_galerkin.problems.problem import finite, shown, varied_values
 
 Given = tuple[float | None, ...]
 ENDS = ("start", "end")
@@ -135,7 +135,7 @@ class BoundaryProblem:
             "end_conditions": None
             if end_conditions is None
             else trace_ends("end_conditions", end_conditions, "any", *traced),
-            "energy": None if energy is None else _finite("energy", energy),
+            "energy": None if energy is None else finite("energy", energy),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -175,22 +175,8 @@ class BoundaryProblem:
         changes : new values by name, one of `VARIED`: with None exactly where the problem has None
         t_span : (t_0, t_N), checked before
         """
-        values: dict[str, Any] = {}
-        for name, value in changes.items():
-            before = getattr(self, name)
-            if before is None:
-                kind = "no parameters" if name == "parameters" else f"no {name}"
-                raise ValueError(f"the problem has {kind}, got {name}={value!r}")
-            if name == "energy":
-                values[name] = _finite(name, value)
-            elif name == "parameters":
-                values[name] = numbers(name, value, len(before))
-            else:
-                values[name] = components(name, value, self.dimension)
-                if [a is None for a in values[name]] != [a is None for a in before]:
-                    raise ValueError(f"{name} must have None where the problem has it, {before}, got {values[name]}")
         other = object.__new__(type(self))  # copy.copy takes 50 µs
-        other.__dict__.update(vars(self), t_span=t_span, **values)
+        other.__dict__.update(vars(self), t_span=t_span, **varied_values(self, changes))
         if self.constraint is not None:
             check_constraint(other, other._whole_ends())
         return other
@@ -203,13 +189,6 @@ class BoundaryProblem:
             if len(given) == len(x):
                 ends[name] = t, given
         return ends
-
-
-def _finite(name: str, value: object) -> float:
-    checked = number(value)
-    if checked is None or not np.isfinite(checked):
-        raise ValueError(f"{name} must be a finite number, got {value!r}")
-    return checked
 
 
 def _check_ends(problem: BoundaryProblem) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 import casadi as ca
 
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.numbers import components, number, numbers
 
 
 class Problem(Protocol):
@@ -37,6 +39,33 @@ def check_types(problem: object, method: object, *kinds: type) -> None:
         raise TypeError(f"problem must be a {expected}, got {type(problem).__name__}")
     if not isinstance(method, Galerkin):
         raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
+
+
+def varied_values(problem: Problem, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Check other values for what a problem gives, by name: with None exactly where the problem has None."""
+    values: dict[str, Any] = {}
+    for name, value in changes.items():
+        before = getattr(problem, name, None)
+        if before is None:
+            kind = "no parameters" if name == "parameters" else f"no {name}"
+            raise ValueError(f"the problem has {kind}, got {name}={value!r}")
+        if isinstance(before, float):
+            values[name] = finite(name, value)
+        elif name == "parameters":
+            values[name] = numbers(name, value, len(before))
+        else:
+            values[name] = components(name, value, len(before))
+            if [a is None for a in values[name]] != [a is None for a in before]:
+                raise ValueError(f"{name} must have None where the problem has it, {before}, got {values[name]}")
+    return values
+
+
+def finite(name: str, value: object) -> float:
+    """Check a finite number."""
+    checked = number(value)
+    if checked is None or not math.isfinite(checked):
+        raise ValueError(f"{name} must be a finite number, got {value!r}")
+    return checked
 
 
 MOST_SHOWN = 6  # numbers of a repr

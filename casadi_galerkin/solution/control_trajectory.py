@@ -36,8 +36,8 @@ class ControlTrajectory(Trajectory):
     problem : ControlProblem
     cost : value of the discrete cost
     control : callable, ``control(t)`` -> (number of controls,) + t.shape
-    costate : callable, ``costate(t)`` -> (d,) + t.shape: the multipliers λ of the equations of motion as a path.
-        The cost of a small extra force δF(t) is ∫ λ·δF dt to first order
+    duals : (equations,) and (unknowns,), Lagrange multipliers of the discrete equations, those of motion first, and of
+        the bounds: with this trajectory as its guess, a solve with the same method on the same intervals starts warm
     hamiltonian : (N,), mean of I - v·∂I/∂v - dλ/dt·∂I/∂(dλ/dt) over each interval, where
         I = ℓ + λ·(∂L/∂x + F) + dλ/dt·∂L/∂v; of order 2m.  The same on all intervals where nothing depends on t; zero
         as well where the duration is free, was found strictly inside `duration_bounds`, and no terminal cost depends
@@ -65,11 +65,20 @@ class ControlTrajectory(Trajectory):
     problem: ControlProblem
     cost: float
     control: ControlPath
-    costate: PiecewisePolynomial
+    duals: tuple[np.ndarray, np.ndarray]
     hamiltonian: np.ndarray
     violation: float
     start_velocity: np.ndarray
     end_velocity: np.ndarray
+
+    @lazy
+    def costate(self) -> PiecewisePolynomial:
+        """Multipliers λ of the equations of motion as a path: ``costate(t)`` -> (d,) + t.shape.
+
+        The cost of a small extra force δF(t) is ∫ λ·δF dt to first order.
+        """
+        d, nodes = self.polynomial.values.shape
+        return PiecewisePolynomial(self.t, self.polynomial.nodes, self.duals[0][: d * nodes].reshape(nodes, d).T)
 
     def replay(self) -> ca.Function:
         """Return the force (t, x, v[, p]) -> (d,) of the optimised controls, for an `InitialProblem`.

@@ -12,7 +12,8 @@ from casadi_galerkin.calculus.numbers import real_array
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.solution.path import Path
 
-Guess = Callable[[float], ArrayLike] | ArrayLike | Path | PiecewisePolynomial
+Values = Callable[[float], ArrayLike] | ArrayLike
+Guess = Values | Path | PiecewisePolynomial | tuple[Values | Path | PiecewisePolynomial, Values]  # with controls
 
 
 def sampled(name: str, function: Callable[[float], ArrayLike], times: np.ndarray, dimension: int) -> np.ndarray:

@@ -49,8 +49,16 @@ class Evaluator:
         for target, argument in zip(self.inputs, arguments, strict=True):
             target[:] = argument
         with one_thread():
-            self.run()
+            try:
+                self.run()
+            except SystemError as error:  # an interrupt that IPOPT was stopped by
+                raise error.__cause__ or error from None
         if self._buffer.ret():  # aborted, as CasADi's QR does on a small pivot: the arrays hold an earlier answer
             for array in self.outputs:
                 array[:] = np.nan
         return [array.copy() for array in self.outputs]
+
+    @property
+    def stats(self) -> dict[str, Any]:
+        """What CasADi tells of the last call."""
+        return dict(self._buffer.stats())

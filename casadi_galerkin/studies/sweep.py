@@ -30,7 +30,9 @@ from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.numbers import time_span
+from casadi_galerkin.control.refinement import first_control_mesh
 from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem
+from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.trajectory import Trajectory
 
@@ -108,6 +110,11 @@ class Sweep:
         """Values of the action, (variations,); NaN where there is no answer."""
         return self._stacked("action")
 
+    @lazy
+    def cost(self) -> np.ndarray:
+        """Costs of the variations of a control problem, (variations,); NaN where there is no answer."""
+        return self._stacked("cost")
+
     def _stacked(self, name: str) -> np.ndarray:
         found = {i: np.asarray(getattr(a, name)) for i, a in enumerate(self.answers) if isinstance(a, Trajectory)}
         shapes = {value.shape for value in found.values()}
@@ -134,7 +141,7 @@ class Sweep:
 
 
 def sweep(
-    problem: BoundaryProblem,
+    problem: BoundaryProblem | ControlProblem,
     variations: Iterable[Variation],
     method: Galerkin | None = None,
     intervals: int | None = None,
@@ -149,7 +156,7 @@ def sweep(
 
     Parameters
     ----------
-    problem : BoundaryProblem
+    problem : BoundaryProblem or ControlProblem
     variations : dicts of what differs from the problem: `start`, `end`, `parameters`, `t_span`; the velocities and
         momenta at the ends, and the energy, where the problem states them; and `guess`, as for `solve`, which with a
         process pool has to be picklable (an array, a Trajectory, a module's function)
@@ -175,8 +182,8 @@ def sweep(
     >>> throws.momentum[:, 0, 0].round(6).tolist()
     [6.0, 7.0, 8.0]
     """
-    if not isinstance(problem, BoundaryProblem):
-        raise TypeError(f"problem must be a BoundaryProblem, got {type(problem).__name__}")
+    if not isinstance(problem, (BoundaryProblem, ControlProblem)):
+        raise TypeError(f"problem must be a BoundaryProblem or a ControlProblem, got {type(problem).__name__}")
     if isinstance(variations, (str, Mapping)) or not isinstance(variations, Iterable):
         raise TypeError(f"variations must be a sequence of dicts, got {variations!r}")
     if isinstance(executor, ThreadPoolExecutor):
@@ -205,7 +212,7 @@ def sweep(
     return Sweep(tuple(answers[i] if i in answers else CutShort(interrupted) for i in range(len(checked))))
 
 
-def _checked(problem: BoundaryProblem, number: int, variation: Variation) -> Variation:
+def _checked(problem: BoundaryProblem | ControlProblem, number: int, variation: Variation) -> Variation:
     """Check one variation against the problem."""
     if not isinstance(variation, Mapping):
         raise TypeError(f"variation {number} must be a dict of {', '.join(FIELDS)}, got {variation!r}")
@@ -225,11 +232,14 @@ def _checked(problem: BoundaryProblem, number: int, variation: Variation) -> Var
 
 
 def _solver(
-    problem: BoundaryProblem, method: Galerkin | None, intervals: int | None, tol: float | None
+    problem: BoundaryProblem | ControlProblem, method: Galerkin | None, intervals: int | None, tol: float | None
 ) -> Callable[[Variation], Trajectory]:
     """What solves one variation: a graph built once, or with a tolerance one refinement each."""
     if tol is not None:
-        first_mesh(problem, tol, method, intervals, None)  # refuses here what would fail in every variation
+        if isinstance(problem, ControlProblem):  # refuses here what would fail in every variation
+            first_control_mesh(problem, tol, method, intervals, None)
+        else:
+            first_mesh(problem, tol, method, intervals, None)
 
         def refined(variation: Variation) -> Trajectory:
             fields = {name: value for name, value in variation.items() if name in VARIED}

@@ -67,12 +67,12 @@ def test_hessian_is_casadis_own_with_no_nonzero_more(graph, somewhere):
 
 @pytest.mark.parametrize(("degree", "intervals"), [(1, 9), (4, 20), (7, 5)])
 def test_derivatives_are_block_sparse(degree, intervals):
-    program = cg.transcribe(cart_pole(), cg.Galerkin(degree), intervals).program
+    graph = cg.transcribe(cart_pole(), cg.Galerkin(degree), intervals).graph
     nodes, d = degree + 1, 2
     path = intervals * (nodes * d) ** 2 - (intervals - 1) * d**2 - 2 * d * nodes * d  # less the ends, which are given
     controls = intervals * degree * nodes  # the control pushes the cart only
-    assert program.jacobian.nnz_out(1) == path + controls
+    assert graph.jacobian.nnz_out(1) == path + controls
     # L is quadratic in the cart's velocity and ignores its position: no second derivative there
     pole, mixed, ends = nodes * (nodes + 1) // 2, nodes**2, 3 * nodes - 1
     path = intervals * (pole + mixed) - (intervals - 1) * 2 - 2 * ends
-    assert program.hessian.nnz_out(0) == path + intervals * degree
+    assert graph.hessian.nnz_out(0) == path + intervals * degree

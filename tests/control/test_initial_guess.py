@@ -1,11 +1,14 @@
 """Where a trajectory optimisation begins: guesses of every kind, warm starts, what is refused."""
 
+import pickle
+
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import cart_pole, double_integrator, minimum_time
+from control_problems import cart_pole, double_integrator, everything, minimum_time, pendulum
 
 import casadi_galerkin as cg
+from casadi_galerkin.control.initial_guess import first_values, near_answer
 
 SOLVED = 1e-8  # what IPOPT leaves of the optimality conditions, amplified by their conditioning
 
@@ -21,8 +24,8 @@ def test_warm_start_from_a_coarser_answer_saves_iterations():
 def test_warm_start_takes_duration_and_parameters():
     first = cg.solve(minimum_time(), cg.Galerkin(2), intervals=10)
     again = cg.transcribe(minimum_time(), cg.Galerkin(2), 10)
-    unknowns, data, _ = again._start(first)
-    assert again.numbering.unpack(unknowns, data)["duration"][0] == pytest.approx(2, abs=SOLVED)
+    values = first_values(again.problem, again.numbering, cg.DiscreteCalculus(again.method, again.mesh), first)
+    assert values["duration"][0] == pytest.approx(2, abs=SOLVED)
 
 
 @pytest.mark.parametrize("guess", [lambda t: [t], np.linspace(0, 1, 6)[None, :], "path"])
@@ -69,3 +72,96 @@ def test_guess_that_does_not_fit_is_refused():
         cg.solve(problem, cg.Galerkin(2), intervals=4, guess=np.zeros((2, 5)))
     with pytest.raises(ValueError, match="guess must be finite"):
         cg.solve(problem, cg.Galerkin(2), intervals=4, guess=lambda t: [np.nan])
+
+
+@pytest.mark.parametrize(
+    "controls",
+    [lambda t: [1.5 * np.sin(3 * t)], np.zeros((1, 40)), [[0.1] * 40], "path"],
+    ids=["callable", "array", "list", "control path"],
+)
+@pytest.mark.parametrize("path", [lambda t: [np.pi * t / 3], np.linspace(0, np.pi, 11)[None, :], "trajectory"])
+def test_guess_may_be_a_pair_of_path_and_controls(path, controls):
+    program = cg.transcribe(pendulum(3.0), cg.Galerkin(4), 10)
+    known = program.solve()
+    given = (known if isinstance(path, str) else path, known.control if isinstance(controls, str) else controls)
+    assert program.solve(guess=given).cost == pytest.approx(known.cost, abs=SOLVED)
+
+
+def test_controls_of_a_pair_are_where_the_solve_starts():
+    program = cg.transcribe(pendulum(3.0), cg.Galerkin(4), 10)
+    known = program.solve()
+    calculus = cg.DiscreteCalculus(program.method, program.mesh)
+    values = first_values(program.problem, program.numbering, calculus, (known, known.control))
+    np.testing.assert_allclose(values["controls"].T, known.control.values, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(values["path"].T, known.polynomial.values, rtol=0, atol=1e-12)
+    bounded = cg.transcribe(pendulum(3.0, control_bounds=(-1, 1)), cg.Galerkin(4), 10)
+    values = first_values(bounded.problem, bounded.numbering, calculus, (known, known.control))
+    clipped = np.clip(known.control.values, -1, 1)
+    np.testing.assert_allclose(values["controls"].T, clipped, rtol=0, atol=1e-12)
+    assert np.max(np.abs(values["controls"])) == 1
+
+
+@pytest.mark.parametrize(
+    ("guess", "kind", "message"),
+    [
+        ((lambda t: [t], np.zeros((1, 11))), ValueError, r"controls must have the shape \(1, 40\) .*, got \(1, 11\)"),
+        ((lambda t: [t], lambda t: [t, t]), ValueError, r"guess of the controls must return an array of shape \(1,\)"),
+        ((lambda t: [t], np.full((1, 40), np.nan)), ValueError, r"controls must be finite, got \[nan\] at t = 0.02"),
+        ((lambda t: [t], "none"), TypeError, "the guess of the controls must be real numbers, got 'none'"),
+        ((np.zeros((1, 7)), np.zeros((1, 40))), ValueError, r"the guess must have the shape \(1, 11\)"),
+    ],
+)
+def test_a_pair_that_does_not_fit_is_refused(guess, kind, message):
+    with pytest.raises(kind, match=message):
+        cg.solve(pendulum(3.0), cg.Galerkin(4), 10, guess=guess)
+
+
+NEAR = {
+    "cart-pole": (cart_pole, cg.Galerkin(4), {"start": [0.02, -0.03], "start_velocity": [0.05, 0.1]}),
+    "bang-bang": (minimum_time, cg.Galerkin(3), {"start": [0.1], "end_velocity": [0.05]}),
+    "everything": (everything, cg.Galerkin(3), {"start": [0.12, None], "end_velocity": [0.12, None]}),
+}
+
+
+@pytest.mark.parametrize("name", NEAR)
+def test_an_earlier_answer_starts_warm_and_saves_iterations(name):
+    problem, method, changes = NEAR[name]
+    program = cg.transcribe(problem(), method, 12)
+    known = program.solve()
+    by_path = program.solve(**changes, guess=(known, known.control))
+    warm = program.solve(**changes, guess=known)
+    assert warm.cost == pytest.approx(by_path.cost, rel=1e-10)
+    np.testing.assert_allclose(warm.x, by_path.x, rtol=0, atol=SOLVED)
+    np.testing.assert_allclose(warm.costate.values, by_path.costate.values, rtol=1e-6, atol=1e-6)
+    assert warm.iterations <= 0.7 * by_path.iterations
+    assert program.solve(guess=known).iterations <= 2
+
+
+def test_a_warm_start_does_not_depend_on_who_found_the_answer():
+    """The multipliers are those of the undivided equations, whatever another transcription divides them by."""
+    near, far = (cg.transcribe(pendulum(3.0, end=[end]), cg.Galerkin(4), 10) for end in (np.pi, 300.0))
+    assert near.graph.sizes[0] != far.graph.sizes[0]
+    known = near.solve()
+    assert far.solve(end=[np.pi], guess=known).iterations <= 1
+
+
+def test_another_layout_starts_from_the_path_alone():
+    known = cg.solve(pendulum(3.0), cg.Galerkin(4), 10)
+    meshes = {"mesh": 3 * np.linspace(0, 1, 11) ** 1.3}, {"mesh": np.linspace(0, 3, 12)}
+    for method, mesh in ((cg.Galerkin(5), {"intervals": 10}), *((cg.Galerkin(4), mesh) for mesh in meshes)):
+        program = cg.transcribe(pendulum(3.0), method, **mesh)
+        calculus = cg.DiscreteCalculus(method, program.mesh)
+        assert near_answer(known, program.numbering, calculus) is None
+        assert program.solve(guess=known).cost == pytest.approx(known.cost, rel=1e-3)
+    later = cg.DiscreteCalculus(cg.Galerkin(4), np.linspace(7, 9, 11))
+    assert near_answer(known, cg.transcribe(pendulum(3.0), cg.Galerkin(4), 10).numbering, later) is known
+    freed = cg.transcribe(pendulum(3.0, end_velocity=[None]), cg.Galerkin(4), 10)
+    assert near_answer(known, freed.numbering, cg.DiscreteCalculus(freed.method, freed.mesh)) is None
+
+
+def test_a_warm_start_survives_pickling():
+    program = cg.transcribe(minimum_time(), cg.Galerkin(3), 10)
+    known = program.solve()
+    ours, theirs = (program.solve(start=[0.1], guess=path) for path in (known, pickle.loads(pickle.dumps(known))))
+    np.testing.assert_array_equal(theirs.polynomial.values, ours.polynomial.values)
+    assert theirs.iterations == ours.iterations

@@ -1,5 +1,7 @@
 """Trajectory optimisation: exact and published costs, orders, constraints of every kind, what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from control_problems import (
@@ -339,3 +341,92 @@ def test_transcription_takes_control_problems_only():
         cg.transcribe(3, cg.Galerkin(2), 4)
     with pytest.raises(TypeError, match="Galerkin"):
         cg.transcribe(pendulum(3.0), 4, 4)
+
+
+# built once, solved often
+
+SWING, METHOD = pendulum(3.0), cg.Galerkin(4)
+CHANGES = {
+    "start": {"start": [0.4]},
+    "end": {"end": [2.0]},
+    "velocities": {"start_velocity": [0.3], "end_velocity": [-0.2]},
+    "all ends": {"start": [-0.1], "end": [2.5], "start_velocity": [0.1], "end_velocity": [0.5]},
+    "mesh": {"mesh": 0.5 + 3.5 * np.linspace(0, 1, 11) ** 1.2},
+    "nothing": {},
+}
+
+
+def agree(path, other):
+    assert path.cost == pytest.approx(other.cost, rel=1e-10)
+    np.testing.assert_allclose(path.t, other.t, rtol=0, atol=SOLVED)
+    np.testing.assert_allclose(path.x, other.x, rtol=0, atol=SOLVED)
+    np.testing.assert_allclose(path.momentum, other.momentum, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(path.hamiltonian, other.hamiltonian, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_solving_again_with_changes_is_solving_afresh(name):
+    program, changes = cg.transcribe(SWING, METHOD, 10), dict(CHANGES[name])
+    path = program.solve(**changes)
+    mesh = changes.pop("mesh", np.linspace(0, 3, 11))
+    agree(path, cg.solve(pendulum(3.0, t_span=mesh[[0, -1]], **changes), METHOD, mesh=mesh))
+    assert path.problem.t_span == (mesh[0], mesh[-1])
+    for field, value in changes.items():
+        assert getattr(path.problem, field) == tuple(value)
+
+
+def test_solving_again_takes_parameters_given_or_free():
+    path = cg.transcribe(_mass(), cg.Galerkin(3), 4).solve(parameters=[2.0])
+    assert path.cost == pytest.approx(24, abs=1e-10)
+    assert path.parameters == path.problem.parameters == (2.0,)
+    program = cg.transcribe(everything(), cg.Galerkin(3), 8)
+    changes = {"start": [0.2, None], "end": [None, 0.3], "start_velocity": [None, 0.1], "end_velocity": [0.0, None]}
+    path = program.solve(**changes, parameters=[1.3, 0.1])
+    agree(path, cg.solve(replace(everything(), **changes), cg.Galerkin(3), 8, guess=path))
+
+
+def test_repeated_solves_do_not_influence_one_another():
+    program = cg.transcribe(SWING, METHOD, 10)
+    before = [program.solve(), program.solve(end=[2.0])]
+    kept = [path.polynomial.values.copy() for path in before]
+    program.solve(start=[0.3], guess=before[0])
+    with pytest.raises(ValueError, match="finite"):
+        program.solve(guess=lambda t: [np.nan])
+    for path, values, changes in zip(before, kept, ({}, {"end": [2.0]}), strict=True):
+        np.testing.assert_array_equal(path.polynomial.values, values)
+        np.testing.assert_array_equal(program.solve(**changes).polynomial.values, values)
+    assert program.problem is SWING
+    assert before[0].problem.end == (np.pi,)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"start": [None]}, r"start must have None where the problem has it, \(0.0,\), got \(None,\)"),
+        ({"end_velocity": [1.0]}, r"end_velocity must have None where the problem has it, \(None,\), got \(1.0,\)"),
+        ({"end": [1.0, 2.0]}, r"end must have 1 component\(s\), got 2"),
+        ({"start_velocity": [np.inf]}, r"start_velocity\[0\] must be finite, got inf"),
+        ({"start": [-3.0]}, r"start\[0\] = -3.0 lies outside its position_bounds \[-1.0, 2.0\]"),
+        ({"parameters": [1.0]}, r"the problem has no parameters, got parameters=\[1.0\]"),
+        ({"mesh": np.linspace(0, 1, 4)}, r"this transcription has 4 intervals, got a mesh of 3"),
+        ({"mesh": [0, 1, 2, 4, 3]}, "the joints of a mesh must increase"),
+        ({"solver": cg.newton}, "solved by ipopt"),
+    ],
+)
+def test_changes_that_do_not_fit_are_refused(changes, message):
+    program = cg.transcribe(double_integrator(end_velocity=[None], position_bounds=(-1, 2)), cg.Galerkin(3), 4)
+    with pytest.raises(ValueError, match=message):
+        program.solve(**changes)
+
+
+def test_wrong_number_of_parameters_and_a_duration_out_of_bounds_are_refused():
+    with pytest.raises(ValueError, match=r"parameters must have 1 component\(s\), got 2"):
+        cg.transcribe(_mass(), cg.Galerkin(3), 4).solve(parameters=[1.0, 2.0])
+    with pytest.raises(ValueError, match=r"duration_bounds \(0.1, 10.0\) must hold the guess, t_span lasts 20.0"):
+        cg.transcribe(minimum_time(), cg.Galerkin(3), 4).solve(mesh=np.linspace(0, 20, 5))
+
+
+def test_a_component_that_was_built_at_rest_is_solved_in_motion():
+    program = cg.transcribe(double_integrator(end=[0.0]), cg.Galerkin(3), 10)
+    for end in (1e-3, 1.0, 1e3):
+        assert program.solve(end=[end]).cost == pytest.approx(6 * end**2, rel=1e-10)

@@ -504,6 +504,29 @@ def arm_upright(module, path):
     np.testing.assert_allclose(flown(rates, finer, [0, 0, 0, 0]), [np.pi, np.pi, 0, 0], rtol=0, atol=1e-6)
 
 
+def upright_in_the_loop(module, answer):
+    states, forces, plans = answer
+    assert states.shape == (4, module.COUNT + 1)
+    assert np.max(np.abs(forces)) <= module.FORCE
+    cart, pole, *_ = np.max(np.abs(states[:, -25:] - [[0], [np.pi], [0], [0]]), axis=1)
+    assert cart < 10 * module.NOISE[0]  # what the noise of the velocities makes of a plan, too
+    assert pole < 10 * module.NOISE[1]
+    assert np.max(np.abs(states[1, module.KNOCKED :] - np.pi)) > 0.1  # by the knock
+    assert np.median([plan.iterations for plan in plans[1:]]) < plans[0].iterations / 3
+
+
+def a_sample_of_the_plant(module, answer):
+    """Against the variational integrator, which knows of the Lagrangian in another way."""
+    states, forces, _ = answer
+    x, v = np.split(states[:, 20], 2)
+    force = cg.InitialProblem(
+        module.lagrangian, (0, module.SAMPLE), x, velocity=v, force=lambda t, x, v: [forces[20], 0]
+    )
+    stepped = cg.solve(force, cg.Galerkin(6), intervals=4)
+    np.testing.assert_allclose(states[:2, 21], stepped.x[:, -1], rtol=0, atol=1e-5)  # CVODES' tolerance, 1e-6 a step
+    np.testing.assert_allclose(states[2:, 21], stepped.velocity[:, -1], rtol=0, atol=1e-4)
+
+
 TABLE = [
     ("lambert", vallados_velocities, "the Lambert transfer has Vallado's velocities"),
     ("lambert", keplers_invariants, "the Lambert transfer conserves energy and angular momentum"),
@@ -567,6 +590,8 @@ TABLE = [
     ("low_thrust", wider_circle, "the spacecraft arrives on the wider circle"),
     ("low_thrust", cheapest_angle, "the angle of arrival is the cheapest"),
     ("obstacle", passed_below, "the vehicle passes below at the exact cost"),
+    ("swing_up_loop", upright_in_the_loop, "planned anew from noisy states the pole stands upright, knocked or not"),
+    ("swing_up_loop", a_sample_of_the_plant, "the plant of the loop moves as its Lagrangian says"),
 ]
 SCENES = sorted({name for name, _, _ in TABLE})
 

@@ -11,6 +11,7 @@ from multiprocessing import get_context
 import casadi as ca
 import numpy as np
 import pytest
+from control_problems import double_integrator
 
 import casadi_galerkin as cg
 from casadi_galerkin.studies.sweep import CutShort, _sendable
@@ -209,6 +210,57 @@ def test_without_any_answer_there_are_no_arrays():
     sweep = cg.sweep(bratu(), [{"parameters": [9.0]}], METHOD, INTERVALS)
     with pytest.raises(ValueError, match="no variation has an answer"):
         operator.attrgetter("action")(sweep)
+
+
+# control problems
+
+
+def pushed(t):
+    """A guess of a control that a process pool can pickle."""
+    return [6 - 12 * t]
+
+
+PUSHES = [
+    {"end": [2.0]},
+    {"end_velocity": [1.5]},
+    {"t_span": (1.0, 3.0)},
+    {"guess": (arched, pushed)},
+    {"start": [9.0]},
+]
+
+
+def test_a_control_problem_is_swept(pool):
+    problem = double_integrator(position_bounds=(-1, 9))  # ∫u²/2 = (6 (s - v)² + 6 (s - v) v + 2 v²)/T³, s the way in T
+    sweep = cg.sweep(problem, PUSHES, METHOD, INTERVALS)
+    np.testing.assert_allclose(sweep.cost, [24.0, 1.5, 0.75, 6.0, 6 * 64.0], rtol=1e-10, atol=0)
+    assert sweep[2].problem.t_span == (1.0, 3.0)
+    assert [path.problem.end for path in sweep][:2] == [(2.0,), (1.0,)]
+    identical(cg.sweep(problem, PUSHES, METHOD, INTERVALS, executor=pool), sweep)
+    np.testing.assert_allclose(cg.sweep(problem, PUSHES[:2], tol=1e-6).cost, sweep.cost[:2], rtol=1e-6, atol=0)
+
+
+def test_a_failure_of_a_control_problem_is_kept():
+    sweep = cg.sweep(double_integrator(control_bounds=(-7, 7)), [{}, {"end": [2.0]}], METHOD, INTERVALS)
+    assert list(sweep.failures) == [1]
+    assert "Infeasible" in str(sweep[1])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        (([{"energy": 1.0}], METHOD, INTERVALS), ValueError, "variation 0: the problem has no energy, got energy=1.0"),
+        (([{"end": [None]}], METHOD, INTERVALS), ValueError, "variation 0: end must have None where the problem has"),
+        (([{"start": [2.0]}], METHOD, INTERVALS), ValueError, r"variation 0: start\[0\] = 2.0 lies outside"),
+        (([{}], METHOD), ValueError, "give a method and intervals, or tol"),
+    ],
+)
+def test_a_variation_that_does_not_fit_a_control_problem_is_refused(arguments, error, message):
+    with pytest.raises(error, match=message):
+        cg.sweep(double_integrator(position_bounds=(-1, 1.5)), *arguments)
+    with pytest.raises(TypeError, match="method must be a Galerkin"):
+        cg.sweep(double_integrator(), [{}], 4, tol=1e-3)
+    with pytest.raises(ValueError, match="tol must be a number between 0 and 1, got 2"):
+        cg.sweep(double_integrator(), [{}], tol=2)
 
 
 # executors
@@ -466,7 +518,7 @@ def test_a_refinement_that_does_not_fit_is_refused_before_any_solve(arguments, e
 
 
 def test_a_problem_is_asked_for():
-    with pytest.raises(TypeError, match="must be a BoundaryProblem, got str"):
+    with pytest.raises(TypeError, match="must be a BoundaryProblem or a ControlProblem, got str"):
         cg.sweep("bratu", VARIATIONS, METHOD, INTERVALS)
 
 
