@@ -295,3 +295,13 @@ def test_an_energy_beside_a_constraint_that_moves_is_refused():
         cg.BoundaryProblem(
             planar, (0, 1), [None, None], [None, None], constraint=lambda t, x: ca.norm_2(x) - 1 - t, energy=1.0
         )
+
+
+@pytest.mark.parametrize("duration", [0.01, 0.6, 50.0])
+def test_a_duration_of_given_energy_stays_positive_whatever_its_guess(duration):
+    """Time of flight of a pendulum, ∫ dx / sqrt(2 (E + cos x))."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0.0, duration), [0.0], [1.0], energy=0.5
+    )
+    flight = quad(lambda x: 1 / np.sqrt(2 * (0.5 + np.cos(x))), 0.0, 1.0, epsabs=1e-14)[0]
+    assert cg.solve(problem, tol=1e-10).t[-1] == pytest.approx(flight, rel=1e-10)

@@ -166,14 +166,33 @@ def test_a_problem_says_what_it_states():
         [0.0, None, None],
         [None, None, 3.0],
         constraint=lambda t, x: x[1] - x[0],
-        start_velocity=[None, None, 1.0],
+        start_momentum=[None, None, 1.0],
         end_momentum=[0.5, None, None],
         end_action=lambda x0, x1: x1[1] ** 2,
         end_conditions=lambda x0, x1: x1[1] - x0[1] - 1,
         energy=2.0,
     )
     words = (
-        "energy 2, constraint, end_action, end_conditions, start_velocity (None, None, 1.0), end_momentum (0.5, None, N"
+        "energy 2, constraint, end_action, end_conditions, start_momentum (None, None, 1.0), end_momentum (0.5, None, N"
     )
     assert words in repr(problem)
     assert "force" not in repr(problem)
+
+
+@pytest.mark.parametrize("name", ["start_velocity", "end_velocity"])
+def test_velocities_that_a_constraint_would_not_keep_are_refused(name):
+    ends = (
+        {"start": [None, None], "end": [0.0, -1.0]}
+        if name == "start_velocity"
+        else {"start": [0.0, -1.0], "end": [None, None]}
+    )
+    with pytest.raises(
+        ValueError, match=f"a constraint leaves only tangent velocities: instead of {name} give the mom"
+    ):
+        cg.BoundaryProblem(
+            lambda t, x, v: ca.dot(v, v) / 2 - x[1],
+            (0.0, 1.0),
+            **ends,
+            constraint=lambda t, x: ca.dot(x, x) - 1,
+            **{name: [1.0, 1.0]},
+        )

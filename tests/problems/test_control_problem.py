@@ -50,7 +50,11 @@ BADLY_STATED = {
         ValueError,
         r"end\[0\] = 1.0 lies on its position_bounds",
     ),
-    "nested forces": ({"force": lambda t, x, v, u: [[u[0]]]}, TypeError, "force must return one CasADi expression a"),
+    "nested forces": (
+        {"force": lambda t, x, v, u: [[u[0]]]},
+        TypeError,
+        "force must return one CasADi expression per component",
+    ),
     "force as a number": ({"force": 3.0}, TypeError, "force must be a callable"),
     "terminal cost of controls": ({"terminal_cost": lambda t, x, v, u: u}, TypeError, "terminal_cost is called as"),
     "end outside": ({"position_bounds": (-1, 0.5)}, ValueError, r"end\[0\] = 1.0 lies outside"),
