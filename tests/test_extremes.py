@@ -65,7 +65,7 @@ def test_graph_of_a_ring_grows_linearly(few, many):
         x, v = ca.SX.sym("x", d), ca.SX.sym("v", d)
         stretch = x - ca.vertcat(x[1:], x[0])
         value = ca.sumsqr(v) / 2 - ca.sum1(stretch**2) / 2 - ca.sum1(stretch**4) / 4
-        functions = pointwise(ca.Function("ring", [ca.SX.sym("t"), x, v], [value]))
+        functions = pointwise(ca.Function("ring", [ca.SX.sym("t"), x, v], [value]), None)
         return np.array([functions.pattern.nnz(), functions.derivatives.n_instructions()])
 
     ratio = size(many) / size(few)

@@ -460,7 +460,7 @@ def check_mass(problem: BoundaryProblem) -> None:
     """
     if problem.constraint is not None:
         return
-    derived, (first, last) = pointwise(problem.lagrangian), problem.t_span
+    derived, (first, last) = pointwise(problem.lagrangian, problem.force), problem.t_span
     start, end = (np.array([x or 0.0 for x in end]) for end in (problem.start, problem.end))
     rise, size, span = end - start, component_sizes(np.array([start, end]).T), last - first
     bend = size * np.cos(1.0 + np.arange(len(start)))

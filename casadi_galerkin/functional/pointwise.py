@@ -130,6 +130,6 @@ class Pointwise:
 
 
 @lru_cache(KEPT)
-def pointwise(lagrangian: ca.Function, force: ca.Function | None = None) -> Pointwise:
+def pointwise(lagrangian: ca.Function, force: ca.Function | None) -> Pointwise:
     """Derive the pointwise Functions of a Lagrangian and a force; the last ones are kept."""
     return Pointwise(lagrangian, force)
