@@ -467,7 +467,7 @@ def check_mass(problem: BoundaryProblem) -> None:
     given = [] if problem.parameters is None else [problem.parameters]
     for share in GENERIC:
         t, x, slope = first + share * span, start + share * (rise + bend), rise + (1 - share) * bend
-        blocks = derived.derivatives(t, span, x, slope, *given)[3:]
+        blocks = derived.derivatives.call([t, span, x, slope, *given])[3:]
         mass = derived.mass([np.array(block) for block in blocks])[0] * span
         if not (np.isfinite(mass).all() and degenerate(mass)):
             return

@@ -12,12 +12,13 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import lobatto_points
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import Mapping
 from casadi_galerkin.functional.numbering import Numbering
-from casadi_galerkin.problems.boundary_problem import RATES, BoundaryProblem
+from casadi_galerkin.problems.boundary_problem import RATES, BoundaryProblem, says
 
 
 def functional_of(problem: BoundaryProblem, method: Galerkin, intervals: int, mapping: Mapping) -> Functional:
@@ -62,8 +63,6 @@ class _Statement:
         self.problem, self.method, self.intervals = problem, method, intervals
         if problem.constraint is not None:
             refuse_points(method)
-        self.parameters = ca.SX.sym("p", len(problem.parameters or ()))
-        self.given = ca.SX.sym("given", len(given_values(problem)))
         start, end = (
             tuple(i for i, value in enumerate(side) if value is not None) for side in (problem.start, problem.end)
         )
@@ -75,6 +74,16 @@ class _Statement:
         multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d
         stretched = problem.energy is not None
         self.numbering = Numbering(method, intervals, d, start, end, problem.periodic, multipliers, stretched)
+
+    @lazy
+    def parameters(self) -> ca.SX:
+        """Symbols of the parameters."""
+        return ca.SX.sym("p", len(self.problem.parameters or ()))
+
+    @lazy
+    def given(self) -> ca.SX:
+        """Symbols of the `given_values`."""
+        return ca.SX.sym("given", len(given_values(self.problem)))
 
     def terms(self) -> tuple[LocalTerm, ...]:
         """All terms, their multipliers one after the other."""
@@ -138,9 +147,9 @@ class _Statement:
         Of y = (x_0, x_N, μ, velocities that are not given but have a part in a momentum that follows from one).
         """
         problem, d = self.problem, self.problem.dimension
-        rates = {name: np.array([value is not None for value in getattr(problem, name)]) for name in RATES}
-        if not (any(map(np.any, rates.values())) or problem.end_action or problem.end_conditions):
+        if not any(says(getattr(problem, name)) for name in (*RATES, "end_action", "end_conditions")):
             return None
+        rates = {name: np.array([value is not None for value in getattr(problem, name)]) for name in RATES}
         x, t = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], ca.SX.sym("t", 2)
         positions = ca.vertcat(*x)
         sizes = [int(np.count_nonzero(chosen)) for chosen in rates.values()]
