@@ -29,7 +29,7 @@ from casadi_galerkin.boundary.refinement import first_mesh
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.numbers import time_span
+from casadi_galerkin.calculus.numbers import time_span, times_inside
 from casadi_galerkin.control.refinement import first_control_mesh
 from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -223,6 +223,8 @@ def _checked(problem: BoundaryProblem | ControlProblem, number: int, variation: 
     try:
         if "t_span" in checked:
             checked["t_span"] = time_span(checked["t_span"])
+            if isinstance(problem, BoundaryProblem):
+                times_inside("breakpoints", problem.breakpoints, checked["t_span"])
         given = {name: checked[name] for name in VARIED if name in checked}
         varied = problem.varied(given, checked.get("t_span", problem.t_span))
         checked |= {name: getattr(varied, name) for name in given}
@@ -250,11 +252,12 @@ def _solver(
     if method is None or intervals is None:
         raise ValueError(f"give a method and intervals, or tol, got method={method!r} and intervals={intervals!r}")
     transcription = transcribe(problem, method, intervals)
+    breakpoints = problem.breakpoints if isinstance(problem, BoundaryProblem) else ()
 
     def solved(variation: Variation) -> Trajectory:
         given = dict(variation)
         span = given.pop("t_span", None)
-        return transcription.solve(**given, mesh=None if span is None else mesh_of(span, intervals, None))
+        return transcription.solve(**given, mesh=None if span is None else mesh_of(span, intervals, None, breakpoints))
 
     return solved
 

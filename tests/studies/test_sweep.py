@@ -571,3 +571,17 @@ def test_the_friction_of_a_force_is_varied():
         w = np.sqrt(4 - c**2 / 4)
         sine = (0.5 * np.exp(c) - np.cos(2 * w)) / np.sin(2 * w)
         assert x == pytest.approx(np.exp(-c / 2) * (np.cos(w) + sine * np.sin(w)), abs=1e-12)
+
+
+def test_breakpoints_are_joints_whatever_the_time_span():
+    def driven(t, x, v):
+        return v[0] ** 2 / 2 + ca.if_else(t < 1.1, 1.0, -2.0) * x[0]
+
+    problem = cg.BoundaryProblem(driven, (0.0, 2.0), [0.0], [1.0], breakpoints=[1.1])
+    sweep = cg.sweep(problem, [{}, {"t_span": (0.5, 3.0)}], cg.Galerkin(3), 4)
+    for path, span in zip(sweep, ((0.0, 2.0), (0.5, 3.0)), strict=True):
+        alone = cg.BoundaryProblem(driven, span, [0.0], [1.0], breakpoints=[1.1])
+        np.testing.assert_array_equal(path.x, cg.solve(alone, cg.Galerkin(3), 4).x)
+        assert 1.1 in path.t
+    with pytest.raises(ValueError, match=r"variation 1: breakpoints must increase inside of \(1.2, 3.0\)"):
+        cg.sweep(problem, [{}, {"t_span": (1.2, 3.0)}], cg.Galerkin(3), 4)
