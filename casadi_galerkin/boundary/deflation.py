@@ -13,7 +13,7 @@ In between, curves of loaded paths are followed from what is known (`loaded_curv
 find 5 of 13 geodesics on a torus in 100 solves; with the curves all are found in 4 to 25.  Wherever either comes near
 a path, the package's own Newton method takes over, and its answer is verified as every answer is.  A discrete action
 also has critical points that are no paths, zigzags of a coarse mesh, and makes single paths of a family: dropped is
-what a degree higher by four or the witnesses refute, and where the second variation vanishes up to the error.
+what a higher degree or the witnesses refute, and where the second variation vanishes up to the error.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from casadi_galerkin.boundary.failure_report import conjugate, explained, refuse
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_breakpoints, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.mesh_adaptation import HIGHER, interval_maxima, of_degree
+from casadi_galerkin.calculus.mesh_adaptation import interval_maxima, of_higher_degree
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes
 from casadi_galerkin.functional.mapping import Mapping, by_rows, one_by_one
@@ -449,7 +449,7 @@ def error_between_ends(path: Trajectory) -> float:
     """Estimate the relative error of a path between two ends: see `Trajectory.estimate_error`."""
     problem = path.problem
     assert isinstance(problem, BoundaryProblem)
-    higher = Transcription(problem, of_degree(path.method.degree + HIGHER), path.t, one_by_one)
+    higher = Transcription(problem, of_higher_degree(path.method.degree), path.t, one_by_one)
     return path.doubted(higher.error(path.polynomial))
 
 

@@ -8,7 +8,7 @@ import time
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import HIGHER, interval_maxima, of_degree
+from casadi_galerkin.calculus.mesh_adaptation import interval_maxima, of_higher_degree
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -131,7 +131,7 @@ def path_of(roll: Roll, stepper: Stepper, count: int) -> PiecewisePolynomial:
 
 def error_of_steps(path: Trajectory) -> float:
     """Estimate the relative error of a path of steps: see `Trajectory.estimate_error`."""
-    higher = of_degree(path.method.degree + HIGHER)
+    higher = of_higher_degree(path.method.degree)
     stepper = stepper_of(path.problem, higher)
     roll = stepper.roll(path.x[:, 0], path.momentum[:, 0], path.velocity[:, 0], path.t)
     if roll.verified < len(path.t) - 1:
