@@ -36,7 +36,7 @@ def of_higher_degree(degree: int) -> Galerkin:
     """The method whose path on the same mesh tells the error of a path of this degree.
 
     One degree more adds nothing to a path of the other parity.  At low degrees two are too few: a feature narrower than
-    its interval was seen to show a ninth of its error.  At high ones they are enough, and four add to the roundoff.
+    its interval was seen to show an eighth of its error.  At high ones they are enough, and four add to the roundoff.
     """
     return of_degree(degree + (4 if degree < LOW else 2))
 
