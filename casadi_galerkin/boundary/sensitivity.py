@@ -22,6 +22,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.interval import NO_CUTOFF
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.rootfinder import embeddable
@@ -79,8 +80,9 @@ def solution_function(
     >>> float(f(start=[0], end=[2], parameters=[1], guess=path.polynomial.values)["x"][0, 5].full()[0, 0].round(6))
     1.139494
     """
-    transcription = transcribed(problem, method, intervals, mesh)
+    check_types(problem, method, BoundaryProblem)
     _refuse_energy("solution_function", problem)
+    transcription = transcribed(problem, method, intervals, mesh)
     point = transcription.critical_point(guess=guess)
     transcription.trajectory(point, 0.0)  # refuses a singular Hessian
     functional, numbering, unknowns = transcription.functional, transcription.numbering, point.solution.unknowns

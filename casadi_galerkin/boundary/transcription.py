@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.failure_report import conjugate, explained, refuse_undefined
+from casadi_galerkin.boundary.mass import check_mass
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_breakpoints, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
@@ -22,12 +23,11 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes
 from casadi_galerkin.functional.mapping import Mapping, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data, joints_of
-from casadi_galerkin.functional.pointwise import pointwise
-from casadi_galerkin.functional.statement import functional_of, given_values, has_phase
+from casadi_galerkin.functional.statement import functional_of, given_values, has_phase, phase_plane
 from casadi_galerkin.problems.boundary_problem import RATES, BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, tangent_momenta
-from casadi_galerkin.problems.legendre_transform import convex, degenerate, legendre_transform, refuse_degenerate
+from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
 from casadi_galerkin.solution.plotting import plot_pattern
@@ -44,8 +44,6 @@ REGULAR = 1e-9  # `Solution.regularity` above which the second variation need no
 SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
 ROUNDED = 0.2  # of eps: what rounding to the nearest double changes in the root mean square
 SIGNS = 4  # random signs of the rounding of the equations, from which its effect on the path is estimated
-GENERIC = 0.1, 0.4, 0.7  # parts of a line between the ends, bent, at which a Lagrangian is asked for its mass matrix
-AT_REST = 1e-3  # speed at the start over the largest, below which the start tells no phase
 
 
 @dataclass(frozen=True)
@@ -63,11 +61,9 @@ class CriticalPoint:
         path, problem = self.polynomial, self.problem
         momentum = self.solution.momentum.reshape(len(path.values), -1, order="F")
         motion = motion_of(problem)
-        return (
-            momentum
-            if motion is None
-            else tangent_momenta(motion, path.mesh, path(path.mesh), momentum, path(path.mesh, 1))
-        )
+        if motion is None:
+            return momentum
+        return tangent_momenta(motion, path.mesh, path(path.mesh), momentum, path(path.mesh, 1))
 
 
 class Transcription:
@@ -314,18 +310,8 @@ class Transcription:
         return (*ends, joints, *parameters, *([given] if len(given) else []))
 
     def plane(self, path: PiecewisePolynomial) -> np.ndarray | None:
-        """The plane through the start of a path across its velocity, in units of its components, if one is needed."""
-        if not self.phase:
-            return None
-        sizes = component_sizes(path.values)
-        speeds = np.linalg.norm(path(path.mesh, 1) / sizes[:, None], axis=0)
-        if not speeds[0] > AT_REST * np.max(speeds):
-            raise ValueError(
-                "a periodic path of given energy needs a guess that moves at its start, got one that rests there: its "
-                "duration and its phase follow from the guess"
-            )
-        normal = path(path.mesh[0], 1) / sizes**2
-        return np.concatenate((normal / np.linalg.norm(normal), path.values[:, 0]))
+        """The plane that fixes the phase of a path, if one is needed."""
+        return phase_plane(path) if self.phase else None
 
     def unknowns(self, values: np.ndarray, data: Data) -> np.ndarray:
         """Unknowns ξ out of node values (N m + 1, d); multipliers are those that the Newton step from there finds."""
@@ -451,27 +437,6 @@ def error_between_ends(path: Trajectory) -> float:
     assert isinstance(problem, BoundaryProblem)
     higher = Transcription(problem, of_higher_degree(path.method.degree), path.t, one_by_one)
     return path.doubted(higher.error(path.polynomial))
-
-
-def check_mass(problem: BoundaryProblem) -> None:
-    """Refuse a Lagrangian whose mass matrix is singular at all of some generic points between the ends.
-
-    Under a constraint it may be: what the constraint holds need have no mass.
-    """
-    if problem.constraint is not None:
-        return
-    derived, (first, last) = pointwise(problem.lagrangian, problem.force), problem.t_span
-    start, end = (np.array([x or 0.0 for x in end]) for end in (problem.start, problem.end))
-    rise, size, span = end - start, component_sizes(np.array([start, end]).T), last - first
-    bend = size * np.cos(1.0 + np.arange(len(start)))
-    given = [] if problem.parameters is None else [problem.parameters]
-    for share in GENERIC:
-        t, x, slope = first + share * span, start + share * (rise + bend), rise + (1 - share) * bend
-        blocks = derived.derivatives.call([t, span, x, slope, *given])[3:]
-        mass = derived.mass([np.array(block) for block in blocks])[0] * span
-        if not (np.isfinite(mass).all() and degenerate(mass)):
-            return
-    refuse_degenerate(mass, f"wherever it was tried, such as at t = {t:.6g}, x = {x}, v = {slope / span}")
 
 
 def transcribed(

@@ -14,11 +14,15 @@ import numpy as np
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import lobatto_points
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import Mapping
 from casadi_galerkin.functional.numbering import Numbering
 from casadi_galerkin.problems.boundary_problem import RATES, BoundaryProblem, says
+
+AT_REST = 1e-3  # speed at the start over the largest, below which the start tells no phase
 
 
 def functional_of(problem: BoundaryProblem, method: Galerkin, intervals: int, mapping: Mapping) -> Functional:
@@ -32,6 +36,19 @@ def functional_of(problem: BoundaryProblem, method: Galerkin, intervals: int, ma
 def has_phase(problem: BoundaryProblem) -> bool:
     """Whether the phase of a path is free, so that a plane through the guess has to fix it."""
     return problem.energy is not None and problem.periodic and all(value is None for value in problem.start)
+
+
+def phase_plane(path: PiecewisePolynomial) -> np.ndarray:
+    """Normal and point, (2d,), of the plane through the start of a path across its velocity, by component sizes."""
+    sizes = component_sizes(path.values)
+    speeds = np.linalg.norm(path(path.mesh, 1) / sizes[:, None], axis=0)
+    if not speeds[0] > AT_REST * np.max(speeds):
+        raise ValueError(
+            "a periodic path of given energy needs a guess that moves at its start, got one that rests there: its "
+            "duration and its phase follow from the guess"
+        )
+    normal = path(path.mesh[0], 1) / sizes**2
+    return np.concatenate((normal / np.linalg.norm(normal), path.values[:, 0]))
 
 
 def given_values(problem: BoundaryProblem, plane: np.ndarray | None = None) -> np.ndarray:

@@ -1,0 +1,33 @@
+"""Whether velocities follow from momenta: the mass matrix ∂²L/∂v², before anything is solved."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.functional.pointwise import pointwise
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.legendre_transform import degenerate, refuse_degenerate
+
+GENERIC = 0.1, 0.4, 0.7  # parts of a line between the ends, bent, at which a Lagrangian is asked for its mass matrix
+
+
+def check_mass(problem: BoundaryProblem) -> None:
+    """Refuse a Lagrangian whose mass matrix is singular at all of some generic points between the ends.
+
+    Under a constraint it may be: what the constraint holds need have no mass.
+    """
+    if problem.constraint is not None:
+        return
+    derived, (first, last) = pointwise(problem.lagrangian, problem.force), problem.t_span
+    start, end = (np.array([x or 0.0 for x in end]) for end in (problem.start, problem.end))
+    rise, size, span = end - start, component_sizes(np.array([start, end]).T), last - first
+    bend = size * np.cos(1.0 + np.arange(len(start)))
+    given = [] if problem.parameters is None else [problem.parameters]
+    for share in GENERIC:
+        t, x, slope = first + share * span, start + share * (rise + bend), rise + (1 - share) * bend
+        blocks = derived.derivatives.call([t, span, x, slope, *given])[3:]
+        mass = derived.mass([np.array(block) for block in blocks])[0] * span
+        if not (np.isfinite(mass).all() and degenerate(mass)):
+            return
+    refuse_degenerate(mass, f"wherever it was tried, such as at t = {t:.6g}, x = {x}, v = {slope / span}")
