@@ -5,6 +5,14 @@ import mpmath
 import casadi_galerkin as cg
 
 FAMILIES = {"gauss": (cg.gauss, 1, 0), "lobatto": (cg.lobatto, 2, -2), "radau": (cg.radau, 1, -1)}  # order 2n + last
+OF_DEGREE = {
+    "gauss(m)": lambda m: cg.gauss(m),
+    "gauss(m+1)": lambda m: cg.gauss(m + 1),
+    "lobatto(m)": lambda m: cg.lobatto(m),
+    "lobatto(m+1)": lambda m: cg.lobatto(m + 1),
+    "radau(m)": lambda m: cg.radau(m),
+    "radau(m+1)": lambda m: cg.radau(m + 1),
+}
 
 
 def polynomial(name: str, n: int):

@@ -17,6 +17,14 @@ from scipy.optimize import brentq
 import casadi_galerkin as cg
 
 MU = 398600.4418  # km^3/s^2, Earth
+DAMPED = cg.BoundaryProblem(  # x'' + c x' + 4 x = 0, at first without friction
+    lambda t, x, v, p: v[0] ** 2 / 2 - 2 * x[0] ** 2,
+    (0, 2),
+    [1.0],
+    [0.5],
+    parameters=[0.0],
+    force=lambda t, x, v, p: -p[0] * v,
+)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import casadi as ca
 import mpmath
 import numpy as np
 import pytest
-from rules import FAMILIES, polynomial
+from rules import FAMILIES, OF_DEGREE, polynomial
 from scenes import pendulum
 
 import casadi_galerkin as cg
@@ -54,12 +54,7 @@ MOTIONS = {  # force, Lagrangian, duration; the sense of |v| v does not change b
 JOINTS = {1: (16, 20, 24), 2: (10, 13, 16), 3: (6, 8, 10)}
 BETWEEN = {1: (16, 20, 24), 2: (10, 13, 16), 3: (8, 10, 12)}
 RULES = {
-    "gauss(m)": lambda m: cg.gauss(m),
-    "gauss(m+1)": lambda m: cg.gauss(m + 1),
-    "lobatto(m)": lambda m: cg.lobatto(m),
-    "lobatto(m+1)": lambda m: cg.lobatto(m + 1),
-    "radau(m)": lambda m: cg.radau(m),
-    "radau(m+1)": lambda m: cg.radau(m + 1),
+    **OF_DEGREE,
     "left_rectangle": lambda m: cg.left_rectangle(),
     "trapezoid": lambda m: cg.trapezoid(),
     "midpoint": lambda m: cg.midpoint(),

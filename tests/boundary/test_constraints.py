@@ -16,6 +16,7 @@ from constrained import (
     unit_length,
 )
 from motions import double_pendulum
+from rules import OF_DEGREE
 from scenes import oscillator_problem
 
 import casadi_galerkin as cg
@@ -86,14 +87,6 @@ def uneven_in_angle(t, x, v):
     return uneven(t, place, heading * v[0])
 
 
-RULES = {
-    "gauss(m)": lambda m: cg.gauss(m),
-    "gauss(m+1)": lambda m: cg.gauss(m + 1),
-    "lobatto(m)": lambda m: cg.lobatto(m),
-    "lobatto(m+1)": lambda m: cg.lobatto(m + 1),
-    "radau(m)": lambda m: cg.radau(m),
-    "radau(m+1)": lambda m: cg.radau(m + 1),
-}
 MESHES = {  # duration and intervals that show the order: past the coarse meshes, and clear of roundoff
     1: (1.5, (24, 32, 48)),
     2: (1.5, (12, 16, 24)),
@@ -103,7 +96,7 @@ MESHES = {  # duration and intervals that show the order: past the coarse meshes
 }
 PLATEAU = 1e-13
 # lobatto(1) has no points; radau(5) shows 8.7 to 8.8 on meshes as coarse as order 9 needs
-CASES = [(m, rule) for m in MESHES for rule in RULES if (m, rule) not in ((1, "lobatto(m)"), (5, "radau(m)"))]
+CASES = [(m, rule) for m in MESHES for rule in OF_DEGREE if (m, rule) not in ((1, "lobatto(m)"), (5, "radau(m)"))]
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +123,7 @@ def error(method, duration, intervals, exact):
 
 @pytest.mark.parametrize(("m", "rule"), CASES)
 def test_order_at_the_joints_is_that_without_a_constraint(m, rule, exact):
-    method, (duration, counts) = cg.Galerkin(m, quadrature=RULES[rule](m)), MESHES[m]
+    method, (duration, counts) = cg.Galerkin(m, quadrature=OF_DEGREE[rule](m)), MESHES[m]
     errors = [error(method, duration, count, exact) for count in counts]
     assert min(errors) > PLATEAU
     assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] == pytest.approx(method.order, abs=0.2)

@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from constrained import on_circle
-from scenes import bratu_theta, pendulum
+from scenes import DAMPED, bratu_theta, pendulum
 
 import casadi_galerkin as cg
 
@@ -117,15 +117,7 @@ def test_a_parameter_of_the_end_conditions_alone_is_walked():
 
 
 def test_the_friction_of_a_forced_path_is_walked():
-    problem = cg.BoundaryProblem(
-        lambda t, x, v, p: v[0] ** 2 / 2 - 2 * x[0] ** 2,
-        (0, 2),
-        [1.0],
-        [0.5],
-        parameters=[0.0],
-        force=lambda t, x, v, p: -p[0] * v,
-    )
-    branch = cg.continuation(problem, [0.5], cg.Galerkin(10), 8)
+    branch = cg.continuation(DAMPED, [0.5], cg.Galerkin(10), 8)
     assert branch.reached
     assert branch.trajectories[-1](1.0)[0] == pytest.approx(-1.767917533169265, abs=1e-12)
 

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from control_problems import double_integrator
+from scenes import DAMPED
 
 import casadi_galerkin as cg
 from casadi_galerkin.studies.sweep import CutShort, _sendable
@@ -557,16 +558,8 @@ def test_given_ends_of_any_kind_are_varied(ends, variations, exact):
 
 def test_the_friction_of_a_force_is_varied():
     """x'' + c x' + 4 x = 0 between 1 and 1/2 in two units of time."""
-    problem = cg.BoundaryProblem(
-        lambda t, x, v, p: v[0] ** 2 / 2 - 2 * x[0] ** 2,
-        (0, 2),
-        [1.0],
-        [0.5],
-        parameters=[0.0],
-        force=lambda t, x, v, p: -p[0] * v,
-    )
     rates = [0.0, 0.5, 1.0]
-    sweep = cg.sweep(problem, [{"parameters": [c]} for c in rates], cg.Galerkin(10), 8)
+    sweep = cg.sweep(DAMPED, [{"parameters": [c]} for c in rates], cg.Galerkin(10), 8)
     for c, x in zip(rates, sweep.x[:, 0, 4], strict=True):
         w = np.sqrt(4 - c**2 / 4)
         sine = (0.5 * np.exp(c) - np.cos(2 * w)) / np.sin(2 * w)
