@@ -36,6 +36,7 @@ from casadi_galerkin.solution.limits import Limits as Limits
 from casadi_galerkin.solution.paths import Paths as Paths
 from casadi_galerkin.solution.trajectory import Trajectory as Trajectory
 from casadi_galerkin.solvers.solver import Solver as Solver
+from casadi_galerkin.solvers.solver import fatrop as fatrop
 from casadi_galerkin.solvers.solver import ipopt as ipopt
 from casadi_galerkin.solvers.solver import minimizer as minimizer
 from casadi_galerkin.solvers.solver import newton as newton
