@@ -40,14 +40,12 @@ def limits_of(problem: ControlProblem, chain: Chain) -> ProgramBounds:
     return ProgramBounds(lower, upper, equations_lower, equations_upper)
 
 
-def violations(
-    chain: Chain, limits: ProgramBounds, unknowns: np.ndarray, report: Report, terms_before: np.ndarray
-) -> np.ndarray:
-    """Violation of every equation, then of every unknown's bounds, relative to the sizes of what is compared.
+def measures(chain: Chain, limits: ProgramBounds, report: Report, terms_before: np.ndarray) -> np.ndarray:
+    """Sizes that the equations are measured by.
 
-    The equations of a component are measured by the largest sum of terms that one of them has along the path, or along
-    the guess (`terms_before`) where it has vanished and its terms are what rounding left of those; a path constraint or
-    a condition on the ends by the sizes of what its value is made of, |∇g||z|, or its finite bound, a bound by itself.
+    Those of a component by the largest sum of terms that one of them has along the path, or along the guess
+    (`terms_before`) where it has vanished and its terms are what rounding left of those; a path constraint or a
+    condition on the ends by the sizes of what its value is made of, |∇g||z|, or its finite bound.
     """
     now, before = (chain.largest(terms) for terms in (report.terms, terms_before))
     sizes = np.where(now <= VANISHED * before, before, now)
@@ -55,9 +53,16 @@ def violations(
     for side in (limits.equations_lower, limits.equations_upper):
         finite = np.where(np.isfinite(side), np.abs(side), 0.0)[bounded]
         np.fmax.at(sizes, chain.kinds[bounded], finite)
+    return np.asarray(_or_one(sizes)[chain.kinds])
+
+
+def violations(
+    chain: Chain, limits: ProgramBounds, unknowns: np.ndarray, report: Report, terms_before: np.ndarray
+) -> np.ndarray:
+    """Violation of every equation, then of every unknown's bounds, relative to what is compared; a bound to itself."""
     excess = _excess(report.equations, limits.equations_lower, limits.equations_upper)
     beyond = _excess(unknowns, limits.lower, limits.upper)
-    return np.concatenate((excess / _or_one(sizes)[chain.kinds], beyond / _or_one(np.abs(unknowns))))
+    return np.concatenate((excess / measures(chain, limits, report, terms_before), beyond / _or_one(np.abs(unknowns))))
 
 
 def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

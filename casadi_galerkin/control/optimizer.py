@@ -47,6 +47,20 @@ class ProgramBounds:
     equations_lower: np.ndarray
     equations_upper: np.ndarray
 
+    @property
+    def sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """All of them."""
+        return self.lower, self.upper, self.equations_lower, self.equations_upper
+
+    def narrowed(self, relaxed: float) -> ProgramBounds:
+        """Bounds that become these where a solver relaxes every bound b by this part of max(1, |b|)."""
+        return ProgramBounds(*_narrowed(*self.sides[:2], relaxed), *_narrowed(*self.sides[2:], relaxed))
+
+
+def _narrowed(low: np.ndarray, high: np.ndarray, relaxed: float) -> tuple[np.ndarray, np.ndarray]:
+    move = [relaxed * (low < high) * np.fmax(1.0, np.where(np.isfinite(b), np.abs(b), 1.0)) for b in (low, high)]
+    return low + move[0], high - move[1]
+
 
 @dataclass(frozen=True)
 class Optimum:
@@ -116,24 +130,16 @@ def _built(graph: ControlGraph, plugin: str, options: dict[str, Any]) -> ca.Func
     return ca.nlpsol("optimizer", plugin, nlp, common | options)
 
 
-def _narrower(low: np.ndarray, high: np.ndarray, relaxed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds that relaxing by this part of max(1, |b|) makes the given ones."""
-    move = [relaxed * (low < high) * np.fmax(1.0, np.where(np.isfinite(b), np.abs(b), 1.0)) for b in (low, high)]
-    return low + move[0], high - move[1]
-
-
 def optimize(
     solver: ca.Function, relaxed: float, guess: np.ndarray, data: np.ndarray, limits: ProgramBounds, *duals: Any
 ) -> Optimum:
     """Run the solver from a guess, to start warm with the multipliers of the bounds and of the equations.
 
-    Where the solver relaxes bounds b by a part of max(1, |b|), it is given narrower ones.
+    It is given narrower bounds, as far as it relaxes them.
     """
-    sides = (limits.lower, limits.upper), (limits.equations_lower, limits.equations_upper)
-    given = [side for low, high in sides for side in _narrower(low, high, relaxed)]
     run = Evaluator(solver)
     with fork_waits:
-        x, _, _, bounds, equations, _ = run(guess, data, *given, *(duals or (0.0, 0.0)))
+        x, _, _, bounds, equations, _ = run(guess, data, *limits.narrowed(relaxed).sides, *(duals or (0.0, 0.0)))
     stats = run.stats
     status = str(stats["return_status"]).replace("_", " ")
     found = np.where(limits.lower == limits.upper, limits.lower, x)  # fatrop holds what is given as an equation

@@ -65,6 +65,7 @@ class ControlTranscription:
     ----------
     chain : Chain, which unknown is what
     graph : ControlGraph, the Functions
+    calculus : DiscreteCalculus of the joints
     build_seconds : float
 
     Examples
@@ -83,7 +84,7 @@ class ControlTranscription:
         free = problem.duration_bounds is not None
         phases = np.searchsorted(problem.breakpoints, mesh[:-1], side="right") if free else np.zeros(len(mesh) - 1, int)
         self.chain = Chain(problem, method, phases)
-        self._calculus = DiscreteCalculus(method, mesh)
+        self.calculus = DiscreteCalculus(method, mesh)
         self.graph = ControlGraph(problem, self.chain)
         self._check_count(limits_of(problem, self.chain))
         self._solvers: dict[str, ca.Function] = {}
@@ -147,7 +148,7 @@ class ControlTranscription:
         """
         began = time.perf_counter() - self.build_seconds
         check_solver(solver)
-        calculus = self._calculus if mesh is None else DiscreteCalculus(self.method, mesh)
+        calculus = self.calculus if mesh is None else DiscreteCalculus(self.method, mesh)
         if len(calculus.mesh) != len(self.mesh):
             count = len(calculus.mesh) - 1
             raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {count}")
@@ -155,17 +156,14 @@ class ControlTranscription:
         changes = {name: value for name, value in {**ends, "parameters": parameters}.items() if value is not None}
         problem = self.problem.varied(changes, (float(calculus.mesh[0]), float(calculus.mesh[-1])))
         chain, limits = self.chain, limits_of(problem, self.chain)
-        values, duals = self._start(problem, calculus, guess)
+        values, duals, terms = self.start(problem, calculus, guess)
         unknowns, data = chain.pack(values)
-        before = self.graph.report(unknowns, data)
-        if not np.isfinite(before.cost + before.action + np.sum(before.equations)):
-            check_finite(problem, chain, values)
-        program, relaxed = self._program(solver, bool(duals), verbose), RELAXED[solver.name]
+        program, relaxed = self.program(solver, bool(duals), verbose), RELAXED[solver.name]
         optimum = optimize(program, relaxed, unknowns, data, limits, *duals)
         if optimum.status == INVALID:
             self._check_derivatives(unknowns, data, calculus.mesh)
         report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
-        relative = violations(chain, limits, optimum.unknowns, report, before.terms)
+        relative = violations(chain, limits, optimum.unknowns, report, terms)
         values = chain.unpack(optimum.unknowns, data)
         joints = self._joints(values, calculus.mesh)
         if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
@@ -175,10 +173,10 @@ class ControlTranscription:
             print(path)
         return path
 
-    def _start(
+    def start(
         self, problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None
-    ) -> tuple[dict[str, np.ndarray], tuple[np.ndarray, ...]]:
-        """Values at a guess, and multipliers of the bounds and of the equations where it has them.
+    ) -> tuple[dict[str, np.ndarray], tuple[np.ndarray, ...], np.ndarray]:
+        """Values at a guess, multipliers of the bounds and of the equations where it has them, and sizes of the terms.
 
         The equations of motion are measured by their terms there, so that the solver's tolerance, which is absolute,
         does not depend on units; and with momenta of zero they are the momenta.
@@ -186,16 +184,18 @@ class ControlTranscription:
         chain, near = self.chain, near_answer(guess, self.chain, calculus)
         values = first_values(problem, chain, calculus, guess)
         report = self.graph.report(*chain.pack(values))
+        if not np.isfinite(report.cost + report.action + np.sum(report.equations)):
+            check_finite(problem, chain, values)
         sizes = chain.largest(report.terms)[chain.dimension : chain.dimension + chain.mechanical]
         values["sizes"] = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
         rows = report.equations[np.vstack((chain.rows["motion"][:, 0], chain.rows["momentum"][-1:]))]
         momentum = -rows if near is None else near.momentum[: chain.mechanical].T
         values["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0) / values["sizes"]
-        if near is None:
-            return values, ()
-        return values, (near.duals[1], near.duals[0] * chain.units(values["sizes"]))
+        units = chain.units(values["sizes"])
+        duals = () if near is None else (near.duals[1], near.duals[0] * units)
+        return values, duals, report.terms / units
 
-    def _program(self, solver: Solver, warm: bool, verbose: int) -> ca.Function:
+    def program(self, solver: Solver, warm: bool, verbose: int) -> ca.Function:
         """The solver for this program, built when it is first needed."""
         key = f"{warm} {verbose > 1} {solver!r}"
         if key not in self._solvers:
@@ -275,7 +275,7 @@ class ControlTranscription:
         others = np.zeros((chain.dimension - chain.mechanical, len(joints)))
         nodes = self.method.element.nodes
         polynomial = PiecewisePolynomial(joints, nodes, chain.path(values))
-        rates = polynomial(joints[[0, -1]], 1)[chain.mechanical :].T
+        rates = polynomial(joints[[0, -1]], 1)[chain.mechanical :].T if others.size else np.zeros((2, 0))
         return ControlTrajectory(
             polynomial=polynomial,
             momentum=np.vstack(((values["momentum"] * values["sizes"]).T, others)),
