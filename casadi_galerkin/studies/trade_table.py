@@ -141,10 +141,13 @@ class Trade:
     quantity: str = "path"
 
     def front(self) -> list[Row]:
-        """Rows that no other row beats in both time of a repeated solve and error (the Pareto set), fastest first."""
+        """Rows that no other row beats in both time of a repeated solve and error (the Pareto set), fastest first.
+
+        Errors that differ by less than `floor` are equal.
+        """
         chosen: list[Row] = []
         for row in sorted(self._solved(), key=lambda row: (row.solve_seconds, row.error)):
-            if not chosen or row.error < chosen[-1].error:
+            if not chosen or row.error < chosen[-1].error - self.floor:
                 chosen.append(row)
         return chosen
 
@@ -194,7 +197,8 @@ class Trade:
             lines.setdefault(key, []).append((row.solve_seconds, row.error))
         named = [(names, points) for (_, names), points in lines.items()]
         front = [(row.solve_seconds, row.error) for row in self.front()]
-        return plot_work_precision(named, front, self.floor, f"relative error of the {self.quantity}", axes)
+        quantity = "the path" if self.quantity == "path" else self.quantity
+        return plot_work_precision(named, front, self.floor, f"relative error of {quantity}", axes)
 
     def to_csv(self, path: str | Path) -> None:
         """Write all rows to a file of comma-separated values, their way and degree in words before what they hold."""
@@ -222,10 +226,12 @@ class Trade:
         shown = self.rows if len(self.rows) <= MOST_SHOWN else front
         table = [HEADS, *(_words(row, row in front) for row in shown)]
         widths = [max(len(words[k]) for words in table) for k in range(len(HEADS))]
-        heads = "".join(f"{head:>12}" for head in [*COSTS, *([self.quantity[:10]] if named else []), *ERRORS])
+        heads = "".join(f"{head:>12}" for head in [*COSTS, *(["error"] if named else []), *ERRORS])
         numbers = [heads, *(_numbers(row, named) for row in shown)]
         lines = ["  ".join(map(str.ljust, words, widths)) + end for words, end in zip(table, numbers, strict=True)]
         lines += [f"reference: {self.reference}", "*: no other row is both faster when repeated and more accurate"]
+        if named:
+            lines.insert(-1, f"error: of {self.quantity}")
         if len(shown) < len(self.rows):
             lines[-1] += f"; the other {len(self.rows) - len(shown)} rows are left out"
             lost = Counter(row.way for row in self.rows if row.failure is not None)

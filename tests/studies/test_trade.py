@@ -43,12 +43,12 @@ def every_way():
     """The pendulum nearly over the top, in ten seconds, and its trade over every way there is."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0.0, 10.0), [0.0], [1.0])
     guess = cg.solve(problem, cg.Galerkin(3), 12, guess=lambda t: [t / 10 + 3 * np.sin(np.pi * t / 10)])
-    rules = [(m, rule) for m in (2, 4, 8, 12) for rule in (cg.gauss(m), cg.gauss(m + 1), cg.lobatto(m + 1))]
+    rules = [(m, rule) for m in (4, 12) for rule in (cg.gauss(m), cg.lobatto(m + 1))]
     measured = cg.trade(
         problem,
         [cg.Galerkin(m, quadrature=rule) for m, rule in rules],
         (10, 20),
-        tolerances=(1e-3, 1e-6, 1e-9),
+        tolerances=(1e-3, 1e-9),
         solvers=(cg.newton, cg.rootfinder, cg.ipopt),
         shooting=True,
         guess=guess,
@@ -70,12 +70,12 @@ def test_every_way_has_its_row(every_way):
     _, _, measured = every_way
     ways = Counter(row.way for row in measured.rows)
     assert ways == {
-        **dict.fromkeys(("newton", "rootfinder", "ipopt", "shooting"), 4 * 3 * 2),
+        **dict.fromkeys(("newton", "rootfinder", "ipopt", "shooting"), 2 * 2 * 2),
         **{
             f"{solver}, {kind} {tol:g}": 1
             for solver in ("newton", "rootfinder", "ipopt")
             for kind in ("tol", "mesh of")
-            for tol in (1e-3, 1e-6, 1e-9)
+            for tol in (1e-3, 1e-9)
         },
     }
     assert [row.failure for row in measured.rows if row.failure is not None] == []
@@ -101,8 +101,8 @@ def test_every_row_solves_again_with_the_error_it_had(every_way, exact_swing):
 
 def test_a_mesh_that_a_tolerance_has_found_is_solved_on_again(every_way):
     problem, guess, measured = every_way
-    (row,) = (row for row in measured.rows if row.way == "newton, mesh of 1e-06")
-    found = cg.solve(problem, tol=1e-6, guess=guess)
+    (row,) = (row for row in measured.rows if row.way == "newton, mesh of 1e-09")
+    found = cg.solve(problem, tol=1e-9, guess=guess)
     assert row.solve(problem, guess).t.tolist() == list(row.mesh) == found.t.tolist()
 
 
