@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -135,8 +136,17 @@ def _check_given(problem: Problem, guess: Guess | None, shooting: bool, measure:
         raise TypeError(f"shooting begins at the start of a Trajectory: give one as the guess, got {guess!r}")
 
 
-def _solvers(problem: Problem, given: Sequence[Solver]) -> Sequence[Solver | None]:
+def _listed(name: str, given: Iterable[Any]) -> list[Any]:
+    """What is given several times."""
+    try:
+        return list(given)
+    except TypeError as error:
+        raise TypeError(f"{name} must be several, in a list, got {given!r}") from error
+
+
+def _solvers(problem: Problem, solvers: Iterable[Solver]) -> Sequence[Solver | None]:
     """The solvers, or the default one; none where a path is found step by step."""
+    given = _listed("solvers", solvers)
     for solver in given:
         if not isinstance(solver, Solver):
             raise TypeError(f"solvers must be Solvers, such as [newton, ipopt], got {solver!r}")
@@ -208,7 +218,7 @@ def trade(
         The path is a Trajectory, unless `reference` is a callable, which can only be called; default the path itself,
         everywhere.  Its error is relative to its value on the reference where that is not zero
     guess : a callable t -> (d,) or a Trajectory, for all ways and the reference: where several paths join the ends, it
-        chooses one.  With `shooting`, a Trajectory
+        chooses one.  With `shooting`, a Trajectory, best a coarse one: it is the answer of a way on its own mesh
 
     Raises
     ------
@@ -234,8 +244,8 @@ def trade(
     """
     check_types(problem, Galerkin(1), BoundaryProblem, InitialProblem, ControlProblem)
     _check_given(problem, guess, shooting, measure)
-    given = list(methods), list(intervals), list(tolerances), _solvers(problem, list(solvers))
-    ways = _ways(problem, *given, shooting, guess)
+    grid = _listed("methods", methods), _listed("intervals", intervals)
+    ways = _ways(problem, *grid, _listed("tolerances", tolerances), _solvers(problem, solvers), shooting, guess)
     if reference is not None:
         check_reference(problem, reference)
         if measure is not None:
@@ -263,10 +273,4 @@ def trade(
         described = f"{reference.method} on {len(reference.t) - 1} intervals, own error {own:.1e}"
     truth = ReferenceSolution(problem, reference, paths[0].parameters, measure)
     rows = [cell.row if cell.path is None else replace(cell.row, **truth.errors(cell.path)) for cell in cells]
-    return Trade(tuple(rows), described, own, _name(measure))
-
-
-def _name(measure: Measure | None) -> str:
-    """What the errors are of, in a word."""
-    name = "path" if measure is None else getattr(measure, "__name__", "measure")
-    return name if name.isidentifier() else "measure"
+    return Trade(tuple(rows), described, own, None if measure is None else getattr(measure, "__name__", "measure"))

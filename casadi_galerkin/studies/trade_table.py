@@ -6,7 +6,7 @@ import csv
 from collections import Counter
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -45,7 +45,8 @@ class Row:
     mesh : joints that were found for `tol`, taken as a fixed mesh; None where the mesh is none of these
     shooting : whether the path is found by `shoot`
     unknowns : node values and controls solved for
-    first_seconds : of a first call, which builds everything
+    first_seconds : of a first call with a problem, which builds everything but the patterns that another problem with
+        the same method on as many intervals has left
     solve_seconds : of a repeated solve, with its graph of all intervals or of a step built; to a tolerance, where each
         level builds its own, of a repeated call
     iterations : of the solver
@@ -94,10 +95,8 @@ class Row:
         if not self.shooting:
             intervals = self.intervals if self.mesh is None else None
             return solve(problem, self.method, intervals, mesh=self.mesh, guess=guess, solver=self.solver)
-        assert isinstance(problem, BoundaryProblem)
-        assert self.method is not None
-        assert guess is None or isinstance(guess, Trajectory)
-        return shoot(problem, self.method, self.intervals, guess=guess)
+        given = cast(BoundaryProblem, problem), cast(Galerkin, self.method), self.intervals  # which `shoot` checks
+        return shoot(*given, guess=cast(Trajectory | None, guess))
 
     @property
     def adaptive(self) -> bool:
@@ -124,7 +123,7 @@ class Trade:
     rows : one for each way, in the order in which they were asked for
     reference : what the errors are differences to
     reference_error : its own estimated relative error; 0 where it was given
-    quantity : what `Row.error` is the error of
+    quantity : name of what `Row.error` is the error of; None where it is the path
 
     Examples
     --------
@@ -138,7 +137,7 @@ class Trade:
     rows: tuple[Row, ...]
     reference: str
     reference_error: float
-    quantity: str = "path"
+    quantity: str | None = None
 
     def front(self) -> list[Row]:
         """Rows that no other row beats in both time of a repeated solve and error (the Pareto set), fastest first.
@@ -197,8 +196,7 @@ class Trade:
             lines.setdefault(key, []).append((row.solve_seconds, row.error))
         named = [(names, points) for (_, names), points in lines.items()]
         front = [(row.solve_seconds, row.error) for row in self.front()]
-        quantity = "the path" if self.quantity == "path" else self.quantity
-        return plot_work_precision(named, front, self.floor, f"relative error of {quantity}", axes)
+        return plot_work_precision(named, front, self.floor, f"relative error of {self.quantity or 'the path'}", axes)
 
     def to_csv(self, path: str | Path) -> None:
         """Write all rows to a file of comma-separated values, their way and degree in words before what they hold."""
@@ -222,7 +220,7 @@ class Trade:
 
     def __str__(self) -> str:
         """Readable table; the front is marked with a star, and of many rows shown alone."""
-        front, named = self.front(), self.quantity != "path"
+        front, named = self.front(), self.quantity is not None
         shown = self.rows if len(self.rows) <= MOST_SHOWN else front
         table = [HEADS, *(_words(row, row in front) for row in shown)]
         widths = [max(len(words[k]) for words in table) for k in range(len(HEADS))]

@@ -99,6 +99,12 @@ def test_every_row_solves_again_with_the_error_it_had(every_way, exact_swing):
         assert np.max(np.abs(path(times)[0] - exact)) / np.max(exact) <= 1.01 * row.error + 1e-14, row
 
 
+def test_a_row_of_shooting_solves_no_other_kind_of_problem(every_way):
+    row = next(row for row in every_way[2].rows if row.shooting)
+    with pytest.raises(TypeError, match="problem must be a BoundaryProblem, got ControlProblem"):
+        row.solve(double_integrator())
+
+
 def test_a_mesh_that_a_tolerance_has_found_is_solved_on_again(every_way):
     problem, guess, measured = every_way
     (row,) = (row for row in measured.rows if row.way == "newton, mesh of 1e-09")
@@ -145,6 +151,10 @@ def test_an_empty_grid_is_refused(pendulum):
     [
         ([], [], {"tolerances": [1e-3, 1.5]}, ValueError, "tol must be a number between 0 and 1, got 1.5"),
         ([cg.Galerkin(2)], [4], {"solvers": [cg.newton, "ipopt"]}, TypeError, "solvers must be Solvers.*got 'ipopt'"),
+        (cg.Galerkin(2), [4], {}, TypeError, "methods must be several, in a list, got Galerkin"),
+        ([cg.Galerkin(2)], 4, {}, TypeError, "intervals must be several, in a list, got 4"),
+        ([cg.Galerkin(2)], [4], {"tolerances": 1e-6}, TypeError, "tolerances must be several, in a list, got 1e-06"),
+        ([cg.Galerkin(2)], [4], {"solvers": cg.ipopt}, TypeError, r"solvers must be several, in a list, got cg\.ipopt"),
         ([cg.Galerkin(2)], [4], {"shooting": 1}, TypeError, "shooting must be True or False, got 1"),
         ([cg.Galerkin(2)], [4], {"measure": 1.0}, TypeError, "measure must be a callable path -> number, got 1.0"),
         (

@@ -19,6 +19,28 @@ def test_front_holds_exactly_the_rows_no_other_beats():
     assert cg.Trade((slow, failed, worse, fine, best), "given", 0.0).front() == [best, fine]
 
 
+def test_errors_within_the_floor_are_equal_on_the_front():
+    fast, slow = row(1.0, 1e-6 + 1e-15), row(2.0, 1e-6)
+    assert cg.Trade((fast, slow), "given", 0.0).front() == [fast]
+    finer = row(2.0, 1e-6 - 2e-14)
+    assert cg.Trade((fast, finer), "given", 0.0).front() == [fast, finer]
+    assert cg.Trade((fast, finer), "solved", 1e-13).front() == [fast]
+
+
+def test_a_quantity_that_is_named_has_a_column_and_the_axis(monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    rows = (row(1.0, 1e-3, path_error=1e-5),)
+    named, path = cg.Trade(rows, "given", 0.0, "reach"), cg.Trade(rows, "given", 0.0)
+    assert "1.0e-03     1.0e-05" in str(named)
+    assert "error: of reach" in str(named)
+    assert "1.0e-03" not in str(path)
+    axes = named.plot()
+    assert axes.get_ylabel() == "relative error of reach"
+    import matplotlib.pyplot as plt
+
+    plt.close(axes.figure)
+
+
 def test_cheapest_is_the_fastest_row_within_the_tolerance():
     rows = row(1.0, 1e-3), row(2.0, 1e-5), row(3.0, 1e-6)
     assert cg.Trade(rows, "given", 0.0).cheapest(1e-4) is rows[1]
