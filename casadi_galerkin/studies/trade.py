@@ -273,4 +273,10 @@ def trade(
         described = f"{reference.method} on {len(reference.t) - 1} intervals, own error {own:.1e}"
     truth = ReferenceSolution(problem, reference, paths[0].parameters, measure)
     rows = [cell.row if cell.path is None else replace(cell.row, **truth.errors(cell.path)) for cell in cells]
-    return Trade(tuple(rows), described, own, None if measure is None else getattr(measure, "__name__", "measure"))
+    return Trade(tuple(rows), described, own, None if measure is None else _name(measure))
+
+
+def _name(measure: Measure) -> str:
+    """Name of a function; of a lambda, which has none, what it is."""
+    name: str = getattr(measure, "__name__", "")
+    return name if name.isidentifier() else "what is measured"

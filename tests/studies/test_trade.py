@@ -245,6 +245,7 @@ def test_control_problems_are_traded_by_their_cost_and_to_tolerances():
     problem, degree = pendulum_in_three(), cg.Galerkin(2)
     measured = cg.trade(problem, [degree], (8, 16, 32), tolerances=[1e-5], measure=lambda path: path.cost)
     assert [row.way for row in measured.rows[3:]] == ["ipopt, tol 1e-05", "ipopt, mesh of 1e-05"]
+    assert measured.quantity == "what is measured"
     assert [row.error for row in measured.rows] == [row.functional_error for row in measured.rows]
     assert measured.order(degree) == pytest.approx(4, abs=BAND)
     cheap = measured.cheapest(1e-4)
