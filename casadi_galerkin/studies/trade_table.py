@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -168,8 +168,11 @@ class Trade:
         )
 
     def order(self, method: Galerkin) -> float | None:
-        """Order of the error in 1/N, fitted to the rows of a method above roundoff; None with fewer than 3."""
-        fixed = [row for row in self._solved() if row.method == method and row.tol is None]
+        """Order of the error in 1/N, fitted to the rows of a method above roundoff; None with fewer than 3.
+
+        Rows to a tolerance, whose mesh is another, and of shooting, which loses digits, take no part.
+        """
+        fixed = [row for row in self._solved() if row.method == method and row.tol is None and not row.shooting]
         rows = [row for row in fixed if row.error > PLATEAU * self.floor]
         if len({row.intervals for row in rows}) < 3:
             return None
@@ -239,7 +242,7 @@ class Trade:
 
 def _line(row: Row) -> tuple[str, str, str]:
     """Names of the color, the dashes and the dots of the line that a row is on."""
-    how = row.way.partition(", ")[0]
+    how = replace(row, tol=None).way
     if row.tol is not None or row.method is None:
         return "to a tolerance" if row.adaptive else "on its mesh", "", how
     return f"degree {row.method.degree}", rule_of(row.method, relative=True), how

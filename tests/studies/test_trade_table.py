@@ -8,6 +8,8 @@ import pytest
 import casadi_galerkin as cg
 from casadi_galerkin.studies.trade_table import Row, rule_of
 
+SOLVER = cg.newton.with_options(max_iter=9, linear_solver="qr")
+
 
 def row(seconds, error, **changes):
     return replace(Row(cg.Galerkin(2), 5, solve_seconds=seconds, error=error), **changes)
@@ -17,6 +19,12 @@ def test_front_holds_exactly_the_rows_no_other_beats():
     best, worse, fine, slow = row(1.0, 1e-3), row(2.0, 1e-2), row(3.0, 1e-6), row(4.0, 1e-6)
     failed = Row(cg.Galerkin(2), 5, failure="no path")
     assert cg.Trade((slow, failed, worse, fine, best), "given", 0.0).front() == [best, fine]
+
+
+def test_order_is_that_of_fixed_meshes_solved_at_once():
+    rows = [row(1.0, 1.0 / count**3, intervals=count) for count in (4, 8, 16)]
+    others = [row(1.0, 1.0, intervals=32, tol=1e-6, mesh=(0.0, 1.0)), row(1.0, 1.0, intervals=16, shooting=True)]
+    assert cg.Trade((*rows, *others), "given", 0.0).order(cg.Galerkin(2)) == pytest.approx(3, rel=1e-12)
 
 
 def test_errors_within_the_floor_are_equal_on_the_front():
@@ -122,18 +130,16 @@ def test_a_legend_names_what_is_drawn_and_nothing_else(monkeypatch):
         row(1.0, 1e-3, solver=cg.newton),
         row(2.0, 1e-3, method=cg.Galerkin(4), solver=cg.newton),
         row(3.0, 1e-3, method=cg.Galerkin(4, quadrature=cg.lobatto(5)), shooting=True),
-        row(4.0, 1e-9, solver=cg.newton, tol=1e-6),
-        row(5.0, 1e-9, solver=cg.newton, tol=1e-6, mesh=(0.0, 1.0)),
+        row(4.0, 1e-9, solver=SOLVER, tol=1e-6),
+        row(5.0, 1e-9, solver=SOLVER, tol=1e-6, mesh=(0.0, 1.0)),
         Row(cg.Galerkin(8), 5, cg.ipopt, failure="no path"),
     ]
     axes = cg.Trade(tuple(rows), "given", 0.0).plot()
     names = [text.get_text() for text in axes.get_legend().get_texts()]
     assert names == [
         *("the front", "degree 2", "degree 4", "to a tolerance", "on its mesh"),
-        *("Gauss(m)", "Lobatto(m+1)", "newton", "shooting"),
+        *("Gauss(m)", "Lobatto(m+1)", "newton", "shooting", repr(SOLVER).removeprefix("cg.")),
     ]
-    axes.figure.draw_without_rendering()
-    assert axes.get_legend().get_window_extent().width < axes.figure.bbox.width / 4
     import matplotlib.pyplot as plt
 
     plt.close(axes.figure)
@@ -151,9 +157,11 @@ def test_lines_of_one_name_are_all_drawn(monkeypatch):
     plt.close(axes.figure)
 
 
-def test_plot_shows_the_floor_on_logarithmic_axes(measured, monkeypatch):
+def test_plot_shows_the_floor_on_logarithmic_axes_and_a_narrow_legend(measured, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     axes = measured.plot()
+    axes.figure.draw_without_rendering()
+    assert axes.get_legend().get_window_extent().width < axes.figure.bbox.width / 4
     assert axes.get_xscale() == axes.get_yscale() == "log"
     assert "reference" in axes.texts[0].get_text()
     assert axes.get_ylabel() == "relative error of the path"
