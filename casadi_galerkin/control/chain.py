@@ -104,10 +104,12 @@ class Chain:
     ----------
     problem : ControlProblem
     method : Galerkin
-    phases : (N,), number of the phase that every interval lies in
+    mesh : (N + 1,), joints, the breakpoints of the problem among them
 
     Attributes
     ----------
+    breaks : numbers of the joints at the breakpoints
+    phases : (N,), number of the phase with a duration of its own that every interval lies in
     unknowns, equations, size : numbers of unknowns, of equations, and of entries of ξ
     fields : name -> entries of ξ: "x" (N + 1, d), "momentum" (N + 1, mechanical), "nodes" (N, m, d), the values at the
         nodes after the first, "controls" (N, points, n), "start_velocity", "end_velocity" (mechanical,), "durations"
@@ -120,9 +122,12 @@ class Chain:
     control_times : where the controls of an interval stand, in parts of it; one value in the middle where they are held
     """
 
-    def __init__(self, problem: ControlProblem, method: Galerkin, phases: np.ndarray) -> None:
-        self.problem, self.method, self.phases = problem, method, phases
-        self.intervals, self.dimension, self.mechanical = len(phases), problem.dimension, problem.mechanical
+    def __init__(self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray) -> None:
+        self.problem, self.method = problem, method
+        self.intervals, self.dimension, self.mechanical = len(mesh) - 1, problem.dimension, problem.mechanical
+        self.breaks = np.searchsorted(mesh, problem.breakpoints)
+        parted = self.breaks if problem.duration_bounds is not None else ()
+        self.phases = np.searchsorted(parted, np.arange(self.intervals), side="right")
         self.controls, self.parameters = problem.controls, len(problem.parameters or ())
         self.constraints = 0 if problem.path_constraint is None else len(problem.path_constraint[1])
         self.conditions = 0 if problem.end_conditions is None else len(problem.end_conditions[1])

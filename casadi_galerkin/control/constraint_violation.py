@@ -31,6 +31,8 @@ def limits_of(problem: ControlProblem, chain: Chain) -> ProgramBounds:
             (problem.end_velocity[: chain.mechanical], values["end_velocity"]),
         ):
             bound[:] = [old if value is None else value for old, value in zip(bound, given, strict=True)]
+        for number, *bounds in problem.waypoints:
+            values["x"][chain.breaks[number]] = bounds[k]
         equations = np.zeros(chain.equations)
         for name, stated in (("path", problem.path_constraint), ("ends", problem.end_conditions)):
             if stated is not None:

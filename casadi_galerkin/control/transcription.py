@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_breakpoints, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
@@ -81,9 +81,7 @@ class ControlTranscription:
     def __init__(self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray) -> None:
         began = time.perf_counter()
         self.problem, self.method, self.mesh = problem, method, mesh
-        free = problem.duration_bounds is not None
-        phases = np.searchsorted(problem.breakpoints, mesh[:-1], side="right") if free else np.zeros(len(mesh) - 1, int)
-        self.chain = Chain(problem, method, phases)
+        self.chain = Chain(problem, method, mesh)
         self.calculus = DiscreteCalculus(method, mesh)
         self.graph = ControlGraph(problem, self.chain)
         self._check_count(limits_of(problem, self.chain))
@@ -152,6 +150,11 @@ class ControlTranscription:
         if len(calculus.mesh) != len(self.mesh):
             count = len(calculus.mesh) - 1
             raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {count}")
+        if not np.array_equal(np.searchsorted(calculus.mesh, self.problem.breakpoints), self.chain.breaks):
+            raise ValueError(
+                f"the breakpoints {self.problem.breakpoints} must be the joints {self.chain.breaks} of the mesh"
+            )
+        check_breakpoints(calculus.mesh, self.problem.breakpoints)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         changes = {name: value for name, value in {**ends, "parameters": parameters}.items() if value is not None}
         problem = self.problem.varied(changes, (float(calculus.mesh[0]), float(calculus.mesh[-1])))
@@ -271,7 +274,7 @@ class ControlTranscription:
         chain = self.chain
         multipliers = optimum.multipliers / chain.units(values["sizes"])
         parameters = None if problem.parameters is None else tuple(values["parameters"].tolist())
-        breakpoints = tuple(joints[np.flatnonzero(np.diff(chain.phases)) + 1].tolist()) or problem.breakpoints
+        breakpoints = tuple(joints[chain.breaks].tolist())
         others = np.zeros((chain.dimension - chain.mechanical, len(joints)))
         nodes = self.method.element.nodes
         polynomial = PiecewisePolynomial(joints, nodes, chain.path(values))

@@ -16,14 +16,14 @@ import numpy as np
 
 from casadi_galerkin.calculus.numbers import components, numbers, real_array, time_span, times_inside, whole
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.problems.callables import Traceable, trace, trace_lagrangian
-from casadi_galerkin.problems.problem import shown, varied_values
+from casadi_galerkin.problems.callables import Traceable, in_absolute_values, trace, trace_lagrangian
+from casadi_galerkin.problems.problem import finite, shown, varied_values
 
 Limit: TypeAlias = float | Sequence[float]
 Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
 
 
-def bounds(name: str, value: tuple[Limit, Limit] | None, size: int) -> Bounds:
+def bounds(name: str, value: Any, size: int) -> Bounds:
     """Check a pair (lo, hi), each a scalar or `size` numbers; infinite where there is none."""
     if value is None:
         return (-np.inf,) * size, (np.inf,) * size
@@ -76,6 +76,8 @@ class ControlProblem:
     breakpoints : increasing times inside of `t_span` that are joints of every mesh, as where a callable is not smooth
         in time; with `duration_bounds` they part phases, each with a free duration of its own, as between the switching
         times of a bang-bang control
+    waypoints : (t, positions) each: a breakpoint at t, where the path has these d positions; each is a number, a pair
+        (lo, hi) that it lies within, or None
     hold : True for controls that are constant on every interval, as hardware holds them
 
     Raises
@@ -109,6 +111,7 @@ class ControlProblem:
     rates: ca.Function
     end_conditions: tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None
     breakpoints: tuple[float, ...]
+    waypoints: tuple[tuple[int, tuple[float, ...], tuple[float, ...]], ...]
     hold: bool
 
     def __init__(
@@ -132,6 +135,7 @@ class ControlProblem:
         rates: Traceable | None = None,
         end_conditions: tuple[Traceable, Limit, Limit] | None = None,
         breakpoints: Sequence[float] = (),
+        waypoints: Sequence[tuple[float, Sequence[float | tuple[float, float] | None]]] = (),
         hold: bool = False,
     ) -> None:
         d, count = len(components("start", start)), _control_count(controls)
@@ -145,7 +149,8 @@ class ControlProblem:
         if mechanical < 0:
             raise ValueError(f"rates must be those of at most all {d} component(s), got {d - mechanical} values")
         _check_mechanics(mechanical, lagrangian, force)
-        inner = times_inside("breakpoints", breakpoints, time_span(t_span))
+        passed, inner = _waypoints(waypoints, d), times_inside("breakpoints", breakpoints, time_span(t_span))
+        inner = times_inside("breakpoints and waypoints", sorted({*inner, *passed}), time_span(t_span))
         values: dict[str, Any] = {
             "lagrangian": trace_lagrangian(lagrangian or _nothing, d, given, mechanical),
             "t_span": time_span(t_span),
@@ -165,12 +170,14 @@ class ControlProblem:
             "rates": own,
             "end_conditions": _limited("end_conditions", end_conditions, both),
             "breakpoints": inner,
+            "waypoints": tuple((inner.index(t), *sides) for t, sides in passed.items()),
             "hold": _flag("hold", hold),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
         self._check_rates()
         self._check_controls()
+        self._check_absolute_values()
         self._check_parameters()
         self._check_ends()
         self._check_guesses()
@@ -237,6 +244,16 @@ class ControlProblem:
         unused = set(range(self.controls)) - used
         if unused:
             raise ValueError(f"the control u[{min(unused)}] occurs in no force, cost or constraint")
+
+    def _check_absolute_values(self) -> None:
+        """Refuse |u| in the cost where u may change its sign, since a solver that takes derivatives stalls there."""
+        low, high = self.control_bounds
+        for i in sorted(in_absolute_values(self.running_cost, 3)):
+            if low[i] < 0 < high[i]:
+                raise ValueError(
+                    f"running_cost holds the absolute value of u[{i}], whose derivative jumps at zero: replace u[{i}] "
+                    "by a - b with two controls a, b >= 0 (control_bounds), and its absolute value by a + b"
+                )
 
     def _check_parameters(self) -> None:
         """Refuse a free parameter that nothing depends on, for the same reason."""
@@ -309,6 +326,25 @@ def _flag(name: str, value: object) -> bool:
     if not isinstance(value, bool):
         raise TypeError(f"{name} must be True or False, got {value!r}")
     return value
+
+
+def _waypoints(
+    given: Sequence[tuple[float, Sequence[float | tuple[float, float] | None]]], dimension: int
+) -> dict[float, Bounds]:
+    """Bounds of the positions at every waypoint, by its time."""
+    found = {}
+    for point in given:
+        if not isinstance(point, (tuple, list)) or len(point) != 2:
+            raise TypeError(f"waypoints must be pairs (t, positions), got {point!r}")
+        t, positions = finite("the time of a waypoint", point[0]), point[1]
+        if not isinstance(positions, (tuple, list, np.ndarray)) or len(positions) != dimension:
+            raise ValueError(
+                f"a waypoint must have {dimension} position(s), a number, a pair or None each, got {positions!r}"
+            )
+        pairs = [x if x is None or isinstance(x, (tuple, list)) else (x, x) for x in positions]
+        sides = [bounds(f"the waypoint at t = {t:g}", pair, 1) for pair in pairs]
+        found[t] = (tuple(low for (low,), _ in sides), tuple(high for _, (high,) in sides))
+    return found
 
 
 def _duration_bounds(given: tuple[Limit, Limit] | None, phases: int) -> Bounds | None:
