@@ -112,10 +112,12 @@ class Chain:
     phases : (N,), number of the phase with a duration of its own that every interval lies in
     unknowns, equations, size : numbers of unknowns, of equations, and of entries of ξ
     fields : name -> entries of ξ: "x" (N + 1, d), "momentum" (N + 1, mechanical), "nodes" (N, m, d), the values at the
-        nodes after the first, "controls" (N, points, n), "start_velocity", "end_velocity" (mechanical,), "durations"
-        (N + 1, phases) and "parameters" (N + 1, count), alike at all joints, and "begin", "left", "part", "sizes"
+        nodes after the first, "controls" (N, points, n), "impulses" (N, m, held) of a constraint at these nodes and
+        "start_impulse" (held,), "start_velocity", "end_velocity" (mechanical,), "durations" (N + 1, phases) and
+        "parameters" (N + 1, count), alike at all joints, and "begin", "left", "part", "sizes"
     rows : name -> equations: "x", "momentum", "constants" tie (N, ...) states; "motion" (N, m, mechanical) are those of
-        the nodes before the last, "rates" (N, m, others); "path" (N, r, count); "start", "end" (mechanical,); "ends"
+        the nodes before the last, "rates" (N, m, others); "path" (N, r, count); "held" (N, m, held) and "start_held"
+        are a constraint, "start_tangent" and "end_tangent" its rate; "start", "end" (mechanical,); "ends"
     kinds : (equations,), equal where equations compare the same quantities
     stages : for every stage the numbers of its states, of what else is unknown there, and of its other equations
     points, start, end, ends : Place of each kind
@@ -130,6 +132,7 @@ class Chain:
         self.phases = np.searchsorted(parted, np.arange(self.intervals), side="right")
         self.controls, self.parameters = problem.controls, len(problem.parameters or ())
         self.constraints = 0 if problem.path_constraint is None else len(problem.path_constraint[1])
+        self.held = problem.constraints
         self.conditions = 0 if problem.end_conditions is None else len(problem.end_conditions[1])
         self.control_times = np.array([0.5]) if problem.hold else method.element.points
         self._number_unknowns()
@@ -137,17 +140,21 @@ class Chain:
         d, q = self.dimension, len(method.quadrature) * self.intervals
         common = {"parameters": self.parameters}
         at_end = {"x": d, "velocity": self.mechanical, **common, "time": 1, "sizes": self.mechanical}
-        along = {"x": d, "slope": d, "controls": self.controls, "duration": 1, **common, "begin": 1, "share": 1}
-        self.points = Place(q, {**along, "part": 1, "sizes": self.mechanical}, 0)
+        when = {"duration": 1, **common, "begin": 1, "share": 1}
+        along = {"x": d, "slope": d, "controls": self.controls, **when, "part": 1, "sizes": self.mechanical}
+        self.points = Place(q, along, 0)
         self.start = Place(1, at_end, q * self.points.width)
         self.end = Place(1, at_end, self.start.first + self.start.width)
         both = {f"{name}{k}": at_end[name] for k in (0, 1) for name in ("x", "velocity")}
         self.ends = Place(int(self.conditions > 0), {**both, **common}, self.end.first + self.end.width)
+        count = (self.intervals * method.degree + 1) * (self.held > 0)
+        first = self.ends.first + self.ends.count * self.ends.width
+        self.nodes = Place(count, {"x": d, "impulse": self.held, **when, "sizes": self.mechanical}, first)
 
     @property
     def places(self) -> list[Place]:
         """Kinds of places that there are."""
-        return [place for place in (self.points, self.start, self.end, self.ends) if place.count]
+        return [place for place in (self.points, self.start, self.end, self.ends, self.nodes) if place.count]
 
     def _number_unknowns(self) -> None:
         problem, n, fields, stages = self.problem, self.intervals, Fields(), []
@@ -155,6 +162,7 @@ class Chain:
         free = [name for name in sizes if getattr(problem, f"{name.removesuffix('s')}_bounds") is not None]
         if "durations" in free:
             sizes["durations"] = len(problem.breakpoints) + 1
+        at_start = {"start_velocity": self.mechanical, "start_impulse": self.held}
         for i in range(n + 1):
             before = fields.size
             fields.add("x", self.dimension)
@@ -165,8 +173,9 @@ class Chain:
             if i < n:
                 fields.add("nodes", self.method.degree, self.dimension)
                 fields.add("controls", len(self.control_times), self.controls)
-            if i in (0, n):
-                fields.add("start_velocity" if i == 0 else "end_velocity", self.mechanical)
+                fields.add("impulses", self.method.degree, self.held)
+            for name, size in {0: at_start, n: {"end_velocity": self.mechanical}}.get(i, {}).items():
+                fields.add(name, size)
             stages.append((states, fields.size - before - states))
         self.unknowns, self._widths = fields.size, stages
         for name in set(sizes) - set(free):
@@ -174,7 +183,7 @@ class Chain:
         for name, size in {"begin": 1, "left": n, "part": n, "sizes": self.mechanical}.items():
             fields.add(name, size)
         self.size, self.fields = fields.size, fields.arrays()
-        for name in ("start_velocity", "end_velocity", "begin", "left", "part", "sizes"):
+        for name in (*at_start, "end_velocity", "begin", "left", "part", "sizes"):
             self.fields[name] = self.fields[name][0]
         for name, size in sizes.items():
             self.fields[name] = np.broadcast_to(self.fields[name], (n + 1, size))
@@ -191,18 +200,23 @@ class Chain:
                 rows.add("motion", self.method.degree, self.mechanical)
                 rows.add("rates", self.method.degree, self.dimension - self.mechanical)
                 rows.add("path", len(self.method.quadrature), self.constraints)
+                rows.add("held", self.method.degree, self.held)
             if i == 0:
                 rows.add("start", self.mechanical)
+                rows.add("start_held", self.held)
+                rows.add("start_tangent", self.held)
             if i == self.intervals:
                 rows.add("end", self.mechanical)
+                rows.add("end_tangent", self.held)
                 rows.add("ends", self.conditions)
             others.append(rows.size - before)
         self.equations, self.rows = rows.size, rows.arrays()
-        for name in ("start", "end", "ends"):
+        for name in ("start", "start_held", "start_tangent", "end", "end_tangent", "ends"):
             self.rows[name] = self.rows[name][0]
         self.stages = [(*widths, count) for widths, count in zip(self._widths, others, strict=True)]
         offset, self.kinds = 0, np.empty(rows.size, dtype=np.int64)
         alike = [["x"], ["momentum", "motion", "start", "end"], ["constants"], ["rates"], ["path"], ["ends"]]
+        alike += [["held", "start_held"], ["start_tangent", "end_tangent"]]
         for names in alike:
             for name in names:
                 self.kinds[self.rows[name]] = offset + np.arange(self.rows[name].shape[-1])
@@ -299,7 +313,27 @@ class Chain:
         if self.conditions:
             entries["parameters"] = f["parameters"][-1]
             triplets += [(self.ends.row(name), index, one) for name, index in entries.items()]
+        if self.held:
+            triplets += self._node_triplets()
         return sparse(triplets, (sum(place.count * place.width for place in self.places), self.size))
+
+    def _node_triplets(self) -> list[Triplet]:
+        """Entries of A at the nodes: the first, then those after it on every interval."""
+        f, place, m = self.fields, self.nodes, self.method.degree
+        interval, a = np.divmod(np.arange(self.intervals * m), m)
+        interval, share = np.append(0, interval), np.append(0.0, self.method.element.nodes[1:][a])
+        earlier = np.arange(f["durations"].shape[1]) < self.phases[interval, None]
+        return [
+            (place.row("x"), np.vstack((f["x"][:1], f["nodes"].reshape(-1, self.dimension))), 1.0),
+            (place.row("impulse"), np.vstack((f["start_impulse"], f["impulses"].reshape(-1, self.held))), 1.0),
+            (place.row("duration"), f["durations"][interval, self.phases[interval]][:, None], 1.0),
+            (place.row("parameters"), f["parameters"][interval], 1.0),
+            (place.row("begin"), f["begin"], 1.0),
+            (place.row("begin"), f["durations"][interval], earlier.astype(float)),
+            (place.row("share"), f["left"][interval][:, None], 1.0),
+            (place.row("share"), f["part"][interval][:, None], share[:, None]),
+            (place.row("sizes"), f["sizes"], 1.0),
+        ]
 
     @lazy
     def active(self) -> list[np.ndarray]:
@@ -331,7 +365,8 @@ class Chain:
         """Θᵀ: what the pointwise functions return, at all places x equations.
 
         At a quadrature point these are f and g of the mechanical components, the defects of the others, and the path
-        constraints; at the start and at the end ∂L/∂v; and the conditions on both.
+        constraints; at the start and at the end ∂L/∂v and the rate of what is held; the conditions on both; at the
+        nodes what is held, and its impulse.
         """
         dm, z, c, rows = self.mechanical, self.dimension - self.mechanical, self.constraints, self.rows
         element, r = self.method.element, len(self.method.quadrature)
@@ -342,17 +377,30 @@ class Chain:
         f, g = (((weights * a) * sign)[None, :, :, None] for a in (element.values, element.slopes))
         degree = self.method.degree
         tests = (weights * lagrange_values(np.array(gauss(degree).points), element.points))[None, :, :, None]
-        component, end = np.arange(dm), height + np.arange(dm)
+        component, k_held, held = np.arange(dm), self.held, np.arange(self.held)
+        start = height + component
+        end = start + dm + k_held
+        ends = height + 2 * (dm + k_held)
+        at = ends + self.conditions + (k_held + dm) * np.arange(self.nodes.count)[:, None]
+        later = np.concatenate((rows["motion"][:, 1:], rows["momentum"][:, None]), axis=1).reshape(-1, dm)
         triplets: list[Triplet] = [
             (width * k + component, nodes, f),
             (width * k + dm + component, nodes, g),
             (width * k + 2 * dm + np.arange(z), rows["rates"][:, None], tests),
             (width * k[..., 0] + 2 * dm + z + np.arange(c), rows["path"], 1.0),
-            (end, rows["start"], -1.0),
-            (end + dm, rows["end"], -1.0),
-            (height + 2 * dm + np.arange(self.conditions), rows["ends"], 1.0),
+            (start, rows["start"], -1.0),
+            (height + dm + held, rows["start_tangent"], 1.0),
+            (end, rows["end"], -1.0),
+            (height + 2 * dm + k_held + held, rows["end_tangent"], 1.0),
+            (ends + np.arange(self.conditions), rows["ends"], 1.0),
         ]
-        return sparse(triplets, (height + 2 * dm + self.conditions, self.equations))
+        if k_held:
+            of_held = np.vstack((rows["start_held"], rows["held"].reshape(-1, k_held)))
+            pushed = np.vstack((rows["start"], later))
+            signs = np.append(-1.0, np.tile(sign[1:], self.intervals))[:, None]
+            triplets += [(at + held, of_held, 1.0), (at + k_held + component, pushed, signs)]
+        total = ends + self.conditions + (k_held + dm) * self.nodes.count
+        return sparse(triplets, (total, self.equations))
 
     @lazy
     def linear(self) -> ca.DM:

@@ -63,6 +63,8 @@ def first_values(
         "part": np.diff(mesh) / np.diff(marks)[chain.phases],
         "momentum": np.zeros((n + 1, dm)),
         "sizes": np.ones(dm),
+        "impulses": np.zeros((n, degree, chain.held)),
+        "start_impulse": np.zeros(chain.held),
     }
 
 
