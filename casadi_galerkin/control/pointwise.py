@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.control.chain import Chain, Place
+from casadi_galerkin.control.embedding import ChainEmbedding, Place
 from casadi_galerkin.problems.control_problem import ControlProblem
 
 Terms = tuple[ca.SX, ca.SX, ca.SX]  # cost, action, rows
@@ -119,15 +119,20 @@ class PointwiseTerms:
         return self._function(inputs, ca.jacobian(value, self.z[row]))
 
 
-def places(problem: ControlProblem, chain: Chain) -> list[PointwiseTerms]:
-    """Quadrature points, start, end and, if there are conditions on both, the two ends together."""
-    make = [(chain.points, _at_points), (chain.start, _at_start), (chain.end, _at_end)]
-    make += [(place, terms) for place, terms in ((chain.ends, _at_ends), (chain.nodes, _at_nodes)) if place.count]
-    return [
-        PointwiseTerms(place.count, symbols, active, *terms(problem, *ca.vertsplit(symbols, _offsets(place))))
-        for (place, terms), active in zip(make, chain.active, strict=True)
-        for symbols in [ca.SX.sym("z", place.width)]
-    ]
+def places(problem: ControlProblem, embedding: ChainEmbedding) -> list[PointwiseTerms]:
+    """The terms at all kinds of places that there are."""
+    make = {
+        embedding.points: _at_points,
+        embedding.start: _at_start,
+        embedding.end: _at_end,
+        embedding.ends: _at_ends,
+        embedding.nodes: _at_nodes,
+    }
+    found = []
+    for place, active in zip(embedding.places, embedding.active, strict=True):
+        z = ca.SX.sym("z", place.width)
+        found.append(PointwiseTerms(place.count, z, active, *make[place](problem, *ca.vertsplit(z, _offsets(place)))))
+    return found
 
 
 def _offsets(place: Place) -> list[int]:

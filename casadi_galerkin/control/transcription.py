@@ -192,7 +192,7 @@ class ControlTranscription:
         values = first_values(problem, chain, calculus, guess)
         report = self.graph.report(*chain.pack(values))
         if not np.isfinite(report.cost + report.action + np.sum(report.equations)):
-            check_finite(problem, chain, values)
+            check_finite(problem, self.graph.embedding, values)
         sizes = chain.largest(report.terms)[chain.dimension : chain.dimension + chain.mechanical]
         values["sizes"] = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
         rows = report.equations[np.vstack((chain.rows["motion"][:, 0], chain.rows["momentum"][-1:]))]

@@ -3,27 +3,13 @@
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import double_integrator, pendulum
+from control_problems import cartesian_pendulum, pendulum
 
 import casadi_galerkin as cg
 
 DURATION = 3.0
 EXACT = 2.65658286091763  # in angles, of degree 12
 ROUNDOFF = 1e-12
-
-
-def cartesian(**changes):
-    fields = {
-        "lagrangian": lambda t, x, v: ca.dot(v, v) / 2 - x[1],
-        "t_span": (0.0, DURATION),
-        "start": [0.0, -1.0],
-        "end": [0.0, 1.0],
-        "start_velocity": [0.0, 0.0],
-        "end_velocity": [0.0, 0.0],
-        "force": lambda t, x, v, u: u[0] * ca.vertcat(-x[1], x[0]),
-        "constraint": lambda t, x: ca.dot(x, x) - 1,
-    }
-    return double_integrator(**(fields | changes))
 
 
 def guess(t):
@@ -33,7 +19,7 @@ def guess(t):
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=str)
 def test_cartesian_swing_up_is_that_in_angles(solver):
     angle = cg.solve(pendulum(DURATION), cg.Galerkin(6), 20)
-    path = cg.solve(cartesian(), cg.Galerkin(6), 20, guess=guess, solver=solver)
+    path = cg.solve(cartesian_pendulum(), cg.Galerkin(6), 20, guess=guess, solver=solver)
     assert path.cost == pytest.approx(angle.cost, abs=ROUNDOFF)
     np.testing.assert_allclose(path.x, [np.sin(angle.x[0]), -np.cos(angle.x[0])], rtol=0, atol=1e-11)
     np.testing.assert_allclose(np.sum(path.polynomial.values**2, axis=0), 1, rtol=0, atol=1e-13)
@@ -51,7 +37,7 @@ def test_cartesian_swing_up_is_that_in_angles(solver):
 def test_order_is_twice_the_degree(degree, rule):
     meshes = {1: (20, 40, 80), 2: (10, 20, 40), 3: (10, 14, 20), 4: (8, 10, 12)}[degree]
     method = cg.Galerkin(degree, quadrature=rule(degree))
-    errors = [abs(cg.solve(cartesian(), method, n, guess=guess).cost - EXACT) for n in meshes]
+    errors = [abs(cg.solve(cartesian_pendulum(), method, n, guess=guess).cost - EXACT) for n in meshes]
     assert -np.polyfit(np.log(meshes), np.log(errors), 1)[0] == pytest.approx(2 * degree, abs=0.4)
 
 
@@ -65,16 +51,16 @@ def test_free_ends_stay_on_the_constraint_and_cost_what_they_do_in_angles():
     free = {"end": [None], "end_velocity": [None], "terminal_cost": in_angles}
     angle = cg.solve(pendulum(DURATION, **free), cg.Galerkin(5), 20, guess=lambda t: [t])
     free = {"end": [None, None], "end_velocity": [None, None], "terminal_cost": on_circle}
-    path = cg.solve(cartesian(**free), cg.Galerkin(5), 20, guess=lambda t: [np.sin(t), -np.cos(t)])
+    path = cg.solve(cartesian_pendulum(**free), cg.Galerkin(5), 20, guess=lambda t: [np.sin(t), -np.cos(t)])
     assert path.cost == pytest.approx(angle.cost, abs=1e-9)
     assert np.hypot(*path.x[:, -1]) == pytest.approx(1, abs=1e-13)
     assert path.x[:, -1] @ path.end_velocity == pytest.approx(0, abs=1e-12)
 
 
 def test_a_tolerance_is_met_and_the_force_replayed_on_the_constraint():
-    path = cg.solve(cartesian(), tol=1e-7, guess=guess)
+    path = cg.solve(cartesian_pendulum(), tol=1e-7, guess=guess)
     assert abs(path.cost / EXACT - 1) <= path.error_estimate <= 1e-7
-    problem = cartesian()
+    problem = cartesian_pendulum()
     start = {"position": [0.0, -1.0], "velocity": [0.0, 0.0]}
     again = cg.InitialProblem(
         problem.lagrangian, problem.t_span, force=path.replay(), constraint=problem.constraint, **start
@@ -105,9 +91,9 @@ def test_a_tolerance_is_met_and_the_force_replayed_on_the_constraint():
 )
 def test_bad_constraints_are_refused(changes, message):
     with pytest.raises(ValueError, match=message):
-        cartesian(**changes)
+        cartesian_pendulum(**changes)
 
 
 def test_control_points_that_lose_order_are_refused():
     with pytest.raises(ValueError, match="a constraint is held at the control points"):
-        cg.solve(cartesian(), cg.Galerkin(4, control_points=cg.equispaced_points(4)), 10, guess=guess)
+        cg.solve(cartesian_pendulum(), cg.Galerkin(4, control_points=cg.equispaced_points(4)), 10, guess=guess)
