@@ -67,10 +67,20 @@ class LinearSolver:
     def _solution(self, method: str, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
         """Solution of ∇²S Y = -B; with softened conditions, it is refined once."""
         if method != "ldl":
-            return -self._reached(matrix, rhs) * ca.solve(matrix, rhs, method)
+            solve = self._bordered if self.numbering.stretched else ca.solve
+            return -self._reached(matrix, rhs) * solve(matrix, rhs, method)
         softened = self.softened(matrix)
         y = -self._ldl.solve(softened, rhs)
         return y - self._ldl.solve(softened, ca.mac(matrix, y, rhs)) if self.numbering.multipliers else y
+
+    def _bordered(self, matrix: ca.MX, rhs: ca.MX, method: str) -> ca.MX:
+        """Solution of ∇²S Y = B by elimination of a free duration, whose full row would make all factors of QR full."""
+        n = self.numbering.free - 1
+        column, row = ca.densify(matrix[:n, n]), matrix[n, :n]
+        solved = ca.solve(matrix[:n, :n], ca.horzcat(ca.densify(rhs[:n, :]), column), method)
+        y, response = solved[:, :-1], solved[:, -1]
+        last = (rhs[n, :] - ca.mtimes(row, y)) / (matrix[n, n] - ca.mtimes(row, response))
+        return ca.vertcat(y - ca.mtimes(response, last), last)
 
     def _reached(self, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
         """One where the right-hand side reaches an unknown through the matrix, zero where the solution is zero.
