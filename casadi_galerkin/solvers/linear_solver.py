@@ -212,9 +212,13 @@ class LinearSolver:
         floor, scale, product = self.floor(matrix, u, terms)
         ratios = gradient / floor
         residual = ca.norm_inf(ratios) + 0 * ca.sum1(ratios)  # sums keep a NaN
-        y = y / ca.norm_inf(y / scale)
+        path = scale[: self.numbering.positions]
+        y = y / ca.norm_inf(y[: self.numbering.positions] / path)
+        if self.numbering.free > self.numbering.positions:  # further unknowns are linear, or may be zero
+            scale = ca.vertcat(path, ca.fabs(y[self.numbering.positions :]))
+            product = ca.mtimes(ca.fabs(matrix), scale)
         quotient = ca.fabs(ca.bilin(matrix, y, y)) / ca.dot(scale, product)
-        comparable = ca.mmin(scale) > ZERO if self.numbering.free > self.numbering.dimension else ca.MX(0)
+        comparable = ca.mmin(path) > ZERO if self.numbering.positions > self.numbering.dimension else ca.MX(0)
         outputs = {"residual": residual, "regularity": ca.if_else(comparable, quotient, 0)}
         return self._function("verification", inputs, outputs)
 
