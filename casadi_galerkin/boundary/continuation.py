@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.arc_length import Curve
-from casadi_galerkin.boundary.transcription import CriticalPoint, Transcription, transcribed
+from casadi_galerkin.boundary.graph import CriticalPoint
+from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import numbers
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial

@@ -26,9 +26,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.loaded_curve import LoadedCurve
 from casadi_galerkin.boundary.refinement import BoundaryRefinement
-from casadi_galerkin.boundary.transcription import CriticalPoint, Transcription, transcribed
+from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import whole_number

@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 
 from casadi_galerkin.boundary.action_descent import descend
+from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.levels import Levels
-from casadi_galerkin.boundary.transcription import CriticalPoint
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import equidistributed, of_degree, truncation

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.mass import check_mass
-from casadi_galerkin.boundary.transcription import CriticalPoint, Transcription
+from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.discrete_calculus import with_breakpoints
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.mapping import Mapping, one_by_one

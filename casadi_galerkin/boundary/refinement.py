@@ -20,9 +20,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.boundary.error_estimate import discretization_error, roundoff_error
 from casadi_galerkin.boundary.first_path import first_path_strategies, following, mesh_for_guess
+from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.levels import Levels
-from casadi_galerkin.boundary.transcription import CriticalPoint
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import (
@@ -131,7 +132,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         if FAR * self.tol * regularity > EPS:
             return 0.0
         graph = self.levels.transcription(of_degree(level.polynomial.degree), level.polynomial.mesh)
-        floor = graph.roundoff(level)
+        floor = roundoff_error(graph, level)
         if floor > self.tol:
             graph.refuse_conjugate(level)
             cause = (
@@ -156,7 +157,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     def error(self, path: PiecewisePolynomial) -> float:
         """Largest error on a path, from Newton steps in a higher degree on the same mesh."""
-        return self.levels.transcription(of_higher_degree(path.degree), path.mesh).error(path)
+        return discretization_error(self.levels.transcription(of_higher_degree(path.degree), path.mesh), path)
 
     def improve(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> CriticalPoint:
         """Solve on the equidistributed mesh; where Newton's method does not follow, on one changed less.

@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.transcription import transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.functional.interval import NO_CUTOFF
+from casadi_galerkin.calculus.roundoff import EPS, NO_CUTOFF
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.trajectory import Trajectory

@@ -31,14 +31,12 @@ import numpy as np
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.calculus.quadrature import gauss
-from casadi_galerkin.calculus.roundoff import EPS, TINY
+from casadi_galerkin.calculus.roundoff import EPS, NO_CUTOFF, TINY
 from casadi_galerkin.functional.pointwise import pulled_back
 
 DOUBLINGS = 4  # of Newton's iterations, to at most 16; 1 to 8 were measured, the most at the largest steps
 # a relative Newton step that is not worth taking; the estimate of the next one was measured up to 60 times too small
 SMALLEST_STEP = 0.01 * EPS
-# CasADi's QR calls a matrix with a pivot below an absolute 1e-12 singular, whatever its units, and gives up
-NO_CUTOFF = {"eps": 0.0}
 NEAR = 1e-8  # relative Newton step below which only rounding keeps the next one from being far smaller
 TAYLOR = 2  # terms of the velocity carried on as prediction; with 3 and more, large steps reached other solutions
 

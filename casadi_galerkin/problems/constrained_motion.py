@@ -16,7 +16,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.calculus.roundoff import EPS, NO_CUTOFF
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.problem import Problem
 
@@ -28,7 +28,7 @@ HELD = 1e-12  # part of its terms by which a given position or velocity may miss
 def constrained_motion(
     lagrangian: ca.Function, constraint: ca.Function, force: ca.Function | None = None
 ) -> ca.Function:
-    """(t, x, v) -> M (d, d), G (k, d), p (d,), G v + ∂g/∂t (k,), right-hand sides (d,) and (k,) of the linear system.
+    """(t, x, v) -> the linear system's sparse matrix and right-hand side, p (d,), G v + ∂g/∂t (k,), ∂g/∂t (k,).
 
     Parameters
     ----------
@@ -39,7 +39,8 @@ def constrained_motion(
     mass, momentum = ca.hessian(lagrangian(t, x, v), v)
     held = constraint(t, x)
     slope = ca.jacobian(held, x)
-    rate = ca.mtimes(slope, v) + ca.jacobian(held, t)
+    pull = ca.jacobian(held, t)
+    rate = ca.mtimes(slope, v) + pull
 
     def following(value: ca.SX) -> ca.SX:
         """Change of a value with time at a constant velocity."""
@@ -47,8 +48,18 @@ def constrained_motion(
 
     pushed = ca.gradient(lagrangian(t, x, v), x) - following(momentum)
     pushed = pushed if force is None else pushed + force(t, x, v)
-    outputs = [mass, slope, momentum, rate, pushed, -following(rate)]
-    return ca.Function("constrained_motion", symbols, [ca.densify(output) for output in outputs])
+    matrix = ca.blockcat([[mass, -slope.T], [slope, ca.SX(slope.shape[0], slope.shape[0])]])
+    vectors = [ca.vertcat(pushed, -following(rate)), momentum, rate, pull]
+    return ca.Function("constrained_motion", symbols, [matrix, *map(ca.densify, vectors)])
+
+
+@lru_cache(8)
+def _solver(motion: ca.Function) -> ca.Function:
+    """(t, x, v, right-hand sides) -> accelerations and multipliers; sparse, so that many bodies cost as many."""
+    symbols = motion.mx_in()
+    matrix, rhs, *_ = motion.call(symbols)
+    rhs = ca.MX.sym("rhs", rhs.numel())
+    return ca.Function("solve", [*symbols, rhs], [ca.solve(matrix, rhs, "qr", NO_CUTOFF)])
 
 
 def motion_of(problem: Problem) -> ca.Function | None:
@@ -68,15 +79,13 @@ def unforced_motion_of(problem: Problem) -> ca.Function:
 
 
 def _at(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> list[np.ndarray]:
-    """All matrices (K, ..., d) and vectors (K, ...) at K instants, the first two as one matrix (K, d + k, d + k)."""
-    count = len(t)
-    mass, slope, *vectors = (np.array(a) for a in motion.map(count)(t[None, :], x, v))
-    d, k = len(x), len(slope)
-    matrix = np.zeros((count, d + k, d + k))
-    matrix[:, :d, :d] = mass.reshape(d, count, d).transpose(1, 0, 2)
-    matrix[:, d:, :d] = slope.reshape(k, count, d).transpose(1, 0, 2)
-    matrix[:, :d, d:] = -matrix[:, d:, :d].transpose(0, 2, 1)
-    return [matrix, *(vector.T for vector in vectors)]
+    """All vectors of a motion at K instants, (..., K) each."""
+    return [np.array(a) for a in motion.map(len(t))(t[None, :], x, v)[1:]]
+
+
+def _solved(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray, rhs: np.ndarray) -> np.ndarray:
+    """Solutions (d + k, K) of the linear systems at K instants."""
+    return np.array(_solver(motion).map(len(t))(t[None, :], x, v, rhs))
 
 
 def tangent_momenta(
@@ -93,27 +102,23 @@ def tangent_momenta(
     """
     v, d = velocity, len(x)
     for _ in range(ITERATIONS):
-        matrix, p, rate, _, _ = _at(motion, t, x, v)
-        # M δv - Gᵀμ = p - ∂L/∂v, with all of μ anew
-        step = np.linalg.solve(matrix, np.concatenate((momentum.T - p, -rate), axis=1)[:, :, None])[:, :, 0].T
-        v = v + step[:d]
-        if not np.any(np.abs(step[:d]) > 4 * EPS * np.max(np.abs(v))):
+        _, p, rate, _ = _at(motion, t, x, v)
+        step = _solved(motion, t, x, v, np.concatenate((momentum - p, -rate)))[:d]  # with all of μ anew
+        v = v + step
+        if not np.any(np.abs(step) > 4 * EPS * np.max(np.abs(v))):
             break
-    matrix, p, _, _, _ = _at(motion, t, x, v)
-    return np.asarray(p.T)
+    return _at(motion, t, x, v)[1]
 
 
 def tangents(motion: ca.Function, t: float, x: np.ndarray) -> np.ndarray:
     """Orthonormal basis of the tangents to the constraint at a position, (d, d - k)."""
-    slope = np.array(motion(t, x, np.zeros(len(x)))[1])
+    slope = np.array(motion(t, x, np.zeros(len(x)))[0])[len(x) :, : len(x)]
     return np.asarray(np.linalg.svd(slope)[2][len(slope) :].T)
 
 
 def multipliers(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Multipliers λ of the constraint forces Gᵀλ; (k, K)."""
-    matrix, _, _, pushed, turned = _at(motion, t, x, v)
-    solved = np.linalg.solve(matrix, np.concatenate((pushed, turned), axis=1)[:, :, None])
-    return np.asarray(solved[:, len(x) :, 0].T)
+    return _solved(motion, t, x, v, _at(motion, t, x, v)[0])[len(x) :]
 
 
 def moving_motion_of(problem: Problem) -> ca.Function | None:
@@ -124,9 +129,8 @@ def moving_motion_of(problem: Problem) -> ca.Function | None:
 
 def work_of_constraint(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
     """λ·∂g/∂t, the rate at which a constraint that moves takes energy from the path; (K,), arguments as before."""
-    matrix, _, rate, _, _ = _at(motion, t, x, v)
-    moved = rate - np.einsum("kij,jk->ki", matrix[:, len(x) :, : len(x)], v)  # G v + ∂g/∂t less G v
-    return np.asarray(np.sum(multipliers(motion, t, x, v) * moved.T, axis=0))
+    rhs, _, _, pull = _at(motion, t, x, v)
+    return np.asarray(np.sum(_solved(motion, t, x, v, rhs)[len(x) :] * pull, axis=0))
 
 
 def check_constraint(problem: Problem, given: Mapping[str, tuple[float, tuple[float, ...]]]) -> None:

@@ -17,9 +17,9 @@ from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import KEPT, Numbering
 
 LOCAL = 1e-3  # part of a right-hand side that a solution may miss; below such a step, no line search is needed
-METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 times faster than QR, which is for where it fails
-# A free duration has a full row, which makes all factors of QR full: it is eliminated, where the rest is regular.
-STRETCHED = "bordered", "qr"
+METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 to 20 times faster than QR, which is for where it fails
+SOFTENED = 1e-7  # part of what a condition meets in ∇²S by which it is softened; 1e-6 and 1e-8 left larger errors
+LEAK = 1e-8  # what a node of the graph of a matrix loses; far ends of the longest chains then still get something
 
 
 class LinearSolver:
@@ -45,55 +45,55 @@ class LinearSolver:
         return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))
 
     @lazy
+    def softened(self) -> ca.Function:
+        """∇²S with small negative numbers on the diagonal of the multipliers, where it has zeros.
+
+        LDLᵀ without pivoting needs them.  A condition G δx = 0 is softened by a part of G diag(|∇²S|)⁻¹ Gᵀ, which
+        follows the units, and adds one negative eigenvalue.
+        """
+        inputs = self.symbols("matrix")
+        (matrix,), positions, count = inputs.values(), self.numbering.positions, self.numbering.multipliers
+        if count:
+            conditions = matrix[positions : positions + count, :positions]
+            soft = SOFTENED * ca.mtimes(conditions**2, 1 / ca.fabs(ca.diag(matrix)[:positions]))
+            matrix -= ca.diag(ca.vertcat(ca.MX(positions, 1), soft, ca.MX(self.numbering.stretched, 1)))
+        return self._function("softened", inputs, {"softened": matrix})
+
+    @lazy
     def _ldl(self) -> ca.Linsol:
         """LDLᵀ without pivoting, whose symbolic part is done once."""
-        return ca.Linsol("ldl", "ldl", self.sparsity)
+        return ca.Linsol("ldl", "ldl", self.softened.sparsity_out(0))
 
     def _solution(self, method: str, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
-        """Solution of ∇²S Y = -B."""
-        if method == "ldl":
-            return -self._ldl.solve(matrix, rhs)
-        solved = self._bordered(matrix, rhs) if method == "bordered" else ca.solve(matrix, rhs, method)
-        return -self._reached(matrix, rhs) * solved
+        """Solution of ∇²S Y = -B; with softened conditions, it is refined once."""
+        if method != "ldl":
+            solve = self._bordered if self.numbering.stretched else ca.solve
+            return -self._reached(matrix, rhs) * solve(matrix, rhs, method)
+        softened = self.softened(matrix)
+        y = -self._ldl.solve(softened, rhs)
+        return y - self._ldl.solve(softened, ca.mac(matrix, y, rhs)) if self.numbering.multipliers else y
+
+    def _bordered(self, matrix: ca.MX, rhs: ca.MX, method: str) -> ca.MX:
+        """Solution of ∇²S Y = B by elimination of a free duration, whose full row would make all factors of QR full."""
+        n = self.numbering.free - 1
+        column, row = ca.densify(matrix[:n, n]), matrix[n, :n]
+        solved = ca.solve(matrix[:n, :n], ca.horzcat(ca.densify(rhs[:n, :]), column), method)
+        y, response = solved[:, :-1], solved[:, -1]
+        last = (rhs[n, :] - ca.mtimes(row, y)) / (matrix[n, n] - ca.mtimes(row, response))
+        return ca.vertcat(y - ca.mtimes(response, last), last)
 
     def _reached(self, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
         """One where the right-hand side reaches an unknown through the matrix, zero where the solution is zero.
 
         A component that a symmetry keeps at zero must stay there exactly: QR, unlike LDLᵀ, mixes its rows with others,
-        and what rounding then leaves would never become small relative to itself.  Asked of whole components of the
-        path, of every multiplier, and of all further unknowns that meet one another in the matrix together.
+        and what rounding then leaves would never become small relative to itself.  The potential of sources at the
+        right-hand side in the matrix's graph, whose edges are its entries that are not zero, is positive where they
+        reach: its Laplacian has no negative entry beside the diagonal, so that LDLᵀ cancels nothing.
         """
-        members, others = self._groups
-        size, given = ca.fabs(matrix), ca.fabs(ca.densify(rhs))
-        size += size.T
-        tied = ca.mtimes(members, size[:, others])
-        coupled = ca.mtimes(ca.mtimes(members, size), members.T) + ca.mtimes(tied, tied.T)
-        reached = ca.mtimes(members, given) + ca.mtimes(tied, given[others, :]) > 0
-        for _ in range(members.shape[0] - 1):
-            reached = reached + ca.mtimes(coupled, reached) > 0
-        found = ca.mtimes(members.T, reached)
-        found[others, :] = given[others, :] + ca.mtimes(tied.T, reached) > 0
-        return found
-
-    @lazy
-    def _groups(self) -> tuple[ca.MX, list[int]]:
-        """Members of every component, and of the further unknowns that meet others, (d + 1, free); the other ones."""
-        positions, free, d = self.numbering.positions, self.numbering.free, self.numbering.dimension
-        rows, columns = (np.array(index, dtype=int) for index in self.sparsity.get_triplet())
-        meeting = np.unique(rows[(rows >= positions) & (columns >= positions)])
-        chosen = np.append(np.arange(positions), meeting).tolist()
-        owner = np.append(self.numbering.component[:positions], np.full(len(meeting), d)).tolist()
-        members = ca.DM.triplet(owner, chosen, ca.DM.ones(len(chosen)), d + 1, free)
-        return ca.MX(members), np.setdiff1d(np.arange(positions, free), meeting).tolist()
-
-    def _bordered(self, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
-        """Solution of ∇²S Y = B from one with all rows and columns but the last, by its Schur complement."""
-        n = self.numbering.free - 1
-        column, row = ca.densify(matrix[:n, n]), matrix[n, :n]
-        solved = ca.solve(matrix[:n, :n], ca.horzcat(ca.densify(rhs[:n, :]), column), "qr")
-        y, response = solved[:, :-1], solved[:, -1]
-        last = (rhs[n, :] - ca.mtimes(row, y)) / (matrix[n, n] - ca.mtimes(row, response))
-        return ca.vertcat(y - ca.mtimes(response, last), last)
+        edges = ca.sign(ca.fabs(matrix))
+        edges += edges.T
+        laplacian = ca.diag(ca.sum2(edges) + LEAK) - edges
+        return ca.solve(laplacian, ca.sign(ca.fabs(ca.densify(rhs))), "ldl") > 0
 
     def _defect(self, matrix: ca.MX, y: ca.MX, rhs: ca.MX) -> ca.MX:
         """‖∇²S y + b‖₁ - LOCAL ‖b‖₁: the linear system is solved where this is at most zero."""
@@ -212,17 +212,22 @@ class LinearSolver:
         floor, scale, product = self.floor(matrix, u, terms)
         ratios = gradient / floor
         residual = ca.norm_inf(ratios) + 0 * ca.sum1(ratios)  # sums keep a NaN
-        y = y / ca.norm_inf(y / scale)
+        path = scale[: self.numbering.positions]
+        y = y / ca.norm_inf(y[: self.numbering.positions] / path)
+        if self.numbering.free > self.numbering.positions:  # further unknowns are linear, or may be zero
+            scale = ca.vertcat(path, ca.fabs(y[self.numbering.positions :]))
+            product = ca.mtimes(ca.fabs(matrix), scale)
         quotient = ca.fabs(ca.bilin(matrix, y, y)) / ca.dot(scale, product)
-        comparable = ca.mmin(scale) > ZERO if self.numbering.free > self.numbering.dimension else ca.MX(0)
+        comparable = ca.mmin(path) > ZERO if self.numbering.positions > self.numbering.dimension else ca.MX(0)
         outputs = {"residual": residual, "regularity": ca.if_else(comparable, quotient, 0)}
         return self._function("verification", inputs, outputs)
 
     def negative_eigenvalues(self, matrix: ca.DM) -> int:
-        """Number of negative eigenvalues of a regular symmetric matrix, from the inertia of its LDLᵀ factors."""
-        factors = ca.Linsol("inertia", "ldl", matrix.sparsity())  # its own: a Linsol keeps what it factored last
-        factors.nfact(matrix)
-        return int(factors.neig(matrix))
+        """Number of negative eigenvalues among the directions that keep the conditions, from the inertia of LDLᵀ."""
+        softened = self.softened(matrix)
+        factors = ca.Linsol("inertia", "ldl", softened.sparsity())  # its own: a Linsol keeps what it factored last
+        factors.nfact(softened)
+        return int(factors.neig(softened)) - self.numbering.multipliers
 
 
 @lru_cache(KEPT)

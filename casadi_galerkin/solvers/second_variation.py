@@ -12,7 +12,6 @@ from casadi_galerkin.solvers.stationarity import Linearization, Stationarity, jo
 from casadi_galerkin.solvers.threads import fork_waits
 
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
-SOFTENED = 1e-8  # part of the second variation by which a condition is softened to count negative eigenvalues
 AGREED = 1e-3  # part of the assembled yᵀ∇²S y that the points must find; families 7e-7 at most, regular paths 1 - 1e-5
 
 
@@ -60,8 +59,7 @@ def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data:
     None where the kinetic energy is indefinite by structure, such as v_0 v_1: the index then grows without bound
     as the mesh is refined, and LDLᵀ without pivoting does not find it.  None as well where the matrix is no Hessian.
 
-    With multipliers it is the index of the second variation among the directions that keep the conditions: a small
-    negative number in the place of each zero on their diagonal makes LDLᵀ possible, and adds one negative eigenvalue.
+    With multipliers it is the index of the second variation among the directions that keep the conditions.
     """
     functional, linear = stationarity.functional, stationarity.linear_solver
     if not (functional.pointwise.kinetic and functional.symmetric):
@@ -69,20 +67,4 @@ def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data:
     if len(unknowns) == 0:
         return 0
     with fork_waits:
-        matrix = functional.function("derivatives").call([unknowns, *data])[0]
-        if functional.numbering.multipliers:
-            matrix = matrix + _softening(stationarity, matrix, unknowns, data)
-        return linear.negative_eigenvalues(matrix) - functional.numbering.multipliers
-
-
-def _softening(stationarity: Stationarity, matrix: ca.DM, unknowns: np.ndarray, data: Data) -> ca.DM:
-    """What stands in the place of the zeros on the diagonal of the multipliers; sparse."""
-    linear, numbering = stationarity.linear_solver, stationarity.functional.numbering
-    sizes = stationarity.sizes(unknowns, data)
-    measured = np.where(np.isfinite(sizes), sizes, 0.0)
-    rows = np.array(linear.abs_hessian_product(matrix, measured)).ravel()
-    action = float(np.median((rows * measured)[np.isfinite(sizes)]))
-    held = slice(numbering.positions, numbering.positions + numbering.multipliers)
-    softened = np.zeros(len(unknowns))
-    softened[held] = -SOFTENED * rows[held] ** 2 / action
-    return ca.diag(ca.sparsify(ca.DM(softened)))
+        return linear.negative_eigenvalues(functional.function("derivatives").call([unknowns, *data])[0])

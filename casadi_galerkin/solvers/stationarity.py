@@ -22,7 +22,7 @@ import numpy as np
 from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.buffers import Evaluator
-from casadi_galerkin.solvers.linear_solver import METHODS, STRETCHED, linear_solver
+from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
 from casadi_galerkin.solvers.threads import one_thread
 
 Built = TypeVar("Built")
@@ -57,9 +57,8 @@ class Stationarity:
     Attributes
     ----------
     linear_solver : LinearSolver for the functional's Hessian
-    allows_ldl : whether LDLᵀ without pivoting can work: not where ∂²L/∂v_i² is structurally zero for some i, nor with a
-        force, which makes ∇²S unsymmetric, nor with multipliers
-    linear_methods : how ∇²S is solved with: LDLᵀ or, of a free duration, by elimination; QR where that fails
+    linear_methods : how ∇²S is solved with: LDLᵀ, and QR where that fails; QR alone where ∂²L/∂v_i² is structurally
+        zero for some i, or where ∇²S is not symmetric, as with a force
     quadratic : whether the Hessian depends on the data alone
     variational : whether the conditions are those of an action that may be lowered, under conditions if there are some
     """
@@ -69,9 +68,7 @@ class Stationarity:
         self.linear_solver = linear_solver(functional)
         pointwise, plain = functional.pointwise, not (functional.terms or functional.numbering.stretched)
         self.variational = functional.symmetric and not functional.numbering.stretched
-        self.allows_ldl = pointwise.kinetic and functional.symmetric and not functional.numbering.multipliers
-        without_ldl = STRETCHED if functional.numbering.stretched else METHODS[1:]
-        self.linear_methods = METHODS if self.allows_ldl else without_ldl
+        self.linear_methods = METHODS if pointwise.kinetic and functional.symmetric else METHODS[1:]
         self.quadratic = pointwise.quadratic and plain
         self._idle: list[Linearization] = []
 

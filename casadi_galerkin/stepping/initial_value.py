@@ -97,8 +97,9 @@ def refuse_off_constraint(problem: InitialProblem, x: np.ndarray, v: np.ndarray)
     motion = motion_of(problem)
     if motion is None:
         return
-    _, slope, _, rate, *_ = (np.array(a) for a in motion(problem.t_span[0], x, v))
-    if np.any(np.abs(rate.ravel()) > HELD * (np.abs(slope) @ np.abs(v) + np.abs(rate - slope @ v[:, None]).ravel())):
+    matrix, _, _, rate, pull = (np.array(a) for a in motion(problem.t_span[0], x, v))
+    slope = matrix[len(x) :, : len(x)]
+    if np.any(np.abs(rate) > HELD * (np.abs(slope) @ np.abs(v)[:, None] + np.abs(pull))):
         raise ValueError(
             f"the velocity must be tangent to the constraint, ∂g/∂x·v + ∂g/∂t = 0, got {rate.ravel().tolist()} for "
             f"v = {v.tolist()}"
