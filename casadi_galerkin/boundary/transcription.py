@@ -77,6 +77,7 @@ class Transcription:
     method : Galerkin
     mesh : (N + 1,), the joints used unless others are given to `solve`
     mapping : how L is evaluated at the points, as for `Functional`
+    deadline : of ``time.perf_counter()``, at which a solve stops
 
     Attributes
     ----------
@@ -97,12 +98,17 @@ class Transcription:
     """
 
     def __init__(
-        self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, mapping: Mapping = by_rows
+        self,
+        problem: BoundaryProblem,
+        method: Galerkin,
+        mesh: np.ndarray,
+        mapping: Mapping = by_rows,
+        deadline: float = math.inf,
     ) -> None:
         self.problem, self.method, self.mesh, self.phase = problem, method, mesh, has_phase(problem)
         self.functional = functional_of(problem, method, len(mesh) - 1, mapping)
         self.numbering = self.functional.numbering
-        self.stationarity = Stationarity(self.functional)
+        self.stationarity = Stationarity(self.functional, deadline)
 
     @property
     def build_seconds(self) -> float:

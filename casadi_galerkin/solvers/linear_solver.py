@@ -15,7 +15,9 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY, ZERO
 from casadi_galerkin.functional.embedding import hessian_pattern
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import KEPT, Numbering
+from casadi_galerkin.solvers.threads import without_zero_pivots
 
+SHIFTED = 1e-8  # part of its row that is added to a diagonal where a pivot is zero: half of all digits
 LOCAL = 1e-3  # part of a right-hand side that a solution may miss; below such a step, no line search is needed
 METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 times faster than QR, which is for where it fails
 # A free duration has a full row, which makes all factors of QR full: it is eliminated, where the rest is regular.
@@ -219,9 +221,16 @@ class LinearSolver:
         return self._function("verification", inputs, outputs)
 
     def negative_eigenvalues(self, matrix: ca.DM) -> int:
-        """Number of negative eigenvalues of a regular symmetric matrix, from the inertia of its LDLᵀ factors."""
+        """Number of negative eigenvalues of a regular symmetric matrix, from the inertia of its LDLᵀ factors.
+
+        Where a pivot is exactly zero, those of a matrix that is so near that they have the same signs.
+        """
+        matrix = matrix + 0 * ca.DM.eye(self.numbering.free)  # with its whole diagonal
         factors = ca.Linsol("inertia", "ldl", matrix.sparsity())  # its own: a Linsol keeps what it factored last
-        factors.nfact(matrix)
+        with without_zero_pivots:
+            factors.nfact(matrix)
+            if factors.rank(matrix) < self.numbering.free:
+                factors.nfact(matrix + SHIFTED * ca.diag(ca.sum2(ca.fabs(matrix))))
         return int(factors.neig(matrix))
 
 
