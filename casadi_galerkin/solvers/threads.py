@@ -71,7 +71,7 @@ class _WithoutZeroPivots:
 
     def __enter__(self) -> None:
         fork_waits.acquire()  # of two threads, the one that leaves first must not put back what the other has put there
-        self._stream, sys.stderr = sys.stderr, self  # type: ignore[assignment]
+        self._stream, sys.stderr = sys.stderr, self
 
     def __exit__(self, *_: object) -> None:
         sys.stderr = self._stream
