@@ -12,7 +12,6 @@ from statistics import median
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 from casadi_galerkin.solution.plotting import COLORS
@@ -20,16 +19,6 @@ from casadi_galerkin.solution.plotting import COLORS
 METHOD, INTERVALS, REPEATS = cg.Galerkin(degree=4), (10, 20, 40, 80, 160), 5
 ECCENTRICITY, ANOMALY = 0.6, 2.0
 HALF = ANOMALY - ECCENTRICITY * np.sin(ANOMALY)  # half of the time of flight, by Kepler's equation
-
-
-def gravity(t, x, v):
-    """Kinetic minus potential energy in the field of a unit mass."""
-    return ca.dot(v, v) / 2 + 1 / ca.norm_2(x)
-
-
-def upright(t, x, v):
-    """Pendulum near upright; x[0] is the small angle from there."""
-    return v[0] ** 2 / 2 + x[0] ** 2 / 2
 
 
 def orbit(t):
@@ -40,27 +29,20 @@ def orbit(t):
     return np.array([np.cos(anomaly) - ECCENTRICITY, np.sqrt(1 - ECCENTRICITY**2) * np.sin(anomaly)])
 
 
+def arc():
+    """The Kepler arc, its exact path, and a guess that goes round the sun."""
+    ends = (-HALF, HALF), orbit(-HALF), orbit(HALF)
+    problem = cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2 + 1 / ca.norm_2(x), *ends)
+    return problem, orbit, lambda t: [np.cos(2 * t / HALF) - ECCENTRICITY / 2, np.sin(2 * t / HALF)]
+
+
 def balanced(duration):
     """The upright pendulum from 1 to 1, and its exact path, written so that nothing overflows."""
-    problem = cg.BoundaryProblem(upright, (0.0, duration), [1.0], [1.0])
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + x[0] ** 2 / 2, (0.0, duration), [1.0], [1.0])
     return problem, lambda t: [(np.exp(-t) + np.exp(t - duration)) / (1 + np.exp(-duration))], None
 
 
-SCENES = {
-    "Kepler arc": (
-        cg.BoundaryProblem(gravity, (-HALF, HALF), orbit(-HALF), orbit(HALF)),
-        orbit,
-        lambda t: [np.cos(2 * t / HALF) - ECCENTRICITY / 2, np.sin(2 * t / HALF)],
-    ),
-    "balanced for 15": balanced(15.0),
-    "balanced for 40": balanced(40.0),
-}
-
-
-def joint_error(path, exact):
-    """Largest error at the joints, relative to the size of the component."""
-    known = np.stack([exact(t) for t in path.t], axis=1)
-    return float(np.max(np.abs(path.x - known) / np.max(np.abs(known), axis=1, keepdims=True)))
+SCENES = {"Kepler arc": arc(), "balanced for 15": balanced(15.0), "balanced for 40": balanced(40.0)}
 
 
 def shot(problem, intervals, exact, guess):
@@ -69,45 +51,39 @@ def shot(problem, intervals, exact, guess):
         paths = [cg.shoot(problem, METHOD, intervals, guess=guess) for _ in range(REPEATS)]
     except cg.ConvergenceError as failure:
         return cg.Row(METHOD, intervals, failure=str(failure))
-    return cg.Row(
-        METHOD,
-        intervals,
-        solve_seconds=median(path.solve_seconds for path in paths),
-        iterations=paths[0].iterations,
-        joint_error=joint_error(paths[0], exact),
-    )
+    known = np.stack([exact(t) for t in paths[0].t], axis=1)
+    error = np.max(np.abs(paths[0].x - known) / np.max(np.abs(known), axis=1, keepdims=True))
+    seconds = median(path.solve_seconds for path in paths)
+    return cg.Row(METHOD, intervals, solve_seconds=seconds, iterations=paths[0].iterations, joint_error=error)
 
 
-def main(plot=None):
+def main():
     """Measure both ways on all scenes; returns {scene: (rows of the global solve, rows of shooting)}."""
     measured = {}
     for name, (problem, exact, guess) in SCENES.items():
         coarse = cg.solve(problem, cg.Galerkin(degree=2), INTERVALS[0], guess=guess)
         together = cg.trade(problem, [METHOD], INTERVALS, exact, guess=coarse).rows
         measured[name] = together, tuple(shot(problem, count, exact, coarse) for count in INTERVALS)
-    if plot:
-        draw(measured, plot)
     return measured
 
 
-def draw(measured, name):
-    """Draw errors over seconds: lines for the global solve, dashes for shooting."""
-    title = "All intervals at once, and shooting"
-    axes = canvas(title, "seconds of a solve", "largest relative error at the joints", (8.0, 4.2))
-    for color, (scene, ways) in zip(COLORS, measured.items(), strict=False):
+def draw(measured):
+    """Draw errors over seconds: lines for the global solve, dashes for shooting; returns the figure."""
+    axes = cg.panels(size=(4.6, 4.0))
+    for i, (scene, ways) in enumerate(measured.items()):
         for way, rows, style in zip(("at once", "shooting"), ways, ("o-", "s--"), strict=True):
-            solved = [row for row in rows if row.failure is None]
-            times, errors = [row.solve_seconds for row in solved], [row.joint_error for row in solved]
-            failed = f", {len(rows) - len(solved)} of {len(rows)} fail" if len(solved) < len(rows) else ""
-            axes.loglog(times, errors, style, color=color, markersize=4, label=f"{scene}, {way}{failed}")
-    axes.figure.legend(fontsize="small", loc="outside right center")
-    save(axes, name)
+            solved = [(row.solve_seconds, row.joint_error) for row in rows if row.failure is None]
+            if solved:
+                axes.loglog(*zip(*solved, strict=True), style, color=COLORS[i], markersize=4, label=f"{scene}, {way}")
+    axes.set(title="Shooting (dashed) fails from T = 40", xlabel="seconds of a solve", ylabel="largest error at joints")
+    axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)
+    return axes.figure
 
 
 if __name__ == "__main__":
-    for scene, ways in main(picture("global_against_shooting.png")).items():
-        print(f"{scene}\n{'':11}{'at once':>30}{'shooting':>30}")
-        print(f"{'intervals':>11}" + 2 * f"{'iterations':>12}{'ms':>7}{'error':>11}")
+    answer = main()
+    for scene, ways in answer.items():
+        print(f"{scene}\n{'intervals':>11}{'iterations, ms and error at once, then by shooting':>56}")
         for pair in zip(*ways, strict=True):
             cells = [
                 f"{row.iterations:12d}{1e3 * row.solve_seconds:7.2f}{row.joint_error:11.1e}"
@@ -116,3 +92,4 @@ if __name__ == "__main__":
                 for row in pair
             ]
             print(f"{pair[0].intervals:11d}" + "".join(cells))
+    draw(answer).savefig("global_against_shooting.png")

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.solution.plotting import plot_work_precision
+from casadi_galerkin.solution.export import Table
+from casadi_galerkin.solution.plotting import Pictured, plot_work_precision
 from casadi_galerkin.studies.reference import ROUNDOFF
 
 if TYPE_CHECKING:
@@ -58,7 +57,7 @@ class Row:
 
 
 @dataclass(frozen=True, repr=False)
-class Trade:
+class Trade(Table, Pictured):
     """Speed against accuracy of one problem.
 
     Attributes
@@ -124,13 +123,15 @@ class Trade:
             lines.append((label, [row.solve_seconds for row in rows], [row.error for row in rows]))
         return plot_work_precision(lines, self.floor, axes)
 
-    def to_csv(self, path: str | Path) -> None:
-        """Write all rows to a file of comma-separated values, the method in words and by its degree."""
-        names = [entry.name for entry in fields(Row)]
-        with Path(path).open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(["degree", *names])
-            writer.writerows([row.method.degree, *(getattr(row, name) for name in names)] for row in self.rows)
+    def table(self) -> dict[str, np.ndarray]:
+        """All rows by the names of their fields, the method in words and by its degree; no failure is an empty word."""
+        columns = {entry.name: np.array([getattr(row, entry.name) for row in self.rows]) for entry in fields(Row)[1:-1]}
+        return {
+            "degree": np.array([row.method.degree for row in self.rows]),
+            "method": np.array([str(row.method) for row in self.rows]),
+            **columns,
+            "failure": np.array([row.failure or "" for row in self.rows]),
+        }
 
     def __repr__(self) -> str:
         """Say how much was measured, and what came out best; ``print`` shows the table."""

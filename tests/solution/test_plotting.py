@@ -121,6 +121,56 @@ def test_a_component_that_is_not_there_is_refused(component):
         planar().solve().plot_phase(component)
 
 
+def test_a_way_through_the_plane_has_equal_axes_and_all_joints():
+    path = planar().solve()
+    axes = path.plot_plane((1, 0), labels=("height in m", "width in m"))
+    line, joints = axes.get_lines()
+    np.testing.assert_array_equal(joints.get_xydata(), path.x[[1, 0]].T)
+    assert axes.get_aspect() == 1.0
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("height in m", "width in m")
+    height, width = line.get_xydata().T
+    np.testing.assert_allclose(
+        height, width / 2 + width * (1 - width) / 2, atol=1e-12
+    )  # a throw, one wide in unit time
+
+
+@pytest.mark.parametrize("components", [(0, 2), (0,), (0, 1, 0), (0.0, 1.0), (-1, 0)])
+def test_components_that_span_no_plane_are_refused(components):
+    with pytest.raises(ValueError, match="components must be two numbers from 0 to 1, got"):
+        planar().solve().plot_plane(components)
+
+
+def test_poses_are_those_of_the_path_and_a_strip_moves_them_apart():
+    path = planar().solve()
+    trail, *poses = path.plot_poses(rods, count=3).get_lines()
+    assert len(trail.get_xdata()) > 100
+    for pose, t in zip(poses, (0.0, 0.5, 1.0), strict=True):
+        np.testing.assert_allclose(pose.get_xydata(), [[0, 0], path(t)], atol=1e-15)
+    strip = path.plot_poses(rods, count=3, apart=2.0).get_lines()[1:]
+    np.testing.assert_allclose([pose.get_xydata()[0] for pose in strip], [[0, 0], [2, 0], [4, 0]])
+
+
+def test_a_branch_is_drawn_by_morse_index_with_its_folds():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0]), (0, 1), [0.0], [0.0], parameters=[3.0]
+    )
+    branch = cg.continuation(problem, [4.0], intervals=4)
+    *parts, fold = branch.plot(lambda path: path(0.5)[0]).get_lines()
+    assert [part.get_label() for part in parts] == ["Morse index 0", "Morse index 1"]
+    assert sum(len(part.get_xdata()) for part in parts) == len(branch.trajectories)
+    np.testing.assert_allclose(fold.get_xydata(), [[3.5138307, 1.1868]], rtol=1e-4)
+
+
+def test_an_answer_shows_its_words_and_its_picture_in_a_notebook():
+    import matplotlib.pyplot as plt
+
+    path = planar().solve()
+    shown = path._repr_html_()
+    assert "Trajectory of 2 components" in shown
+    assert "<svg" in shown
+    assert plt.get_fignums() == []
+
+
 def rods(x):
     """A fixed point, and one that slides."""
     return np.stack((np.zeros_like(x), x))
