@@ -6,7 +6,7 @@ import math
 import platform
 import sys
 import time
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 
 import casadi as ca
 import matplotlib
@@ -57,9 +57,17 @@ def move() -> float:
     return abs(solve(problem, Galerkin(degree=3), 4).cost / 6 - 1)
 
 
+def installed() -> str:
+    """The version that is installed."""
+    try:
+        return version("casadi_galerkin")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
 def main() -> int:
     """Print all; returns 0 if every test passed."""
-    print(f"casadi_galerkin {version('casadi_galerkin')}, Python {platform.python_version()}, {platform.platform()}")
+    print(f"casadi_galerkin {installed()}, Python {platform.python_version()}, {platform.platform()}")
     print(f"CasADi {ca.__version__}, NumPy {np.__version__}, Matplotlib {matplotlib.__version__}")
     for kind, (has, names) in PLUGINS.items():
         print(f"{kind + ':':15} " + ", ".join(name if has(name) else f"no {name}" for name in names))

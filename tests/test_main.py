@@ -9,7 +9,7 @@ from casadi_galerkin import __main__ as command
 def test_versions_solvers_and_a_test_of_each_are_printed(capsys):
     assert command.main() == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("casadi_galerkin 0.1.0, Python ")
+    assert lines[0].startswith(f"casadi_galerkin {command.installed()}, Python ")
     assert lines[1].startswith(f"CasADi {ca.__version__}, NumPy ")
     assert lines[3].split()[:2] == ["nlpsol:", "ipopt,"]
     passed = [line.partition(":")[0] for line in lines if ": " in line and " passed, relative error " in line]

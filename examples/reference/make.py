@@ -45,7 +45,7 @@ def signature(thing):
     except ValueError:
         return ""
     plain = [p.replace(annotation=inspect.Parameter.empty) for p in given if p.name != "self" and p.name[0] != "_"]
-    return re.sub(r"<function (\w+) at \w+>", r"\1", str(inspect.Signature(plain)))
+    return re.sub(r"<.*? at \w+>", "...", str(inspect.Signature(plain)))
 
 
 def members(thing):
