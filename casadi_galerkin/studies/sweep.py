@@ -117,19 +117,22 @@ class Sweep(Table):
         return self._stacked("cost")
 
     def table(self) -> dict[str, np.ndarray]:
-        """A row for each variation: why it failed, or an empty word; its action, and what it is at both ends."""
+        """A row for each variation: why it failed, or an empty word; action, cost, duration, and both ends."""
         paths = [answer if isinstance(answer, Trajectory) else None for answer in self.answers]
-        size = max((len(path.x) for path in paths if path is not None), default=0)
+        size, failures = max((len(path.x) for path in paths if path is not None), default=0), self.failures
+        names = [name for name in ("action", "cost") if any(hasattr(path, name) for path in paths)]
 
         def ends(name: str) -> dict[str, np.ndarray]:
             """Values at the start and at the end."""
-            none = np.full((size, 2), np.nan)
-            found = np.array([none if path is None else getattr(path, name)[..., [0, -1]] for path in paths])
+            found = np.full((len(paths), size, 2), np.nan)
+            for i, path in enumerate(paths):
+                if path is not None:
+                    found[i] = getattr(path, name)[:, [0, -1]]
             return by_component(f"start_{name}", found[..., 0].T) | by_component(f"end_{name}", found[..., 1].T)
 
         return {
-            "failure": np.array(["" if i not in self.failures else str(self.failures[i]) for i in range(len(self))]),
-            "action": np.array([np.nan if path is None else path.action for path in paths]),
+            "failure": np.array([str(failures.get(i, "")) for i in range(len(self))]),
+            **{name: np.array([np.nan if path is None else getattr(path, name) for path in paths]) for name in names},
             "duration": np.array([np.nan if path is None else path.t[-1] - path.t[0] for path in paths]),
             **ends("x"),
             **ends("momentum"),

@@ -62,6 +62,18 @@ def test_columns_are_the_attributes_at_the_joints():
     np.testing.assert_array_equal(table["costate[0]"], path.costate(path.t)[0])
 
 
+def test_a_sweep_of_a_control_problem_has_costs():
+    table = cg.sweep(double_integrator(), [{}, {"end": [2.0]}], cg.Galerkin(3), 4).table()
+    np.testing.assert_allclose(table["cost"], [6, 24], rtol=1e-6)
+
+
+def test_a_sweep_without_answers_still_says_why():
+    for failing in ([{"guess": lambda t: [np.nan]}], []):
+        table = cg.sweep(oscillator_problem(), failing, cg.Galerkin(3), 4).to_dict()
+        assert list(table) == ["failure", "duration"]
+        assert len(table["failure"]) == len(failing)
+
+
 def test_a_sweep_has_a_row_for_a_failure_too():
     over = [{"end": [2.0]}, {"guess": lambda t: [np.nan]}]
     table = cg.sweep(oscillator_problem(), over, cg.Galerkin(3), 4).table()
