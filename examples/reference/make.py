@@ -12,6 +12,7 @@ import casadi_galerkin as cg
 
 HERE = Path(__file__).parent
 SECTION = re.compile(r"^(\w[\w ]*)\n-+$", re.MULTILINE)  # as in NumPy's docstrings
+WIDTH = 120  # of a line of code
 SPECIAL = ("__call__", "__len__", "__getitem__", "__iter__")
 
 
@@ -63,7 +64,10 @@ def entry(name):
     thing = getattr(cg, name)
     words, parts = inspect.getdoc(thing), [f"## {name}"]
     if "Parameters\n---" in words:  # not of what only the package makes
-        parts.append(f"```python\n{name}{signature(thing)}\n```")
+        call = f"{name}{signature(thing)}"
+        if len(call) > WIDTH:  # a parameter a line, as formatters of code want it
+            call = call.replace("(", "(\n    ", 1).replace(", ", ",\n    ").removesuffix(")") + ",\n)"
+        parts.append(f"```python\n{call}\n```")
     parts.append(text(words, 3))
     for member, found in members(thing) if inspect.isclass(thing) else ():
         call = signature(found) if callable(found) else ""
