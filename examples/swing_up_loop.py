@@ -76,7 +76,8 @@ def draw(answer):
     (states, _, plans), axes = answer, cg.panels()
     for k in (0, 40, KNOCKED):
         fine = np.linspace(*plans[k].t[[0, -1]], 100)
-        axes.plot(SAMPLE * k + fine, plans[k](fine).T, "--", color="0.6", linewidth=1, label=["_", "_" if k else "plans"])
+        names = ["_", "_" if k else "plans"]
+        axes.plot(SAMPLE * k + fine, plans[k](fine).T, "--", color="0.6", linewidth=1, label=names)
     axes.plot(SAMPLE * np.arange(states.shape[1]), states[:2].T, label=["cart in m", "pole in rad"])
     axes.axvline(SAMPLE * KNOCKED, color="0.5", linewidth=0.8, linestyle=":", label="a knock")
     axes.set(title="A swing-up planned anew every 20 ms", xlabel="t in s", ylabel="pole in rad, cart in m")
