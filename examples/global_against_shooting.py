@@ -16,7 +16,7 @@ import numpy as np
 import casadi_galerkin as cg
 from casadi_galerkin.solution.plotting import COLORS
 
-METHOD, INTERVALS, REPEATS = cg.Galerkin(degree=4), (10, 20, 40, 80, 160), 5
+METHOD, INTERVALS, REPEATS = cg.Galerkin(degree=4), (10, 20, 40, 80, 160), 3
 ECCENTRICITY, ANOMALY = 0.6, 2.0
 HALF = ANOMALY - ECCENTRICITY * np.sin(ANOMALY)  # half of the time of flight, by Kepler's equation
 
