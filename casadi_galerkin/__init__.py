@@ -1,5 +1,6 @@
 """High-order Galerkin variational integrators, solved globally as two-point boundary-value problems on CasADi."""
 
+from casadi_galerkin._solve import solution_function as solution_function
 from casadi_galerkin._solve import solve as solve
 from casadi_galerkin._solve import transcribe as transcribe
 from casadi_galerkin.boundary.continuation import Branch as Branch
@@ -8,7 +9,6 @@ from casadi_galerkin.boundary.continuation import continuation as continuation
 from casadi_galerkin.boundary.deflation import paths as paths
 from casadi_galerkin.boundary.sensitivity import Sensitivity as Sensitivity
 from casadi_galerkin.boundary.sensitivity import sensitivity as sensitivity
-from casadi_galerkin.boundary.sensitivity import solution_function as solution_function
 from casadi_galerkin.boundary.transcription import Transcription as Transcription
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus as DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin as Galerkin
@@ -37,6 +37,7 @@ from casadi_galerkin.solution.paths import Paths as Paths
 from casadi_galerkin.solution.plotting import panels as panels
 from casadi_galerkin.solution.trajectory import Trajectory as Trajectory
 from casadi_galerkin.solvers.solver import Solver as Solver
+from casadi_galerkin.solvers.solver import fatrop as fatrop
 from casadi_galerkin.solvers.solver import ipopt as ipopt
 from casadi_galerkin.solvers.solver import minimizer as minimizer
 from casadi_galerkin.solvers.solver import newton as newton

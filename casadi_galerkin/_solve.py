@@ -1,15 +1,18 @@
-"""The two verbs, for every kind of problem: solve it, or build its graph to solve it often."""
+"""The verbs for every kind of problem: solve it, build its graph to solve it often, make a Function of the solve."""
 
 from __future__ import annotations
 
 from typing import overload
 
+import casadi as ca
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.refinement import solve_to_tolerance
+from casadi_galerkin.boundary.sensitivity import boundary_function
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.control.control_function import control_function
 from casadi_galerkin.control.refinement import solve_control_to_tolerance
 from casadi_galerkin.control.transcription import ControlTranscription, check_solver, transcribed_control
 from casadi_galerkin.functional.mapping import one_by_one
@@ -197,3 +200,75 @@ def transcribe(
     if isinstance(problem, ControlProblem):
         return transcribed_control(problem, method, intervals, mesh)
     return transcribed(problem, method, intervals, mesh)
+
+
+def solution_function(
+    problem: BoundaryProblem | ControlProblem,
+    method: Galerkin,
+    intervals: int | None = None,
+    *,
+    mesh: ArrayLike | None = None,
+    guess: Guess | None = None,
+    solver: Solver | None = None,
+) -> ca.Function:
+    """Turn the solve into a CasADi Function of the data, to embed in larger graphs, to serialise, to map.
+
+    The problem is solved once as it stands, so that one that cannot be solved is refused here and not in the middle
+    of a larger calculation, and so that residuals can be measured by the sizes of their terms.
+
+    Parameters
+    ----------
+    problem : BoundaryProblem or ControlProblem
+    method : Galerkin
+    intervals : number of equal intervals; or
+    mesh : (N + 1,) joints from t_span[0] to t_span[1]
+    guess : for the first solve, as for `Transcription.solve` and `ControlTranscription.solve`
+    solver : for a ControlProblem ipopt, the default, or fatrop; for a BoundaryProblem it is left out
+
+    Returns
+    -------
+    For a BoundaryProblem, a Function (start, end, parameters, guess) -> (x, momentum, action), inputs by these names
+
+    start, end : the components that the problem fixes, in their order; left out where it fixes none
+    parameters : all; left out where the problem has none, or frees them
+    guess : (d, N m + 1), values at all nodes, such as ``path.polynomial.values`` of an earlier path; those at fixed
+        components are not used.  It chooses among several solutions, and has no derivative
+    x, momentum : (d, N + 1), at the joints; a momentum under a constraint holds some of the constraint's impulse
+    action : scalar
+
+    For a ControlProblem, a Function (start, end, start_velocity, end_velocity, parameters, guess, controls) -> (x, u,
+    duration, cost)
+
+    start_velocity, end_velocity : as start and end
+    controls : (n, N r), a guess such as ``path.control.values``
+    u : (n, N r), the controls at the quadrature points; (n, N) where they are held
+    duration, cost : scalars
+
+    It has no derivatives; with fatrop, C code can be generated from it.
+
+    The Function runs CasADi's Newton method, or the solver, and has none of the rescues of `solve`: the guess should
+    be a path for data nearby.  Where the answer does not pass the check that `solve` makes, all outputs are NaN, which
+    IPOPT takes for a step too far; nothing unverified is returned.  It does not tell where a Hessian is singular.
+
+    Raises
+    ------
+    ConvergenceError, ConjugatePointError, ValueError, TypeError
+        as for `solve`
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> oscillator = lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0] ** 2 / 2
+    >>> problem = cg.BoundaryProblem(oscillator, (0, 1), start=[0.0], end=[1.0], parameters=[1.0])
+    >>> f = cg.solution_function(problem, cg.Galerkin(degree=4), intervals=10)
+    >>> path = cg.solve(problem, cg.Galerkin(degree=4), intervals=10)
+    >>> float(f(start=[0], end=[2], parameters=[1], guess=path.polynomial.values)["x"][0, 5].full()[0, 0].round(6))
+    1.139494
+    """
+    check_types(problem, method, BoundaryProblem, ControlProblem)
+    if isinstance(problem, ControlProblem):
+        check_solver(solver or ipopt)
+        return control_function(problem, method, intervals, mesh, guess, solver or ipopt)
+    if solver is not None:
+        raise ValueError(f"the Function of a BoundaryProblem runs CasADi's Newton method, got solver={solver!r}")
+    return boundary_function(problem, method, intervals, mesh, guess)

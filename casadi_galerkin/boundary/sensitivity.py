@@ -22,65 +22,16 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.interval import NO_CUTOFF
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.rootfinder import embeddable
 from casadi_galerkin.solvers.stationarity import ROUNDOFF, Stationarity
 
 
-def solution_function(
-    problem: BoundaryProblem,
-    method: Galerkin,
-    intervals: int | None = None,
-    *,
-    mesh: ArrayLike | None = None,
-    guess: Guess | None = None,
+def boundary_function(
+    problem: BoundaryProblem, method: Galerkin, intervals: int | None, mesh: ArrayLike | None, guess: Guess | None
 ) -> ca.Function:
-    """Turn the boundary solve into a differentiable Function, to embed in larger graphs, to serialise, to map.
-
-    The problem is solved once as it stands, so that one that cannot be solved is refused here and not in the middle
-    of an optimisation, and so that the residuals can be measured by the sizes of their terms.
-
-    Parameters
-    ----------
-    problem : BoundaryProblem
-    method : Galerkin
-    intervals : number of equal intervals; or
-    mesh : (N + 1,) joints from t_span[0] to t_span[1]
-    guess : for the first solve, as for `Transcription.solve`
-
-    Returns
-    -------
-    Function (start, end, parameters, guess) -> (x, momentum, action), inputs by these names
-
-    start, end : the components that the problem fixes, in their order; left out where it fixes none
-    parameters : all; left out where the problem has none
-    guess : (d, N m + 1), values at all nodes, such as ``path.polynomial.values`` of an earlier path; those at fixed
-        components are not used.  It chooses among several solutions, and has no derivative
-    x, momentum : (d, N + 1), at the joints; a momentum under a constraint holds some of the constraint's impulse
-    action : scalar
-
-    The Function runs CasADi's Newton method and has none of the rescues of `solve`: the guess should be a path for
-    data nearby.  Where the answer does not pass the check that `solve` makes, all outputs are NaN, which IPOPT takes
-    for a step too far; nothing unverified is returned.  It does not tell where a Hessian is singular.
-
-    Raises
-    ------
-    ConvergenceError, ConjugatePointError, ValueError, TypeError
-        as for `solve`
-
-    Examples
-    --------
-    >>> import casadi_galerkin as cg
-    >>> oscillator = lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0] ** 2 / 2
-    >>> problem = cg.BoundaryProblem(oscillator, (0, 1), start=[0.0], end=[1.0], parameters=[1.0])
-    >>> f = cg.solution_function(problem, cg.Galerkin(degree=4), intervals=10)
-    >>> path = cg.solve(problem, cg.Galerkin(degree=4), intervals=10)
-    >>> float(f(start=[0], end=[2], parameters=[1], guess=path.polynomial.values)["x"][0, 5].full()[0, 0].round(6))
-    1.139494
-    """
-    check_types(problem, method, BoundaryProblem)
+    """Turn a boundary solve into a differentiable Function; see `solution_function` for the arguments."""
     _refuse_energy("solution_function", problem)
     transcription = transcribed(problem, method, intervals, mesh)
     point = transcription.critical_point(guess=guess)

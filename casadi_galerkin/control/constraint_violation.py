@@ -4,55 +4,67 @@ from __future__ import annotations
 
 import numpy as np
 
+from casadi_galerkin.calculus.quadrature import gauss
+from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.graph import Report
-from casadi_galerkin.control.numbering import ControlNumbering
 from casadi_galerkin.control.optimizer import ProgramBounds
 from casadi_galerkin.problems.control_problem import ControlProblem
 
 VANISHED = 1e-13  # part of its terms along the guess below which a component's are taken for their roundoff
 
 
-def limits_of(problem: ControlProblem, numbering: ControlNumbering) -> ProgramBounds:
-    """Bounds of the unknowns and of the equations."""
+def limits_of(problem: ControlProblem, chain: Chain) -> ProgramBounds:
+    """Bounds of the unknowns and of the equations; what is given is a bound on both sides."""
     sides = []
     for k, infinite in ((0, -np.inf), (1, np.inf)):
-        values = {name: np.full(index.shape, infinite) for name, index in numbering.fields.items()}
-        values["path"] = np.broadcast_to(problem.position_bounds[k], (numbering.nodes, problem.dimension))
-        values["controls"] = np.broadcast_to(problem.control_bounds[k], (numbering.points, problem.controls))
+        values = {name: np.full(index.shape, infinite) for name, index in chain.fields.items()}
+        values["x"][:] = values["nodes"][:, :-1] = problem.position_bounds[k]
+        values["controls"][:] = problem.control_bounds[k]
         if problem.duration_bounds is not None:
-            values["duration"] = np.array([problem.duration_bounds[k]])
+            values["durations"][:] = problem.duration_bounds[k]
         if problem.parameter_bounds is not None:
-            values["parameters"] = np.array(problem.parameter_bounds[k])
-        constraint = () if problem.path_constraint is None else problem.path_constraint[1 + k]
-        equations = np.append(np.zeros(numbering.nodes * problem.dimension), np.tile(constraint, numbering.points))
-        sides.append((numbering.pack(values)[0], equations))
+            values["parameters"][:] = problem.parameter_bounds[k]
+        for given, bound in (
+            (problem.start, values["x"][0]),
+            (problem.end, values["x"][-1]),
+            (problem.start_velocity[: chain.mechanical], values["start_velocity"]),
+            (problem.end_velocity[: chain.mechanical], values["end_velocity"]),
+        ):
+            bound[:] = [old if value is None else value for old, value in zip(bound, given, strict=True)]
+        for number, *bounds in problem.waypoints:
+            values["x"][chain.breaks[number]] = bounds[k]
+        equations = np.zeros(chain.equations)
+        for name, stated in (("path", problem.path_constraint), ("ends", problem.end_conditions)):
+            if stated is not None:
+                equations[chain.rows[name]] = stated[1 + k]
+        sides.append((chain.pack(values)[0], equations))
     (lower, equations_lower), (upper, equations_upper) = sides
     return ProgramBounds(lower, upper, equations_lower, equations_upper)
 
 
-def violations(
-    numbering: ControlNumbering,
-    limits: ProgramBounds,
-    unknowns: np.ndarray,
-    report: Report,
-    terms_before: np.ndarray,
-) -> np.ndarray:
-    """Violation of every equation, then of every unknown's bounds, relative to the sizes of what is compared.
+def measures(chain: Chain, limits: ProgramBounds, report: Report, terms_before: np.ndarray) -> np.ndarray:
+    """Sizes that the equations are measured by.
 
-    The equations of motion of a component are measured by the largest sum of terms that one of them has along the path,
-    or along the guess (`terms_before`) where it has vanished and its terms are what rounding left of those; a path
-    constraint by the sizes of what its value is made of, |∇g||z|, or its finite bound, a bound by itself.
+    Those of a component by the largest sum of terms that one of them has along the path, or along the guess
+    (`terms_before`) where it has vanished and its terms are what rounding left of those; a path constraint or a
+    condition on the ends by the sizes of what its value is made of, |∇g||z|, or its finite bound.
     """
-    motion, d, c = numbering.nodes * numbering.dimension, numbering.dimension, numbering.constraints
-    now, before = (np.max(given[:motion].reshape(-1, d), axis=0) for given in (report.terms, terms_before))
-    sizes = [_or_one(np.where(now <= VANISHED * before, before, now))] * numbering.nodes
-    if c:
-        sides = (limits.equations_lower, limits.equations_upper, report.terms)
-        finite = [np.abs(np.where(np.isfinite(side), side, 0.0))[motion:].reshape(-1, c).max(axis=0) for side in sides]
-        sizes += [_or_one(np.max(finite, axis=0))] * numbering.points
+    now, before = (chain.largest(terms) for terms in (report.terms, terms_before))
+    sizes = np.where(now <= VANISHED * before, before, now)
+    bounded = np.concatenate([chain.rows[name].ravel() for name in ("path", "ends")])
+    for side in (limits.equations_lower, limits.equations_upper):
+        finite = np.where(np.isfinite(side), np.abs(side), 0.0)[bounded]
+        np.fmax.at(sizes, chain.kinds[bounded], finite)
+    return np.asarray(_or_one(sizes)[chain.kinds])
+
+
+def violations(
+    chain: Chain, limits: ProgramBounds, unknowns: np.ndarray, report: Report, terms_before: np.ndarray
+) -> np.ndarray:
+    """Violation of every equation, then of every unknown's bounds, relative to what is compared; a bound to itself."""
     excess = _excess(report.equations, limits.equations_lower, limits.equations_upper)
     beyond = _excess(unknowns, limits.lower, limits.upper)
-    return np.concatenate((excess / np.concatenate(sizes), beyond / _or_one(np.abs(unknowns))))
+    return np.concatenate((excess / measures(chain, limits, report, terms_before), beyond / _or_one(np.abs(unknowns))))
 
 
 def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -62,40 +74,55 @@ def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray
 
 
 def _or_one(sizes: np.ndarray) -> np.ndarray:
+    """Sizes, and 1 for zero."""
     return np.asarray(np.where(sizes > 0, sizes, 1.0))
 
 
-def name_equation(numbering: ControlNumbering, row: int) -> tuple[str, float]:
+def name_equation(chain: Chain, row: int) -> tuple[str, float]:
     """What an equation is called, and where it stands, in intervals since the start."""
-    motion = numbering.nodes * numbering.dimension
-    if row < motion:
-        node, i = divmod(row, numbering.dimension)
-        interval = min(node // numbering.method.degree, numbering.intervals - 1)
-        inner = numbering.method.element.nodes[node - interval * numbering.method.degree]
-        return f"the equation of motion of x[{i}]", float(interval + inner)
-    point, i = divmod(row - motion, numbering.constraints)
-    return f"path constraint {i}", _at_point(numbering, point)
+    names = {
+        "x": "the continuity of x",
+        "momentum": "the equation of motion of x",
+        "constants": "the continuity of the duration or parameter",
+        "motion": "the equation of motion of x",
+        "start": "the equation of motion of x",
+        "end": "the equation of motion of x",
+        "rates": "the rate of x",
+        "path": "path constraint",
+        "ends": "end condition",
+    }
+    name, found = _found(chain.rows, row)
+    shift = chain.mechanical if name == "rates" else 0
+    label = f"{names[name]} {found[-1]}" if name in ("path", "ends") else f"{names[name]}[{shift + found[-1]}]"
+    return label, _place(chain, name, found)
 
 
-def name_unknown(numbering: ControlNumbering, index: int) -> tuple[str, float]:
+def name_unknown(chain: Chain, index: int) -> tuple[str, float]:
     """What an unknown is called, and where it stands, in intervals since the start."""
-    names = {"path": "x", "controls": "u", "duration": "the duration", "parameters": "p"}
-    for field, entries in numbering.fields.items():
-        found = np.argwhere(entries == index)
-        if len(found) == 0:
-            continue
-        name = names.get(field, field)
-        label = name if field == "duration" else f"{name}[{found[0][-1]}]"
-        if field == "path":
-            node, degree = int(found[0][0]), numbering.method.degree
-            interval = min(node // degree, numbering.intervals - 1)
-            return label, float(interval + numbering.method.element.nodes[node - interval * degree])
-        if field == "controls":
-            return label, _at_point(numbering, int(found[0][0]))
-        return label, float(numbering.intervals if field == "end_velocity" else 0)
-    raise IndexError(index)
+    names = {"nodes": "x", "controls": "u", "durations": "the duration", "parameters": "p", "momentum": "the momentum"}
+    name, found = _found(chain.fields, index)
+    single = name == "durations" and chain.fields[name].shape[1] == 1
+    return names.get(name, name) + ("" if single else f"[{found[-1]}]"), _place(chain, name, found)
 
 
-def _at_point(numbering: ControlNumbering, point: int) -> float:
-    interval, k = divmod(point, len(numbering.method.quadrature))
-    return float(interval + numbering.method.quadrature.points[k])
+def _found(arrays: dict[str, np.ndarray], number: int) -> tuple[str, tuple[int, ...]]:
+    for name, array in arrays.items():
+        found = np.argwhere(array == number)
+        if len(found):
+            return name, tuple(found[0].tolist())
+    raise IndexError(number)
+
+
+def _place(chain: Chain, name: str, found: tuple[int, ...]) -> float:
+    """Where an entry of a field or of the equations stands, in intervals since the start."""
+    method, ends = chain.method, {"start": 0, "start_velocity": 0, "end": chain.intervals, "ends": chain.intervals}
+    parts = {
+        "nodes": method.element.nodes[1:],
+        "motion": method.element.nodes,
+        "rates": np.array(gauss(method.degree).points),
+        "path": method.element.points,
+        "controls": chain.control_times,
+    }
+    if name in ends or name == "end_velocity":
+        return float(ends.get(name, chain.intervals))
+    return float(found[0] + (parts[name][found[1]] if name in parts else 0.0))

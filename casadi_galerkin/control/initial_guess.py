@@ -1,12 +1,15 @@
-"""Where an optimisation starts: from a guess to a value for every field of the `ControlNumbering`, and a look at it."""
+"""Where an optimization begins: from a guess to a value for every field of the `Chain`, and a look at it."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.numbers import real_array
-from casadi_galerkin.control.numbering import ControlNumbering
+from casadi_galerkin.calculus.piecewise_polynomial import times_at
+from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess, Values, guess_values, meeting_ends, sampled
@@ -15,60 +18,83 @@ SAME_FRACTION = 1e-12  # of the duration: rounding of joints that were stretched
 
 
 def first_values(
-    problem: ControlProblem, numbering: ControlNumbering, calculus: DiscreteCalculus, guess: Guess | None
+    problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus, guess: Guess | None
 ) -> dict[str, np.ndarray]:
-    """Values of all fields at a guess, within the bounds and with what is fixed as it is fixed.
+    """Values of all fields at a guess, within the bounds and with what is given as it is given.
 
     Without a guess the path is the straight line between the ends, and controls are zero, or the middle of their
-    bounds where these exclude zero.
+    bounds where these exclude zero.  Momenta and their units are not guessed: they are zeros and ones.
     """
     path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
-    near = near_answer(guess, numbering, calculus)
-    path = _path(problem, calculus, near.polynomial.values if near else path_guess)
-    mesh, times = calculus.mesh, calculus.node_times
-    velocities = [(path[1] - path[0]) / (times[1] - times[0]), (path[-1] - path[-2]) / (times[-1] - times[-2])]
-    duration, parameters = mesh[-1] - mesh[0], np.array(problem.parameters or ())
+    near = near_answer(guess, chain, calculus)
+    mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical
+    marks = chain.marks(problem, mesh)
     if isinstance(guess, ControlTrajectory):
-        controls = near.control.values.T if near else _earlier_controls(guess, numbering, calculus)
-        velocities = [guess.start_velocity.copy(), guess.end_velocity.copy()]
-        if numbering.free_duration:
-            duration = np.clip(guess.t[-1] - guess.t[0], *(problem.duration_bounds or ()))
-        if numbering.free_parameters and guess.parameters is not None and len(guess.parameters) == numbering.parameters:
-            parameters = np.clip(guess.parameters, *(problem.parameter_bounds or ()))
+        path_guess = near.polynomial.values if near else _earlier(guess, guess, marks, times)
+    path = _path(problem, calculus, path_guess)
+    slopes = (path[1] - path[0]) / (times[1] - times[0]), (path[-1] - path[-2]) / (times[-1] - times[-2])
+    durations, parameters = np.diff(marks), np.array(problem.parameters or ())
+    if isinstance(guess, ControlTrajectory):
+        controls = near.control.values.T if near else _earlier_controls(guess, chain, marks, calculus)
+        slopes = guess.start_velocity, guess.end_velocity
+        if problem.duration_bounds is not None:
+            durations = np.clip(np.diff(_marks_before(guess, marks)), *problem.duration_bounds)
+        found = guess.parameters
+        if problem.parameter_bounds is not None and found is not None and len(found) == chain.parameters:
+            parameters = np.clip(found, *problem.parameter_bounds)
     elif control_guess is None:
-        controls = np.tile(_resting(*problem.control_bounds), (numbering.points, 1))
+        controls = np.tile(_resting(*problem.control_bounds), (n * len(chain.control_times), 1))
     else:
-        controls = _given_controls(control_guess, numbering, calculus)
-    for velocity, fixed in zip(velocities, (problem.start_velocity, problem.end_velocity), strict=True):
-        for i, value in enumerate(fixed):
-            velocity[i] = velocity[i] if value is None else value
+        controls = _given_controls(control_guess, chain, calculus)
+    given = np.array([problem.start_velocity, problem.end_velocity], dtype=float)  # NaN for None
+    velocities = np.where(np.isnan(given), slopes, given)[:, :dm]
+    degree = chain.method.degree
+    left = (mesh[:-1] - marks[chain.phases]) / np.diff(marks)[chain.phases]
     return {
-        "path": path,
-        "controls": np.clip(controls, *problem.control_bounds),
+        "x": path[::degree],
+        "nodes": path[1:].reshape(n, degree, -1),
+        "controls": np.clip(controls, *problem.control_bounds).reshape(n, -1, chain.controls),
         "start_velocity": velocities[0],
         "end_velocity": velocities[1],
-        "duration": np.array([duration]),
+        "durations": durations,
         "parameters": parameters,
         "begin": mesh[:1],
-        "fractions": _fractions(mesh),
+        "left": left,
+        "part": np.diff(mesh) / np.diff(marks)[chain.phases],
+        "momentum": np.zeros((n + 1, dm)),
+        "sizes": np.ones(dm),
     }
+
+
+def _marks_before(guess: ControlTrajectory, marks: np.ndarray) -> np.ndarray:
+    """Where the phases of an earlier answer begin and end; where it has others, its ends and these in proportion."""
+    inner = guess.problem.breakpoints
+    if len(inner) + 2 == len(marks):
+        return np.array([guess.t[0], *inner, guess.t[-1]])
+    return np.asarray(np.interp(marks, marks[[0, -1]], guess.t[[0, -1]]))
+
+
+def _earlier(
+    guess: ControlTrajectory, path: Callable[[np.ndarray], np.ndarray], marks: np.ndarray, times: np.ndarray
+) -> np.ndarray:
+    """Values of an earlier answer, or of its controls, at the same fractions of the durations of its phases."""
+    before = _marks_before(guess, marks)
+    same = np.array_equal(before, marks)
+    return np.asarray(path(times if same else np.clip(np.interp(times, marks, before), before[0], before[-1])))
+
+
+def near_answer(guess: Guess | None, chain: Chain, calculus: DiscreteCalculus) -> ControlTrajectory | None:
+    """The guess, if it has the same unknowns and equations at the same fractions of its duration, to start warm."""
+    if not (isinstance(guess, ControlTrajectory) and guess.method == calculus.method):
+        return None
+    shapes = [guess.polynomial.values.shape, guess.duals[0].shape, guess.duals[1].shape]
+    if shapes != [(chain.dimension, len(calculus.node_times)), (chain.equations,), (chain.unknowns,)]:
+        return None
+    return guess if np.max(np.abs(_fractions(guess.t) - _fractions(calculus.mesh))) <= SAME_FRACTION else None
 
 
 def _fractions(mesh: np.ndarray) -> np.ndarray:
     return np.asarray((mesh - mesh[0]) / (mesh[-1] - mesh[0]))
-
-
-def near_answer(
-    guess: Guess | None, numbering: ControlNumbering, calculus: DiscreteCalculus
-) -> ControlTrajectory | None:
-    """The guess, if it has the same unknowns and equations at the same fractions of its duration, to start warm."""
-    if not (isinstance(guess, ControlTrajectory) and guess.method == calculus.method):
-        return None
-    n, duals = numbering, guess.duals
-    shapes = [guess.polynomial.values.shape, guess.control.values.shape, duals[0].shape, duals[1].shape]
-    if shapes != [(n.dimension, n.nodes), (n.controls, n.points), (n.equations,), (n.unknowns,)]:
-        return None
-    return guess if np.max(np.abs(_fractions(guess.t) - _fractions(calculus.mesh))) <= SAME_FRACTION else None
 
 
 def _resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
@@ -93,21 +119,23 @@ def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | No
     return np.asarray(bent)
 
 
-def _earlier_controls(guess: ControlTrajectory, numbering: ControlNumbering, calculus: DiscreteCalculus) -> np.ndarray:
-    """Controls (N r, n) of an earlier answer at the same fractions of its duration."""
-    if len(guess.control.values) != numbering.controls:
-        raise ValueError(f"the guess must have {numbering.controls} control(s), got {len(guess.control.values)}")
-    old, new = guess.control.mesh, calculus.mesh
-    fractions = (calculus.quadrature_times - new[0]) / (new[-1] - new[0])
-    return guess.control(np.clip(old[0] + fractions * (old[-1] - old[0]), old[0], old[-1])).T
+def _earlier_controls(
+    guess: ControlTrajectory, chain: Chain, marks: np.ndarray, calculus: DiscreteCalculus
+) -> np.ndarray:
+    """Controls (points, n) of an earlier answer."""
+    if len(guess.control.values) != chain.controls:
+        raise ValueError(f"the guess must have {chain.controls} control(s), got {len(guess.control.values)}")
+    return _earlier(guess, guess.control, marks, times_at(calculus.mesh, chain.control_times)).T
 
 
-def _given_controls(guess: Values, numbering: ControlNumbering, calculus: DiscreteCalculus) -> np.ndarray:
-    """Controls (N r, n) from a callable of time or an array at the quadrature points."""
-    name, times, shape = "the guess of the controls", calculus.quadrature_times, (numbering.controls, numbering.points)
+def _given_controls(guess: Values, chain: Chain, calculus: DiscreteCalculus) -> np.ndarray:
+    """Controls (points, n) from a callable of time or an array at the points where they stand."""
+    name, times = "the guess of the controls", times_at(calculus.mesh, chain.control_times)
+    shape = (chain.controls, len(times))
     values = sampled(name, guess, times, shape[0]) if callable(guess) else real_array(name, guess)
     if values.shape != shape:
-        raise ValueError(f"{name} must have the shape {shape} for values at the quadrature points, got {values.shape}")
+        where = "in the intervals" if chain.problem.hold else "at the quadrature points"
+        raise ValueError(f"{name} must have the shape {shape} for values {where}, got {values.shape}")
     wrong = ~np.isfinite(values).all(axis=0)
     if np.any(wrong):
         i = int(np.argmax(wrong))
@@ -115,24 +143,30 @@ def _given_controls(guess: Values, numbering: ControlNumbering, calculus: Discre
     return values.T
 
 
-def check_finite(problem: ControlProblem, numbering: ControlNumbering, values: dict[str, np.ndarray]) -> None:
+def check_finite(problem: ControlProblem, chain: Chain, values: dict[str, np.ndarray]) -> None:
     """Raise a ValueError that names the first callable, and the time, that is not finite at the guess."""
-    d, n = numbering.dimension, numbering.controls
-    everything = numbering.matrix @ np.concatenate(numbering.pack(values))
-    z = everything.full()[: numbering.points * numbering.point_rows].reshape(numbering.points, -1).T
-    times = values["begin"] + values["duration"] * z[-2]
-    state = [times[None, :], z[:d], z[d : 2 * d] / (values["duration"] * z[-1])]
-    given = [np.tile(values["parameters"][:, None], (1, numbering.points))] if numbering.parameters else []
-    inputs = [*state, z[2 * d : 2 * d + n], *given]
-    callables = {"running_cost": problem.running_cost, "force": problem.force}
-    if problem.path_constraint is not None:
-        callables["path_constraint"] = problem.path_constraint[0]
-    for name, function in callables.items():
-        _report(name, np.array(function.map(numbering.points)(*inputs)), times)
-    _report("lagrangian", np.array(problem.lagrangian.map(numbering.points)(*state, *given)), times)
+    everything = np.concatenate(chain.pack(values))
+    seen = (chain.matrix @ everything).full().ravel()
+    at = {name: seen[chain.points.row(name)].T for name in chain.points.rows}
+    times, step = at["begin"] + at["duration"] * at["share"], at["duration"] * at["part"]
+    given = [] if problem.parameters is None else [at["parameters"]]
+    state = [times, at["x"], at["slope"] / step]
+    inputs = [*state, at["controls"], *given]
+    constraint = None if problem.path_constraint is None else problem.path_constraint[0]
+    for name, function, arguments in (
+        ("running_cost", problem.running_cost, inputs),
+        ("force", problem.force, inputs),
+        ("rates", problem.rates, inputs),
+        ("path_constraint", constraint, inputs),
+        ("lagrangian", problem.lagrangian, [*state, *given]),
+    ):
+        if function:
+            _report(name, np.array(function.map(chain.points.count)(*arguments)), times[0])
     if problem.terminal_cost is not None:
-        end = (times[-1:], values["path"][-1], values["end_velocity"], *([values["parameters"]] if given else []))
-        _report("terminal_cost", np.array(problem.terminal_cost(*end)), values["begin"] + values["duration"])
+        velocity = np.append(values["end_velocity"], np.zeros(chain.dimension - chain.mechanical))
+        when = values["begin"] + np.sum(values["durations"])
+        end = (when, values["x"][-1], velocity, *([values["parameters"]] if given else []))
+        _report("terminal_cost", np.array(problem.terminal_cost(*end)), when)
 
 
 def _report(name: str, values: np.ndarray, times: np.ndarray) -> None:

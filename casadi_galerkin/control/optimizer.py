@@ -1,4 +1,4 @@
-"""Constrained optimisation with IPOPT, all derivatives supplied: minimise f(ξ) within bounds on ξ and G(ξ).
+"""Constrained optimization, all derivatives supplied: minimize f(ξ) within bounds on ξ and G(ξ), with IPOPT or fatrop.
 
 `solvers` solve ∇S = 0 to roundoff; this is its counterpart for costs and constraints.  What it returns is the
 solver's last point with the solver's own words; whether that point is an answer is judged by the caller, who knows
@@ -29,6 +29,8 @@ FIRST_BARRIER = 1e-2
 # five problems with starts moved by 1 to 20 % took 2 to 8 iterations where the path alone took 5 to 14.
 WARM_BARRIER = 1e-10
 PUSHES = [f"warm_start_{which}" for which in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")]
+FATROP_TOLERANCE = 1e-11
+RELAXED = {"ipopt": 0.0, "fatrop": 1e-8}  # by this part of them bounds b are; in fatrop no option changes it
 WARM = {
     **dict.fromkeys(["mu_init", "warm_start_mult_bound_push", *PUSHES], WARM_BARRIER),
     "warm_start_init_point": "yes",
@@ -44,6 +46,20 @@ class ProgramBounds:
     upper: np.ndarray
     equations_lower: np.ndarray
     equations_upper: np.ndarray
+
+    @property
+    def sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """All of them."""
+        return self.lower, self.upper, self.equations_lower, self.equations_upper
+
+    def narrowed(self, relaxed: float) -> ProgramBounds:
+        """Bounds that become these where a solver relaxes every bound b by this part of max(1, |b|)."""
+        return ProgramBounds(*_narrowed(*self.sides[:2], relaxed), *_narrowed(*self.sides[2:], relaxed))
+
+
+def _narrowed(low: np.ndarray, high: np.ndarray, relaxed: float) -> tuple[np.ndarray, np.ndarray]:
+    move = [relaxed * (low < high) * np.fmax(1.0, np.where(np.isfinite(b), np.abs(b), 1.0)) for b in (low, high)]
+    return low + move[0], high - move[1]
 
 
 @dataclass(frozen=True)
@@ -67,43 +83,64 @@ class Optimum:
     iterations: int
 
 
-def interior_point(graph: ControlGraph, warm: bool, verbose: int, given: Mapping[str, Any]) -> ca.Function:
+def with_ipopt(graph: ControlGraph, warm: bool, verbose: int, given: Mapping[str, Any]) -> ca.Function:
     """Build IPOPT for a program, to start warm or not, with the options given for it.
 
     Bounds are held exactly (``bound_relax_factor`` 0): IPOPT's default lets them slip by 1e-8, which shows in the
     cost of every problem that lives on its bounds.
     """
     options = {
-        "grad_f": graph.gradient,
-        "jac_g": graph.jacobian,
-        "hess_lag": graph.hessian,
-        "print_time": False,
-        "show_eval_warnings": False,
-        "calc_lam_p": False,
-        "no_nlp_grad": True,
-        "ipopt": {
-            "print_level": 5 if verbose > 1 else 0,
-            "sb": "yes",
-            "tol": TOLERANCE,
-            "acceptable_tol": ACCEPTABLE,
-            "acceptable_iter": ACCEPTABLE_ITERATIONS,
-            "bound_relax_factor": 0.0,
-            "mu_init": FIRST_BARRIER,
-            "max_iter": ITERATION_LIMIT,
-            **(WARM if warm else {}),
-            **given,
-        },
+        "print_level": 5 if verbose > 1 else 0,
+        "sb": "yes",
+        "tol": TOLERANCE,
+        "acceptable_tol": ACCEPTABLE,
+        "acceptable_iter": ACCEPTABLE_ITERATIONS,
+        "bound_relax_factor": 0.0,
+        "mu_init": FIRST_BARRIER,
+        "max_iter": ITERATION_LIMIT,
+        **(WARM if warm else {}),
+        **given,
     }
+    derivatives = {"grad_f": graph.gradient, "jac_g": graph.jacobian, "hess_lag": graph.hessian}
+    return _built(graph, "ipopt", {**derivatives, "calc_lam_p": False, "no_nlp_grad": True, "ipopt": options})
+
+
+def with_fatrop(graph: ControlGraph, verbose: int, given: Mapping[str, Any]) -> ca.Function:
+    """Build fatrop for a program, stage by stage; arguments as for `with_ipopt`.  It does not start warm."""
+    states, others, equations = (list(column) for column in zip(*graph.chain.stages, strict=True))
+    structure = {"N": graph.chain.intervals, "nx": states, "nu": others, "ng": equations}
+    options = {
+        "print_level": 5 if verbose > 1 else 0,
+        "tol": FATROP_TOLERANCE,
+        "mu_init": FIRST_BARRIER,
+        "max_iter": ITERATION_LIMIT,
+        **given,
+    }
+    # it takes no options for derivatives, but finds them in its cache
+    unknowns, data = graph.unknowns, graph.data
+    gradient = ca.Function("nlp_grad_f", [unknowns, data], [graph.gradient(unknowns, data)[1]])
+    derivatives = {"nlp_grad_f": gradient, "nlp_jac_g": graph.jacobian, "nlp_hess_l": graph.whole_hessian}
+    chain = {"cache": derivatives, "structure_detection": "manual", **structure}
+    return _built(graph, "fatrop", {**chain, "fatrop": options})
+
+
+def _built(graph: ControlGraph, plugin: str, options: dict[str, Any]) -> ca.Function:
     nlp = {"x": graph.unknowns, "p": graph.data, "f": graph.cost, "g": graph.equations}
-    return ca.nlpsol("optimizer", "ipopt", nlp, options)
+    common = {"print_time": False, "show_eval_warnings": False}
+    return ca.nlpsol("optimizer", plugin, nlp, common | options)
 
 
-def optimize(solver: ca.Function, guess: np.ndarray, data: np.ndarray, limits: ProgramBounds, *duals: Any) -> Optimum:
-    """Run the solver from a guess, to start warm with the multipliers of the bounds and of the equations."""
-    sides = (limits.lower, limits.upper, limits.equations_lower, limits.equations_upper)
+def optimize(
+    solver: ca.Function, relaxed: float, guess: np.ndarray, data: np.ndarray, limits: ProgramBounds, *duals: Any
+) -> Optimum:
+    """Run the solver from a guess, to start warm with the multipliers of the bounds and of the equations.
+
+    It is given narrower bounds, as far as it relaxes them.
+    """
     run = Evaluator(solver)
     with fork_waits:
-        x, _, _, bounds, equations, _ = run(guess, data, *sides, *(duals or (0.0, 0.0)))
+        x, _, _, bounds, equations, _ = run(guess, data, *limits.narrowed(relaxed).sides, *(duals or (0.0, 0.0)))
     stats = run.stats
     status = str(stats["return_status"]).replace("_", " ")
-    return Optimum(x, equations, bounds, bool(stats["success"]), status, int(stats["iter_count"]))
+    found = np.where(limits.lower == limits.upper, limits.lower, x)  # fatrop holds what is given as an equation
+    return Optimum(found, equations, bounds, bool(stats["success"]), status, int(stats["iter_count"]))

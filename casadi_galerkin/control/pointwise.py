@@ -2,9 +2,10 @@
 
 At a quadrature point, with L̂(t, h, x, x') = h L(t, x, x'/h), the cost and the rows of the equations are
 
-    c = h ℓ(t, x, v, u),        e = [ ∂L̂/∂x + h F,  ∂L̂/∂x',  g ];
+    c = h ℓ(t, x, v, u),        e = [ (∂L̂/∂x + h F) / S,  ∂L̂/∂x' / S,  z' - h ρ,  g ],
 
-at the ends c = τ, the terminal cost, and e = [p_0, p_N] with p = ∂L/∂v(t, x, v).
+with z the components that follow the rates ρ; at the start and at the end e = ∂L/∂v(t, x, v) / S, and at the end
+c = τ, the terminal cost.  Conditions on both ends are rows of their own.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.control.numbering import ControlNumbering
+from casadi_galerkin.control.chain import Chain, Place
 from casadi_galerkin.problems.control_problem import ControlProblem
+
+Terms = tuple[ca.SX, ca.SX, ca.SX]  # cost, action, rows
 
 
 @dataclass(frozen=True)
@@ -25,14 +28,12 @@ class PointwiseTerms:
 
     Parameters
     ----------
-    name : of the place
     count : number of places
     z : SX, what is known at the place
     active : rows of z that are differentiated by
     cost, action, rows : SX expressions in z
     """
 
-    name: str
     count: int
     z: ca.SX
     active: np.ndarray
@@ -45,7 +46,7 @@ class PointwiseTerms:
         return self.z[self.active.tolist()]
 
     def _function(self, inputs: list[ca.SX], output: ca.SX) -> ca.Function:
-        function = ca.Function(self.name, inputs, [ca.densify(output)])
+        function = ca.Function("terms", inputs, [ca.densify(output)])
         return function.map(self.count) if self.count > 1 else function
 
     @lazy
@@ -105,39 +106,71 @@ class PointwiseTerms:
         """(z, weight, multipliers) -> nonzeros of the second derivatives of the Lagrangian."""
         return self._function(self._lagrangian[0], ca.vertcat(*self._hessian.nonzeros()))
 
+    @lazy
+    def lagrangian_gradient(self) -> ca.Function:
+        """(z, weight, multipliers) -> gradient of the Lagrangian."""
+        inputs, value = self._lagrangian
+        return self._function(inputs, ca.gradient(value, self._by))
+
     def derivative(self, row: int) -> ca.Function:
         """(z, weight, multipliers) -> derivative of the Lagrangian by one row of z."""
         inputs, value = self._lagrangian
         return self._function(inputs, ca.jacobian(value, self.z[row]))
 
 
-def places(problem: ControlProblem, numbering: ControlNumbering) -> tuple[PointwiseTerms, PointwiseTerms]:
-    """Quadrature points and ends of a problem."""
-    d, n = numbering.dimension, numbering.parameters
-    sizes = [d, d, numbering.controls, 1, n, 1, 1, 1]
-    z = ca.SX.sym("z", numbering.point_rows)
-    x, slope, u, duration, p, begin, share, part = ca.vertsplit(z, np.cumsum([0, *sizes]).tolist())
-    t, h, given = begin + duration * share, duration * part, [p] if n else []
-    pulled = h * problem.lagrangian(t, x, slope / h, *given)
-    at = (t, x, slope / h, u, *given)
-    rows = [ca.gradient(pulled, x) + h * problem.force(*at), ca.gradient(pulled, slope)]
+def places(problem: ControlProblem, chain: Chain) -> list[PointwiseTerms]:
+    """Quadrature points, start, end and, if there are conditions on both, the two ends together."""
+    make = [_at_points, _at_start, _at_end, _at_ends]
+    return [
+        PointwiseTerms(place.count, symbols, active, *terms(problem, *ca.vertsplit(symbols, _offsets(place))))
+        for terms, place, active in zip(make, chain.places, chain.active, strict=False)
+        for symbols in [ca.SX.sym("z", place.width)]
+    ]
+
+
+def _offsets(place: Place) -> list[int]:
+    return [int(offset) for offset in np.cumsum([0, *place.rows.values()])]
+
+
+def _given(problem: ControlProblem, p: ca.SX) -> list[ca.SX]:
+    return [] if problem.parameters is None else [p]
+
+
+def _at_points(problem: ControlProblem, *at: ca.SX) -> Terms:
+    x, slope, u, duration, p, begin, share, part, sizes = at
+    t, h, given = begin + duration * share, duration * part, _given(problem, p)
+    parts = [0, problem.mechanical, problem.dimension]
+    state = (t, x, slope / h, u, *given)
+    action = h * problem.lagrangian(t, x, slope / h, *given)
+    work, momentum = (ca.vertsplit(ca.gradient(action, by), parts)[0] for by in (x, slope))
+    _, own = ca.vertsplit(slope, parts)
+    rows = [(work + h * problem.force(*state)) / sizes, momentum / sizes, own - h * problem.rates(*state)]
     if problem.path_constraint is not None:
-        rows.append(problem.path_constraint[0](*at))
-    point = PointwiseTerms(
-        "point",
-        numbering.points,
-        z,
-        numbering.active(2 * d + numbering.controls),
-        h * problem.running_cost(*at),
-        pulled,
-        ca.vertcat(*rows),
-    )
-    z = ca.SX.sym("z", numbering.end_rows)
-    sizes = [d, d, d, d, 1, n, 1, 1, 1]
-    *states, duration, p, begin, first, last = ca.vertsplit(z, np.cumsum([0, *sizes]).tolist())
-    given = [p] if n else []
-    start, end = ((begin + duration * s, *states[2 * k : 2 * k + 2]) for k, s in ((0, first), (1, last)))
-    momenta = [ca.gradient(problem.lagrangian(*at, *given), at[2]) for at in (start, end)]
-    terminal = ca.SX(1, 1) if problem.terminal_cost is None else problem.terminal_cost(*end, *given)
-    ends = PointwiseTerms("ends", 1, z, numbering.active(4 * d), terminal, ca.SX(1, 1), ca.vertcat(*momenta))
-    return point, ends
+        rows.append(problem.path_constraint[0](*state))
+    return h * problem.running_cost(*state), action, ca.vertcat(*rows)
+
+
+def _at_start(problem: ControlProblem, *at: ca.SX) -> Terms:
+    x, v, p, t, sizes = at
+    action = problem.lagrangian(t, x, _filled(v, x), *_given(problem, p))
+    return ca.SX(1, 1), ca.SX(1, 1), ca.gradient(action, v) / sizes
+
+
+def _at_end(problem: ControlProblem, *at: ca.SX) -> Terms:
+    x, v, p, t, _ = at
+    _, action, rows = _at_start(problem, *at)
+    if problem.terminal_cost is None:
+        return ca.SX(1, 1), action, rows
+    return problem.terminal_cost(t, x, _filled(v, x), *_given(problem, p)), action, rows
+
+
+def _at_ends(problem: ControlProblem, x0: ca.SX, v0: ca.SX, x1: ca.SX, v1: ca.SX, p: ca.SX) -> Terms:
+    conditions = problem.end_conditions
+    assert conditions is not None, "this place is where there are some"
+    g = conditions[0](x0, _filled(v0, x0), x1, _filled(v1, x1), *_given(problem, p))
+    return ca.SX(1, 1), ca.SX(1, 1), g
+
+
+def _filled(v: ca.SX, x: ca.SX) -> ca.SX:
+    """Velocities of all components; zero, which nothing may depend on, where a component follows a rate."""
+    return ca.vertcat(v, ca.SX(x.numel() - v.numel(), 1))

@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.discrete_calculus import mesh_of
+from casadi_galerkin.calculus.discrete_calculus import mesh_of, with_breakpoints
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.control.error_estimate import better_mesh, estimated_error
@@ -84,8 +84,13 @@ class ControlRefinement(Refinement[ControlTrajectory, ControlTrajectory]):
         return replace(level, error_estimate=error)
 
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
-        """Solve with one degree on one mesh; joints are scaled to the span of the problem, whatever was found."""
-        joints = np.interp(mesh, mesh[[0, -1]], self.problem.t_span)
+        """Solve with one degree on one mesh; joints are scaled to the phases of the problem, whatever was found."""
+        problem = self.problem
+        found = guess.problem.breakpoints if isinstance(guess, ControlTrajectory) else problem.breakpoints
+        begin, end = problem.t_span
+        joints = np.interp(
+            with_breakpoints(mesh, found), [mesh[0], *found, mesh[-1]], [begin, *problem.breakpoints, end]
+        )
         transcription = transcribed_control(self.problem, method, None, joints)
         path = transcription.solve(guess=guess, solver=self.solver, verbose=max(self.verbose - 1, 0))
         self._iterations += path.iterations
@@ -136,7 +141,13 @@ def first_control_mesh(
     """Joints where a refinement begins; refuses what does not fit, see `solve` for the arguments."""
     check_tolerance(tol)
     check_types(problem, Galerkin(degree_for(tol)) if method is None else method, ControlProblem)
-    return mesh_of(problem.t_span, FIRST_INTERVALS if intervals is None and mesh is None else intervals, mesh)
+    if problem.hold:
+        raise ValueError(
+            "with hold every interval has one value of the controls, so the mesh is part of the problem and "
+            f"not to be refined: give a method and intervals, got tol={tol:g}"
+        )
+    count = FIRST_INTERVALS + len(problem.breakpoints) if intervals is None and mesh is None else intervals
+    return mesh_of(problem.t_span, count, mesh, problem.breakpoints)
 
 
 def solve_control_to_tolerance(

@@ -29,12 +29,13 @@ class Switch:
 
 
 def switching_function(path: ControlTrajectory, times: np.ndarray) -> np.ndarray:
-    """∂(ℓ + λ·F)/∂u along the path, (n, K)."""
+    """∂(ℓ + λ·(F, ρ))/∂u along the path, with the forces F and the rates ρ; (n, K)."""
     problem, d = path.problem, path.problem.dimension
     symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d), ca.SX.sym("u", problem.controls)]
     costate = ca.SX.sym("costate", d)
-    cost, force = (with_parameters(f, path.parameters) for f in (problem.running_cost, problem.force))
-    total = cost(*symbols) + ca.dot(costate, force(*symbols))
+    functions = problem.running_cost, problem.force, problem.rates
+    cost, *motion = (with_parameters(f, path.parameters)(*symbols) for f in functions)
+    total = cost + ca.dot(costate, ca.vertcat(*motion))
     slope = ca.Function("slope", [*symbols, costate], [ca.densify(ca.gradient(total, symbols[3]))]).map(len(times))
     along = (path(times), path(times, 1), path.control(times), path.costate(times))
     return np.array(slope(times[None, :], *along))

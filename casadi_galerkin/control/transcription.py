@@ -1,9 +1,8 @@
-"""Trajectory optimisation: a control problem on N intervals as one nonlinear program, solved by IPOPT and verified.
+"""Trajectory optimization: a control problem on N intervals as one nonlinear program, solved and verified.
 
-Unknowns are the node values of the path, the controls at the quadrature points and whatever the problem leaves free:
-velocities at the ends, the duration, parameters.  Equations are the discrete Lagrange-d'Alembert equations of all
-nodes; those of the first and the last hold the momenta there, p = ∂L/∂v(t, x, v) of the velocities at the ends
-(discrete Legendre transform).  See `control_graph` for the derivatives.
+The unknowns are those of the `Chain`: states at the joints, the path's other values and the controls between them.  The
+equations are the discrete Lagrange-d'Alembert equations, and p = ∂L/∂v(t, x, v) of the velocities at the ends (discrete
+Legendre transform).  See `graph` for the derivatives.
 """
 
 from __future__ import annotations
@@ -15,15 +14,20 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_breakpoints, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.control.constraint_violation import limits_of, name_equation, name_unknown, violations
+from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.control.constraint_violation import (
+    limits_of,
+    name_equation,
+    name_unknown,
+    violations,
+)
 from casadi_galerkin.control.graph import ControlGraph, Report
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
-from casadi_galerkin.control.numbering import ControlNumbering
-from casadi_galerkin.control.optimizer import Optimum, interior_point, optimize
+from casadi_galerkin.control.optimizer import RELAXED, Optimum, ProgramBounds, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.control_path import ControlPath
@@ -31,7 +35,7 @@ from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.path import Path
-from casadi_galerkin.solvers.solver import Solver, ipopt
+from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 
 FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
 INVALID = "Invalid Number Detected"
@@ -42,6 +46,7 @@ HINTS = {
     "Restoration Failed": "There may be no path within these ends and bounds; else try a guess nearer to it",
 }
 OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"
+NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
 ENDS = ("start", "end", "start_velocity", "end_velocity")
 
 
@@ -58,9 +63,9 @@ class ControlTranscription:
 
     Attributes
     ----------
-    numbering : ControlNumbering, which unknown is what
+    chain : Chain, which unknown is what
     graph : ControlGraph, the Functions
-    limits : bounds of unknowns and equations
+    calculus : DiscreteCalculus of the joints
     build_seconds : float
 
     Examples
@@ -76,31 +81,18 @@ class ControlTranscription:
     def __init__(self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray) -> None:
         began = time.perf_counter()
         self.problem, self.method, self.mesh = problem, method, mesh
-        constraint = problem.path_constraint
-        self.numbering = ControlNumbering(
-            method,
-            len(mesh) - 1,
-            problem.dimension,
-            problem.controls,
-            len(problem.parameters or ()),
-            0 if constraint is None else len(constraint[1]),
-            {name: tuple(value is not None for value in getattr(problem, name)) for name in ENDS},
-            problem.duration_bounds is not None,
-            problem.parameter_bounds is not None,
-        )
-        self._calculus = DiscreteCalculus(method, mesh)
-        first = self.numbering.pack(first_values(problem, self.numbering, self._calculus, None))
-        self.graph = ControlGraph(problem, self.numbering, *first)
-        self.limits = limits_of(problem, self.numbering)
-        self._check_count()
+        self.chain = Chain(problem, method, mesh)
+        self.calculus = DiscreteCalculus(method, mesh)
+        self.graph = ControlGraph(problem, self.chain)
+        self._check_count(limits_of(problem, self.chain))
         self._solvers: dict[str, ca.Function] = {}
         self.build_seconds = time.perf_counter() - began
 
-    def _check_count(self) -> None:
-        """Refuse more equations than unknowns, as a very coarse mesh has."""
-        limits = self.limits
-        equations = np.count_nonzero(limits.equations_lower == limits.equations_upper)
-        unknowns = np.count_nonzero(limits.lower < limits.upper)
+    def _check_count(self, limits: ProgramBounds) -> None:
+        """Refuse more equations than unknowns, as a very coarse mesh has; what only passes states on is not counted."""
+        passed = sum(states for states, *_ in self.chain.stages[1:]) + self.chain.mechanical
+        equations = np.count_nonzero(limits.equations_lower == limits.equations_upper) - passed
+        unknowns = np.count_nonzero(limits.lower < limits.upper) - passed
         if equations > unknowns:
             raise ValueError(
                 f"{equations} equations for {unknowns} unknowns on {len(self.mesh) - 1} interval(s) of degree "
@@ -154,41 +146,67 @@ class ControlTranscription:
         """
         began = time.perf_counter() - self.build_seconds
         check_solver(solver)
-        calculus = self._calculus if mesh is None else DiscreteCalculus(self.method, mesh)
+        calculus = self.calculus if mesh is None else DiscreteCalculus(self.method, mesh)
         if len(calculus.mesh) != len(self.mesh):
             count = len(calculus.mesh) - 1
             raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {count}")
+        if not np.array_equal(np.searchsorted(calculus.mesh, self.problem.breakpoints), self.chain.breaks):
+            raise ValueError(
+                f"the breakpoints {self.problem.breakpoints} must be the joints {self.chain.breaks} of the mesh"
+            )
+        check_breakpoints(calculus.mesh, self.problem.breakpoints)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         changes = {name: value for name, value in {**ends, "parameters": parameters}.items() if value is not None}
         problem = self.problem.varied(changes, (float(calculus.mesh[0]), float(calculus.mesh[-1])))
-        values = first_values(problem, self.numbering, calculus, guess)
-        unknowns, data = self.numbering.pack(values)
-        near = near_answer(guess, self.numbering, calculus)
-        duals = () if near is None else (near.duals[1], near.duals[0] * self.graph.sizes)
-        optimum = optimize(self._interior_point(solver, bool(duals), verbose), unknowns, data, self.limits, *duals)
-        report = self.graph.report(optimum.unknowns, data, optimum.multipliers / self.graph.sizes)
-        if optimum.status == INVALID or not np.isfinite(report.cost + report.action):
-            check_finite(problem, self.numbering, values)
+        chain, limits = self.chain, limits_of(problem, self.chain)
+        values, duals, terms = self.start(problem, calculus, guess)
+        unknowns, data = chain.pack(values)
+        program, relaxed = self.program(solver, bool(duals), verbose), RELAXED[solver.name]
+        optimum = optimize(program, relaxed, unknowns, data, limits, *duals)
+        if optimum.status == INVALID:
             self._check_derivatives(unknowns, data, calculus.mesh)
-        relative = violations(self.numbering, self.limits, optimum.unknowns, report, report.terms)
-        if np.max(relative) > FEASIBLE:  # perhaps a component has vanished, and its terms with it
-            terms = self.graph.report(unknowns, data).terms
-            relative = violations(self.numbering, self.limits, optimum.unknowns, report, terms)
-        values = self.numbering.unpack(optimum.unknowns, data)
+        report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
+        relative = violations(chain, limits, optimum.unknowns, report, terms)
+        values = chain.unpack(optimum.unknowns, data)
         joints = self._joints(values, calculus.mesh)
         if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
-            raise self._error(optimum, report.cost, relative, values, joints)
-        path = self._trajectory(optimum, report, problem, values, joints, float(np.max(relative)), began)
+            raise self._error(solver, optimum, limits, report.cost, relative, values, joints)
+        path = self._trajectory(solver, optimum, report, problem, values, joints, float(np.max(relative)), began)
         if verbose:
             print(path)
         return path
 
-    def _interior_point(self, solver: Solver, warm: bool, verbose: int) -> ca.Function:
-        """IPOPT for this program, built when it is first needed."""
+    def start(
+        self, problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None
+    ) -> tuple[dict[str, np.ndarray], tuple[np.ndarray, ...], np.ndarray]:
+        """Values at a guess, multipliers of the bounds and of the equations where it has them, and sizes of the terms.
+
+        The equations of motion are measured by their terms there, so that the solver's tolerance, which is absolute,
+        does not depend on units; and with momenta of zero they are the momenta.
+        """
+        chain, near = self.chain, near_answer(guess, self.chain, calculus)
+        values = first_values(problem, chain, calculus, guess)
+        report = self.graph.report(*chain.pack(values))
+        if not np.isfinite(report.cost + report.action + np.sum(report.equations)):
+            check_finite(problem, chain, values)
+        sizes = chain.largest(report.terms)[chain.dimension : chain.dimension + chain.mechanical]
+        values["sizes"] = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
+        rows = report.equations[np.vstack((chain.rows["motion"][:, 0], chain.rows["momentum"][-1:]))]
+        momentum = -rows if near is None else near.momentum[: chain.mechanical].T
+        values["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0) / values["sizes"]
+        units = chain.units(values["sizes"])
+        duals = () if near is None else (near.duals[1], near.duals[0] * units)
+        return values, duals, report.terms / units
+
+    def program(self, solver: Solver, warm: bool, verbose: int) -> ca.Function:
+        """The solver for this program, built when it is first needed."""
         key = f"{warm} {verbose > 1} {solver!r}"
         if key not in self._solvers:
             began = time.perf_counter()
-            self._solvers[key] = interior_point(self.graph, warm, verbose, solver.options)
+            if solver.name == fatrop.name:
+                self._solvers[key] = with_fatrop(self.graph, verbose, solver.options)
+            else:
+                self._solvers[key] = with_ipopt(self.graph, warm, verbose, solver.options)
             self.build_seconds += time.perf_counter() - began
         return self._solvers[key]
 
@@ -198,10 +216,10 @@ class ControlTranscription:
         matrix = self.graph.jacobian(unknowns, data)[1]
         entries = np.isfinite(np.array(matrix.nonzeros()))
         if not np.all(np.isfinite(gradient)):
-            name, place = name_unknown(self.numbering, int(np.argmax(~np.isfinite(gradient))))
+            name, place = name_unknown(self.chain, int(np.argmax(~np.isfinite(gradient))))
             what = f"the derivative of the cost by {name}"
         elif not np.all(entries):
-            name, place = name_equation(self.numbering, matrix.sparsity().row()[int(np.argmax(~entries))])
+            name, place = name_equation(self.chain, matrix.sparsity().row()[int(np.argmax(~entries))])
             what = f"a derivative of {name}"
         else:
             return
@@ -209,20 +227,27 @@ class ControlTranscription:
         raise ValueError(f"{what} is not finite at the guess at t = {when:.6g}. Give a guess that avoids it")
 
     def _joints(self, values: dict[str, np.ndarray], mesh: np.ndarray) -> np.ndarray:
-        """The time scale with the duration found; exactly the mesh where the duration is given."""
-        if not self.numbering.free_duration:
+        """The time scale with the durations found; exactly the mesh where the duration is given."""
+        if self.problem.duration_bounds is None:
             return mesh
-        return np.asarray(values["begin"] + values["duration"] * values["fractions"])
+        marks = np.append(values["begin"], values["begin"] + np.cumsum(values["durations"]))
+        phases = self.chain.phases
+        return np.append(marks[phases] + values["durations"][phases] * values["left"], marks[-1])
 
     def _error(
-        self, optimum: Optimum, cost: float, relative: np.ndarray, values: dict[str, np.ndarray], joints: np.ndarray
+        self,
+        solver: Solver,
+        optimum: Optimum,
+        limits: ProgramBounds,
+        cost: float,
+        relative: np.ndarray,
+        values: dict[str, np.ndarray],
+        joints: np.ndarray,
     ) -> ConvergenceError:
         """Say how the solver ended, what is violated worst and when, and what to try."""
         worst = int(np.argmax(relative))
-        rows = len(self.limits.equations_lower)
-        name, place = (
-            name_equation(self.numbering, worst) if worst < rows else name_unknown(self.numbering, worst - rows)
-        )
+        rows = len(limits.equations_lower)
+        name, place = name_equation(self.chain, worst) if worst < rows else name_unknown(self.chain, worst - rows)
         when = np.interp(place, np.arange(len(joints)), joints)
         what = name if worst < rows else f"the bound of {name}"
         if relative[worst] <= FEASIBLE:
@@ -230,12 +255,14 @@ class ControlTranscription:
         else:
             state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
         hint = HINTS.get(optimum.status, OTHER_HINT)
-        message = f"IPOPT stopped with '{optimum.status}' after {optimum.iterations} iterations; {state}. {hint}"
-        path = Path(PiecewisePolynomial(joints, self.method.element.nodes, values["path"].T))
+        stopped = f"{NAMES[solver.name]} stopped with '{optimum.status}' after {optimum.iterations} iterations"
+        message = f"{stopped}; {state}. {hint}"
+        path = Path(PiecewisePolynomial(joints, self.method.element.nodes, self.chain.path(values)))
         return ConvergenceError(message, path, float(relative[worst] / EPS), optimum.iterations)
 
     def _trajectory(
         self,
+        solver: Solver,
         optimum: Optimum,
         report: Report,
         problem: ControlProblem,
@@ -244,25 +271,33 @@ class ControlTranscription:
         violation: float,
         began: float,
     ) -> ControlTrajectory:
+        chain = self.chain
+        multipliers = optimum.multipliers / chain.units(values["sizes"])
         parameters = None if problem.parameters is None else tuple(values["parameters"].tolist())
+        breakpoints = tuple(joints[chain.breaks].tolist())
+        others = np.zeros((chain.dimension - chain.mechanical, len(joints)))
+        nodes = self.method.element.nodes
+        polynomial = PiecewisePolynomial(joints, nodes, chain.path(values))
+        rates = polynomial(joints[[0, -1]], 1)[chain.mechanical :].T if others.size else np.zeros((2, 0))
         return ControlTrajectory(
-            polynomial=PiecewisePolynomial(joints, self.method.element.nodes, values["path"].T),
-            momentum=report.momentum,
+            polynomial=polynomial,
+            momentum=np.vstack(((values["momentum"] * values["sizes"]).T, others)),
             action=report.action,
             iterations=optimum.iterations,
             residual=violation / EPS,
-            solver=f"IPOPT ({optimum.status})",
+            solver=f"{NAMES[solver.name]} ({optimum.status})",
             build_seconds=self.build_seconds,
             solve_seconds=time.perf_counter() - began - self.build_seconds,
             method=self.method,
-            problem=problem.found((float(joints[0]), float(joints[-1])), parameters),
+            problem=problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints),
             cost=report.cost,
-            control=ControlPath(joints, self.method.element.points, values["controls"].T),
-            duals=(optimum.multipliers / self.graph.sizes, optimum.bound_multipliers),
+            control=ControlPath(joints, chain.control_times, values["controls"].reshape(-1, chain.controls).T),
+            costate=PiecewisePolynomial(joints, nodes, chain.costate(multipliers)),
+            duals=(multipliers, optimum.bound_multipliers),
             hamiltonian=report.hamiltonian,
             violation=violation,
-            start_velocity=values["start_velocity"],
-            end_velocity=values["end_velocity"],
+            start_velocity=np.append(values["start_velocity"], rates[0]),
+            end_velocity=np.append(values["end_velocity"], rates[1]),
         )
 
     def __repr__(self) -> str:
@@ -270,14 +305,14 @@ class ControlTranscription:
         return (
             f"ControlTranscription of a control problem of {self.problem.dimension} component(s) and "
             f"{self.problem.controls} control(s), {self.method}, on {len(self.mesh) - 1} intervals: "
-            f"{self.numbering.unknowns} unknowns, built in {self.build_seconds:.4f} s"
+            f"{self.chain.unknowns} unknowns, built in {self.build_seconds:.4f} s"
         )
 
 
 def check_solver(solver: object) -> None:
-    """Refuse a solver that does not optimise."""
-    if not isinstance(solver, Solver) or solver.name != ipopt.name:
-        raise ValueError(f"a ControlProblem is solved by ipopt, got the solver {solver!r}")
+    """Refuse a solver that does not optimize."""
+    if not isinstance(solver, Solver) or solver.name not in NAMES:
+        raise ValueError(f"a ControlProblem is solved by ipopt or fatrop, got the solver {solver!r}")
 
 
 def transcribed_control(
@@ -285,4 +320,4 @@ def transcribed_control(
 ) -> ControlTranscription:
     """Check what is given, and build the nonlinear program; arguments as for `transcribe`."""
     check_types(problem, method, ControlProblem)
-    return ControlTranscription(problem, method, mesh_of(problem.t_span, intervals, mesh))
+    return ControlTranscription(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints))

@@ -129,19 +129,45 @@ def _is_constant(function: ca.Function, instruction: int) -> bool:
     return bool(function.instruction_id(instruction) == ca.OP_CONST)
 
 
+def in_absolute_values(function: ca.Function, argument: int) -> set[int]:
+    """Which entries of an argument the absolute values in a traced Function depend on."""
+    held: dict[int, set[int]] = {}
+    found: set[int] = set()
+    for k in range(function.n_instructions()):
+        operation, inputs = function.instruction_id(k), function.instruction_input(k)
+        if operation == ca.OP_INPUT:
+            entries = {inputs[1]} if inputs[0] == argument else set()
+        else:
+            entries = set().union(*(held.get(i, set()) for i in inputs))
+        if operation == ca.OP_FABS:
+            found |= entries
+        if operation != ca.OP_OUTPUT:
+            held[function.instruction_output(k)[0]] = entries
+    return found
+
+
 def _sizes(dimension: int, parameters: tuple[float, ...] | None) -> dict[str, int]:
     """Lengths of t, x, v and, if there are some, parameters p."""
     return {"t": 1, "x": dimension, "v": dimension} | ({} if parameters is None else {"p": len(parameters)})
 
 
-def trace_lagrangian(lagrangian: Traceable, dimension: int, parameters: tuple[float, ...] | None) -> ca.Function:
-    """Trace L(t, x, v[, p]) and check that it is regular at least by structure: every v[i] must occur."""
+def trace_lagrangian(
+    lagrangian: Traceable, dimension: int, parameters: tuple[float, ...] | None, mechanical: int | None = None
+) -> ca.Function:
+    """Trace L(t, x, v[, p]) and check that it is regular at least by structure: every v[i] must occur.
+
+    Of the `mechanical` first components only, where some follow rates; those of the others must not.
+    """
     function = trace("lagrangian", lagrangian, _sizes(dimension, parameters), "scalar")
     used = function.sparsity_jac(2, 0)
-    ignored = [i for i in range(dimension) if not used.has_nz(0, i)]
+    count = dimension if mechanical is None else mechanical
+    ignored = [i for i in range(count) if not used.has_nz(0, i)]
     if ignored:
         names = ", ".join(f"v[{i}]" for i in ignored)
         raise ValueError(f"the lagrangian ignores {names}: without a velocity there is no equation of motion for it")
+    for i in range(count, dimension):
+        if used.has_nz(0, i):
+            raise ValueError(f"the lagrangian depends on v[{i}], but x[{i}] follows a rate and has no momentum")
     return function
 
 

@@ -14,16 +14,16 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import components, numbers, real_array, time_span, whole
+from casadi_galerkin.calculus.numbers import components, numbers, real_array, time_span, times_inside, whole
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.problems.callables import Traceable, trace, trace_lagrangian
-from casadi_galerkin.problems.problem import shown, varied_values
+from casadi_galerkin.problems.callables import Traceable, in_absolute_values, trace, trace_lagrangian
+from casadi_galerkin.problems.problem import finite, shown, varied_values
 
 Limit: TypeAlias = float | Sequence[float]
 Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
 
 
-def bounds(name: str, value: tuple[Limit, Limit] | None, size: int) -> Bounds:
+def bounds(name: str, value: Any, size: int) -> Bounds:
     """Check a pair (lo, hi), each a scalar or `size` numbers; infinite where there is none."""
     if value is None:
         return (-np.inf,) * size, (np.inf,) * size
@@ -55,20 +55,30 @@ class ControlProblem:
 
     Parameters
     ----------
-    lagrangian : callable (t, x, v) -> scalar, as for `BoundaryProblem`
+    lagrangian : callable (t, x, v) -> scalar, as for `BoundaryProblem`; None where all components follow rates
     t_span : (t_0, t_N); with `duration_bounds` t_N is a guess
     start, end : d positions each; None leaves the component free
     start_velocity, end_velocity : d velocities each; None leaves the component free
-    force : callable (t, x, v, u) -> d generalised forces
+    force : callable (t, x, v, u) -> one generalized force for every component but the last k, see `rates`
     running_cost : callable (t, x, v, u) -> scalar, integrated over time
     controls : number of controls, the length of u
     terminal_cost : callable (t, x, v) -> scalar, added to the cost with the values at the end
     control_bounds : (lo, hi), each a scalar or one number per control; held at the quadrature points
     position_bounds : (lo, hi), each a scalar or one number per component; held at joints and control points
     path_constraint : (g, lo, hi) with g(t, x, v, u) -> scalar or vector; held at the quadrature points
-    duration_bounds : (lo, hi) with 0 < lo; frees the final time
+    duration_bounds : (lo, hi) with 0 < lo, each a scalar or one number per phase; frees the duration of every phase
     parameters : numbers passed as `p`, the last argument of every callable
     parameter_bounds : (lo, hi); frees the parameters within them, `parameters` is then the guess
+    rates : callable (t, x, v, u) -> k values: the last k components of x follow dx/dt = rates instead of an equation of
+        motion, as a mass, a battery, an integral or an actuator does.  Their velocities given at the ends are None, and
+        nothing but the running cost and path constraints may depend on them
+    end_conditions : (g, lo, hi) with g(x0, v0, x1, v1) -> scalar or vector of positions and velocities at both ends
+    breakpoints : increasing times inside of `t_span` that are joints of every mesh, as where a callable is not smooth
+        in time; with `duration_bounds` they part phases, each with a free duration of its own, as between the switching
+        times of a bang-bang control
+    waypoints : (t, positions) each: a breakpoint at t, where the path has these d positions; each is a number, a pair
+        (lo, hi) that it lies within, or None
+    hold : True for controls that are constant on every interval, as hardware holds them
 
     Raises
     ------
@@ -95,39 +105,57 @@ class ControlProblem:
     control_bounds: Bounds
     position_bounds: Bounds
     path_constraint: tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None
-    duration_bounds: tuple[float, float] | None
+    duration_bounds: Bounds | None
     parameters: tuple[float, ...] | None
     parameter_bounds: Bounds | None
+    rates: ca.Function
+    end_conditions: tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None
+    breakpoints: tuple[float, ...]
+    waypoints: tuple[tuple[int, tuple[float, ...], tuple[float, ...]], ...]
+    hold: bool
 
     def __init__(
         self,
-        lagrangian: Traceable,
+        lagrangian: Traceable | None,
         t_span: Sequence[float],
         start: Sequence[float | None],
         end: Sequence[float | None],
         start_velocity: Sequence[float | None],
         end_velocity: Sequence[float | None],
-        force: Traceable,
+        force: Traceable | None,
         running_cost: Traceable,
         controls: int,
         terminal_cost: Traceable | None = None,
         control_bounds: tuple[Limit, Limit] | None = None,
         position_bounds: tuple[Limit, Limit] | None = None,
         path_constraint: tuple[Traceable, Limit, Limit] | None = None,
-        duration_bounds: tuple[float, float] | None = None,
+        duration_bounds: tuple[Limit, Limit] | None = None,
         parameters: Sequence[float] | None = None,
         parameter_bounds: tuple[Limit, Limit] | None = None,
+        rates: Traceable | None = None,
+        end_conditions: tuple[Traceable, Limit, Limit] | None = None,
+        breakpoints: Sequence[float] = (),
+        waypoints: Sequence[tuple[float, Sequence[float | tuple[float, float] | None]]] = (),
+        hold: bool = False,
     ) -> None:
         d, count = len(components("start", start)), _control_count(controls)
         given = None if parameters is None else numbers("parameters", parameters)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         sizes = {"t": 1, "x": d, "v": d, "u": count} | ({} if given is None else {"p": len(given)})
         at_the_end = {name: size for name, size in sizes.items() if name != "u"}
+        both = {"x0": d, "v0": d, "x1": d, "v1": d} | {name: size for name, size in sizes.items() if name == "p"}
+        own = _none_of("rates", sizes) if rates is None else trace("rates", rates, sizes, "any")
+        mechanical = d - own.numel_out(0)
+        if mechanical < 0:
+            raise ValueError(f"rates must be those of at most all {d} component(s), got {d - mechanical} values")
+        _check_mechanics(mechanical, lagrangian, force)
+        passed, inner = _waypoints(waypoints, d), times_inside("breakpoints", breakpoints, time_span(t_span))
+        inner = times_inside("breakpoints and waypoints", sorted({*inner, *passed}), time_span(t_span))
         values: dict[str, Any] = {
-            "lagrangian": trace_lagrangian(lagrangian, d, given),
+            "lagrangian": trace_lagrangian(lagrangian or _nothing, d, given, mechanical),
             "t_span": time_span(t_span),
             **{name: components(name, end, d) for name, end in ends.items()},
-            "force": trace("force", force, sizes, d),
+            "force": trace("force", force, sizes, mechanical) if force else _none_of("force", sizes),
             "running_cost": trace("running_cost", running_cost, sizes, "scalar"),
             "controls": count,
             "terminal_cost": None
@@ -135,14 +163,21 @@ class ControlProblem:
             else trace("terminal_cost", terminal_cost, at_the_end, "scalar"),
             "control_bounds": bounds("control_bounds", control_bounds, count),
             "position_bounds": bounds("position_bounds", position_bounds, d),
-            "path_constraint": _path_constraint(path_constraint, sizes),
-            "duration_bounds": _duration_bounds(duration_bounds),
+            "path_constraint": _limited("path_constraint", path_constraint, sizes),
+            "duration_bounds": _duration_bounds(duration_bounds, len(inner) + 1),
             "parameters": given,
             "parameter_bounds": _parameter_bounds(parameter_bounds, given),
+            "rates": own,
+            "end_conditions": _limited("end_conditions", end_conditions, both),
+            "breakpoints": inner,
+            "waypoints": tuple((inner.index(t), *sides) for t, sides in passed.items()),
+            "hold": _flag("hold", hold),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
+        self._check_rates()
         self._check_controls()
+        self._check_absolute_values()
         self._check_parameters()
         self._check_ends()
         self._check_guesses()
@@ -166,31 +201,64 @@ class ControlProblem:
         """Number d of coordinates."""
         return len(self.start)
 
-    def found(self, t_span: tuple[float, float], parameters: tuple[float, ...] | None) -> ControlProblem:
-        """Copy with the times and parameters that an optimisation found, still free if they were; checks nothing."""
+    @property
+    def mechanical(self) -> int:
+        """Number of components that have an equation of motion; the others follow rates."""
+        return int(self.force.numel_out(0))
+
+    def found(
+        self, t_span: tuple[float, float], parameters: tuple[float, ...] | None, breakpoints: tuple[float, ...]
+    ) -> ControlProblem:
+        """Copy with the times and parameters that an optimization found, still free if they were; checks nothing."""
         other = object.__new__(type(self))  # copy.copy takes 50 µs
-        other.__dict__.update(vars(self), t_span=t_span, parameters=parameters)
+        other.__dict__.update(vars(self), t_span=t_span, parameters=parameters, breakpoints=breakpoints)
         return other
 
     def varied(self, changes: Mapping[str, Any], t_span: tuple[float, float]) -> ControlProblem:
         """Copy with other ends, velocities or parameters, by name, and other times; see `BoundaryProblem.varied`."""
-        other = self.found(t_span, self.parameters)
+        other = self.found(t_span, self.parameters, self.breakpoints)
         other.__dict__.update(varied_values(self, changes))
         other._check_ends()
         other._check_guesses()
         return other
 
+    def _check_rates(self) -> None:
+        """Refuse what depends on the velocity of a component that follows a rate, which is that rate."""
+        own = set(range(self.mechanical, self.dimension))
+        for name, where in (("force", [2]), ("rates", [2]), ("terminal_cost", [2]), ("end_conditions", [1, 3])):
+            given = getattr(self, name)
+            function = given[0] if isinstance(given, tuple) else given
+            used = {i for k in where if function for i in function.sparsity_jac(k, 0).T.row()}
+            if used & own:
+                i = min(used & own)
+                raise ValueError(f"{name} depends on v[{i}], the rate of x[{i}]: write what it is in rates instead")
+        for name in ("start_velocity", "end_velocity"):
+            for i in own:
+                if getattr(self, name)[i] is not None:
+                    raise ValueError(f"x[{i}] follows a rate: {name}[{i}] must be None, got {getattr(self, name)[i]}")
+
     def _check_controls(self) -> None:
         """Refuse a control that nothing depends on: its value would be arbitrary."""
-        users = [self.force, self.running_cost, *(self.path_constraint or ())[:1]]
-        used = {i for function in users for i in function.sparsity_jac(3, 0).T.row()}
+        users = [self.force, self.rates, self.running_cost, *(self.path_constraint or ())[:1]]
+        used = {i for f in users for i in f.sparsity_jac(3, 0).T.row()}
         unused = set(range(self.controls)) - used
         if unused:
             raise ValueError(f"the control u[{min(unused)}] occurs in no force, cost or constraint")
 
+    def _check_absolute_values(self) -> None:
+        """Refuse |u| in the cost where u may change its sign, since a solver that takes derivatives stalls there."""
+        low, high = self.control_bounds
+        for i in sorted(in_absolute_values(self.running_cost, 3)):
+            if low[i] < 0 < high[i]:
+                raise ValueError(
+                    f"running_cost holds the absolute value of u[{i}], whose derivative jumps at zero: replace u[{i}] "
+                    "by a - b with two controls a, b >= 0 (control_bounds), and its absolute value by a + b"
+                )
+
     def _check_parameters(self) -> None:
         """Refuse a free parameter that nothing depends on, for the same reason."""
-        users = [self.lagrangian, self.force, self.running_cost, self.terminal_cost, *(self.path_constraint or ())[:1]]
+        users = [self.lagrangian, self.force, self.rates, self.running_cost, self.terminal_cost]
+        users += [*(self.path_constraint or ())[:1], *(self.end_conditions or ())[:1]]
         used = {i for f in users if f is not None for i in f.sparsity_jac(f.n_in() - 1, 0).T.row()}
         for i, (low, high) in enumerate(zip(*(self.parameter_bounds or ((), ())), strict=True)):
             if low < high and i not in used:
@@ -232,10 +300,13 @@ class ControlProblem:
 
     def _check_guesses(self) -> None:
         if self.duration_bounds is not None:
-            (low, high), duration = self.duration_bounds, self.t_span[1] - self.t_span[0]
+            marks = (self.t_span[0], *self.breakpoints, self.t_span[1])
             rounded = 2 * EPS * max(map(abs, self.t_span))  # of t_N = t_0 + T, and of the difference
-            if not low - rounded <= duration <= high + rounded:
-                raise ValueError(f"duration_bounds ({low}, {high}) must hold the guess, t_span lasts {duration}")
+            for k, (low, high) in enumerate(zip(*self.duration_bounds, strict=True)):
+                lasts = marks[k + 1] - marks[k]
+                if not low - rounded <= lasts <= high + rounded:
+                    what = "t_span" if len(marks) == 2 else f"the phase from {marks[k]} to {marks[k + 1]}"
+                    raise ValueError(f"duration_bounds ({low}, {high}) must hold the guess, {what} lasts {lasts}")
         sides = self.parameter_bounds or ((), ())
         for i, (low, value, high) in enumerate(zip(sides[0], self.parameters or (), sides[1], strict=False)):
             if not low <= value <= high:
@@ -251,13 +322,58 @@ def _control_count(controls: int) -> int:
     return count
 
 
-def _duration_bounds(given: tuple[float, float] | None) -> tuple[float, float] | None:
+def _flag(name: str, value: object) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError(f"{name} must be True or False, got {value!r}")
+    return value
+
+
+def _waypoints(
+    given: Sequence[tuple[float, Sequence[float | tuple[float, float] | None]]], dimension: int
+) -> dict[float, Bounds]:
+    """Bounds of the positions at every waypoint, by its time."""
+    found = {}
+    for point in given:
+        if not isinstance(point, (tuple, list)) or len(point) != 2:
+            raise TypeError(f"waypoints must be pairs (t, positions), got {point!r}")
+        t, positions = finite("the time of a waypoint", point[0]), point[1]
+        if not isinstance(positions, (tuple, list, np.ndarray)) or len(positions) != dimension:
+            raise ValueError(
+                f"a waypoint must have {dimension} position(s), a number, a pair or None each, got {positions!r}"
+            )
+        pairs = [x if x is None or isinstance(x, (tuple, list)) else (x, x) for x in positions]
+        sides = [bounds(f"the waypoint at t = {t:g}", pair, 1) for pair in pairs]
+        found[t] = (tuple(low for (low,), _ in sides), tuple(high for _, (high,) in sides))
+    return found
+
+
+def _duration_bounds(given: tuple[Limit, Limit] | None, phases: int) -> Bounds | None:
     if given is None:
         return None
-    (low,), (high,) = bounds("duration_bounds", given, 1)
-    if low <= 0:
-        raise ValueError(f"duration_bounds must be positive, got ({low}, {high})")
+    low, high = bounds("duration_bounds", given, phases)
+    if min(low) <= 0:
+        raise ValueError(f"duration_bounds must be positive, got {given}")
     return low, high
+
+
+def _nothing(*_: ca.SX) -> float:
+    """The Lagrangian where all components follow rates."""
+    return 0.0
+
+
+def _none_of(name: str, sizes: Mapping[str, int]) -> ca.Function:
+    """Forces or rates of no component."""
+    symbols = [ca.SX.sym(symbol, size) for symbol, size in sizes.items()]
+    return ca.Function(name, symbols, [ca.SX(0, 1)], list(sizes), ["value"])
+
+
+def _check_mechanics(mechanical: int, lagrangian: object, force: object) -> None:
+    """Refuse a Lagrangian or a force without a component to move, and components without both."""
+    for name, given in (("lagrangian", lagrangian), ("force", force)):
+        if given is None and mechanical:
+            raise ValueError(f"{name} is None, but {mechanical} component(s) follow no rates")
+        if given is not None and not mechanical:
+            raise ValueError(f"all components follow rates: {name} must be None, got {given!r}")
 
 
 def _parameter_bounds(given: tuple[Limit, Limit] | None, parameters: tuple[float, ...] | None) -> Bounds | None:
@@ -268,12 +384,12 @@ def _parameter_bounds(given: tuple[Limit, Limit] | None, parameters: tuple[float
     return bounds("parameter_bounds", given, len(parameters))
 
 
-def _path_constraint(
-    given: tuple[Traceable, Limit, Limit] | None, sizes: dict[str, int]
+def _limited(
+    name: str, given: tuple[Traceable, Limit, Limit] | None, sizes: dict[str, int]
 ) -> tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None:
     if given is None:
         return None
     if not isinstance(given, (tuple, list)) or len(given) != 3:
-        raise TypeError(f"path_constraint must be (g, lo, hi), got {given!r}")
-    traced = trace("path_constraint", given[0], sizes, "any")
-    return (traced, *bounds("path_constraint", (given[1], given[2]), traced.numel_out(0)))
+        raise TypeError(f"{name} must be (g, lo, hi), got {given!r}")
+    traced = trace(name, given[0], sizes, "any")
+    return (traced, *bounds(name, (given[1], given[2]), traced.numel_out(0)))

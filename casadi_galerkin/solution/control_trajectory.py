@@ -37,15 +37,18 @@ class ControlTrajectory(Trajectory):
     problem : ControlProblem
     cost : value of the discrete cost
     control : callable, ``control(t)`` -> (number of controls,) + t.shape
-    duals : (equations,) and (unknowns,), Lagrange multipliers of the discrete equations, those of motion first, and of
-        the bounds: with this trajectory as its guess, a solve with the same method on the same intervals starts warm
+    costate : multipliers λ of the equations of motion, and of the rates, as a path: ``costate(t)`` -> (d,) + t.shape.
+        The cost of a small extra force (or rate) δF(t) is ∫ λ·δF dt to first order
+    duals : (equations,) and (unknowns,), Lagrange multipliers of the discrete equations and of the bounds: with this
+        trajectory as its guess, a solve with the same method on the same intervals starts warm
     hamiltonian : (N,), mean of I - v·∂I/∂v - dλ/dt·∂I/∂(dλ/dt) over each interval, where
         I = ℓ + λ·(∂L/∂x + F) + dλ/dt·∂L/∂v; of order 2m.  The same on all intervals where nothing depends on t; zero
         as well where the duration is free, was found strictly inside `duration_bounds`, and no terminal cost depends
         on t
     violation : largest violation of an equation or bound, relative to the sizes of the terms it compares; at most 1e-8
     residual : the same in units of the relative precision of a double, 2.2e-16; at most 4.5e7
-    start_velocity, end_velocity : (d,), the velocities imposed or found at the ends
+    start_velocity, end_velocity : (d,), the velocities given or found at the ends; of a component that follows a rate,
+        the derivative of its polynomial
 
     `action` is that of the Lagrangian alone, `morse_index` is None, and `parameters` are the optimised ones.
 
@@ -66,20 +69,12 @@ class ControlTrajectory(Trajectory):
     problem: ControlProblem
     cost: float
     control: ControlPath
+    costate: PiecewisePolynomial
     duals: tuple[np.ndarray, np.ndarray]
     hamiltonian: np.ndarray
     violation: float
     start_velocity: np.ndarray
     end_velocity: np.ndarray
-
-    @lazy
-    def costate(self) -> PiecewisePolynomial:
-        """Multipliers λ of the equations of motion as a path: ``costate(t)`` -> (d,) + t.shape.
-
-        The cost of a small extra force δF(t) is ∫ λ·δF dt to first order.
-        """
-        d, nodes = self.polynomial.values.shape
-        return PiecewisePolynomial(self.t, self.polynomial.nodes, self.duals[0][: d * nodes].reshape(nodes, d).T)
 
     def replay(self) -> ca.Function:
         """Return the force (t, x, v[, p]) -> (d,) of the optimised controls, for an `InitialProblem`.
@@ -90,8 +85,10 @@ class ControlTrajectory(Trajectory):
         ------
         ValueError
             where the rule has points at both ends of an interval (Lobatto) and a control jumps at a joint: a function
-            of time has one value there, and the path was found with two
+            of time has one value there, and the path was found with two; and where a component follows a rate
         """
+        if self.problem.mechanical < len(self.x):
+            raise ValueError(f"an InitialProblem has no rates, which x[{self.problem.mechanical}] follows")
         self._refuse_two_values()
         d = len(self.x)
         symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d)]
@@ -121,7 +118,8 @@ class ControlTrajectory(Trajectory):
         """How far the equations of motion are missed between the points, one number per interval; (N,).
 
         The largest |∂L/∂v(x̄, dx̄/dt) - p̂| at r + 2 Gauss points, over the largest momentum (or impulse) on the path,
-        with p̂ the joint's momentum plus the impulse ∫ (∂L/∂x + F) dt since then.  Of order m.
+        with p̂ the joint's momentum plus the impulse ∫ (∂L/∂x + F) dt since then.  Where a component follows a rate, its
+        value and its rate take the places of momentum and force.  Of order m.
         """
         inner = gauss(len(self.method.quadrature) + 2)
         s, steps = np.array(inner.points), np.diff(self.t)
@@ -131,8 +129,10 @@ class ControlTrajectory(Trajectory):
         primitive = np.stack([a * (np.array(inner.weights) @ lagrange_values(s, a * s)) for a in s])
         shape = (len(self.x), len(steps), len(s))
         impulse = np.einsum("din,jn,i->dij", rate.reshape(shape), primitive, steps)
-        defect = np.abs(momentum.reshape(shape) - self.momentum[:, :-1, None] - impulse).max(axis=2)
-        size = np.abs(self.momentum).max(axis=1) + np.abs(impulse).max(axis=(1, 2))
+        mechanical = self.problem.mechanical
+        at_joints = np.vstack((self.momentum[:mechanical], self.x[mechanical:]))
+        defect = np.abs(momentum.reshape(shape) - at_joints[:, :-1, None] - impulse).max(axis=2)
+        size = np.abs(at_joints).max(axis=1) + np.abs(impulse).max(axis=(1, 2))
         return np.asarray((defect / np.where(size > 0, size, 1.0)[:, None]).max(axis=0))
 
     @lazy
@@ -149,15 +149,17 @@ class ControlTrajectory(Trajectory):
         return np.asarray(excess.max(axis=0).reshape(len(self.t) - 1, -1).max(axis=1))
 
     def _motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """∂L/∂v and ∂L/∂x + F along the path, (d, K) each."""
+        """∂L/∂v and ∂L/∂x + F along the path, and what follows rates with these; (d, K) each."""
         problem = self.problem
         d, n = problem.dimension, problem.controls
         symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d)]
         u = ca.SX.sym("u", n)
-        lagrangian = self._lagrangian(*symbols)
-        force = with_parameters(problem.force, self.parameters)
-        rate = ca.gradient(lagrangian, symbols[1]) + force(*symbols, u)
-        outputs = [ca.densify(ca.gradient(lagrangian, symbols[2])), ca.densify(rate)]
+        lagrangian, parts = self._lagrangian(*symbols), [0, problem.mechanical, d]
+        force, own = (with_parameters(f, self.parameters)(*symbols, u) for f in (problem.force, problem.rates))
+        work, momentum = (ca.vertsplit(ca.gradient(lagrangian, by), parts)[0] for by in symbols[1:3])
+        rate = ca.vertcat(work + force, own)
+        momentum = ca.vertcat(momentum, ca.vertsplit(symbols[1], parts)[1])
+        outputs = [ca.densify(momentum), ca.densify(rate)]
         motion = ca.Function("motion", [*symbols, u], outputs).map(len(times))
         values = motion(times[None, :], self(times), self(times, 1), self.control(times))
         return np.array(values[0]), np.array(values[1])

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from io import StringIO
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -130,9 +130,9 @@ def plot_family(
     return axes
 
 
-def legend_below(axes: Axes) -> None:
+def legend_below(axes: Axes, **options: Any) -> None:
     """Put the legend of many or long entries under the axes, where it hides nothing and takes no width."""
-    axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.18))
+    axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.18), **options)
 
 
 def plot_plane(
@@ -310,26 +310,57 @@ def animate_linkage(
     return FuncAnimation(drawn, frame, frames=len(times), interval=1000 * interval)
 
 
+Points: TypeAlias = Sequence[tuple[float, float]]
+LINE_STYLES: Sequence[tuple[str, Sequence[str], dict[str, Any]]] = (  # by name, and how a legend shows them
+    ("color", COLORS, {"linewidth": 3}),
+    ("linestyle", ("-", "--", ":", "-."), {"color": "0.3", "linewidth": 1}),
+    ("marker", ("o", "s", "^", "D", "v", "P", "*"), {"color": "0.3", "linestyle": "", "markersize": 4}),
+)
+
+
 def plot_work_precision(
-    lines: Sequence[tuple[str, Sequence[float], Sequence[float]]], floor: float, axes: Axes | None = None
+    lines: Sequence[tuple[tuple[str, str, str], Points]],
+    front: Points,
+    floor: float,
+    label: str,
+    axes: Axes | None = None,
 ) -> Axes:
     """Draw errors over seconds on logarithmic axes, and the floor below which errors mean nothing.
 
     Parameters
     ----------
-    lines : label, seconds and errors of each
+    lines : names of the color, the dashes and the dots of each, and (seconds, error) of its points
+    front : (seconds, error) of the points that no other betters
     floor : error of roundoff or of the reference
+    label : of the errors
     axes : Matplotlib axes to draw into; default a new figure
 
     Returns
     -------
     the Matplotlib axes
     """
-    axes = axes_or_new(axes, (SIZE[0], SIZE[1] + 0.2 * len(lines)))
-    for i, (label, seconds, errors) in enumerate(lines):
-        drawn = np.maximum(errors, floor / 3)  # an error of zero has no place on a logarithmic axis
-        axes.loglog(seconds, drawn, "o-", color=COLORS[i % len(COLORS)], markersize=4, label=label)
-    axes.axhspan(floor / 10, floor, color="0.85", zorder=0)
+    from matplotlib.lines import Line2D
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axes = axes_or_new(axes, (1.2 * SIZE[0], 1.5 * SIZE[1]))
+    chosen: list[dict[str, str]] = []
+    entries = [Line2D([], [], label="the front", color="0.85", linewidth=7)]
+    for k, (style, values, sample) in enumerate(LINE_STYLES):
+        names = list(dict.fromkeys(key[k] for key, _ in lines))
+        chosen.append({name: values[i % len(values)] for i, name in enumerate(names)})
+        if k == 0 or len([name for name in names if name]) > 1:  # one rule, or one solver, goes without saying
+            given: list[dict[str, Any]] = [sample | {style: chosen[k][name], "label": name} for name in names if name]
+            entries += [Line2D([], [], **entry) for entry in given]
+
+    def drawn(points: Points) -> tuple[list[float], list[float]]:
+        """Milliseconds and errors; an error of zero has no place on a logarithmic axis."""
+        return [1e3 * seconds for seconds, _ in points], [max(error, floor / 3) for _, error in points]
+
+    axes.loglog(*drawn(front), color="0.85", linewidth=7, zorder=0, solid_capstyle="round")
+    for (color, dashes, dots), points in lines:
+        looks = {"color": chosen[0][color], "linestyle": chosen[1][dashes], "marker": chosen[2][dots]}
+        axes.loglog(*drawn(points), markersize=4, linewidth=1, **looks)
+    axes.axhspan(floor / 10, floor, color="0.93", zorder=-1)
     axes.text(
         0.99,
         floor,
@@ -340,7 +371,9 @@ def plot_work_precision(
         fontsize="small",
         color="0.4",
     )
-    axes.set_xlabel("seconds of a warm solve")
-    axes.set_ylabel("largest relative error of the path")
-    legend_below(axes)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set(xlabel="milliseconds of a repeated solve", ylabel=label)
+    legend_below(axes, handles=entries, ncols=3)
     return axes

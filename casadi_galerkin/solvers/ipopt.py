@@ -153,10 +153,11 @@ def _nlpsol(functional: Functional, minimize: bool, verbose: int, given: Mapping
     return ca.nlpsol("stationary", "ipopt", {"x": x, "p": p, "f": 0, "g": gradient}, options)
 
 
-def check_option(name: str, value: object) -> None:
-    """Refuse what IPOPT does not know; it is asked."""
-    x = ca.MX.sym("x")
+def check_option(name: str, value: object, plugin: str = "ipopt") -> None:
+    """Refuse what the solver underneath does not know; it is asked."""
+    x, quiet = ca.MX.sym("x"), {"print_level": 0} | ({"sb": "yes"} if plugin == "ipopt" else {})
     try:
-        ca.nlpsol("asked", "ipopt", {"x": x, "f": x**2}, {"ipopt": {"print_level": 0, "sb": "yes", name: value}})
+        ca.nlpsol("asked", plugin, {"x": x, "f": x**2}, {plugin: {**quiet, name: value}})
     except (RuntimeError, NotImplementedError, TypeError) as error:
-        raise ValueError(f"IPOPT has no option {name} that takes {value!r}") from error
+        called = "IPOPT" if plugin == "ipopt" else plugin
+        raise ValueError(f"{called} has no option {name} that takes {value!r}") from error

@@ -3,7 +3,8 @@
 `newton`, the default, is Newton's method with a line search.  Where it fails, IPOPT first minimises the action (long
 pendulum swings: 10 iterations where the stationarity conditions alone took 60 to 500), then solves the stationarity
 conditions; Newton's method finishes from where it stopped.  `rootfinder` is CasADi's own.  `ipopt` takes the equations
-as constraints under a constant objective; `minimizer` minimises the action, so it finds minima only.
+as constraints under a constant objective; `minimizer` minimises the action, so it finds minima only.  `fatrop` is for
+control problems, which it solves stage by stage, as `ipopt` does as a whole.
 """
 
 from __future__ import annotations
@@ -117,3 +118,16 @@ newton = Solver("newton", _newton, _check_newton)
 rootfinder = Solver("rootfinder", casadi_rootfinder.casadi_root, casadi_rootfinder.check_option)
 ipopt = Solver("ipopt", interior_point.stationary_point, interior_point.check_option)
 minimizer = Solver("minimizer", interior_point.minimum, interior_point.check_option)
+
+
+def _no_boundary_problem(*_: object, **__: Any) -> Solution:
+    raise ValueError(
+        "fatrop is for a ControlProblem; a BoundaryProblem is solved by newton, rootfinder, ipopt or minimizer"
+    )
+
+
+def _check_fatrop(name: str, value: object) -> None:
+    interior_point.check_option(name, value, "fatrop")
+
+
+fatrop = Solver("fatrop", _no_boundary_problem, _check_fatrop)

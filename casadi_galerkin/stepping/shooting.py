@@ -212,7 +212,7 @@ def shoot(
     if guess is not None and (not isinstance(guess, Trajectory) or len(guess.x) != problem.dimension):
         raise TypeError(f"guess must be a Trajectory of {problem.dimension} component(s), got {guess!r}")
     began = time.perf_counter()
-    shooting = Shooting(problem, method, mesh_of(problem.t_span, intervals, mesh))
+    shooting = Shooting(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints))
     shot, iterations = _newton(shooting, *_guess(problem, guess))
     build = shooting.stepper.build_seconds
     seconds = time.perf_counter() - began - build

@@ -6,8 +6,9 @@ refined until that difference is far below the errors it has to tell apart or no
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin._solve import solve
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.numbers import number
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import component_sizes
@@ -23,7 +25,9 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess, sampled
+from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 
 SAMPLES = 2000  # times at which errors are taken, and at least 4 on every interval
@@ -33,6 +37,7 @@ FINER, ROUNDOFF, DOUBLINGS = 1e-2, 1e-14, 4  # part of the least error that a re
 
 Problem: TypeAlias = BoundaryProblem | InitialProblem | ControlProblem
 Reference: TypeAlias = Trajectory | Callable[[float], ArrayLike]
+Measure: TypeAlias = Callable[[Any], float]  # of a path, a Trajectory unless the reference is a callable
 
 
 def check_reference(problem: Problem, given: Reference) -> None:
@@ -58,10 +63,12 @@ def check_reference(problem: Problem, given: Reference) -> None:
 class ReferenceSolution:
     """What errors are differences to: path, action and energy by parts of the time span, and their sizes.
 
-    Parts, because a control problem may leave the duration free.
+    Parts, because a control problem may leave the duration free.  A quantity that the user names is measured, too.
     """
 
-    def __init__(self, problem: Problem, given: Reference, parameters: tuple[float, ...] | None) -> None:
+    def __init__(
+        self, problem: Problem, given: Reference, parameters: tuple[float, ...] | None, measure: Measure | None
+    ) -> None:
         if isinstance(given, Trajectory):
             self._path, self._exact, parameters = given.polynomial, None, given.parameters
         else:
@@ -72,10 +79,17 @@ class ReferenceSolution:
         times = times_at(self._path.mesh, np.array(gauss(LEAST_DEGREE).points))
         weights = np.outer(np.diff(self._path.mesh), gauss(LEAST_DEGREE).weights).ravel()
         values, kinetic = self._terms(times)
-        self.action = given.action if isinstance(given, Trajectory) else float(weights @ values)
-        self.action_size = float(weights @ np.abs(values))
+        self._functional, self._functional_size = float(weights @ values), float(weights @ np.abs(values))
+        if isinstance(given, Trajectory):
+            self._functional = given.action
+        if isinstance(problem, ControlProblem):  # a callable has no controls, so no cost
+            self._functional = given.cost if isinstance(given, ControlTrajectory) else np.nan
+            self._functional_size = abs(self._functional) or 1.0
         self.energy_size = float(np.max(np.abs(values) + np.abs(kinetic)))
         self.sizes = component_sizes(self._path.values)[:, None]
+        self._measure = measure
+        if measure is not None:
+            self._quantity = measured(measure, given if isinstance(given, Trajectory) else Path(self._path))
 
     def _sampled(self, times: np.ndarray) -> np.ndarray:
         """Values (d, K) of a callable reference."""
@@ -99,21 +113,42 @@ class ReferenceSolution:
         first, second = terms(times[None, :], self._path(times), self._path(times, 1))
         return np.array(first).ravel(), np.array(second).ravel()
 
-    def errors(self, path: Trajectory) -> tuple[float, float, float, float]:
-        """Errors of a path, all relative: at the joints and between them, at the joints, of action and energy."""
+    def errors(self, path: Trajectory) -> dict[str, Any]:
+        """Errors of a path by their names in a `Row`, all relative."""
         joints = (path.t - path.t[0]) / (path.t[-1] - path.t[0])
         inside = np.linspace(0.0, 1.0, max(4, SAMPLES // len(joints)) + 1)[1:-1]
         between = times_at(joints, inside)
         times = np.clip(path.t[0] + between * (path.t[-1] - path.t[0]), path.t[0], path.t[-1])
         joint_error = float(np.max(np.abs(path.x - self.at(joints)) / self.sizes))
-        error = float(np.max(np.abs(path(times) - self.at(between)) / self.sizes))
+        path_error = max(float(np.max(np.abs(path(times) - self.at(between)) / self.sizes)), joint_error)
         lagrangian, kinetic = self._terms(self._times(joints))
         energy_error = float(np.max(np.abs(path.energy - (kinetic - lagrangian))))
-        action_error = abs(path.action - self.action) / self.action_size
-        return max(error, joint_error), joint_error, action_error, energy_error / self.energy_size
+        functional = path.cost if isinstance(path, ControlTrajectory) else path.action
+        return {
+            "error": path_error if self._measure is None else self._missed(self._measure, path),
+            "path_error": path_error,
+            "joint_error": joint_error,
+            "functional_error": abs(functional - self._functional) / self._functional_size,
+            "energy_error": energy_error / self.energy_size,
+        }
+
+    def _missed(self, measure: Measure, path: Trajectory) -> float:
+        """Error of the quantity that the user names, relative to its value where that is not zero."""
+        return abs(measured(measure, path) - self._quantity) / (abs(self._quantity) or 1.0)
 
 
-def finer(problem: Problem, paths: Sequence[Trajectory], guess: Guess | None) -> tuple[Trajectory, float]:
+def measured(measure: Measure, path: Path) -> float:
+    """A quantity of a path; refuses what is no finite number."""
+    value = measure(path)
+    checked = number(value)
+    if checked is None or not math.isfinite(checked):
+        raise TypeError(f"measure must return a finite number, got {value!r}")
+    return checked
+
+
+def finer(
+    problem: Problem, paths: Sequence[Trajectory], guess: Guess | None, measure: Measure | None
+) -> tuple[Trajectory, float]:
     """A path several digits finer than the given ones, and its own error from a second one of another degree."""
     degree = max(LEAST_DEGREE, FINER_DEGREE + max(path.method.degree for path in paths))
     intervals = max(4, max((len(path.t) - 1) * path.method.degree for path in paths) // degree)
@@ -121,12 +156,12 @@ def finer(problem: Problem, paths: Sequence[Trajectory], guess: Guess | None) ->
     for _ in range(DOUBLINGS):
         other = solve(problem, Galerkin(degree), 5 * intervals // 4, guess=guess)
         fine = solve(problem, Galerkin(degree + 1), 2 * intervals, guess=guess)
-        truth = ReferenceSolution(problem, fine, None)
-        difference = truth.errors(other)[0]
+        truth = ReferenceSolution(problem, fine, None, measure)
+        difference = truth.errors(other)["error"]
         if difference >= estimate:
             break
         best, estimate = fine, difference
-        if estimate <= max(ROUNDOFF, FINER * min(truth.errors(path)[0] for path in paths)):
+        if estimate <= max(ROUNDOFF, FINER * min(truth.errors(path)["error"] for path in paths)):
             break
         intervals *= 2
     return best, estimate

@@ -1,19 +1,23 @@
-"""Speed against accuracy, measured on the user's own problem: every method on every number of intervals.
+"""Speed against accuracy, measured on the user's own problem by every way there is to its path.
 
-Every cell is built once and solved repeatedly; its time is the median of the warm solves.  Errors are differences to
-a reference, which is given or solved for (`reference`).
+A way is a `Row` not yet measured: a method on a number of intervals or a tolerance, with a solver, or by shooting.
+Each is gone with a copy of the problem first, so that nothing is built or differentiated yet, and is then repeated on
+what it has built.  Errors are differences to a reference, which is given or solved for (`reference`).
 """
 
 from __future__ import annotations
 
+import pickle
+import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
-from statistics import median
+from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 
-from casadi_galerkin._solve import solve, transcribe
+from casadi_galerkin._solve import transcribe
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -22,18 +26,87 @@ from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, guess_values
+from casadi_galerkin.solution.limits import check_tolerance
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.studies.reference import Problem, Reference, ReferenceSolution, check_reference, finer
+from casadi_galerkin.solvers.solver import Solver, ipopt, minimizer, newton, rootfinder
+from casadi_galerkin.studies.reference import (
+    Measure,
+    Problem,
+    Reference,
+    ReferenceSolution,
+    check_reference,
+    finer,
+    measured,
+)
 from casadi_galerkin.studies.trade_table import Row, Trade
 
-REPEATS, LEAST, LONG = 7, 2, 2.0  # warm solves whose median counts; the least of them, where they take so many seconds
+REPEATS, LEAST, LONG = 15, 2, 0.03  # repeated calls; the least of them, where they take so many seconds
+FIRST, SLOW = 2, 1.0  # first calls; one where it takes so many seconds
 
 
-def _runner(problem: Problem, method: Galerkin, intervals: int, guess: Guess | None) -> Callable[[], Trajectory]:
-    """A solve that can be repeated; the graph of a boundary problem is built once."""
-    if isinstance(problem, BoundaryProblem):
-        return partial(transcribe(problem, method, intervals).solve, guess=guess)
-    return partial(solve, problem, method, intervals, guess=guess)
+@dataclass
+class _Cell:
+    """A way while it is measured: how to repeat it, its answer or failure, what its repeats took."""
+
+    row: Row
+    path: Trajectory | None = None
+    again: Callable[[], Trajectory] | None = None
+    calls: list[float] = field(default_factory=list)
+
+    def repeat(self) -> None:
+        """Solve again; noise only adds to the seconds, so the least count."""
+        if self.again is None or (len(self.calls) >= LEAST and sum(self.calls) > LONG):
+            return
+        began = time.perf_counter()
+        path = self.again()
+        self.calls.append(time.perf_counter() - began)
+        seconds = self.calls[-1] if self.row.adaptive else path.solve_seconds
+        self.row = replace(self.row, solve_seconds=float(np.fmin(self.row.solve_seconds, seconds)))
+
+
+def _cell(problem: Problem, row: Row, guess: Guess | None, measure: Measure | None) -> _Cell:
+    """Go a way for the first time, twice where that does not take long, and build what its repeats need.
+
+    The second time finds CasADi's plugins loaded.
+    """
+    seconds: list[float] = []
+    try:
+        while len(seconds) < FIRST and sum(seconds) < SLOW:
+            fresh = pickle.loads(pickle.dumps(problem))  # a deep copy would share its Functions
+            began = time.perf_counter()
+            path = row.solve(fresh, guess)
+            seconds.append(time.perf_counter() - began)
+        again = _repeated(problem, row, guess)
+    except (RuntimeError, ValueError) as failure:  # a ConvergenceError is a RuntimeError, and so is what CasADi raises
+        return _Cell(replace(row, failure=str(failure)))
+    if measure is not None:
+        measured(measure, path)
+    if row.adaptive:
+        row = replace(row, method=path.method, intervals=len(path.t) - 1)
+    row = replace(row, unknowns=_unknowns(problem, path), iterations=path.iterations, first_seconds=min(seconds))
+    return _Cell(row, path, again)
+
+
+def _repeated(problem: Problem, row: Row, guess: Guess | None) -> Callable[[], Trajectory]:
+    """A solve that can be repeated, on a graph that is built and has built its solver where it is of all intervals."""
+    if row.method is None or row.solver is None:
+        return partial(row.solve, problem, guess)
+    assert not isinstance(problem, InitialProblem)
+    intervals = row.intervals if row.mesh is None else None
+    graph = transcribe(problem, row.method, intervals, mesh=row.mesh)
+    again = partial(graph.solve, guess=guess, solver=row.solver)
+    again()
+    return again
+
+
+def _on_its_mesh(problem: Problem, cell: _Cell) -> Row:
+    """The way on a fixed mesh that a tolerance has found; where the duration is free, over the one guessed."""
+    assert cell.path is not None
+    joints, (start, end) = cell.path.t, problem.t_span
+    if (joints[0], joints[-1]) != (start, end):
+        joints = np.interp((joints - joints[0]) / (joints[-1] - joints[0]), [0.0, 1.0], [start, end])
+    row = cell.row
+    return Row(row.method, row.intervals, row.solver, row.tol, mesh=tuple(joints.tolist()))
 
 
 def _unknowns(problem: Problem, path: Trajectory) -> int:
@@ -45,55 +118,72 @@ def _unknowns(problem: Problem, path: Trajectory) -> int:
     return path.polynomial.values.size - fixed - periodic + controls
 
 
-@dataclass
-class _Cell:
-    """One cell while it is measured: how to solve it again, its first answer or failure, seconds of the others."""
+def _check_given(problem: Problem, guess: Guess | None, shooting: bool, measure: Measure | None) -> None:
+    """Refuse what would fail in each way, or in the reference."""
+    if measure is not None and not callable(measure):
+        raise TypeError(f"measure must be a callable path -> number, got {measure!r}")
+    if not isinstance(shooting, bool):
+        raise TypeError(f"shooting must be True or False, got {shooting!r}")
+    if shooting and not isinstance(problem, BoundaryProblem):
+        raise ValueError(f"only a BoundaryProblem is solved by shooting, got a {type(problem).__name__}")
+    if guess is None:
+        return
+    if isinstance(problem, InitialProblem):
+        raise ValueError("an initial problem takes no guess: it is solved step by step")
+    if not isinstance(guess, Trajectory) and not callable(guess):
+        raise TypeError(f"the guess of a trade must fit every mesh: a callable or a Trajectory, got {guess!r}")
+    if shooting and not isinstance(guess, Trajectory):
+        raise TypeError(f"shooting begins at the start of a Trajectory: give one as the guess, got {guess!r}")
 
-    run: Callable[[], Trajectory] | None = None
-    path: Trajectory | None = None
-    failure: str | None = None
-    seconds: list[float] = field(default_factory=list)
 
-    def repeat(self) -> None:
-        if self.run is not None and (len(self.seconds) < LEAST or sum(self.seconds) < LONG):
-            self.seconds.append(self.run().solve_seconds)
+def _listed(name: str, given: Iterable[Any]) -> list[Any]:
+    """What is given several times."""
+    try:
+        return list(given)
+    except TypeError as error:
+        raise TypeError(f"{name} must be several, in a list, got {given!r}") from error
 
 
-def _check(
-    problem: Problem, methods: Sequence[Galerkin], counts: Sequence[int], guess: Guess | None
-) -> list[tuple[Galerkin, int]]:
-    """All cells; refuses what would fail in each of them, or in the reference."""
-    if not methods or not counts:
-        raise ValueError(f"give at least one method and one number of intervals, got {methods} and {counts}")
-    if guess is not None:
+def _solvers(problem: Problem, solvers: Iterable[Solver]) -> Sequence[Solver | None]:
+    """The solvers, or the default one; none where a path is found step by step."""
+    given = _listed("solvers", solvers)
+    for solver in given:
+        if not isinstance(solver, Solver):
+            raise TypeError(f"solvers must be Solvers, such as [newton, ipopt], got {solver!r}")
         if isinstance(problem, InitialProblem):
-            raise ValueError("an initial problem takes no guess: it is solved step by step")
-        if not isinstance(guess, Trajectory) and not callable(guess):
-            raise TypeError(f"the guess of a trade must fit every mesh: a callable or a Trajectory, got {guess!r}")
-    keys = [(method, count) for method in methods for count in counts]
-    for method, count in keys:
+            raise ValueError(f"an initial problem takes no solver: it is solved step by step, got {solver!r}")
+        if isinstance(problem, ControlProblem) and solver.name in {newton.name, rootfinder.name, minimizer.name}:
+            raise ValueError(f"a ControlProblem is solved by ipopt, got the solver {solver!r}")
+    if given or isinstance(problem, InitialProblem):
+        return given or [None]
+    return [ipopt if isinstance(problem, ControlProblem) else newton]
+
+
+def _ways(
+    problem: Problem,
+    methods: Sequence[Galerkin],
+    counts: Sequence[int],
+    tolerances: Sequence[float],
+    solvers: Sequence[Solver | None],
+    shooting: bool,
+    guess: Guess | None,
+) -> list[Row]:
+    """All ways, not yet measured; refuses what does not fit."""
+    grid = [(method, count) for method in methods for count in counts]
+    if not grid and not tolerances:
+        raise ValueError(
+            f"give at least one method and one number of intervals, or a tolerance, got {methods} and {counts}"
+        )
+    for method, count in grid:
         check_types(problem, method, BoundaryProblem, InitialProblem, ControlProblem)
-        mesh = mesh_of(problem.t_span, count, None)
+        mesh = mesh_of(problem.t_span, count, None, getattr(problem, "breakpoints", ()))
         if guess is not None:
             guess_values(guess, DiscreteCalculus(method, mesh), problem.dimension)
-    return keys
-
-
-def _first(problem: Problem, method: Galerkin, intervals: int, guess: Guess | None) -> _Cell:
-    """Build and solve a cell for the first time."""
-    try:
-        run = _runner(problem, method, intervals, guess)
-        return _Cell(run, run())
-    except (ConvergenceError, ValueError) as failure:
-        return _Cell(failure=str(failure))
-
-
-def _measured(problem: Problem, method: Galerkin, intervals: int, cell: _Cell, truth: ReferenceSolution) -> Row:
-    path = cell.path
-    if path is None:
-        return Row(method, intervals, failure=cell.failure)
-    count, seconds, errors = _unknowns(problem, path), median(cell.seconds), truth.errors(path)
-    return Row(method, intervals, count, path.build_seconds, seconds, path.iterations, *errors)
+    if tolerances and isinstance(problem, InitialProblem):
+        raise ValueError(f"an initial problem takes no tolerances: it is solved step by step, got {tolerances}")
+    ways = [Row(method, count, solver) for method, count in grid for solver in solvers]
+    ways += [Row(method, count, shooting=True) for method, count in grid if shooting]
+    return ways + [Row(solver=solver, tol=check_tolerance(tol)) for solver in solvers for tol in tolerances]
 
 
 def trade(
@@ -102,9 +192,17 @@ def trade(
     intervals: Iterable[int],
     reference: Reference | None = None,
     *,
+    tolerances: Iterable[float] = (),
+    solvers: Iterable[Solver] = (),
+    shooting: bool = False,
+    measure: Measure | None = None,
     guess: Guess | None = None,
 ) -> Trade:
-    """Solve a problem by every method on every number of intervals, and measure time and error of each.
+    """Solve a problem in every way that is asked for, and measure time and error of each.
+
+    Every solver solves on every number of intervals by every method, and to every tolerance; the mesh and degree that a
+    tolerance finds are a way of their own, on a fixed mesh.  A way that fails is a row that says why.  Memory is not
+    measured, as most of it is CasADi's; it grows with the unknowns.
 
     Parameters
     ----------
@@ -113,15 +211,21 @@ def trade(
     intervals : several numbers of equal intervals
     reference : a Trajectory over the same time span, unless the duration is free, or a callable t -> (d,), that errors
         are differences to; default a solve several digits finer, whose own error is estimated and reported
-    guess : a callable t -> (d,) or a Trajectory, for all cells and the reference: where several paths join the ends,
-        it chooses one
+    tolerances : several numbers, as `solve` takes them; not for an InitialProblem
+    solvers : several Solvers, as `solve` takes them; default the usual one.  Not for an InitialProblem
+    shooting : whether to `shoot` as well, by every method on every number of intervals; for a BoundaryProblem
+    measure : a callable path -> number, the quantity whose error counts: a position at some time, a momentum, the cost.
+        The path is a Trajectory, unless `reference` is a callable, which can only be called; default the path itself,
+        everywhere.  Its error is relative to its value on the reference where that is not zero
+    guess : a callable t -> (d,) or a Trajectory, for all ways and the reference: where several paths join the ends, it
+        chooses one.  With `shooting`, a Trajectory, best a coarse one: it is the answer of a way on its own mesh
 
     Raises
     ------
     TypeError, ValueError
         for input that does not fit, before anything is solved
     ConvergenceError
-        if no method solved the problem, or no finer solve was found to measure against
+        if no way led to a path, or no finer solve was found to measure against
 
     Examples
     --------
@@ -130,28 +234,49 @@ def trade(
     >>> measured = cg.trade(oscillator, [cg.Galerkin(2)], [4, 8, 16])
     >>> round(measured.order(cg.Galerkin(2)), 1)
     3.0
+    >>> measured = cg.trade(oscillator, [cg.Galerkin(2)], [4], tolerances=[1e-6], shooting=True,
+    ...     measure=lambda path: path.action)
+    >>> [row.way for row in measured.rows]
+    ['newton', 'shooting', 'newton, tol 1e-06', 'newton, mesh of 1e-06']
+    >>> row = measured.cheapest(1e-6)
+    >>> round(row.solve(oscillator).action, 5)
+    0.32105
     """
-    keys = _check(problem, list(methods), list(intervals), guess)
+    check_types(problem, Galerkin(1), BoundaryProblem, InitialProblem, ControlProblem)
+    _check_given(problem, guess, shooting, measure)
+    grid = _listed("methods", methods), _listed("intervals", intervals)
+    ways = _ways(problem, *grid, _listed("tolerances", tolerances), _solvers(problem, solvers), shooting, guess)
     if reference is not None:
         check_reference(problem, reference)
-    with tqdm(total=(1 + REPEATS) * len(keys), desc="trade", disable=None, leave=False) as bar:
-        cells = []
-        for method, count in keys:
-            cells.append(_first(problem, method, count, guess))
+        if measure is not None:
+            ReferenceSolution(problem, reference, problem.parameters, measure)
+    count = len(ways) + len([way for way in ways if way.adaptive])
+    with tqdm(total=(1 + REPEATS) * count, desc="trade", disable=None, leave=False) as bar:
+        cells: list[_Cell] = []
+        while ways:
+            cells.append(_cell(problem, ways.pop(0), guess, measure))
+            if cells[-1].row.adaptive and cells[-1].path is not None:
+                ways.append(_on_its_mesh(problem, cells[-1]))
             bar.update()
-        for _ in range(REPEATS):  # in turns, so that a busy spell of the machine does not fall on one cell alone
+        for _ in range(REPEATS):  # in turns, so that a busy spell of the machine does not fall on one way alone
             for cell in cells:
                 cell.repeat()
                 bar.update()
     paths = [cell.path for cell in cells if cell.path is not None]
     if not paths:
-        raise ConvergenceError(f"no method solved the problem on any mesh; the first failure: {cells[0].failure}")
+        raise ConvergenceError(f"no way led to a path; the first failure: {cells[0].row.failure}")
     described, own = "given", getattr(reference, "error_estimate", None) or 0.0
     if own:
         described = f"given, own error {own:.1e}"
     if reference is None:
-        reference, own = finer(problem, paths, guess)
+        reference, own = finer(problem, paths, guess, measure)
         described = f"{reference.method} on {len(reference.t) - 1} intervals, own error {own:.1e}"
-    truth = ReferenceSolution(problem, reference, paths[0].parameters)
-    rows = [_measured(problem, *key, cell, truth) for key, cell in zip(keys, cells, strict=True)]
-    return Trade(tuple(rows), described, own)
+    truth = ReferenceSolution(problem, reference, paths[0].parameters, measure)
+    rows = [cell.row if cell.path is None else replace(cell.row, **truth.errors(cell.path)) for cell in cells]
+    return Trade(tuple(rows), described, own, None if measure is None else _name(measure))
+
+
+def _name(measure: Measure) -> str:
+    """Name of a function; of a lambda, which has none, what it is."""
+    name: str = getattr(measure, "__name__", "")
+    return name if name.isidentifier() else "what is measured"

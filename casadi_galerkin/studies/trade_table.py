@@ -2,35 +2,57 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from collections import Counter
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from casadi_galerkin._solve import solve
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.quadrature import gauss, lobatto, radau
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.export import Table
+from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.plotting import Pictured, plot_work_precision
-from casadi_galerkin.studies.reference import ROUNDOFF
+from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solvers.solver import Solver
+from casadi_galerkin.stepping.shooting import shoot
+from casadi_galerkin.studies.reference import ROUNDOFF, Problem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PLATEAU = 30.0  # errors below so many times the floor take no part in the fit of an order
+MOST_SHOWN = 40  # rows of a table; of more, only those of the front are shown
+REASON = 70  # characters of the reason of a failure in a table
+HEADS = ("*", "degree", "rule", "intervals", "solved by")
+COSTS = ("unknowns", "first/ms", "solve/ms", "iterations")
+ERRORS = ("path", "at joints", "functional", "energy")
+RULES = {"Gauss": gauss, "Lobatto": lobatto, "Radau": radau}
 
 
 @dataclass(frozen=True)
 class Row:
-    """One row of a trade: a method on a number of intervals, with its cost and its errors.
+    """One way to the path of a problem, which can be gone again, with what it has cost and how far it has missed.
 
     Attributes
     ----------
-    method, intervals : as `solve` takes them
+    method, intervals : as `solve` takes them, or as a tolerance has found them; None where it has found none
+    solver : as `solve` takes it; None where a path is found step by step
+    tol : the tolerance; None of a fixed discretisation
+    mesh : joints that were found for `tol`, taken as a fixed mesh; None where the mesh is none of these
+    shooting : whether the path is found by `shoot`
     unknowns : node values and controls solved for
-    build_seconds, solve_seconds : the first building, and the median of repeated warm solves
+    first_seconds : of a first call with a problem, which builds everything but the patterns that another problem with
+        the same method on as many intervals has left
+    solve_seconds : of a repeated solve, with its graph of all intervals or of a step built; to a tolerance, where each
+        level builds its own, of a repeated call
     iterations : of the solver
-    error : largest error of the path, at the joints and between them, relative to the size of each component
+    error : of the quantity that the trade measures, and where none is named, of the path
+    path_error : largest error of the path, at the joints and between them, relative to the size of each component
     joint_error : the same at the joints
-    action_error : of the action, relative to ∫ |L| dt
+    functional_error : of the action relative to ∫ |L| dt, or of the cost of a control problem relative to the cost
     energy_error : largest error of the energy at the joints, relative to the largest of its terms |p·v| + |L|
     failure : why there is no answer; the numbers above are then NaN or 0.  None if there is one
 
@@ -39,21 +61,56 @@ class Row:
     >>> import casadi_galerkin as cg
     >>> oscillator = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, 1), start=[0.0], end=[1.0])
     >>> (row,) = cg.trade(oscillator, [cg.Galerkin(6)], [4]).rows
-    >>> row.intervals, row.unknowns, row.error < 1e-9, row.failure
-    (4, 23, True, None)
+    >>> row.way, row.intervals, row.unknowns, row.error < 1e-9, row.failure
+    ('newton', 4, 23, True, None)
+    >>> row.solve(oscillator.varied({"end": [2.0]}, oscillator.t_span))(1.0).tolist()
+    [2.0]
     """
 
-    method: Galerkin
-    intervals: int
+    method: Galerkin | None = None
+    intervals: int | None = None
+    solver: Solver | None = None
+    tol: float | None = None
+    mesh: tuple[float, ...] | None = field(default=None, repr=False)
+    shooting: bool = False
     unknowns: int = 0
-    build_seconds: float = np.nan
+    first_seconds: float = np.nan
     solve_seconds: float = np.nan
     iterations: int = 0
     error: float = np.nan
+    path_error: float = np.nan
     joint_error: float = np.nan
-    action_error: float = np.nan
+    functional_error: float = np.nan
     energy_error: float = np.nan
     failure: str | None = None
+
+    def solve(self, problem: Problem, guess: Guess | None = None) -> Trajectory:
+        """Solve a problem in this way, the one that was traded or another; arguments and errors as for `solve`.
+
+        By shooting, `guess` is a Trajectory.
+        """
+        if self.adaptive:
+            return solve(problem, tol=self.tol, guess=guess, solver=self.solver)
+        if not self.shooting:
+            intervals = self.intervals if self.mesh is None else None
+            return solve(problem, self.method, intervals, mesh=self.mesh, guess=guess, solver=self.solver)
+        given = cast(BoundaryProblem, problem), cast(Galerkin, self.method), self.intervals  # which `shoot` checks
+        return shoot(*given, guess=cast(Trajectory | None, guess))
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether mesh and degree are found for a tolerance."""
+        return self.tol is not None and self.mesh is None
+
+    @property
+    def way(self) -> str:
+        """The way in words, without method and intervals."""
+        name = "steps" if self.solver is None else repr(self.solver).removeprefix("cg.")
+        if self.shooting:
+            return "shooting"
+        if self.tol is None:
+            return name
+        return f"{name}, {'tol' if self.adaptive else 'mesh of'} {self.tol:g}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -62,9 +119,10 @@ class Trade(Table, Pictured):
 
     Attributes
     ----------
-    rows : for each method in turn, one row per number of intervals
+    rows : one for each way, in the order in which they were asked for
     reference : what the errors are differences to
     reference_error : its own estimated relative error; 0 where it was given
+    quantity : name of what `Row.error` is the error of; None where it is the path
 
     Examples
     --------
@@ -78,20 +136,30 @@ class Trade(Table, Pictured):
     rows: tuple[Row, ...]
     reference: str
     reference_error: float
+    quantity: str | None = None
 
     def front(self) -> list[Row]:
-        """Rows that no other row beats in both time and error (the Pareto set), fastest first."""
+        """Rows that no other row beats in both time of a repeated solve and error (the Pareto set), fastest first.
+
+        Errors that differ by less than `floor` are equal.
+        """
         chosen: list[Row] = []
         for row in sorted(self._solved(), key=lambda row: (row.solve_seconds, row.error)):
-            if not chosen or row.error < chosen[-1].error:
+            if not chosen or row.error < chosen[-1].error - self.floor:
                 chosen.append(row)
         return chosen
 
-    def cheapest(self, tol: float) -> Row:
-        """Fastest row whose error, with that of the reference, is at most `tol`; ValueError if there is none."""
+    def cheapest(self, tol: float, first_call: bool = False) -> Row:
+        """Fastest row whose error, with that of the reference, is at most `tol`; ValueError if there is none.
+
+        Parameters
+        ----------
+        tol : largest error
+        first_call : whether the fastest first call is wanted, not the fastest repeated solve
+        """
         good = [row for row in self._solved() if row.error + self.reference_error <= tol]
         if good:
-            return min(good, key=lambda row: row.solve_seconds)
+            return min(good, key=lambda row: row.first_seconds if first_call else row.solve_seconds)
         best = min((row.error for row in self._solved()), default=np.nan)
         raise ValueError(
             f"no row has an error of at most {tol:g}: the least is {best:.1e}, the reference's own "
@@ -99,11 +167,15 @@ class Trade(Table, Pictured):
         )
 
     def order(self, method: Galerkin) -> float | None:
-        """Order of the error in 1/N, fitted to the rows of a method above roundoff; None with fewer than 3."""
-        rows = [row for row in self._solved() if row.method == method and row.error > PLATEAU * self.floor]
+        """Order of the error in 1/N, fitted to the rows of a method above roundoff; None with fewer than 3.
+
+        Rows to a tolerance, whose mesh is another, and of shooting, which loses digits, take no part.
+        """
+        fixed = [row for row in self._solved() if row.method == method and row.tol is None and not row.shooting]
+        rows = [row for row in fixed if row.error > PLATEAU * self.floor]
         if len({row.intervals for row in rows}) < 3:
             return None
-        logs = np.log([[row.intervals, row.error] for row in rows])
+        logs = np.log([[row.intervals or 0, row.error] for row in rows])
         return float(-np.polyfit(logs[:, 0], logs[:, 1], 1)[0])
 
     @property
@@ -115,57 +187,92 @@ class Trade(Table, Pictured):
         return [row for row in self.rows if row.failure is None]
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw errors over seconds, a line per method, with fitted orders and the floor; returns Matplotlib's axes."""
-        lines = []
-        for method in dict.fromkeys(row.method for row in self._solved()):
-            rows, order = [row for row in self._solved() if row.method == method], self.order(method)
-            label = str(method) if order is None else f"{method}: error ~ N^-{order:.1f}"
-            lines.append((label, [row.solve_seconds for row in rows], [row.error for row in rows]))
-        return plot_work_precision(lines, self.floor, axes)
+        """Draw errors over the times of repeated solves, and the floor below which errors mean nothing.
+
+        A line joins the rows of one way: its color is the degree, its dashes are the rule, its dots say how it is
+        solved.  The broad line is the front.  Returns Matplotlib's axes.
+        """
+        lines: dict[tuple[Galerkin | None, tuple[str, str, str]], list[tuple[float, float]]] = {}
+        for row in self._solved():
+            key = row.method if row.tol is None else None, _line(row)  # each tolerance finds a degree of its own
+            lines.setdefault(key, []).append((row.solve_seconds, row.error))
+        named = [(names, points) for (_, names), points in lines.items()]
+        front = [(row.solve_seconds, row.error) for row in self.front()]
+        return plot_work_precision(named, front, self.floor, f"relative error of {self.quantity or 'the path'}", axes)
 
     def table(self) -> dict[str, np.ndarray]:
-        """All rows by the names of their fields, the method in words and by its degree; no failure is an empty word."""
-        columns = {entry.name: np.array([getattr(row, entry.name) for row in self.rows]) for entry in fields(Row)[1:-1]}
+        """All rows by the names of their fields, way and method in words; what a row has not is NaN, 0 or empty."""
+        names = [entry.name for entry in fields(Row) if entry.type in ("int", "float")]
         return {
-            "degree": np.array([row.method.degree for row in self.rows]),
-            "method": np.array([str(row.method) for row in self.rows]),
-            **columns,
+            "way": np.array([row.way for row in self.rows]),
+            "method": np.array([str(row.method or "") for row in self.rows]),
+            "degree": np.array([row.method.degree if row.method else 0 for row in self.rows]),
+            "intervals": np.array([row.intervals or 0 for row in self.rows]),
+            "tol": np.array([np.nan if row.tol is None else row.tol for row in self.rows]),
+            **{name: np.array([getattr(row, name) for row in self.rows]) for name in names},
             "failure": np.array([row.failure or "" for row in self.rows]),
         }
 
     def __repr__(self) -> str:
         """Say how much was measured, and what came out best; ``print`` shows the table."""
-        solved, methods = self._solved(), {row.method for row in self.rows}
-        text = f"Trade of {len(self.rows)} rows, {len(methods)} method(s); reference: {self.reference}"
+        solved, ways = self._solved(), {row.way for row in self.rows}
+        text = f"Trade of {len(self.rows)} rows, {len(ways)} way(s) to solve; reference: {self.reference}"
         if not solved:
             return text
         best = min(solved, key=lambda row: row.error)
-        cost = f"{1e3 * best.solve_seconds:.3g} ms"
-        return f"{text}\n  least error {best.error:.1e} in {cost}: {best.method}, {best.intervals} intervals"
+        cost, how = f"{1e3 * best.solve_seconds:.3g} ms", f"{best.intervals} intervals, {best.way}"
+        return f"{text}\n  least error {best.error:.1e} in {cost}: {best.method}, {how}"
 
     def __str__(self) -> str:
-        """Readable table; the front is marked with a star."""
-        front = self.front()
-        width = max(len(str(row.method)) for row in self.rows)
-        heads = [
-            "intervals",
-            "unknowns",
-            "build/ms",
-            "solve/ms",
-            "iterations",
-            "error",
-            "at-joints",
-            "action",
-            "energy",
-        ]
-        lines = [f"  {'method':{width}}" + "".join(f"{head:>11}" for head in heads)]
-        for row in self.rows:
-            line = f"{'*' if row in front else ' '} {row.method!s:{width}}{row.intervals:11d}"
-            if row.failure is not None:
-                lines.append(f"{line}  failed: {row.failure}")
-                continue
-            seconds = "".join(f"{1e3 * value:11.3f}" for value in (row.build_seconds, row.solve_seconds))
-            errors = (row.error, row.joint_error, row.action_error, row.energy_error)
-            numbers = f"{row.unknowns:11d}{seconds}{row.iterations:11d}" + "".join(f"{e:11.1e}" for e in errors)
-            lines.append(line + numbers)
-        return "\n".join([*lines, f"reference: {self.reference}", "*: no other row is both faster and more accurate"])
+        """Readable table; the front is marked with a star, and of many rows shown alone."""
+        front, named = self.front(), self.quantity is not None
+        shown = self.rows if len(self.rows) <= MOST_SHOWN else front
+        table = [HEADS, *(_words(row, row in front) for row in shown)]
+        widths = [max(len(words[k]) for words in table) for k in range(len(HEADS))]
+        heads = "".join(f"{head:>12}" for head in [*COSTS, *(["error"] if named else []), *ERRORS])
+        numbers = [heads, *(_numbers(row, named) for row in shown)]
+        lines = ["  ".join(map(str.ljust, words, widths)) + end for words, end in zip(table, numbers, strict=True)]
+        lines += [f"reference: {self.reference}", "*: no other row is both faster when repeated and more accurate"]
+        if named:
+            lines.insert(-1, f"error: of {self.quantity}")
+        if len(shown) < len(self.rows):
+            lines[-1] += f"; the other {len(self.rows) - len(shown)} rows are left out"
+            lost = Counter(row.way for row in self.rows if row.failure is not None)
+            lines += [f"failed: {count} by {way}" for way, count in lost.items()]
+        return "\n".join(lines)
+
+
+def _line(row: Row) -> tuple[str, str, str]:
+    """Names of the color, the dashes and the dots of the line that a row is on."""
+    how = replace(row, tol=None).way
+    if row.tol is not None or row.method is None:
+        return "to a tolerance" if row.adaptive else "on its mesh", "", how
+    return f"degree {row.method.degree}", rule_of(row.method, relative=True), how
+
+
+def _words(row: Row, best: bool) -> tuple[str, ...]:
+    """What a row is, in a table."""
+    degree, rule = ("", "") if row.method is None else (row.method.degree, rule_of(row.method))
+    return "*" if best else "", f"{degree:>6}", rule, f"{row.intervals or '':>9}", row.way
+
+
+def _numbers(row: Row, named: bool) -> str:
+    """What a row has measured, or why it has not, in a table."""
+    if row.failure is not None:
+        reason = row.failure.partition(". ")[0]
+        return f"  failed: {reason if len(reason) <= REASON else reason[: REASON - 1] + '…'}"
+    seconds = "".join(f"{1e3 * value:12.3f}" for value in (row.first_seconds, row.solve_seconds))
+    errors = [row.path_error, row.joint_error, row.functional_error, row.energy_error]
+    shown = "".join(f"{value:12.1e}" for value in ([row.error] if named else []) + errors)
+    return f"{row.unknowns:12d}{seconds}{row.iterations:12d}{shown}"
+
+
+def rule_of(method: Galerkin, relative: bool = False) -> str:
+    """Rule of a method in few words; `relative` names its points by the degree m, such as "Lobatto(m+1)"."""
+    rule, m = method.quadrature, method.degree
+    plain = method.control_points == Galerkin(m).control_points
+    points = f"m{len(rule) - m:+d}".removesuffix("+0") if relative else str(len(rule))
+    for name, family in RULES.items():
+        if plain and len(rule) >= (2 if family is lobatto else 1) and rule == family(len(rule)):
+            return f"{name}({points})"
+    return str(method).partition(", ")[2]

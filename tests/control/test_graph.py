@@ -28,11 +28,12 @@ def graph(request, method):
 
 @pytest.fixture
 def somewhere(graph):
-    rng = np.random.default_rng(1)
-    sizes = (graph.unknowns.numel(), graph.data.numel(), graph.equations.numel())
-    unknowns, data, multipliers = (0.5 + 0.3 * rng.standard_normal(size) for size in sizes)
-    data[-5:] = np.linspace(0, 1, 5)  # the mesh, as fractions of the duration
-    return unknowns, np.where(data == 0, 0.1, data), multipliers
+    rng, chain = np.random.default_rng(1), graph.chain
+    everything = 0.5 + 0.3 * rng.standard_normal(chain.size)
+    everything[chain.fields["left"]] = np.arange(4) / 4
+    everything[chain.fields["part"]] = 1 / 4
+    unknowns, data = np.split(everything, [chain.unknowns])
+    return unknowns, data, 0.5 + 0.3 * rng.standard_normal(chain.equations)
 
 
 def largest(matrix):
@@ -59,20 +60,27 @@ def test_hessian_is_casadis_own_with_no_nonzero_more(graph, somewhere):
     factor, lam = ca.MX.sym("factor"), ca.MX.sym("lam", len(multipliers))
     lagrangian = factor * graph.cost + ca.dot(lam, graph.equations)
     upper = ca.triu(ca.hessian(lagrangian, graph.unknowns)[0])
-    own = ca.Function("own", [graph.unknowns, graph.data, factor, lam], [upper])(unknowns, data, 0.7, multipliers)
+    inputs = [graph.unknowns, graph.data, factor, lam]
+    own, slope = ca.Function("own", inputs, [upper, ca.gradient(lagrangian, graph.unknowns)])(
+        unknowns, data, 0.7, multipliers
+    )
     ours = graph.hessian(unknowns, data, 0.7, multipliers)
     assert ours.sparsity() == own.sparsity()
     assert largest(ours - own) <= ROUNDOFF * (1 + largest(own))
+    ours, whole = graph.whole_hessian(unknowns, data, 0.7, multipliers)
+    assert largest(ours - slope) <= ROUNDOFF * (1 + largest(slope))
+    assert largest(whole - ca.triu2symm(own)) <= ROUNDOFF * (1 + largest(own))
 
 
 @pytest.mark.parametrize(("degree", "intervals"), [(1, 9), (4, 20), (7, 5)])
 def test_derivatives_are_block_sparse(degree, intervals):
     graph = cg.transcribe(cart_pole(), cg.Galerkin(degree), intervals).graph
     nodes, d = degree + 1, 2
-    path = intervals * (nodes * d) ** 2 - (intervals - 1) * d**2 - 2 * d * nodes * d  # less the ends, which are given
-    controls = intervals * degree * nodes  # the control pushes the cart only
-    assert graph.jacobian.nnz_out(1) == path + controls
+    path = (nodes * d) ** 2 + nodes * degree  # the control pushes the cart only
+    tied = 2 * d + 2 * d  # x_{i+1} - X_m, and the momenta at both ends
+    velocities = d + (d**2 + 1)  # p and ∂L/∂v(x, v), which the angle and both velocities enter
+    assert graph.jacobian.nnz_out(1) == intervals * (path + tied) + 2 * (velocities + 1)
     # L is quadratic in the cart's velocity and ignores its position: no second derivative there
-    pole, mixed, ends = nodes * (nodes + 1) // 2, nodes**2, 3 * nodes - 1
-    path = intervals * (pole + mixed) - (intervals - 1) * 2 - 2 * ends
-    assert graph.hessian.nnz_out(0) == path + intervals * degree
+    pole, mixed = nodes * (nodes + 1) // 2, nodes**2
+    ends = d + (1 + d)  # by an angle and the velocities; that of the last joint is in no interval
+    assert graph.hessian.nnz_out(0) == intervals * (pole + mixed + degree) + ends

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 from control_problems import double_integrator
 
+import casadi_galerkin as cg
+
 BADLY_STATED = {
     "bounds that are a table": (
         {"control_bounds": {"lo": 0, "hi": 1}},
@@ -114,3 +116,55 @@ def test_parameter_guess_outside_its_bounds_is_refused():
 )
 def test_bounds_of_any_kind_are_read(pair):
     assert double_integrator(control_bounds=pair).control_bounds == ((-1.0,), (2.0,))
+
+
+@pytest.mark.parametrize(
+    ("cost", "bounds", "message"),
+    [
+        (lambda t, x, v, u: ca.fabs(u[0]) + u[1] ** 2, (-1, 1), r"absolute value of u\[0\]"),
+        (lambda t, x, v, u: u[0] ** 2 + 2 * ca.fabs(3 * u[1] + x[0]), None, r"absolute value of u\[1\]"),
+        (lambda t, x, v, u: ca.norm_1(u), (-1, 1), r"absolute value of u\[0\]"),
+        (lambda t, x, v, u: ca.norm_1(u), (0, 1), None),
+        (lambda t, x, v, u: ca.fabs(x[0]) + ca.dot(u, u), None, None),
+    ],
+)
+def test_absolute_values_of_controls_of_both_signs_are_refused(cost, bounds, message):
+    def stated():
+        return plane(running_cost=cost, control_bounds=bounds)
+
+    if message is None:
+        assert stated().controls == 2
+    else:
+        with pytest.raises(ValueError, match=message + r", .* a - b .* a \+ b"):
+            stated()
+
+
+@pytest.mark.parametrize(
+    ("waypoints", "kind", "message"),
+    [
+        ([(1.0, [1.0])], ValueError, r"a waypoint must have 2 position\(s\), .* got \[1.0\]"),
+        ([(3.0, [1.0, 1.0])], ValueError, r"must increase inside of \(0.0, 2.0\), got \(3.0,\)"),
+        ([(1.0, [(2, 1), 1.0])], ValueError, "waypoint at t = 1 contradict each other in component 0"),
+        ([1.0], TypeError, r"waypoints must be pairs \(t, positions\), got 1.0"),
+        ([("noon", [1, 2])], ValueError, "time of a waypoint must be a finite number, got 'noon'"),
+        ([(1.0, [np.nan, 1])], ValueError, "lo of the waypoint at t = 1 must not be NaN"),
+    ],
+)
+def test_bad_waypoints_are_refused(waypoints, kind, message):
+    with pytest.raises(kind, match=message):
+        plane(waypoints=waypoints)
+
+
+def plane(**changes):
+    fields = {"running_cost": lambda t, x, v, u: ca.dot(u, u) / 2, **changes}
+    return cg.ControlProblem(
+        lambda t, x, v: ca.dot(v, v) / 2,
+        (0.0, 2.0),
+        [0.0, 0.0],
+        [1.0, 0.0],
+        [0.0, 0.0],
+        [0.0, 0.0],
+        force=lambda t, x, v, u: u,
+        controls=2,
+        **fields,
+    )

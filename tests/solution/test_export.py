@@ -22,9 +22,10 @@ def answers():
     ends = [f"{end}_{name}[0]" for name in ("x", "momentum") for end in ("start", "end")]
     over = [{"end": [2.0]}, {"guess": lambda t: [np.nan]}, {"end": [3.0]}]
     yield cg.sweep(oscillator_problem(), over, cg.Galerkin(3), 4), ["failure", "action", "duration", *ends]
-    errors = [f"{of}error" for of in ("", "joint_", "action_", "energy_")]
-    costs = ["intervals", "unknowns", "build_seconds", "solve_seconds", "iterations", *errors]
-    yield cg.trade(oscillator_problem(), [cg.Galerkin(3)], [2, 4]), ["degree", "method", *costs, "failure"]
+    errors = [f"{of}error" for of in ("", "path_", "joint_", "functional_", "energy_")]
+    costs = ["tol", "unknowns", "first_seconds", "solve_seconds", "iterations", *errors]
+    traded = cg.trade(oscillator_problem(), [cg.Galerkin(3)], [2, 4], tolerances=[1e-3])
+    yield traded, ["way", "method", "degree", "intervals", *costs, "failure"]
 
 
 @pytest.fixture(scope="module", params=range(5), ids=["trajectory", "controls", "comparison", "sweep", "trade"])

@@ -51,6 +51,16 @@ PROBLEMS = {
 }
 
 
+def test_breakpoints_are_joints_of_a_shot_path():
+    def switched(t, x, v):
+        return v[0] ** 2 / 2 - x[0] ** 2 / 2 + ca.if_else(t < 1.1, 0.0, 1.0) * x[0]
+
+    problem = cg.BoundaryProblem(switched, (0, 2), [0.0], [1.0], breakpoints=[1.1])
+    shot, whole = (way(problem, cg.Galerkin(3), 5) for way in (cg.shoot, cg.solve))
+    np.testing.assert_array_equal(shot.t, whole.t)
+    np.testing.assert_allclose(shot.x, whole.x, rtol=0, atol=SAME)
+
+
 @pytest.mark.parametrize("name", PROBLEMS)
 @pytest.mark.parametrize("degree", [2, 5])
 def test_shooting_finds_the_global_path(name, degree):

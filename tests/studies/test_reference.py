@@ -5,6 +5,7 @@ from importlib import import_module
 import casadi as ca
 import numpy as np
 import pytest
+from control_problems import double_integrator
 
 import casadi_galerkin as cg
 
@@ -19,7 +20,7 @@ def test_solved_and_exact_reference_give_the_same_errors(oscillator, measured):
     for ours, theirs in zip(measured.rows, exact.rows, strict=False):
         # sizes of components are the largest value at a reference's nodes, 1e-6 short of the maximum between them;
         # energies of a callable come from differences of its values, with a roundoff of 1e-13 or so
-        for name in ("error", "joint_error", "action_error", "energy_error"):
+        for name in ("error", "joint_error", "functional_error", "energy_error"):
             assert getattr(ours, name) == pytest.approx(getattr(theirs, name), rel=1e-5, abs=3 * REFERENCE)
 
 
@@ -60,7 +61,7 @@ def free(t, x, v):
 )
 def test_a_reference_that_does_not_fit_is_refused_before_any_cell(reference, error, message, monkeypatch):
     module = import_module("casadi_galerkin.studies.trade")
-    monkeypatch.setattr(module, "_first", lambda *given: pytest.fail("solved before the reference was checked"))
+    monkeypatch.setattr(module, "_cell", lambda *given: pytest.fail("solved before the reference was checked"))
     problem = cg.BoundaryProblem(free, (0.0, 1.0), [0.0, 0.0], [1.0, 1.0])
     with pytest.raises(error, match=message):
         cg.trade(problem, [cg.Galerkin(2)], [4], reference=reference)
@@ -79,4 +80,32 @@ def test_parameters_reach_the_reference():
         lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0] ** 2 / 2, (0.0, 1.0), [0.0], [np.sin(2.0)], parameters=[4.0]
     )
     measured = cg.trade(problem, [cg.Galerkin(8)], (8,), reference=lambda t: [np.sin(2 * t)])
-    assert max(measured.rows[0].error, measured.rows[0].action_error, measured.rows[0].energy_error) < REFERENCE
+    assert max(measured.rows[0].error, measured.rows[0].functional_error, measured.rows[0].energy_error) < REFERENCE
+
+
+def test_a_measured_quantity_is_relative_to_its_value_on_the_reference(oscillator):
+    """The position at t = 1 under a reference of sin(t) that is half of it, then all of it."""
+    row = cg.trade(oscillator, [cg.Galerkin(8)], [8], lambda t: [np.sin(t) / 2], measure=lambda path: path(1.0)[0])
+    assert row.rows[0].error == pytest.approx(1.0, rel=REFERENCE)
+    exact = cg.trade(oscillator, [cg.Galerkin(8)], [8], lambda t: [np.sin(t)], measure=lambda path: path(1.0)[0])
+    assert exact.rows[0].error < REFERENCE
+
+
+def test_a_quantity_that_vanishes_has_an_absolute_error(oscillator):
+    still = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0.0, 1.0), [1.0], [2.0])
+    measured = cg.trade(still, [cg.Galerkin(1)], [2], lambda t: [1 + t], measure=lambda path: path(0.0)[0] - 1.0)
+    assert measured.rows[0].error < REFERENCE
+
+
+@pytest.mark.parametrize("value", [None, np.nan, "far", [1.0, 2.0]])
+def test_a_measure_that_is_no_number_is_refused_before_any_cell(oscillator, value, monkeypatch):
+    module = import_module("casadi_galerkin.studies.trade")
+    monkeypatch.setattr(module, "_cell", lambda *given: pytest.fail("solved before the measure was tried"))
+    with pytest.raises(TypeError, match="measure must return a finite number, got"):
+        cg.trade(oscillator, [cg.Galerkin(2)], [4], lambda t: [np.sin(t)], measure=lambda path: value)
+
+
+def test_a_callable_reference_has_no_cost():
+    measured = cg.trade(double_integrator(), [cg.Galerkin(3)], [4], lambda t: [3 * t**2 - 2 * t**3])
+    assert np.isnan(measured.rows[0].functional_error)
+    assert measured.rows[0].error < 1e-9  # IPOPT's tolerance

@@ -6,7 +6,9 @@ from dataclasses import replace
 import pytest
 
 import casadi_galerkin as cg
-from casadi_galerkin.studies.trade_table import Row
+from casadi_galerkin.studies.trade_table import Row, rule_of
+
+SOLVER = cg.newton.with_options(max_iter=9, linear_solver="qr")
 
 
 def row(seconds, error, **changes):
@@ -17,6 +19,34 @@ def test_front_holds_exactly_the_rows_no_other_beats():
     best, worse, fine, slow = row(1.0, 1e-3), row(2.0, 1e-2), row(3.0, 1e-6), row(4.0, 1e-6)
     failed = Row(cg.Galerkin(2), 5, failure="no path")
     assert cg.Trade((slow, failed, worse, fine, best), "given", 0.0).front() == [best, fine]
+
+
+def test_order_is_that_of_fixed_meshes_solved_at_once():
+    rows = [row(1.0, 1.0 / count**3, intervals=count) for count in (4, 8, 16)]
+    others = [row(1.0, 1.0, intervals=32, tol=1e-6, mesh=(0.0, 1.0)), row(1.0, 1.0, intervals=16, shooting=True)]
+    assert cg.Trade((*rows, *others), "given", 0.0).order(cg.Galerkin(2)) == pytest.approx(3, rel=1e-12)
+
+
+def test_errors_within_the_floor_are_equal_on_the_front():
+    fast, slow = row(1.0, 1e-6 + 1e-15), row(2.0, 1e-6)
+    assert cg.Trade((fast, slow), "given", 0.0).front() == [fast]
+    finer = row(2.0, 1e-6 - 2e-14)
+    assert cg.Trade((fast, finer), "given", 0.0).front() == [fast, finer]
+    assert cg.Trade((fast, finer), "solved", 1e-13).front() == [fast]
+
+
+def test_a_quantity_that_is_named_has_a_column_and_the_axis(monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    rows = (row(1.0, 1e-3, path_error=1e-5),)
+    named, path = cg.Trade(rows, "given", 0.0, "reach"), cg.Trade(rows, "given", 0.0)
+    assert "1.0e-03     1.0e-05" in str(named)
+    assert "error: of reach" in str(named)
+    assert "1.0e-03" not in str(path)
+    axes = named.plot()
+    assert axes.get_ylabel() == "relative error of reach"
+    import matplotlib.pyplot as plt
+
+    plt.close(axes.figure)
 
 
 def test_cheapest_is_the_fastest_row_within_the_tolerance():
@@ -44,21 +74,72 @@ def test_csv_holds_every_row(measured, tmp_path):
     assert [int(line["degree"]) for line in read] == [row.method.degree for row in measured.rows]
 
 
-def test_every_method_has_its_own_line_and_name(monkeypatch):
+def test_many_rows_are_shown_by_their_front_and_failures():
+    rows = [row(1.0 + k, 1e-3 / (1 + k % 5)) for k in range(60)]
+    failed = [Row(cg.Galerkin(2), 5, cg.rootfinder, failure="no path")] * 3
+    text = str(cg.Trade((*rows, *failed), "given", 0.0))
+    assert [line.startswith("*   ") for line in text.splitlines()].count(True) == 5
+    assert "the other 58 rows are left out" in text
+    assert "failed: 3 by rootfinder" in text
+
+
+def test_cheapest_may_be_asked_for_the_first_call():
+    rows = row(1.0, 1e-6, first_seconds=9.0), row(2.0, 1e-6, first_seconds=5.0), row(3.0, 1.0, first_seconds=1.0)
+    trade = cg.Trade(rows, "given", 0.0)
+    assert trade.cheapest(1e-3) is rows[0]
+    assert trade.cheapest(1e-3, first_call=True) is rows[1]
+
+
+@pytest.mark.parametrize(
+    ("given", "way"),
+    [
+        ({}, "steps"),
+        ({"solver": cg.newton}, "newton"),
+        ({"solver": cg.ipopt.with_options(max_iter=50)}, "ipopt.with_options(max_iter=50)"),
+        ({"shooting": True}, "shooting"),
+        ({"solver": cg.newton, "tol": 1e-6}, "newton, tol 1e-06"),
+        ({"solver": cg.newton, "tol": 1e-6, "mesh": (0.0, 1.0)}, "newton, mesh of 1e-06"),
+    ],
+)
+def test_a_row_names_its_way(given, way):
+    assert Row(cg.Galerkin(2), 5, **given).way == way
+
+
+@pytest.mark.parametrize(
+    ("method", "name", "relative"),
+    [
+        (cg.Galerkin(4), "Gauss(4)", "Gauss(m)"),
+        (cg.Galerkin(4, quadrature=cg.gauss(5)), "Gauss(5)", "Gauss(m+1)"),
+        (cg.Galerkin(4, quadrature=cg.lobatto(5)), "Lobatto(5)", "Lobatto(m+1)"),
+        (cg.Galerkin(1, quadrature=cg.radau(1)), "Radau(1)", "Radau(m)"),
+        (cg.Galerkin(1, quadrature=cg.left_rectangle()), *2 * ["1 quadrature point at 0 of order 1"]),
+        (
+            cg.Galerkin(2, cg.Galerkin(4).control_points[:1]),
+            *2 * ["control point at 0.1727, 2 quadrature points of order 4"],
+        ),
+    ],
+)
+def test_rules_have_short_names(method, name, relative):
+    assert rule_of(method) == name
+    assert rule_of(method, relative=True) == relative
+
+
+def test_a_legend_names_what_is_drawn_and_nothing_else(monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "Agg")
-    methods = [
-        cg.Galerkin(4),
-        cg.Galerkin(4, cg.chebyshev_points(4)),
-        cg.Galerkin(4, quadrature=cg.lobatto(5)),
-        cg.Galerkin(1, quadrature=cg.left_rectangle()),
-        cg.Galerkin(1, quadrature=cg.radau(1)),
+    rows = [
+        row(1.0, 1e-3, solver=cg.newton),
+        row(2.0, 1e-3, method=cg.Galerkin(4), solver=cg.newton),
+        row(3.0, 1e-3, method=cg.Galerkin(4, quadrature=cg.lobatto(5)), shooting=True),
+        row(4.0, 1e-9, solver=SOLVER, tol=1e-6),
+        row(5.0, 1e-9, solver=SOLVER, tol=1e-6, mesh=(0.0, 1.0)),
+        Row(cg.Galerkin(8), 5, cg.ipopt, failure="no path"),
     ]
-    trade = cg.Trade(tuple(row(1.0, 1e-3, method=method) for method in methods), "given", 0.0)
-    axes = trade.plot()
-    labels = [line.get_label() for line in axes.lines]
-    assert labels == [str(method) for method in methods]
-    assert len(set(labels)) == len(methods)
-    assert all(label in str(trade) for label in labels)
+    axes = cg.Trade(tuple(rows), "given", 0.0).plot()
+    names = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert names == [
+        *("the front", "degree 2", "degree 4", "to a tolerance", "on its mesh"),
+        *("Gauss(m)", "Lobatto(m+1)", "newton", "shooting", repr(SOLVER).removeprefix("cg.")),
+    ]
     import matplotlib.pyplot as plt
 
     plt.close(axes.figure)
@@ -70,19 +151,20 @@ def test_lines_of_one_name_are_all_drawn(monkeypatch):
     rules = [cg.Quadrature([0.0, 0.5 - s, 0.5 + s, 1.0], [0.25, 0.25, 0.25, 0.25]) for s in (0.1, 0.2)]
     rows = tuple(row(1.0, 1e-3, method=cg.Galerkin(2, quadrature=rule)) for rule in rules)
     axes = cg.Trade(rows, "given", 0.0).plot()
-    assert len(axes.lines) == 2
+    assert len(axes.lines) == 1 + 2  # and the front
     import matplotlib.pyplot as plt
 
     plt.close(axes.figure)
 
 
-def test_plot_shows_orders_and_the_floor(measured, monkeypatch):
+def test_plot_shows_the_floor_on_logarithmic_axes_and_a_low_legend(measured, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     axes = measured.plot()
-    labels = [line.get_label() for line in axes.lines]
-    assert any("degree 2" in label and "N^-" in label for label in labels)
+    axes.figure.draw_without_rendering()
+    assert axes.get_legend().get_window_extent().height < axes.figure.bbox.height / 4
     assert axes.get_xscale() == axes.get_yscale() == "log"
     assert "reference" in axes.texts[0].get_text()
+    assert axes.get_ylabel() == "relative error of the path"
     import matplotlib.pyplot as plt
 
     plt.close(axes.figure)

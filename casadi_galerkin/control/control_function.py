@@ -1,0 +1,95 @@
+"""A trajectory optimization as one CasADi Function of its data, to simulate with or to embed in a larger graph."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.control.constraint_violation import limits_of, measures
+from casadi_galerkin.control.graph import ControlGraph
+from casadi_galerkin.control.optimizer import RELAXED
+from casadi_galerkin.control.transcription import FEASIBLE, transcribed_control
+from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solvers.solver import Solver
+
+STATIONARY = 1e-6  # of the gradients that cancel; optima of the scenes were measured below 1e-9
+
+
+def control_function(
+    problem: ControlProblem,
+    method: Galerkin,
+    intervals: int | None,
+    mesh: ArrayLike | None,
+    guess: Guess | None,
+    solver: Solver,
+) -> ca.Function:
+    """Turn an optimization into a Function; see `solution_function` for the arguments."""
+    transcription = transcribed_control(problem, method, intervals, mesh)
+    path = transcription.solve(guess=guess, solver=solver)
+    chain, limits = transcription.chain, limits_of(problem, transcription.chain)
+    values, _, terms = transcription.start(problem, transcription.calculus, path)
+    known = chain.pack(values)
+    sizes = measures(chain, limits, transcription.graph.report(*known), terms)
+    first, data = (ca.MX(ca.DM(part)) for part in known)
+    bounds, narrow = ([ca.MX(ca.DM(side)) for side in b.sides] for b in (limits, limits.narrowed(RELAXED[solver.name])))
+    inputs = {}
+    for name, entries in _given(problem, chain).items():
+        inputs[name] = ca.MX.sym(name, len(entries))
+        if name == "parameters":
+            data[(entries - chain.unknowns).tolist()] = inputs[name]
+        else:
+            for side in (*bounds[:2], *narrow[:2]):
+                side[entries.tolist()] = inputs[name]
+    f, degree = chain.fields, method.degree
+    inputs["guess"] = ca.MX.sym("guess", chain.dimension, chain.intervals * degree + 1)
+    inputs["controls"] = ca.MX.sym("controls", chain.controls, chain.intervals * len(chain.control_times))
+    first[f["x"].ravel().tolist()] = ca.vec(inputs["guess"][:, ::degree])
+    first[f["nodes"].ravel().tolist()] = ca.vec(inputs["guess"][:, 1:])
+    first[f["controls"].ravel().tolist()] = ca.vec(inputs["controls"])
+    program, sides = transcription.program(solver, warm=False, verbose=0), ("lbx", "ubx", "lbg", "ubg")
+    found = program(x0=first, p=data, **dict(zip(sides, narrow, strict=True)))
+    multipliers = found["lam_g"], found["lam_x"]
+    violation, slope = _violation(transcription.graph, sizes)(found["x"], data, *multipliers, *bounds)
+    verified = ca.logic_and(violation <= FEASIBLE, slope <= STATIONARY)
+    everything = ca.vertcat(found["x"], data)
+    outputs = {
+        "x": ca.reshape(everything[f["x"].ravel().tolist()], chain.dimension, -1),
+        "u": ca.reshape(everything[f["controls"].ravel().tolist()], chain.controls, -1),
+        "duration": ca.sum1(everything[f["durations"][-1].tolist()]),
+        "cost": found["f"],
+    }
+    checked = [ca.if_else(verified, value, np.nan) for value in outputs.values()]
+    return ca.Function("solution", list(inputs.values()), checked, list(inputs), list(outputs))
+
+
+def _given(problem: ControlProblem, chain: Chain) -> dict[str, np.ndarray]:
+    """Entries of ξ that the problem gives, by name; names with none are left out."""
+    f, mechanical = chain.fields, slice(chain.mechanical)
+    stated = {
+        "start": (f["x"][0], problem.start),
+        "end": (f["x"][-1], problem.end),
+        "start_velocity": (f["start_velocity"], problem.start_velocity[mechanical]),
+        "end_velocity": (f["end_velocity"], problem.end_velocity[mechanical]),
+    }
+    entries = {name: where[[value is not None for value in values]] for name, (where, values) in stated.items()}
+    if not chain.is_free("parameters"):
+        entries["parameters"] = f["parameters"][0]
+    return {name: where for name, where in entries.items() if where.size}
+
+
+def _violation(graph: ControlGraph, sizes: np.ndarray) -> ca.Function:
+    """(ξ, data, λ, μ, bounds) -> largest violation of an equation or a bound, and of stationarity, of their terms."""
+    x, data, counts = graph.unknowns, graph.data, (graph.unknowns.numel(), len(sizes))
+    given = [ca.MX.sym("given", counts[k]) for k in (1, 0, 0, 0, 1, 1)]
+    multipliers, of_bounds, low, high, least, most = given
+    equations, bounds = (
+        ca.fmax(ca.fmax(a - b, b - c), 0) for a, b, c in ((least, graph.equations, most), (low, x, high))
+    )
+    slope, _ = graph.whole_hessian(x, data, 1, multipliers)
+    terms = 1 + ca.norm_inf(graph.gradient(x, data)[1]) + ca.norm_inf(of_bounds)
+    worst = ca.fmax(ca.norm_inf(equations / sizes), ca.norm_inf(bounds / ca.fmax(1, ca.fabs(x))))
+    return ca.Function("violation", [x, data, *given], [worst, ca.norm_inf(slope + of_bounds) / terms])

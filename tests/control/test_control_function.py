@@ -1,0 +1,86 @@
+"""An optimization as a Function of its data: the answers of `solve`, NaN for what is not one, C code."""
+
+import os
+import shutil
+import subprocess
+
+import casadi as ca
+import numpy as np
+import pytest
+from control_problems import cart_pole, double_integrator, everything, minimum_time, pendulum
+
+import casadi_galerkin as cg
+
+SOLVED = 1e-8  # what a solver leaves of the optimality conditions, amplified by their conditioning
+PROBLEMS = {
+    "cart-pole": (cart_pole, cg.Galerkin(4), {"start": [0.02, -0.03], "start_velocity": [0.05, 0.1]}),
+    "bang-bang": (minimum_time, cg.Galerkin(3), {"start": [0.1], "end_velocity": [0.05]}),
+    "everything": (everything, cg.Galerkin(3), {"start": [0.12, None], "end_velocity": [0.12, None]}),
+}
+
+
+def arguments(problem, path, **changes):
+    names = ("start", "end", "start_velocity", "end_velocity")
+    given = {name: [v for v in changes.get(name, getattr(problem, name)) if v is not None] for name in names}
+    guess = {"guess": path.polynomial.values, "controls": path.control.values}
+    return {name: values for name, values in given.items() if values} | guess
+
+
+@pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=str)
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_function_of_the_data_is_the_solve(name, solver):
+    problem, method, changes = PROBLEMS[name]
+    program = cg.transcribe(problem(), method, 10)
+    first = program.solve()
+    path = program.solve(**changes, guess=first)
+    f = cg.solution_function(problem(), method, 10, solver=solver)
+    found = f(**arguments(problem(), first, **changes))
+    assert float(found["cost"]) == pytest.approx(path.cost, rel=SOLVED)
+    np.testing.assert_allclose(np.array(found["x"]), path.x, rtol=0, atol=SOLVED)
+    np.testing.assert_allclose(np.array(found["u"]), path.control.values, rtol=0, atol=1e-6)
+    assert float(found["duration"]) == pytest.approx(np.ptp(path.t), rel=SOLVED)
+
+
+@pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=str)
+def test_what_is_no_answer_is_not_a_number(solver):
+    problem = double_integrator(control_bounds=(-10, 10))
+    f = cg.solution_function(problem, cg.Galerkin(3), 6, solver=solver)
+    path = cg.solve(problem, cg.Galerkin(3), 6)
+    near, far = (f(**arguments(problem, path, end=[end])) for end in (0.5, 50.0))
+    assert float(near["cost"]) == pytest.approx(1.5, rel=SOLVED)
+    assert all(np.isnan(np.array(far[name])).all() for name in ("x", "u", "cost", "duration"))
+
+
+def test_parameters_are_data():
+    problem = double_integrator(
+        lagrangian=lambda t, x, v, p: p[0] * v[0] ** 2 / 2,
+        force=lambda t, x, v, u, p: u,
+        running_cost=lambda t, x, v, u, p: u[0] ** 2 / 2,
+        parameters=[1.0],
+    )
+    path = cg.solve(problem, cg.Galerkin(3), 4)
+    f = cg.solution_function(problem, cg.Galerkin(3), 4)
+    assert float(f(**arguments(problem, path), parameters=[2.0])["cost"]) == pytest.approx(24, rel=1e-10)
+
+
+def test_c_code_of_a_function_gives_its_answers(tmp_path, monkeypatch):
+    compiler, folder = shutil.which("cc"), os.path.dirname(ca.__file__)
+    if compiler is None:
+        pytest.skip("no C compiler here")
+    monkeypatch.chdir(tmp_path)
+    f = cg.solution_function(pendulum(3.0), cg.Galerkin(4), 10, solver=cg.fatrop)
+    f.generate("solution.c")
+    libraries = ["-I", f"{folder}/include", "-L", folder, "-lfatrop", "-lblasfeo", f"-Wl,-rpath,{folder}"]
+    subprocess.run([compiler, "-shared", "-fPIC", "solution.c", "-o", "solution.so", *libraries], check=True)
+    path = cg.solve(pendulum(3.0), cg.Galerkin(4), 10)
+    given = arguments(pendulum(3.0), path, start=[0.05])
+    compiled = ca.external("solution", "./solution.so")(**given)
+    assert float(compiled["cost"]) == pytest.approx(float(f(**given)["cost"]), rel=1e-12)
+
+
+def test_bad_solvers_are_refused():
+    with pytest.raises(ValueError, match="solved by ipopt or fatrop"):
+        cg.solution_function(double_integrator(), cg.Galerkin(3), 4, solver=cg.newton)
+    fall = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0], (0, 1), [0.0], [1.0])
+    with pytest.raises(ValueError, match=r"CasADi's Newton method, got solver=cg\.ipopt"):
+        cg.solution_function(fall, cg.Galerkin(3), 4, solver=cg.ipopt)
