@@ -107,6 +107,43 @@ def everything():
     )
 
 
+def cartesian_pendulum(**changes):
+    """The pendulum of three seconds on its circle, x = (across, up)."""
+    fields = {
+        "lagrangian": lambda t, x, v: ca.dot(v, v) / 2 - x[1],
+        "t_span": (0.0, 3.0),
+        "start": [0.0, -1.0],
+        "end": [0.0, 1.0],
+        "start_velocity": [0.0, 0.0],
+        "end_velocity": [0.0, 0.0],
+        "force": lambda t, x, v, u: u[0] * ca.vertcat(-x[1], x[0]),
+        "constraint": lambda t, x: ca.dot(x, x) - 1,
+    }
+    return double_integrator(**(fields | changes))
+
+
+def two_phases():
+    """A rocket whose mass follows a rate, in two phases of free durations, with a condition that joins both ends."""
+    return cg.ControlProblem(
+        lambda t, x, v, p: x[1] * v[0] ** 2 / 2 - p[0] * x[1] * x[0] * t,
+        (0.0, 1.0),
+        [0.0, 1.0],
+        [None, None],
+        [0.1, None],
+        [None, None],
+        force=lambda t, x, v, u, p: u[0] * (1 - p[0] * v[0]) - v[0] ** 2,
+        running_cost=lambda t, x, v, u, p: u[0] ** 2 + x[1] ** 2,
+        controls=1,
+        rates=lambda t, x, v, u, p: -p[0] * u[0] * x[1] ** 2 * (1 + t),
+        end_conditions=(lambda x0, v0, x1, v1, p: [x1[0] * x1[1] + v0[0] * v1[0] * p[0], x0[1] - x1[1]], 0.1, 0.9),
+        duration_bounds=(0.1, 2.0),
+        breakpoints=[0.4],
+        parameters=[0.3],
+        parameter_bounds=(0.1, 0.5),
+        hold=True,
+    )
+
+
 FRACTIONS = np.linspace(0, 1, 1001)
 
 

@@ -37,9 +37,22 @@ def limits_of(problem: ControlProblem, chain: Chain) -> ProgramBounds:
         for name, stated in (("path", problem.path_constraint), ("ends", problem.end_conditions)):
             if stated is not None:
                 equations[chain.rows[name]] = stated[1 + k]
+        for implied in _implied(problem, chain):
+            equations[implied] = infinite
         sides.append((chain.pack(values)[0], equations))
     (lower, equations_lower), (upper, equations_upper) = sides
     return ProgramBounds(lower, upper, equations_lower, equations_upper)
+
+
+def _implied(problem: ControlProblem, chain: Chain) -> list[np.ndarray]:
+    """Equations of a holonomic constraint that what is given at the ends meets already."""
+    stated = [
+        (problem.start, chain.rows["start_held"]),
+        (problem.end, chain.rows["held"][-1, -1]),
+        (problem.start_velocity, chain.rows["start_tangent"]),
+        (problem.end_velocity, chain.rows["end_tangent"]),
+    ]
+    return [rows for given, rows in stated if None not in given]
 
 
 def measures(chain: Chain, limits: ProgramBounds, report: Report, terms_before: np.ndarray) -> np.ndarray:
@@ -90,10 +103,15 @@ def name_equation(chain: Chain, row: int) -> tuple[str, float]:
         "rates": "the rate of x",
         "path": "path constraint",
         "ends": "end condition",
+        "held": "constraint",
+        "start_held": "constraint",
+        "start_tangent": "the rate of constraint",
+        "end_tangent": "the rate of constraint",
     }
     name, found = _found(chain.rows, row)
     shift = chain.mechanical if name == "rates" else 0
-    label = f"{names[name]} {found[-1]}" if name in ("path", "ends") else f"{names[name]}[{shift + found[-1]}]"
+    counted = names[name].endswith(("constraint", "condition"))
+    label = f"{names[name]} {found[-1]}" if counted else f"{names[name]}[{shift + found[-1]}]"
     return label, _place(chain, name, found)
 
 
@@ -115,14 +133,16 @@ def _found(arrays: dict[str, np.ndarray], number: int) -> tuple[str, tuple[int, 
 
 def _place(chain: Chain, name: str, found: tuple[int, ...]) -> float:
     """Where an entry of a field or of the equations stands, in intervals since the start."""
-    method, ends = chain.method, {"start": 0, "start_velocity": 0, "end": chain.intervals, "ends": chain.intervals}
+    method = chain.method
     parts = {
         "nodes": method.element.nodes[1:],
         "motion": method.element.nodes,
         "rates": np.array(gauss(method.degree).points),
+        "held": method.element.nodes[1:],
+        "impulses": method.element.nodes[1:],
         "path": method.element.points,
         "controls": chain.control_times,
     }
-    if name in ends or name == "end_velocity":
-        return float(ends.get(name, chain.intervals))
+    if name.startswith(("start", "end")):
+        return float(chain.intervals if name.startswith("end") else 0)
     return float(found[0] + (parts[name][found[1]] if name in parts else 0.0))

@@ -1,6 +1,6 @@
 """The optimization's functions and exact derivatives, as CasADi graphs; nothing is differentiated through them.
 
-With A, Ê, Θ and Λ of the `Chain`, and at every place z_k the cost c_k and the rows e_k of `pointwise`,
+With A, Ê, Θ and Λ of the `ChainEmbedding`, and at every place z_k the cost c_k and the rows e_k of `pointwise`,
 
     cost        f  = Σ w_k c_k                    ∇f = Êᵀ [w_k ∇c_k]
     equations   G  = Θ [e_k] + Λ ξ                ∇G = Θ blockdiag(∇e_k) Ê + Λ
@@ -18,6 +18,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.control.embedding import ChainEmbedding
 from casadi_galerkin.control.pointwise import places
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solvers.buffers import Evaluator
@@ -59,16 +60,17 @@ class ControlGraph:
     """
 
     def __init__(self, problem: ControlProblem, chain: Chain) -> None:
-        self.chain, self.places = chain, places(problem, chain)
+        self.chain, self.embedding = chain, ChainEmbedding(chain)
+        self.places = places(problem, self.embedding)
         weights = ca.repmat(ca.DM(chain.method.element.weights).T, 1, chain.intervals)
         self.weights = [weights, *[ca.DM(1)] * (len(self.places) - 1)]
         self.unknowns = ca.MX.sym("unknowns", chain.unknowns)
         self.data = ca.MX.sym("data", chain.size - chain.unknowns)
-        everything = ca.mtimes(chain.matrix, ca.vertcat(self.unknowns, self.data))
+        everything = ca.mtimes(self.embedding.matrix, ca.vertcat(self.unknowns, self.data))
         self.at = self._split(everything, [place.z.numel() for place in self.places])
         self.cost = self._total("value")
         pointwise = self._stack(self._evaluate("equations", self.at))
-        self.equations = ca.mtimes(chain.test.T, pointwise) + ca.mtimes(chain.linear, self.unknowns)
+        self.equations = ca.mtimes(self.embedding.test.T, pointwise) + ca.mtimes(self.embedding.linear, self.unknowns)
 
     def _total(self, name: str) -> ca.MX:
         """Sum of a weighted pointwise scalar over all places."""
@@ -102,7 +104,7 @@ class ControlGraph:
     def gradient(self) -> ca.Function:
         """(unknowns, data) -> f, ∇f."""
         gradients = self._stack(self._evaluate("gradient", self.at, self.weights))
-        total = ca.mtimes(self.chain.derivative.T, gradients)
+        total = ca.mtimes(self.embedding.derivative.T, gradients)
         return self._name("gradient", [self.cost, ca.densify(total)])
 
     def _derivatives(self) -> ca.MX:
@@ -112,24 +114,24 @@ class ControlGraph:
     @lazy
     def jacobian(self) -> ca.Function:
         """(unknowns, data) -> G, ∇G."""
-        chain = self.chain
-        matrix = ca.mtimes(chain.test.T, ca.mtimes(self._derivatives(), chain.derivative)) + chain.linear
+        embedding = self.embedding
+        matrix = ca.mtimes(embedding.test.T, ca.mtimes(self._derivatives(), embedding.derivative)) + embedding.linear
         return self._name("nlp_jac_g", [self.equations, matrix])
 
     def _along(self, multipliers: ca.MX) -> list[ca.MX]:
         """Multipliers (Θᵀλ)_k of the rows, at all kinds of places."""
-        return self._split(ca.mtimes(self.chain.test, multipliers), [place.rows.numel() for place in self.places])
+        return self._split(ca.mtimes(self.embedding.test, multipliers), [place.rows.numel() for place in self.places])
 
     def _second(self, upper: bool) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
         """Symbols φ and λ; ∇f̄ and ∇²f̄, its upper half or all of it."""
         factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", self.chain.equations)
         inputs = self.at, [factor * w for w in self.weights], self._along(multipliers)
         by_point = self._stack(self._evaluate("lagrangian_gradient", *inputs))
-        slope = ca.mtimes(self.chain.derivative.T, by_point) + ca.mtimes(self.chain.linear.T, multipliers)
+        slope = ca.mtimes(self.embedding.derivative.T, by_point) + ca.mtimes(self.embedding.linear.T, multipliers)
         entries = self._evaluate("hessian", *inputs)
         blocks = self._blocks([place.hessian_pattern for place in self.places], entries)
-        right = ca.mtimes(blocks, self.chain.derivative)
-        left = ca.MX(self.chain.derivative.T)
+        right = ca.mtimes(blocks, self.embedding.derivative)
+        left = ca.MX(self.embedding.derivative.T)
         pattern = ca.mtimes(left.sparsity(), right.sparsity())
         return (
             factor,
@@ -153,21 +155,21 @@ class ControlGraph:
     @lazy
     def _verification(self) -> ca.Function:
         """(unknowns, data, λ) -> all that is told of a point as one vector."""
-        chain, point = self.chain, self.places[0]
+        chain, embedding, point = self.chain, self.embedding, self.places[0]
         everything = ca.fabs(ca.vertcat(self.unknowns, self.data))
-        linear = ca.mtimes(ca.fabs(chain.linear), everything[: chain.unknowns])
+        linear = ca.mtimes(ca.fabs(embedding.linear), everything[: chain.unknowns])
         rows = ca.fabs(self._stack(self._evaluate("equations", self.at)))
-        cancelled = ca.mtimes(ca.fabs(self._derivatives()), ca.mtimes(ca.fabs(chain.differentiated), everything))
+        cancelled = ca.mtimes(ca.fabs(self._derivatives()), ca.mtimes(ca.fabs(embedding.differentiated), everything))
         multipliers = ca.MX.sym("multipliers", chain.equations)
-        part = int(chain.points.row("part")[0, 0])
+        part = int(embedding.points.row("part")[0, 0])
         shares = point.derivative(part)(self.at[0], self.weights[0], self._along(multipliers)[0])
-        durations = self.at[0][int(chain.points.row("duration")[0, 0]), :]
+        durations = self.at[0][int(embedding.points.row("duration")[0, 0]), :]
         told = [
             self.cost,
             self._total("weighted_action"),
             self.equations,
-            ca.mtimes(ca.fabs(chain.test.T), rows) + linear,
-            ca.mtimes(ca.fabs(chain.test.T), cancelled) + linear,
+            ca.mtimes(ca.fabs(embedding.test.T), rows) + linear,
+            ca.mtimes(ca.fabs(embedding.test.T), cancelled) + linear,
             ca.sum1(ca.reshape(shares / durations, -1, chain.intervals)),
         ]
         return self._name("verification", [ca.densify(ca.veccat(*told))], multipliers)

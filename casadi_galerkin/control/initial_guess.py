@@ -10,6 +10,7 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.numbers import real_array
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.control.embedding import ChainEmbedding
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess, Values, guess_values, meeting_ends, sampled
@@ -63,6 +64,8 @@ def first_values(
         "part": np.diff(mesh) / np.diff(marks)[chain.phases],
         "momentum": np.zeros((n + 1, dm)),
         "sizes": np.ones(dm),
+        "impulses": np.zeros((n, degree, chain.held)),
+        "start_impulse": np.zeros(chain.held),
     }
 
 
@@ -143,11 +146,11 @@ def _given_controls(guess: Values, chain: Chain, calculus: DiscreteCalculus) -> 
     return values.T
 
 
-def check_finite(problem: ControlProblem, chain: Chain, values: dict[str, np.ndarray]) -> None:
+def check_finite(problem: ControlProblem, embedding: ChainEmbedding, values: dict[str, np.ndarray]) -> None:
     """Raise a ValueError that names the first callable, and the time, that is not finite at the guess."""
-    everything = np.concatenate(chain.pack(values))
-    seen = (chain.matrix @ everything).full().ravel()
-    at = {name: seen[chain.points.row(name)].T for name in chain.points.rows}
+    chain, points = embedding.chain, embedding.points
+    seen = (embedding.matrix @ np.concatenate(chain.pack(values))).full().ravel()
+    at = {name: seen[points.row(name)].T for name in points.rows}
     times, step = at["begin"] + at["duration"] * at["share"], at["duration"] * at["part"]
     given = [] if problem.parameters is None else [at["parameters"]]
     state = [times, at["x"], at["slope"] / step]
@@ -161,7 +164,7 @@ def check_finite(problem: ControlProblem, chain: Chain, values: dict[str, np.nda
         ("lagrangian", problem.lagrangian, [*state, *given]),
     ):
         if function:
-            _report(name, np.array(function.map(chain.points.count)(*arguments)), times[0])
+            _report(name, np.array(function.map(points.count)(*arguments)), times[0])
     if problem.terminal_cost is not None:
         velocity = np.append(values["end_velocity"], np.zeros(chain.dimension - chain.mechanical))
         when = values["begin"] + np.sum(values["durations"])

@@ -5,7 +5,8 @@ At a quadrature point, with L̂(t, h, x, x') = h L(t, x, x'/h), the cost and the
     c = h ℓ(t, x, v, u),        e = [ (∂L̂/∂x + h F) / S,  ∂L̂/∂x' / S,  z' - h ρ,  g ],
 
 with z the components that follow the rates ρ; at the start and at the end e = ∂L/∂v(t, x, v) / S, and at the end
-c = τ, the terminal cost.  Conditions on both ends are rows of their own.
+c = τ, the terminal cost.  Conditions on both ends are rows of their own.  A holonomic constraint is held at the nodes
+by impulses Λ, with e = [ g,  GᵀΛ / S ] there and G = ∂g/∂x; at both ends e = G v + ∂g/∂t, where velocities are tangent.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.control.chain import Chain, Place
+from casadi_galerkin.control.embedding import ChainEmbedding, Place
 from casadi_galerkin.problems.control_problem import ControlProblem
 
 Terms = tuple[ca.SX, ca.SX, ca.SX]  # cost, action, rows
@@ -118,14 +119,20 @@ class PointwiseTerms:
         return self._function(inputs, ca.jacobian(value, self.z[row]))
 
 
-def places(problem: ControlProblem, chain: Chain) -> list[PointwiseTerms]:
-    """Quadrature points, start, end and, if there are conditions on both, the two ends together."""
-    make = [_at_points, _at_start, _at_end, _at_ends]
-    return [
-        PointwiseTerms(place.count, symbols, active, *terms(problem, *ca.vertsplit(symbols, _offsets(place))))
-        for terms, place, active in zip(make, chain.places, chain.active, strict=False)
-        for symbols in [ca.SX.sym("z", place.width)]
-    ]
+def places(problem: ControlProblem, embedding: ChainEmbedding) -> list[PointwiseTerms]:
+    """The terms at all kinds of places that there are."""
+    make = {
+        embedding.points: _at_points,
+        embedding.start: _at_start,
+        embedding.end: _at_end,
+        embedding.ends: _at_ends,
+        embedding.nodes: _at_nodes,
+    }
+    found = []
+    for place, active in zip(embedding.places, embedding.active, strict=True):
+        z = ca.SX.sym("z", place.width)
+        found.append(PointwiseTerms(place.count, z, active, *make[place](problem, *ca.vertsplit(z, _offsets(place)))))
+    return found
 
 
 def _offsets(place: Place) -> list[int]:
@@ -152,8 +159,12 @@ def _at_points(problem: ControlProblem, *at: ca.SX) -> Terms:
 
 def _at_start(problem: ControlProblem, *at: ca.SX) -> Terms:
     x, v, p, t, sizes = at
-    action = problem.lagrangian(t, x, _filled(v, x), *_given(problem, p))
-    return ca.SX(1, 1), ca.SX(1, 1), ca.gradient(action, v) / sizes
+    given = _given(problem, p)
+    rows = [ca.gradient(problem.lagrangian(t, x, _filled(v, x), *given), v) / sizes]
+    if problem.constraint is not None:
+        held = problem.constraint(t, x, *given)
+        rows.append(ca.mtimes(ca.jacobian(held, x), v) + ca.jacobian(held, t))
+    return ca.SX(1, 1), ca.SX(1, 1), ca.vertcat(*rows)
 
 
 def _at_end(problem: ControlProblem, *at: ca.SX) -> Terms:
@@ -169,6 +180,13 @@ def _at_ends(problem: ControlProblem, x0: ca.SX, v0: ca.SX, x1: ca.SX, v1: ca.SX
     assert conditions is not None, "this place is where there are some"
     g = conditions[0](x0, _filled(v0, x0), x1, _filled(v1, x1), *_given(problem, p))
     return ca.SX(1, 1), ca.SX(1, 1), g
+
+
+def _at_nodes(problem: ControlProblem, *at: ca.SX) -> Terms:
+    x, impulse, duration, p, begin, share, sizes = at
+    assert problem.constraint is not None, "this place is where there is one"
+    held = problem.constraint(begin + duration * share, x, *_given(problem, p))
+    return ca.SX(1, 1), ca.SX(1, 1), ca.vertcat(held, ca.mtimes(ca.jacobian(held, x).T, impulse) / sizes)
 
 
 def _filled(v: ca.SX, x: ca.SX) -> ca.SX:

@@ -28,6 +28,8 @@ from casadi_galerkin.control.constraint_violation import (
 from casadi_galerkin.control.graph import ControlGraph, Report
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
 from casadi_galerkin.control.optimizer import RELAXED, Optimum, ProgramBounds, optimize, with_fatrop, with_ipopt
+from casadi_galerkin.functional.statement import refuse_points
+from casadi_galerkin.problems.constrained_motion import tangent_momenta, unforced_motion_of
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.control_path import ControlPath
@@ -81,6 +83,8 @@ class ControlTranscription:
     def __init__(self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray) -> None:
         began = time.perf_counter()
         self.problem, self.method, self.mesh = problem, method, mesh
+        if problem.constraint is not None:
+            refuse_points(method)
         self.chain = Chain(problem, method, mesh)
         self.calculus = DiscreteCalculus(method, mesh)
         self.graph = ControlGraph(problem, self.chain)
@@ -188,7 +192,7 @@ class ControlTranscription:
         values = first_values(problem, chain, calculus, guess)
         report = self.graph.report(*chain.pack(values))
         if not np.isfinite(report.cost + report.action + np.sum(report.equations)):
-            check_finite(problem, chain, values)
+            check_finite(problem, self.graph.embedding, values)
         sizes = chain.largest(report.terms)[chain.dimension : chain.dimension + chain.mechanical]
         values["sizes"] = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
         rows = report.equations[np.vstack((chain.rows["motion"][:, 0], chain.rows["momentum"][-1:]))]
@@ -278,10 +282,15 @@ class ControlTranscription:
         others = np.zeros((chain.dimension - chain.mechanical, len(joints)))
         nodes = self.method.element.nodes
         polynomial = PiecewisePolynomial(joints, nodes, chain.path(values))
+        problem = problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints)
+        momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
+        if problem.constraint is not None:  # which pushes at the joints, too
+            at = unforced_motion_of(problem), joints, polynomial(joints)
+            momentum = tangent_momenta(*at, momentum, polynomial(joints, 1))
         rates = polynomial(joints[[0, -1]], 1)[chain.mechanical :].T if others.size else np.zeros((2, 0))
         return ControlTrajectory(
             polynomial=polynomial,
-            momentum=np.vstack(((values["momentum"] * values["sizes"]).T, others)),
+            momentum=momentum,
             action=report.action,
             iterations=optimum.iterations,
             residual=violation / EPS,
@@ -289,7 +298,7 @@ class ControlTranscription:
             build_seconds=self.build_seconds,
             solve_seconds=time.perf_counter() - began - self.build_seconds,
             method=self.method,
-            problem=problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints),
+            problem=problem,
             cost=report.cost,
             control=ControlPath(joints, chain.control_times, values["controls"].reshape(-1, chain.controls).T),
             costate=PiecewisePolynomial(joints, nodes, chain.costate(multipliers)),

@@ -59,6 +59,14 @@ def motion_of(problem: Problem) -> ca.Function | None:
     return constrained_motion(*(f if f is None else with_parameters(f, problem.parameters) for f in functions))
 
 
+def unforced_motion_of(problem: Problem) -> ca.Function:
+    """`constrained_motion` of a problem without its forces, which neither momenta nor tangents depend on."""
+    assert problem.constraint is not None, "there is nothing to be tangent to"
+    return constrained_motion(
+        *(with_parameters(f, problem.parameters) for f in (problem.lagrangian, problem.constraint))
+    )
+
+
 def _at(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> list[np.ndarray]:
     """All matrices (K, ..., d) and vectors (K, ...) at K instants, the first two as one matrix (K, d + k, d + k)."""
     count = len(t)
@@ -152,3 +160,16 @@ def check_constraint(problem: Problem, given: Mapping[str, tuple[float, tuple[fl
                 f"the constraints are redundant at the given {name}, x = {list(where)}: their gradients, the rows of "
                 f"{slope.tolist()}, are linearly dependent"
             )
+
+
+def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v: tuple[float, ...]) -> None:
+    """Refuse a given velocity at an end that leaves the constraint."""
+    motion = unforced_motion_of(problem)
+    _, slope, _, rate, _, _ = (np.array(a) for a in motion(t, x, v))
+    still = np.array(motion(t, x, np.zeros(len(x)))[3])
+    missed = np.abs(rate.ravel()) / (np.abs(slope) @ np.abs(v) + np.abs(still.ravel()) + np.finfo(float).tiny)
+    if np.any(missed > HELD):
+        raise ValueError(
+            f"{name}_velocity must be tangent to the constraint at the {name}, got {list(v)}: the rate of its value "
+            f"{int(np.argmax(missed))} is {rate[int(np.argmax(missed)), 0]:g}"
+        )

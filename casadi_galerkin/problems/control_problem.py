@@ -16,7 +16,8 @@ import numpy as np
 
 from casadi_galerkin.calculus.numbers import components, numbers, real_array, time_span, times_inside, whole
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.problems.callables import Traceable, in_absolute_values, trace, trace_lagrangian
+from casadi_galerkin.problems.callables import Traceable, in_absolute_values, trace, trace_constraint, trace_lagrangian
+from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
 from casadi_galerkin.problems.problem import finite, shown, varied_values
 
 Limit: TypeAlias = float | Sequence[float]
@@ -67,6 +68,8 @@ class ControlProblem:
     position_bounds : (lo, hi), each a scalar or one number per component; held at joints and control points
     path_constraint : (g, lo, hi) with g(t, x, v, u) -> scalar or vector; held at the quadrature points
     duration_bounds : (lo, hi) with 0 < lo, each a scalar or one number per phase; frees the duration of every phase
+    constraint : callable (t, x) -> k values that are zero all along the path (holonomic), as for `BoundaryProblem`; of
+        problems without rates
     parameters : numbers passed as `p`, the last argument of every callable
     parameter_bounds : (lo, hi); frees the parameters within them, `parameters` is then the guess
     rates : callable (t, x, v, u) -> k values: the last k components of x follow dx/dt = rates instead of an equation of
@@ -113,6 +116,7 @@ class ControlProblem:
     breakpoints: tuple[float, ...]
     waypoints: tuple[tuple[int, tuple[float, ...], tuple[float, ...]], ...]
     hold: bool
+    constraint: ca.Function | None
 
     def __init__(
         self,
@@ -137,6 +141,7 @@ class ControlProblem:
         breakpoints: Sequence[float] = (),
         waypoints: Sequence[tuple[float, Sequence[float | tuple[float, float] | None]]] = (),
         hold: bool = False,
+        constraint: Traceable | None = None,
     ) -> None:
         d, count = len(components("start", start)), _control_count(controls)
         given = None if parameters is None else numbers("parameters", parameters)
@@ -172,6 +177,7 @@ class ControlProblem:
             "breakpoints": inner,
             "waypoints": tuple((inner.index(t), *sides) for t, sides in passed.items()),
             "hold": _flag("hold", hold),
+            "constraint": None if constraint is None else trace_constraint(constraint, d, given),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -193,13 +199,14 @@ class ControlProblem:
         )
 
     @property
-    def constraint(self) -> None:
-        """A control problem has no holonomic constraint."""
-
-    @property
     def dimension(self) -> int:
         """Number d of coordinates."""
         return len(self.start)
+
+    @property
+    def constraints(self) -> int:
+        """Number of holonomic constraints."""
+        return 0 if self.constraint is None else int(self.constraint.numel_out(0))
 
     @property
     def mechanical(self) -> int:
@@ -279,13 +286,23 @@ class ControlProblem:
                         f"{name}[{i}] = {value} lies on its position_bounds [{low[i]}, {high[i]}], and "
                         f"{name}_velocity[{i}] = {velocity} puts the path outside beside it"
                     )
+        if self.constraints and self.mechanical < self.dimension:
+            raise ValueError("a constraint has no place beside rates: write it as a path_constraint (g, 0, 0)")
         if self.duration_bounds is None and self.parameter_bounds is None:
+            check_constraint(self, self._whole_ends())
             self._check_constraint("start", self.t_span[0])
             self._check_constraint("end", self.t_span[1])
 
+    def _whole_ends(self) -> dict[str, tuple[float, tuple[float, ...]]]:
+        """Time and position of the ends where all of the position is given."""
+        ends = {"start": (self.t_span[0], self.start), "end": (self.t_span[1], self.end)}
+        return {name: (t, tuple(v for v in x if v is not None)) for name, (t, x) in ends.items() if None not in x}
+
     def _check_constraint(self, name: str, t: float) -> None:
-        """Refuse a fully given state at an end that violates a path constraint on which controls have no say."""
+        """Refuse a fully given state at an end off a path constraint on which controls have no say, or not tangent."""
         x, v = getattr(self, name), getattr(self, f"{name}_velocity")
+        if self.constraint is not None and None not in (*x, *v):
+            check_tangent(self, name, t, x, v)
         if self.path_constraint is None or None in (*x, *v):
             return
         g, low, high = self.path_constraint

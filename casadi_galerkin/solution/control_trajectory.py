@@ -15,6 +15,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, t
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.constrained_motion import constrained_motion
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.export import by_component
@@ -162,7 +163,20 @@ class ControlTrajectory(Trajectory):
         outputs = [ca.densify(momentum), ca.densify(rate)]
         motion = ca.Function("motion", [*symbols, u], outputs).map(len(times))
         values = motion(times[None, :], self(times), self(times, 1), self.control(times))
-        return np.array(values[0]), np.array(values[1])
+        if problem.constraint is None:
+            return np.array(values[0]), np.array(values[1])
+        held = with_parameters(problem.constraint, self.parameters)(*symbols[:2])
+        push = ca.SX.sym("push", held.numel())
+        impulse = ca.mtimes(ca.jacobian(held, symbols[1]).T, push)
+        pushed = ca.Function("pushed", [*symbols[:2], push], [ca.densify(impulse)]).map(len(times))
+        return np.array(values[0]), np.array(values[1] + pushed(times[None, :], self(times), self.multipliers(times)))
+
+    def _constrained_motion(self) -> ca.Function | None:
+        """What the multipliers are found from, with the forces that the controls give."""
+        if self.problem.constraint is None:
+            return None
+        held, force = (with_parameters(f, self.parameters) for f in (self.problem.constraint, self.replay()))
+        return constrained_motion(self._lagrangian, held, force)
 
     def table(self) -> dict[str, np.ndarray]:
         """What a Trajectory has, controls and costate at the joints, by name."""

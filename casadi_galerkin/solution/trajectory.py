@@ -170,7 +170,7 @@ class Trajectory(Path):
         ValueError
             where the problem has no constraint
         """
-        motion = motion_of(self.problem)
+        motion = self._constrained_motion()
         if motion is None:
             raise ValueError("the problem has no constraint, so no multipliers")
         times = np.asarray(t, dtype=float)
@@ -178,6 +178,10 @@ class Trajectory(Path):
         velocity, joint = self(flat, 1), np.minimum(np.searchsorted(self.t, flat), len(self.t) - 1)
         velocity = np.where(self.t[joint] == flat, self.velocity[:, joint], velocity)
         return multipliers(motion, flat, self(flat), velocity).reshape(-1, *times.shape)
+
+    def _constrained_motion(self) -> ca.Function | None:
+        """What the multipliers are found from, with the forces on this path; None where there is no constraint."""
+        return motion_of(self.problem)
 
     @lazy
     def energy(self) -> np.ndarray:

@@ -113,7 +113,7 @@ def test_replay_is_the_same_path_where_controls_jump_at_a_joint(problem, jump, r
 
 
 def test_replay_refuses_two_values_at_one_time():
-    one = cg.solve(minimum_time(), cg.Galerkin(3, quadrature=cg.lobatto(4)), intervals=10)
+    one = cg.solve(double_integrator(), cg.Galerkin(3, quadrature=cg.lobatto(4)), intervals=10)
     assert max(replayed(one)) < ROUNDOFF  # points on both sides of a joint, and one value there
     following = double_integrator(running_cost=lambda t, x, v, u: (u[0] - v[0] ** 3) ** 2)  # u follows v, which jumps
     two = cg.solve(following, cg.Galerkin(2, quadrature=cg.lobatto(3)), intervals=4)

@@ -1,0 +1,250 @@
+"""The constant matrices that take the vector ξ of the `Chain` to every point, and back to the equations.
+
+What the pointwise functions see is linear in ξ,
+
+    (x, x', u, T, p, t_0, s, σ, S) at all quadrature points,    (x, v, p, t, S) at the start and at the end    =  A ξ,
+
+with reference slopes x' = h v, times t = t_0 + T s and steps h = T σ from the parts s of a phase's duration T.
+Derivatives are products with the columns of A:
+
+    Ê = rows of A that are differentiated by, columns of the unknowns        (points <- unknowns)
+    Θ = the transposed test matrix,    Λ = what is linear in the unknowns     (equations <- points, unknowns).
+
+Θ sums the virtual work on every interval: the row of node a holds the quadrature weights times l_a and l_a'.  With Λ,
+these are the discrete Legendre transforms (a = 0 and m) and the control equations (a between),
+
+    p_i + Σ ( l_0 f + l_0' g ) = 0,      Σ ( l_a f + l_a' g ) = 0,      p_{i+1} - Σ ( l_m f + l_m' g ) = 0,
+
+which join to the discrete Lagrange-d'Alembert equations.  Momenta are measured in units S, the sizes of the terms of
+these equations, and the equations are divided by them.  A component that follows a rate of its own has no momentum:
+there Θ tests its defect z' - h ρ with the polynomials of degree m - 1.  Λ also ties every state to the value that the
+interval before ends with, x_{i+1} - X_m = 0.  A constraint adds its impulse GᵀΛ_a to the equation of every node but the
+first, and there to that of the velocity at the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.nodes import lagrange_values
+from casadi_galerkin.calculus.quadrature import gauss
+from casadi_galerkin.control.chain import Chain
+
+Triplet = tuple[np.ndarray, np.ndarray, np.ndarray | float]  # rows, columns, entries, to be broadcast
+
+
+def sparse(triplets: Iterable[Triplet], shape: tuple[int, int]) -> ca.DM:
+    """Constant sparse matrix from triplets without repetitions; zeros are dropped."""
+    flat = [[a.ravel() for a in np.broadcast_arrays(*triplet)] for triplet in triplets]
+    rows, columns, entries = (np.concatenate(parts) for parts in zip(*flat, strict=True))
+    rows, columns, entries = (a[entries != 0] for a in (rows, columns, entries))
+    order = np.lexsort((rows, columns))
+    starts = np.searchsorted(columns[order], np.arange(shape[1] + 1))
+    return ca.DM(ca.Sparsity(*shape, starts.tolist(), rows[order].tolist()), entries[order])
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """One kind of place: how many there are, and what is known at each.
+
+    Attributes
+    ----------
+    count : number of places
+    rows : name and length of what is known, in this order
+    first : first row of A that belongs to them
+    """
+
+    count: int
+    rows: dict[str, int]
+    first: int
+
+    @property
+    def width(self) -> int:
+        """Rows of A at one place."""
+        return sum(self.rows.values())
+
+    @property
+    def last(self) -> int:
+        """Row of A after theirs."""
+        return self.first + self.count * self.width
+
+    def row(self, name: str) -> np.ndarray:
+        """Rows of A of a name, (count, length)."""
+        names = list(self.rows)
+        offset = sum(self.rows[other] for other in names[: names.index(name)])
+        starts = self.first + offset + self.width * np.arange(self.count)
+        return starts[:, None] + np.arange(self.rows[name])
+
+
+class ChainEmbedding:
+    """A, Ê, Θ and Λ of a chain.
+
+    Attributes
+    ----------
+    points, start, end, ends, nodes : Place of each kind
+    """
+
+    def __init__(self, chain: Chain) -> None:
+        self.chain = chain
+        d, mechanical, common = chain.dimension, chain.mechanical, {"parameters": chain.parameters}
+        at_end = {"x": d, "velocity": mechanical, **common, "time": 1, "sizes": mechanical}
+        when = {"duration": 1, **common, "begin": 1, "share": 1}
+        along = {"x": d, "slope": d, "controls": chain.controls, **when, "part": 1, "sizes": mechanical}
+        both = {f"{name}{k}": at_end[name] for k in (0, 1) for name in ("x", "velocity")}
+        held = {"x": d, "impulse": chain.held, **when, "sizes": mechanical}
+        r, m = len(chain.method.quadrature), chain.method.degree
+        self.points = Place(chain.intervals * r, along, 0)
+        self.start = Place(1, at_end, self.points.last)
+        self.end = Place(1, at_end, self.start.last)
+        self.ends = Place(int(chain.conditions > 0), {**both, **common}, self.end.last)
+        self.nodes = Place((chain.intervals * m + 1) * (chain.held > 0), held, self.ends.last)
+
+    @property
+    def places(self) -> list[Place]:
+        """Kinds of places that there are."""
+        return [place for place in (self.points, self.start, self.end, self.ends, self.nodes) if place.count]
+
+    @lazy
+    def matrix(self) -> ca.DM:
+        """A: (all places) x ξ."""
+        f, p, r = self.chain.fields, self.points, len(self.chain.method.quadrature)
+        element, one = self.chain.method.element, 1.0
+        nodes = np.concatenate((f["x"][:-1, None], f["nodes"]), axis=1)[:, None]  # (N, 1, m + 1, d)
+        interval, k = np.divmod(np.arange(p.count), r)
+        basis = [a[None, :, :, None] for a in (element.values, element.slopes)]
+        shape = (self.chain.intervals, r, 1, -1)
+        earlier = np.arange(f["durations"].shape[1]) < self.chain.phases[interval, None]
+        triplets: list[Triplet] = [
+            (p.row("x").reshape(shape), nodes, basis[0]),
+            (p.row("slope").reshape(shape), nodes, basis[1]),
+            (p.row("controls"), f["controls"][interval, k % f["controls"].shape[1]], one),
+            (p.row("duration"), f["durations"][interval, self.chain.phases[interval]][:, None], one),
+            (p.row("parameters"), f["parameters"][interval], one),
+            (p.row("begin"), f["begin"], one),
+            (p.row("begin"), f["durations"][interval], earlier.astype(float)),
+            (p.row("share"), f["left"][interval][:, None], one),
+            (p.row("share"), f["part"][interval][:, None], element.points[k, None]),
+            (p.row("part"), f["part"][interval][:, None], one),
+            (p.row("sizes"), f["sizes"], one),
+            (self.end.row("time"), f["durations"][-1:], one),
+        ]
+        for place, i, velocity in ((self.start, 0, "start_velocity"), (self.end, -1, "end_velocity")):
+            entries = {"x": f["x"][i], "velocity": f[velocity], "parameters": f["parameters"][i], "time": f["begin"]}
+            triplets += [(place.row(name), index, one) for name, index in (entries | {"sizes": f["sizes"]}).items()]
+        entries = {"x0": f["x"][0], "velocity0": f["start_velocity"], "x1": f["x"][-1], "velocity1": f["end_velocity"]}
+        if self.chain.conditions:
+            entries["parameters"] = f["parameters"][-1]
+            triplets += [(self.ends.row(name), index, one) for name, index in entries.items()]
+        if self.chain.held:
+            triplets += self._node_triplets()
+        return sparse(triplets, (sum(place.count * place.width for place in self.places), self.chain.size))
+
+    def _node_triplets(self) -> list[Triplet]:
+        """Entries of A at the nodes: the first, then those after it on every interval."""
+        f, place, m = self.chain.fields, self.nodes, self.chain.method.degree
+        interval, a = np.divmod(np.arange(self.chain.intervals * m), m)
+        interval, share = np.append(0, interval), np.append(0.0, self.chain.method.element.nodes[1:][a])
+        earlier = np.arange(f["durations"].shape[1]) < self.chain.phases[interval, None]
+        return [
+            (place.row("x"), np.vstack((f["x"][:1], f["nodes"].reshape(-1, self.chain.dimension))), 1.0),
+            (place.row("impulse"), np.vstack((f["start_impulse"], f["impulses"].reshape(-1, self.chain.held))), 1.0),
+            (place.row("duration"), f["durations"][interval, self.chain.phases[interval]][:, None], 1.0),
+            (place.row("parameters"), f["parameters"][interval], 1.0),
+            (place.row("begin"), f["begin"], 1.0),
+            (place.row("begin"), f["durations"][interval], earlier.astype(float)),
+            (place.row("share"), f["left"][interval][:, None], 1.0),
+            (place.row("share"), f["part"][interval][:, None], share[:, None]),
+            (place.row("sizes"), f["sizes"], 1.0),
+        ]
+
+    @lazy
+    def active(self) -> list[np.ndarray]:
+        """For every kind of place, which of its rows depend on unknowns."""
+        depends = np.zeros(self.matrix.shape[0], dtype=bool)
+        depends[self.matrix[:, : self.chain.unknowns].sparsity().row()] = True
+        parts = np.split(depends, np.cumsum([place.count * place.width for place in self.places])[:-1])
+        return [
+            np.flatnonzero(part.reshape(place.count, -1).any(axis=0))
+            for part, place in zip(parts, self.places, strict=True)
+        ]
+
+    @lazy
+    def differentiated(self) -> ca.DM:
+        """Rows of A that are differentiated by, of all places x ξ."""
+        rows = [
+            (place.first + place.width * np.arange(place.count)[:, None] + active).ravel()
+            for place, active in zip(self.places, self.active, strict=True)
+        ]
+        return self.matrix[np.concatenate(rows).tolist(), :]
+
+    @lazy
+    def derivative(self) -> ca.DM:
+        """Ê: the same by unknowns only."""
+        return self.differentiated[:, : self.chain.unknowns]
+
+    @lazy
+    def test(self) -> ca.DM:
+        """Θᵀ: what the pointwise functions return, at all places x equations.
+
+        At a quadrature point these are f and g of the mechanical components, the defects of the others, and the path
+        constraints; at the start and at the end ∂L/∂v and the rate of what is held; the conditions on both; at the
+        nodes what is held, and its impulse.
+        """
+        chain, rows = self.chain, self.chain.rows
+        dm, z, c = chain.mechanical, chain.dimension - chain.mechanical, chain.constraints
+        element, r = chain.method.element, len(chain.method.quadrature)
+        width, k = 2 * dm + z + c, np.arange(self.points.count).reshape(chain.intervals, r, 1, 1)
+        weights, height = element.weights[:, None], width * self.points.count
+        nodes = np.concatenate((rows["motion"], rows["momentum"][:, None]), axis=1)[:, None]  # (N, 1, m + 1, dm)
+        sign = np.append(np.ones(chain.method.degree), -1.0)
+        f, g = (((weights * a) * sign)[None, :, :, None] for a in (element.values, element.slopes))
+        degree = chain.method.degree
+        tests = (weights * lagrange_values(np.array(gauss(degree).points), element.points))[None, :, :, None]
+        component, k_held, held = np.arange(dm), chain.held, np.arange(chain.held)
+        start = height + component
+        end = start + dm + k_held
+        ends = height + 2 * (dm + k_held)
+        at = ends + chain.conditions + (k_held + dm) * np.arange(self.nodes.count)[:, None]
+        later = np.concatenate((rows["motion"][:, 1:], rows["momentum"][:, None]), axis=1).reshape(-1, dm)
+        triplets: list[Triplet] = [
+            (width * k + component, nodes, f),
+            (width * k + dm + component, nodes, g),
+            (width * k + 2 * dm + np.arange(z), rows["rates"][:, None], tests),
+            (width * k[..., 0] + 2 * dm + z + np.arange(c), rows["path"], 1.0),
+            (start, rows["start"], -1.0),
+            (height + dm + held, rows["start_tangent"], 1.0),
+            (end, rows["end"], -1.0),
+            (height + 2 * dm + k_held + held, rows["end_tangent"], 1.0),
+            (ends + np.arange(chain.conditions), rows["ends"], 1.0),
+        ]
+        if k_held:
+            of_held = np.vstack((rows["start_held"], rows["held"].reshape(-1, k_held)))
+            pushed = np.vstack((rows["start"], later))
+            signs = np.append(-1.0, np.tile(sign[1:], chain.intervals))[:, None]
+            triplets += [(at + held, of_held, 1.0), (at + k_held + component, pushed, signs)]
+        total = ends + chain.conditions + (k_held + dm) * self.nodes.count
+        return sparse(triplets, (total, chain.equations))
+
+    @lazy
+    def linear(self) -> ca.DM:
+        """Λ: equations x unknowns."""
+        chain = self.chain
+        f, rows = chain.fields, chain.rows
+        free = [f[name] for name in ("durations", "parameters") if chain.is_free(name)]
+        constants = np.concatenate(free, axis=1) if free else np.zeros((chain.intervals + 1, 0), dtype=np.int64)
+        triplets: list[Triplet] = [
+            (rows["x"], f["x"][1:], 1.0),
+            (rows["x"], f["nodes"][:, -1], -1.0),
+            (rows["momentum"], f["momentum"][1:], 1.0),
+            (rows["motion"][:, 0], f["momentum"][:-1], 1.0),
+            (rows["constants"], constants[1:], 1.0),
+            (rows["constants"], constants[:-1], -1.0),
+            (rows["start"], f["momentum"][0], 1.0),
+            (rows["end"], f["momentum"][-1], 1.0),
+        ]
+        return sparse(triplets, (chain.equations, chain.unknowns))
