@@ -34,6 +34,7 @@ from casadi_galerkin.solution.errors import ConvergenceError as ConvergenceError
 from casadi_galerkin.solution.errors import LimitReached as LimitReached
 from casadi_galerkin.solution.limits import Limits as Limits
 from casadi_galerkin.solution.paths import Paths as Paths
+from casadi_galerkin.solution.plotting import panels as panels
 from casadi_galerkin.solution.trajectory import Trajectory as Trajectory
 from casadi_galerkin.solvers.solver import Solver as Solver
 from casadi_galerkin.solvers.solver import fatrop as fatrop

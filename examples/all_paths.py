@@ -10,11 +10,9 @@ has an even Morse index than an odd one, as Morse's theory asks of paths that ca
 
 import casadi as ca
 import numpy as np
-from show import picture, save
 
 import casadi_galerkin as cg
 
-ACTION = 9.0  # of the pendulum's paths at most
 HALF_DISTANCE = 0.5  # of the rings, in units of their radius
 RADII = 2.0, 1.0  # of the torus: of its axis, of its tube
 
@@ -40,36 +38,37 @@ def mirrored(x):
     return np.array([[-1.0], [1.0]]) * x
 
 
-def main(plot=None):
-    """Search three times; returns the pendulum's paths up to an action, both films, and the geodesics."""
+def main():
+    """Search three times; returns the pendulum's swings, both films, and the geodesics."""
     swinging = cg.BoundaryProblem(pendulum, (0.0, 10.0), start=[0.0], end=[1.0])
     swings = cg.paths(swinging, cg.Galerkin(degree=8), intervals=20)
     rings = cg.BoundaryProblem(film, (-HALF_DISTANCE, HALF_DISTANCE), start=[1.0], end=[1.0])
     films = cg.paths(rings, cg.Galerkin(degree=8), intervals=16)
     turns = cg.BoundaryProblem(torus, (0.0, 1.0), start=[0.0, 0.0], end=[0.0, 4 * np.pi])
     geodesics = cg.paths(turns, cg.Galerkin(degree=8), intervals=24, symmetries=[mirrored])
-    if plot:
-        draw(swings, films, geodesics, plot)
-    return [path for path in swings if path.action <= ACTION], films, geodesics
+    return swings, films, geodesics
 
 
-def draw(swings, films, geodesics, name):
-    """Draw the three sets, each into one picture."""
-    import matplotlib.pyplot as plt
-
-    _, (left, middle, right) = plt.subplots(1, 3, figsize=(12.0, 5.0), layout="constrained")
-    swings.plot(axes=left, label="angle in rad", time="t in s")
-    films.plot(axes=middle, label="radius, in radii of the rings", time="place on the axis")
-    geodesics.plot(axes=right, label="angle round the tube in rad", time="part of the way")
-    for axes, title in ((left, "Swings of a pendulum"), (middle, "Soap films"), (right, "Geodesics of a torus")):
-        axes.set_title(title)
-        indices = [line.get_label().rpartition(", ")[2] for line in axes.lines]
-        axes.legend(axes.lines, indices, fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
-    save(left, name)
+def draw(answer):
+    """Draw the three sets, each into one picture; returns the figure."""
+    panels = cg.panels(3, size=(4.6, 7.6))
+    titles = "Swings of a pendulum", "Soap films", "Geodesics of a torus"
+    names = (
+        ("angle in rad", "t in s"),
+        ("radius, of the rings'", "place on the axis"),
+        ("angle in rad", "part of the way"),
+    )
+    for axes, paths, title, (label, time) in zip(panels, answer, titles, names, strict=True):
+        paths.plot(axes=axes, label=label, time=time).set_title(title)
+        indices = [f"index {path.morse_index}" for path in paths]
+        axes.legend(axes.lines, indices, fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return axes.figure
 
 
 if __name__ == "__main__":
-    for found in main(picture("all_paths.png")):
-        print(found if isinstance(found, cg.Paths) else f"{len(found)} swings of action up to {ACTION}")
+    answer = main()
+    for found in answer:
+        print(found)
         for path in found:
             print(f"  action {path.action:.12f}, Morse index {path.morse_index}")
+    draw(answer).savefig("all_paths.png")

@@ -5,7 +5,6 @@ x = sinh((1 - t)/√ε) / sinh(1/√ε).
 """
 
 import numpy as np
-from show import canvas, dense, picture, save
 
 import casadi_galerkin as cg
 
@@ -22,26 +21,28 @@ def exact(t):
     return np.exp(-t / THICKNESS) * np.expm1(-2 * (1 - t) / THICKNESS) / np.expm1(-2 / THICKNESS)
 
 
-def main(plot=None):
-    """Solve to a relative error of 1e-9; with `plot`, the name of a file, draw the layer and the mesh."""
-    path = cg.solve(cg.BoundaryProblem(lagrangian, (0.0, 1.0), [1.0], [0.0]), tol=1e-9)
-    if plot:
-        draw(path, plot)
-    return path
+def main():
+    """Solve to a relative error of 1e-9."""
+    return cg.solve(cg.BoundaryProblem(lagrangian, (0.0, 1.0), [1.0], [0.0]), tol=1e-9)
 
 
-def draw(path, name):
-    """Draw the layer over the logarithm of time."""
-    axes = canvas("A boundary layer of thickness 1e-4", "t", "x", xscale="log")
-    times = np.logspace(-6, 0, 500)
-    axes.plot(times, path(times)[0])
-    axes.plot(path.t[1:], path.x[0, 1:], ".", label="joints")
-    axes.legend()
-    save(axes, name)
+def draw(path):
+    """Draw the layer with its joints, and how long the intervals are; returns the figure."""
+    top, bottom = cg.panels(2, size=(4.6, 4.8))
+    times = np.linspace(0, 20 * THICKNESS, 500)
+    joints = path.t[path.t <= times[-1]]
+    top.plot(1e4 * times, path(times)[0])
+    top.plot(1e4 * joints, path(joints)[0], "o", markersize=4, label="joints")
+    top.set(title="A boundary layer of thickness 1e-4", xlabel="10,000 t", ylabel="x")
+    top.legend()
+    bottom.loglog(path.t[1:], np.diff(path.t), ".-")
+    bottom.set(title="Its mesh", xlabel="t", ylabel="length of the interval before t")
+    return top.figure
 
 
 if __name__ == "__main__":
-    answer = main(picture("boundary_layer.png"))
+    answer = main()
     print(answer)
-    times = dense(answer)
-    print(f"  error        {np.max(np.abs(answer(times)[0] - exact(times))):.1e}")
+    times = answer.polynomial.times(np.linspace(0, 1, 20))  # on every interval
+    print(f"  error       {np.max(np.abs(answer(times)[0] - exact(times))):.1e}")
+    draw(answer).savefig("boundary_layer.png")

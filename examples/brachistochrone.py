@@ -7,7 +7,6 @@ t = θ - sin θ, x = 1 - cos θ is run through in the time θ; a point on the ri
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
@@ -24,35 +23,28 @@ def cycloid(angle):
     return np.array([angle - np.sin(angle), 1 - np.cos(angle)])
 
 
-def main(plot=None):
+def main():
     """Solve between two points of the cycloid."""
     (begin, start), (finish, end) = cycloid(FIRST), cycloid(LAST)
     problem = cg.BoundaryProblem(lagrangian, (begin, finish), [start], [end])
-    path = cg.solve(problem, cg.Galerkin(degree=12), mesh=begin + (finish - begin) * np.linspace(0, 1, 25) ** 2)
-    if plot:
-        draw(path, plot)
-    return path
+    return cg.solve(problem, cg.Galerkin(degree=12), mesh=begin + (finish - begin) * np.linspace(0, 1, 25) ** 2)
 
 
-def draw(path, name):
-    """Draw depth downwards, on the whole cycloid."""
-    axes = canvas(
-        "The curve of fastest descent",
-        "horizontal place, in radii of the wheel",
-        "depth, in radii of the wheel",
-        (6.0, 3.8),
-        aspect="equal",
-    )
-    axes.plot(*cycloid(np.linspace(0, np.pi, 200)), color="0.8", label="cycloid")
-    times = np.linspace(path.t[0], path.t[-1], 300)
-    (line,) = axes.plot(times, path(times)[0], label=f"path found, takes {path.action:.6f}")
-    axes.plot(path.t, path.x[0], ".", color=line.get_color())
+def draw(path):
+    """Draw depth downwards, on the whole cycloid; returns the figure."""
+    axes = cg.panels()
+    axes.plot(*cycloid(np.linspace(0, np.pi, 200)), color="0.8", linewidth=4, label="cycloid")
+    path.plot(axes)
+    axes.set(title="The curve of fastest descent", aspect="equal")
+    axes.set(xlabel="horizontal place, in radii of the wheel", ylabel="depth, in radii of the wheel")
+    axes.lines[1].set_label(f"found, takes {path.action:.6f}")
     axes.invert_yaxis()
     axes.legend()
-    save(axes, name)
+    return axes.figure
 
 
 if __name__ == "__main__":
-    answer = main(picture("brachistochrone.png"))
+    answer = main()
     print(answer)
     print(f"  time        {answer.action:.15f}, exact {LAST - FIRST}")
+    draw(answer).savefig("brachistochrone.png")

@@ -8,7 +8,6 @@ Euler-Lagrange equations, follow from one sparse matrix E and one weight vector 
 
 import casadi as ca
 import numpy as np
-from show import picture, save
 
 import casadi_galerkin as cg
 
@@ -28,7 +27,7 @@ def by_hand(values):
     return action, embed.T @ np.concatenate((calculus.weights * by_x, calculus.weights * by_v))
 
 
-def main(plot=None):
+def main():
     """Compare at a path that is not a solution, and check that the solver's answer makes the gradient vanish."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0.0, 1.0), [0.0], [1.0])
     graph = cg.transcribe(problem, METHOD, mesh=MESH)
@@ -39,9 +38,11 @@ def main(plot=None):
     difference = gradient[1:-1] - np.array(graph.gradient(*given)).ravel()
     path = graph.solve()
     solved_action, solved_gradient = by_hand(path(nodes)[0])
-    if plot:
-        draw(nodes, trial, path, plot)
     return {
+        "graph": graph,
+        "nodes": nodes,
+        "trial": trial,
+        "path": path,
         "action": action,
         "action of the graph": float(graph.action(*given)),
         "largest difference of the gradients": np.max(np.abs(difference)),
@@ -53,18 +54,22 @@ def main(plot=None):
     }
 
 
-def draw(nodes, trial, path, name):
-    """Draw the trial path and the solution with their nodes."""
-    axes = path.plot()
+def draw(answer):
+    """Draw the trial path and the solution with their nodes, and the pattern of ∇²S; returns the figure."""
+    graph, nodes, trial, path = (answer[name] for name in ("graph", "nodes", "trial", "path"))
+    left, right = cg.panels(columns=2, size=(6.0, 3.0))
+    path.plot(left, labels=["x"])
     times = np.linspace(0, 1, 200)
-    embedded = cg.DiscreteCalculus(METHOD, MESH).emb(trial[None, :])
-    axes.plot(times, embedded(times)[0], color="0.6", label="trial path")
-    axes.plot(nodes, trial, ".", color="0.6")
-    axes.set_title("A trial path with its nodes, and the critical path")
-    axes.legend()
-    save(axes, name)
+    left.plot(times, cg.DiscreteCalculus(METHOD, MESH).emb(trial[None, :])(times)[0], color="0.6")
+    left.plot(nodes, trial, ".", color="0.6")
+    left.legend(left.lines[::2], ["critical path", "trial path"], fontsize="small")
+    left.set_title("Two paths with their nodes")
+    graph.plot_hessian(right)
+    return left.figure
 
 
 if __name__ == "__main__":
-    for what, number in main(picture("calculus.png")).items():
+    answer = main()
+    for what, number in list(answer.items())[4:]:
         print(f"{what:36} {number}")
+    draw(answer).savefig("calculus.png")

@@ -10,7 +10,6 @@ which is a saddle that no minimiser holds on to.
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
@@ -27,28 +26,21 @@ def sagging(depth):
     return lambda t: [1 - depth * (1 - (t / HALF_DISTANCE) ** 2)]
 
 
-def main(plot=None):
+def main():
     """Solve from a wide and a narrow guess; returns the two films."""
     problem = cg.BoundaryProblem(lagrangian, (-HALF_DISTANCE, HALF_DISTANCE), start=[1.0], end=[1.0])
     film = cg.transcribe(problem, cg.Galerkin(degree=8), intervals=16)
-    films = [
+    return [
         film.solve(guess=sagging(0.3), solver=cg.minimizer),
         film.solve(guess=sagging(0.6), solver=cg.ipopt),
     ]
-    if plot:
-        draw(films, plot)
-    return films
 
 
-def draw(films, name):
-    """Draw both films, mirrored at the axis."""
-    axes = canvas(
-        "Two soap films between the same rings",
-        "place on the axis, in radii of the rings",
-        "radius, in radii of the rings",
-        (6.0, 4.6),
-        aspect="equal",
-    )
+def draw(films):
+    """Draw both films, mirrored at the axis; returns the figure."""
+    axes = cg.panels(size=(4.6, 3.8))
+    axes.set(title="Two soap films between the same rings", aspect="equal")
+    axes.set(xlabel="place on the axis, in radii", ylabel="radius, in radii of the rings")
     times = np.linspace(-HALF_DISTANCE, HALF_DISTANCE, 200)
     for film in films:
         radius = film(times)[0]
@@ -57,13 +49,15 @@ def draw(films, name):
         axes.plot(times, -radius, color=line.get_color())
     for end in (-HALF_DISTANCE, HALF_DISTANCE):
         axes.plot([end, end], [-1, 1], color="0.7", zorder=0)
-    axes.figure.legend(loc="outside right center")
-    save(axes, name)
+    axes.legend(fontsize="small", loc="center")
+    return axes.figure
 
 
 if __name__ == "__main__":
-    for answer in main(picture("catenoid.png")):
-        c = answer(0.0)[0]
+    answer = main()
+    for film in answer:
+        c = film(0.0)[0]
         print(f"narrowest radius c = {c:.12f}, c cosh(h/c) = {c * np.cosh(HALF_DISTANCE / c):.12f}, exact 1")
         exact = np.pi * c * (2 * HALF_DISTANCE + c * np.sinh(2 * HALF_DISTANCE / c))
-        print(f"area {2 * np.pi * answer.action:.12f}, of the catenoid of this c {exact:.12f}\n{answer}")
+        print(f"area {2 * np.pi * film.action:.12f}, of the catenoid of this c {exact:.12f}\n{film}")
+    draw(answer).savefig("catenoid.png")

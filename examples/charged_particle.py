@@ -6,7 +6,6 @@ qB/(γm); units with m = c = q = B = 1.  The guess is the straight line between 
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
@@ -25,30 +24,29 @@ def exact(t):
     return GAMMA * SPEED * np.array([np.cos(t / GAMMA), -np.sin(t / GAMMA)])
 
 
-def main(plot=None):
+def main():
     """Solve between two points of the circle."""
     problem = cg.BoundaryProblem(lagrangian, (0.0, DURATION), exact(0.0), exact(DURATION))
-    path = cg.solve(problem, cg.Galerkin(degree=8), intervals=12)
-    if plot:
-        draw(path, plot)
-    return path
+    return cg.solve(problem, cg.Galerkin(degree=8), intervals=12)
 
 
-def draw(path, name):
-    """Draw the path in its plane."""
-    axes = canvas(
-        f"A charge at {SPEED:g} c in a magnetic field", "x in mc/(qB)", "y in mc/(qB)", (4.6, 4.5), aspect="equal"
-    )
-    (line,) = axes.plot(*path(np.linspace(0, DURATION, 300)))
-    axes.plot(*path.x, ".", color=line.get_color())
+def draw(path):
+    """Draw the path on its circle; returns the figure."""
+    axes = cg.panels(size=(4.6, 4.4))
+    axes.plot(*exact(np.linspace(0, 2 * np.pi * GAMMA, 300)), color="0.8", linewidth=4, label="exact circle")
+    path.plot_plane(axes=axes, labels=("x in mc/(qB)", "y in mc/(qB)"))
+    axes.lines[1].set_label("path, joints")
+    axes.legend(fontsize="small", loc="center")
+    axes.set_title(f"A charge at {SPEED:g} c in a magnetic field")
     for place, text in ((path.x[:, 0], "start"), (path.x[:, -1], "end")):
         axes.annotate(text, place, xytext=(-8, -8), textcoords="offset points", ha="right", va="top")
-    save(axes, name)
+    return axes.figure
 
 
 if __name__ == "__main__":
-    answer = main(picture("charged_particle.png"))
+    answer = main()
     times = np.linspace(0, DURATION, 1000)
     print(answer)
     print(f"  speed       {np.linalg.norm(answer.velocity[:, 0]):.15f} c at the start, exact {SPEED}")
     print(f"  error       {np.max(np.abs(answer(times) - exact(times))):.1e} between the joints, largest")
+    draw(answer).savefig("charged_particle.png")

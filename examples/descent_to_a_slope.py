@@ -9,7 +9,6 @@ it has already fallen; curves are cycloids.
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
@@ -29,7 +28,7 @@ def on_slope(x0, x1, p):
     return ca.sin(p[0]) * (x1[0] - FOOT[0]) + ca.cos(p[0]) * (x1[1] - FOOT[1])
 
 
-def main(plot=None):
+def main():
     """Solve for every slope; returns the paths by angle."""
     problem = cg.BoundaryProblem(
         lambda t, x, v, p: lagrangian(t, x, v),
@@ -43,8 +42,6 @@ def main(plot=None):
     descent = cg.transcribe(problem, cg.Galerkin(degree=12), intervals=16)
     for angle in SLOPES:
         path = curves[angle] = descent.solve(parameters=[np.radians(angle)], guess=path)
-    if plot:
-        draw(curves, plot)
     return curves
 
 
@@ -53,20 +50,24 @@ def duration(path):
     return np.sqrt(2 * path.action)
 
 
-def draw(curves, name):
-    """Draw the curves and their slopes."""
-    axes = canvas("Fastest descents to three slopes", "x in m", "depth in m", (7.0, 4.0), aspect="equal")
-    axes.set_ylim(3.4, 0.0)
+def draw(curves):
+    """Draw the curves and their slopes; returns the figure."""
+    axes = cg.panels(size=(4.6, 3.6))
     for angle, path in curves.items():
-        (line,) = axes.plot(*path(np.linspace(0.0, 1.0, 200)), label=f"{angle:g}°, {duration(path):.4f} s")
+        path.plot_plane(axes=axes, labels=("x in m", "depth in m"))
+        line = axes.lines[-2]
+        line.set_label(f"{angle:g}°: {duration(path):.4f} s")
         along = np.array([-np.cos(np.radians(angle)), np.sin(np.radians(angle))])
-        ends = FOOT[:, None] + along[:, None] * np.array([-1.2, 2.6])
+        ends = FOOT[:, None] + along[:, None] * np.array([-0.8, 2.4])
         axes.plot(*ends, color=line.get_color(), linewidth=0.8)
-    axes.legend(fontsize="small")
-    save(axes, name)
+    axes.set(title="Fastest descents to three slopes", ylim=(3.2, 0.0))
+    axes.legend(fontsize="small", loc="lower left")
+    return axes.figure
 
 
 if __name__ == "__main__":
-    for angle, path in main(picture("descent_to_a_slope.png")).items():
+    answer = main()
+    for angle, path in answer.items():
         x, y = path.x[:, -1]
         print(f"slope of {angle:g}°: arrives at ({x:.9f}, {y:.9f}) m after {duration(path):.12f} s")
+    draw(answer).savefig("descent_to_a_slope.png")

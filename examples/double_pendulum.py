@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from show import picture, save
 
 import casadi_galerkin as cg
 
@@ -23,22 +22,26 @@ def lagrangian(t: ca.SX, x: ca.SX, v: ca.SX) -> ca.SX:
     return kinetic + GRAVITY * (2 * ca.cos(x[0]) + ca.cos(x[1]))
 
 
-def main(plot: str | None = None) -> cg.Comparison:
-    """Compare the global path with the stepwise ways to it; with `plot`, the name of a file, draw how far they are."""
+def main() -> cg.Comparison:
+    """Compare the global path with the stepwise ways to it."""
     method, intervals = cg.Galerkin(degree=8), DURATION * STEPS_A_SECOND
     start = [2.0, 2.5]
     motion = cg.InitialProblem(lagrangian, (0, DURATION), position=start, velocity=[0, 0])
     guess = cg.solve(motion, method, intervals)
     problem = cg.BoundaryProblem(lagrangian, (0, DURATION), start=start, end=np.round(guess.x[:, -1], 2).tolist())
-    comparison = cg.compare(problem, method, intervals, guess=guess)
-    if plot:
-        axes = comparison.plot(time="t in s")
-        axes.set_title("Double pendulum: chaos parts the steps from the global path")
-        save(axes, plot)
-    return comparison
+    return cg.compare(problem, method, intervals, guess=guess)
+
+
+def draw(comparison):
+    """Draw how far the steps come apart from the global path; returns the figure."""
+    axes = comparison.plot(time="t in s")
+    axes.set_title("Chaos parts the steps from the global path")
+    return axes.figure
 
 
 if __name__ == "__main__":
-    comparison = main(picture("double_pendulum.png"))
-    print(comparison)
-    print(f"parted at t = {comparison.parting_time:g} s")
+    answer = main()
+    print(answer)
+    print(f"parted at t = {answer.parting_time:g} s")
+    answer.to_npz("double_pendulum.npz")  # the gaps over time
+    draw(answer).savefig("double_pendulum.png")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
@@ -35,30 +34,28 @@ def response(t: np.ndarray) -> np.ndarray:
     return RESPONSE * np.cos(FREQUENCY * t - phase)
 
 
-def main(plot: str | None = None) -> tuple[cg.Trajectory, cg.Geometry]:
+def main() -> tuple[cg.Trajectory, cg.Geometry]:
     """Step from x = 2 at rest into the response; returns the path and its geometry."""
     problem = cg.InitialProblem(lagrangian, (0, DURATION), position=[2.0], velocity=[0.0], force=force)
     path = cg.solve(problem, cg.Galerkin(degree=6), INTERVALS)
-    if plot:
-        draw(path, plot)
     return path, cg.geometry(path)
 
 
-def draw(path: cg.Trajectory, name: str) -> None:
-    """Draw the motion over the response that it settles into."""
-    axes = canvas("A damped and driven oscillator", "t", "x", (7.0, 3.6))
+def draw(answer):
+    """Draw the motion over the response that it settles into; returns the figure."""
+    path, axes = answer[0], cg.panels()
     times = np.linspace(0, DURATION / 2, 1000)
     axes.plot(times, path(times)[0], label="from x = 2 at rest")
     axes.plot(times, response(times), "k:", label="response")
-    axes.legend()
-    save(axes, name)
+    axes.set(title="A damped and driven oscillator", xlabel="t in s", ylabel="x in m")
+    axes.legend(fontsize="small")
+    return axes.figure
 
 
 if __name__ == "__main__":
-    path, measured = main(picture("driven_oscillator.png"))
+    answer = path, measured = main()
     print(path)
     print(f"determinant of a step: {measured.determinants[0]:.12g}, e^(-c h) = {np.exp(-DAMPING * STEP):.12g}")
     left, shrunk = abs(path.x[0, -1] - response(path.t[-1])), np.exp(-DAMPING * DURATION / 2)
-    print(
-        f"from the response at the end: {left:.1e}; what the start adds has shrunk to e^(-c T / 2) = {shrunk:.1e} of it"
-    )
+    print(f"from the response at the end: {left:.1e}; what the start adds has shrunk to {shrunk:.1e} of it")
+    draw(answer).savefig("driven_oscillator.png")

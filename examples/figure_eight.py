@@ -4,17 +4,13 @@ A. Chenciner and R. Montgomery, Annals of Mathematics 152 (2000); initial values
 rough guess for the given period; what was published for time 0 is then compared with it.
 
 Equal masses and G are 1.  Jacobi's coordinates leave out the centre of mass: x = (r, R), with r from body 1 to body 2
-and R from their middle to body 3.  Two families of paths remain, by rotation and by a shift in time.  Both are removed
-by two components of the start that are 0: then all bodies are on the x axis at time 0.  Fixed components allow a kink
-in their momenta there; that energy and angular momentum are conserved along the rest of the loop leaves none.
-
-Another orbit has an action that differs by 1e-7 of it only, and from many guesses it is found instead.  It is no
-figure eight on which all bodies follow one another, and its Morse index is 3 in place of 2.
+and R from their middle to body 3.  Two components of the start that are 0 fix the rotation and the shift in time: then
+all bodies are on the x axis at time 0.  They allow a kink in the momenta there, and there is none.  Another orbit
+differs by 1e-7 of its action only; it is no figure eight, and its Morse index is 3 in place of 2.
 """
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
@@ -45,13 +41,10 @@ def rough(t):
     return np.concatenate((second - first, third - (first + second) / 2))
 
 
-def main(plot=None):
-    """Solve; with `plot`, the name of a file, draw the orbit."""
+def main():
+    """Solve from the rough guess."""
     problem = cg.BoundaryProblem(lagrangian, (0.0, PERIOD), start=[None, 0.0, None, 0.0], periodic=True)
-    path = cg.solve(problem, METHOD, INTERVALS, guess=rough)
-    if plot:
-        draw(path, plot)
-    return path
+    return cg.solve(problem, METHOD, INTERVALS, guess=rough)
 
 
 def angular_momentum(path):
@@ -60,27 +53,27 @@ def angular_momentum(path):
     return x[0] * p[1] - x[1] * p[0] + x[2] * p[3] - x[3] * p[2]
 
 
-def draw(path, name):
+def draw(path):
     """Draw the curve, and the bodies at time 0, in a line, and a twelfth of the period later, isosceles."""
-    axes = canvas("Three bodies on a figure eight", "x", "y", (6.4, 3.4), aspect="equal")
+    axes = cg.panels(size=(5.2, 3.4))
     axes.plot(*bodies(path(np.linspace(0, PERIOD, 600)))[0], color="0.6", zorder=0)
     for moment, marker, when in ((0.0, "o", "t = 0"), (PERIOD / 12, "s", "t = T/12")):
         places = bodies(path(moment))
         axes.plot(*np.vstack((places, places[:1])).T, marker=marker, markersize=9, linestyle=":", label=when)
         for body, place in enumerate(places, start=1):
             axes.annotate(f"{body}", place, color="w", fontsize=7, ha="center", va="center")
-    axes.legend(loc="lower right")
-    save(axes, name)
+    axes.set(title="Three bodies on a figure eight", xlabel="x", ylabel="y", aspect="equal")
+    axes.legend(fontsize="small", loc="lower right")
+    return axes.figure
 
 
 if __name__ == "__main__":
-    answer = main(picture("figure_eight.png"))
+    answer = main()
     first = bodies(answer.x[:, 0])[0]
     speed = np.linalg.norm(bodies(answer.velocity[:, 0])[2])
     print(answer)
-    print(
-        f"  distance of body 1 from the centre {np.linalg.norm(first):.9f}, published {np.linalg.norm(POSITION_1):.9f}"
-    )
-    print(f"  speed of body 3 there              {speed:.9f}, published {np.linalg.norm(VELOCITY_3):.9f}")
-    print(f"  angular momentum                   {np.max(np.abs(angular_momentum(answer))):.1e}")
-    print(f"  kink of the momenta at time 0      {np.max(np.abs(answer.momentum[:, 0] - answer.momentum[:, -1])):.1e}")
+    print(f"  body 1 from the centre  {np.linalg.norm(first):.9f}, published {np.linalg.norm(POSITION_1):.9f}")
+    print(f"  speed of body 3 there   {speed:.9f}, published {np.linalg.norm(VELOCITY_3):.9f}")
+    print(f"  angular momentum        {np.max(np.abs(angular_momentum(answer))):.1e}")
+    print(f"  kink of the momenta     {np.max(np.abs(answer.momentum[:, 0] - answer.momentum[:, -1])):.1e} at time 0")
+    draw(answer).savefig("figure_eight.png")

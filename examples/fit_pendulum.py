@@ -7,7 +7,6 @@ ends of the path are unknown too: they are measured no better than the rest.
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
@@ -37,7 +36,7 @@ def measured(seed):
     return exact(times)[0] + np.random.default_rng(seed).normal(0.0, NOISE, INTERVALS + 1)
 
 
-def main(plot=None, seed=SEED):
+def main(seed=SEED):
     """Fit; returns the estimates, their covariance (in the order of `NAMES`), the measurements and the fitted path."""
     angles, method = measured(seed), cg.Galerkin(degree=4)
     problem = swing([angles[0], angles[-1], *FIRST])
@@ -56,24 +55,24 @@ def main(plot=None, seed=SEED):
     slope = np.array(ca.Function("slope", [z], [ca.jacobian(residual, z)])(estimate))
     covariance = np.linalg.inv(slope.T @ slope)
     fitted = cg.solve(swing(estimate), method, INTERVALS, guess=first)
-    if plot:
-        draw(fitted, angles, plot)
     return estimate, covariance, angles, fitted
 
 
-def draw(path, angles, name):
-    """Draw measurements, the fitted path and the true one."""
-    axes = canvas("Pendulum: length and damping from measured angles", "time in s", "angle in rad")
-    times = np.linspace(0, DURATION, 300)
+def draw(answer):
+    """Draw measurements, the fitted path and the true one; returns the figure."""
+    _, _, angles, path = answer
+    axes, times = cg.panels(), np.linspace(0, DURATION, 300)
     true = cg.solve(swing(TRUE), path.method, INTERVALS, guess=path)
     axes.errorbar(path.t, angles, NOISE, fmt=".", color="0.5", label="measured")
     axes.plot(times, path(times)[0], label="fitted")
     axes.plot(times, true(times)[0], "--", label="true")
-    axes.legend()
-    save(axes, name)
+    axes.set(title="Length and damping from measured angles", xlabel="t in s", ylabel="angle in rad")
+    axes.legend(fontsize="small")
+    return axes.figure
 
 
 if __name__ == "__main__":
-    estimate, covariance, angles, path = main(picture("fit_pendulum.png"))
+    answer = estimate, covariance, _, _ = main()
     for name, unit, value, true, error in zip(NAMES, UNITS, estimate, TRUE, np.sqrt(np.diag(covariance)), strict=True):
         print(f"{name:8} {value:8.4f} ± {error:.4f} {unit:4} true {true:g}")
+    draw(answer).savefig("fit_pendulum.png")

@@ -10,7 +10,6 @@ Measured is the position at a joint late on the path, where rounding has grown a
 
 import casadi as ca
 import numpy as np
-from show import picture, save
 
 import casadi_galerkin as cg
 
@@ -41,32 +40,31 @@ def late_position(path):
     return path(begin + 0.9 * (end - begin))[0]
 
 
-def main(plot=None):
+def main():
     """Measure both ways on all scenes; returns the trade of each."""
     measured = {}
     for name, (problem, guess) in SCENES.items():
         coarse = cg.solve(problem, cg.Galerkin(degree=2), INTERVALS[0], guess=guess)
         measured[name] = cg.trade(problem, [METHOD], INTERVALS, shooting=True, measure=late_position, guess=coarse)
-    if plot:
-        draw(measured, plot)
     return measured
 
 
-def draw(measured, name):
-    """Draw the trades side by side, with one legend."""
-    import matplotlib.pyplot as plt
-
-    figure, panels = plt.subplots(1, 3, sharex=True, sharey=True, figsize=(10.0, 4.0), layout="constrained")
+def draw(measured):
+    """Draw the trades one above the other, with one legend; returns the figure."""
+    panels = cg.panels(3, size=(4.6, 7.6), sharex=True, sharey=True)
     for axes, (scene, trade) in zip(panels, measured.items(), strict=True):
         failed = any(row.failure is not None for row in trade.rows)
-        trade.plot(axes).set_title(f"{scene}: shooting fails" if failed else scene, fontsize="medium")
-    figure.legend(handles=panels[0].get_legend().legend_handles, fontsize="small", loc="outside right upper")
+        trade.plot(axes).set(title=f"{scene}: shooting fails" if failed else scene, ylabel="relative error")
+    handles = panels[0].get_legend().legend_handles
     for axes in panels:
         axes.get_legend().remove()
         axes.label_outer()
-    save(panels[0], name)
+    axes.figure.legend(handles=handles, fontsize="small", loc="outside lower center", ncols=2)
+    return axes.figure
 
 
 if __name__ == "__main__":
-    for scene, trade in main(picture("global_against_shooting.png")).items():
+    answer = main()
+    for scene, trade in answer.items():
         print(f"{scene}\n{trade}\n")
+    draw(answer).savefig("global_against_shooting.png")

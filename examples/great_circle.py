@@ -5,7 +5,6 @@ The straight line of the map is near enough for full Newton steps, which is what
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
@@ -19,13 +18,10 @@ def lagrangian(t, x, v):
     return (v[0] ** 2 + ca.cos(x[0]) ** 2 * v[1] ** 2) / 2
 
 
-def main(plot=None):
+def main():
     """Solve on the unit of time, so that the constant speed is the length of the arc."""
     problem = cg.BoundaryProblem(lagrangian, (0.0, 1.0), NEW_YORK, LONDON)
-    path = cg.solve(problem, cg.Galerkin(degree=8), intervals=8, solver=cg.rootfinder)
-    if plot:
-        draw(path, plot)
-    return path
+    return cg.solve(problem, cg.Galerkin(degree=8), intervals=8, solver=cg.rootfinder)
 
 
 def arc(path):
@@ -41,18 +37,36 @@ def haversine():
     return 2 * np.arcsin(np.sqrt(chord))
 
 
-def draw(path, name):
-    """Draw latitude over longitude, beside the straight line of the map."""
-    axes = canvas("New York to London", "longitude in degrees", "latitude in degrees", (6.0, 3.6))
-    latitude, longitude = np.degrees(path(np.linspace(0, 1, 200)))
-    (line,) = axes.plot(longitude, latitude, label=f"great circle, {RADIUS * arc(path):.0f} km")
-    axes.plot(*np.degrees(path.x[::-1]), ".", color=line.get_color())
-    axes.plot(*np.degrees(np.stack((NEW_YORK, LONDON)).T[::-1]), "--", color="0.6", label="straight on the map")
-    axes.legend(loc="lower center")
-    save(axes, name)
+def seen(x):
+    """Where latitudes and longitudes (2, K) are seen from far above 25° N, 40° W; NaN on the far side."""
+    (north, east), (up, over) = x, np.radians([25.0, -40.0])
+    right = np.cos(north) * np.sin(east - over)
+    above = np.cos(up) * np.sin(north) - np.sin(up) * np.cos(north) * np.cos(east - over)
+    near = np.sin(up) * np.sin(north) + np.cos(up) * np.cos(north) * np.cos(east - over)
+    return np.where(near > 0, [right, above], np.nan)
+
+
+def draw(path):
+    """Draw the sphere from above the middle of the path, and the straight line of the map; returns the figure."""
+    axes = cg.panels(size=(4.6, 4.4))
+    north, east = np.meshgrid(np.radians(np.arange(-90, 91, 2)), np.radians(np.arange(-180, 181, 2)), indexing="ij")
+    for line in (*np.stack((north, east), 1)[::10], *np.stack((north, east), 2).transpose(1, 2, 0)[::10]):
+        axes.plot(*seen(line), color="0.85", linewidth=0.8)
+    times = np.linspace(0, 1, 200)
+    axes.plot(*seen(path(times)), label=f"great circle, {RADIUS * arc(path):.0f} km")
+    axes.plot(*seen(path.x), ".", color=axes.lines[-1].get_color())
+    straight = NEW_YORK[:, None] + (LONDON - NEW_YORK)[:, None] * times
+    axes.plot(*seen(straight), "--", label="straight on the map")
+    for name, place, side in (("New York", NEW_YORK, "right"), ("London", LONDON, "left")):
+        axes.annotate(name, seen(place[:, None])[:, 0], xytext=(0, -14), textcoords="offset points", ha=side)
+    axes.set(title="New York to London", aspect="equal")
+    axes.axis("off")
+    axes.legend(fontsize="small", loc="lower center")
+    return axes.figure
 
 
 if __name__ == "__main__":
-    answer = main(picture("great_circle.png"))
+    answer = main()
     print(answer)
     print(f"  length      {arc(answer):.15f} rad, exact {haversine():.15f}; {RADIUS * arc(answer):.3f} km")
+    draw(answer).savefig("great_circle.png")

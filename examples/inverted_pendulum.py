@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from show import picture, save
 
 import casadi_galerkin as cg
 
@@ -27,25 +26,27 @@ def exact(t: np.ndarray, horizon: float) -> np.ndarray:
     return (np.exp(-t) + np.exp(t - horizon)) / (1 + np.exp(-horizon))
 
 
-def main(plot: str | None = None) -> dict[int, tuple[cg.Comparison, float]]:
-    """By horizon, the comparison and the largest error of the global path relative to the path's size 1.
-
-    With `plot`, the name of a file, draw the comparison at horizon 40.
-    """
+def main() -> dict[int, tuple[cg.Comparison, float]]:
+    """By horizon, the comparison and the largest error of the global path relative to the path's size 1."""
     results = {}
     for horizon in HORIZONS:
         problem = cg.BoundaryProblem(lagrangian, (0, horizon), start=[1], end=[1])
         comparison = cg.compare(problem, cg.Galerkin(degree=8), intervals=STEPS_A_UNIT * horizon)
         path = comparison.global_path
         results[horizon] = comparison, float(np.max(np.abs(path.x[0] - exact(path.t, horizon))))
-    if plot:
-        axes = results[40][0].plot(time="t in units of the pendulum's own time")
-        axes.set_title("A balanced pendulum: the start's last digit grows with exp(t)")
-        save(axes, plot)
     return results
 
 
+def draw(results):
+    """Draw the comparison at horizon 40; returns the figure."""
+    axes = results[40][0].plot(time="t in units of the pendulum's own time")
+    axes.set_title("The start's last digit grows with exp(t)")
+    return axes.figure
+
+
 if __name__ == "__main__":
-    for comparison, error in main(picture("inverted_pendulum.png")).values():
+    answer = main()
+    for comparison, error in answer.values():
         print(comparison)
         print(f"  error of the global path: {error:.1e}\n")
+    draw(answer).savefig("inverted_pendulum.png")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
@@ -28,30 +27,30 @@ def rotation(x: ca.SX) -> list[ca.SX]:
     return [-x[1], x[0]]
 
 
-def main(plot: str | None = None) -> tuple[cg.Trajectory, cg.Geometry]:
-    """Step through all revolutions from the perihelion; returns the path and what it conserves.
-
-    With `plot`, the name of a file, draw the error of the energy.
-    """
+def main() -> tuple[cg.Trajectory, cg.Geometry]:
+    """Step through all revolutions from the perihelion; returns the path and what it conserves."""
     perihelion = SEMI_MAJOR_AXIS * (1 - ECCENTRICITY)
     speed = np.sqrt(GM * (2 / perihelion - 1 / SEMI_MAJOR_AXIS))
     problem = cg.InitialProblem(lagrangian, (0, REVOLUTIONS * PERIOD), position=[perihelion, 0], velocity=[0, speed])
     path = cg.solve(problem, cg.Galerkin(degree=8), intervals=REVOLUTIONS * STEPS_A_REVOLUTION)
     conserved = cg.geometry(path, symmetry=rotation)
-    if plot:
-        axes = canvas("1000 revolutions of Mercury", "t in years", "relative error of the energy")
-        axes.plot(path.t, path.energy / path.energy[0] - 1, ".", markersize=1)
-        save(axes, plot)
     return path, conserved
 
 
+def draw(answer):
+    """Draw the error of the energy; returns the figure."""
+    path, axes = answer[0], cg.panels()
+    axes.plot(path.t, 1e14 * (path.energy / path.energy[0] - 1), ".", markersize=1)
+    axes.set(title="1000 revolutions of Mercury", xlabel="t in years", ylabel="relative error of the energy, 1e-14")
+    return axes.figure
+
+
 if __name__ == "__main__":
-    path, conserved = main(picture("kepler_revolutions.png"))
+    answer = path, conserved = main()
     print(path)
     print(conserved)
     spin = np.sqrt(GM * SEMI_MAJOR_AXIS * (1 - ECCENTRICITY**2))
     print(f"exact: energy {-GM / (2 * SEMI_MAJOR_AXIS):.12g}, angular momentum {spin:.15g}")
-    print(
-        f"distance from the perihelion after {REVOLUTIONS} revolutions: "
-        f"{np.linalg.norm(path.x[:, -1] - path.x[:, 0]):.1e} AU"
-    )
+    away = np.linalg.norm(path.x[:, -1] - path.x[:, 0])
+    print(f"distance from the perihelion after {REVOLUTIONS} revolutions: {away:.1e} AU")
+    draw(answer).savefig("kepler_revolutions.png")

@@ -6,7 +6,6 @@ the solver does not see the units.
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
@@ -21,32 +20,29 @@ def lagrangian(t, x, v):
     return ca.dot(v, v) / 2 + MU / ca.norm_2(x)
 
 
-def main(plot=None):
-    """Solve; with `plot`, the name of a file, draw the orbit in its plane."""
+def main():
+    """Solve from the straight line between both positions."""
     problem = cg.BoundaryProblem(lagrangian, (0.0, FLIGHT), START, END)
-    path = cg.solve(problem, cg.Galerkin(degree=6), intervals=20)
-    if plot:
-        draw(path, plot)
-    return path
+    return cg.solve(problem, cg.Galerkin(degree=6), intervals=20)
 
 
-def draw(path, name):
-    """Draw the orbit, its joints, and the Earth."""
-    axes = canvas("Lambert transfer, Vallado's example 5.7", "x in km", "y in km", (5.0, 4.6), aspect="equal")
+def draw(path):
+    """Draw the orbit, its joints, and the Earth; returns the figure."""
+    axes = path.plot_plane(labels=("x in km", "y in km"))
     angles = np.linspace(0, 2 * np.pi, 200)
     axes.fill(6378.1363 * np.cos(angles), 6378.1363 * np.sin(angles), color="0.85")
     axes.text(0, 0, "Earth", ha="center", va="center")
-    line = path(np.linspace(0, FLIGHT, 400))
-    axes.plot(line[0], line[1])
-    axes.plot(path.x[0], path.x[1], ".", color=axes.lines[0].get_color())
     axes.annotate("start", START[:2], xytext=(-8, 0), textcoords="offset points", ha="right", va="center")
     axes.annotate(f"{FLIGHT / 60:g} minutes later", END[:2], xytext=(-8, 4), textcoords="offset points", ha="right")
+    axes.set_title("Lambert transfer, Vallado's example 5.7")
     axes.margins(0.1)
-    save(axes, name)
+    return axes.figure
 
 
 if __name__ == "__main__":
-    answer = main(picture("lambert.png"))
+    answer = main()
     print(answer)
     print("  velocity    ", answer.velocity[:, 0], "km/s at the start, published (2.058913, 2.915965, 0)")
     print("              ", answer.velocity[:, -1], "km/s at the end, published (-3.451565, 0.910315, 0)")
+    answer.to_csv("lambert.csv")  # times, positions, velocities, momenta and energy
+    draw(answer).savefig("lambert.png")

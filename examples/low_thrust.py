@@ -7,7 +7,6 @@ Edelbaum, 1961); over the two of this transfer the cost is 3 % above that.
 """
 
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 from casadi_galerkin.solution.plotting import COLORS
@@ -42,41 +41,35 @@ def guess(t):
     return [1 + (RADIUS - 1) * part, t * (1 + RADIUS**-1.5) / 2]
 
 
-def main(plot=None):
+def main():
     """Solve from an even spiral."""
-    path = cg.solve(problem(), cg.Galerkin(degree=5), intervals=20, guess=guess)
-    if plot:
-        draw(path, plot)
-    return path
+    return cg.solve(problem(), cg.Galerkin(degree=5), intervals=20, guess=guess)
 
 
-def draw(path, name):
-    """Draw the spiral with thrust arrows."""
-    axes = canvas(
-        "Low-thrust transfer",
-        "x in radii of the first orbit",
-        "y in radii of the first orbit",
-        (5.5, 5.5),
-        aspect="equal",
-    )
+def draw(path):
+    """Draw the spiral with thrust arrows; returns the figure."""
+    axes = cg.panels(size=(4.6, 4.4))
     circle = np.linspace(0, 2 * np.pi, 200)
     for radius in (1.0, RADIUS):
         axes.plot(radius * np.cos(circle), radius * np.sin(circle), color="0.8")
     radius, angle = path(np.linspace(0, DURATION, 500))
-    axes.plot(radius * np.cos(angle), radius * np.sin(angle))
+    axes.plot(radius * np.cos(angle), radius * np.sin(angle), color=COLORS[0])
     times = np.linspace(0, DURATION, 40)
     (radius, angle), (radial, tangential) = path(times), path.control(times)
     across = radial * np.cos(angle) - tangential * np.sin(angle)
     up = radial * np.sin(angle) + tangential * np.cos(angle)
-    axes.quiver(radius * np.cos(angle), radius * np.sin(angle), across, up, color=COLORS[1], width=0.004)
-    save(axes, name)
+    axes.quiver(radius * np.cos(angle), radius * np.sin(angle), across, up, color=COLORS[1], width=0.005, zorder=3)
+    axes.set(title="Low-thrust transfer", aspect="equal")
+    axes.set(xlabel="x in radii of the first orbit", ylabel="y in radii of the first orbit")
+    return axes.figure
 
 
 if __name__ == "__main__":
-    answer = main(picture("low_thrust.png"))
+    answer = main()
     print(answer)
     print(f"  a slow spiral's cost {SLOW_SPIRAL:.9f}, {answer.x[1, -1] / (2 * np.pi):.3f} revolutions here")
     times = answer.control.times
     primer = -answer.costate(times) * np.stack((np.ones_like(times), answer(times)[0]))
     print(f"  thrust of up to {np.max(np.abs(primer)):.4f}, and the primer vector: differ by", end=" ")
     print(f"{np.max(np.abs(answer.control.values - primer)):.1e}")
+    draw(answer).savefig("low_thrust.png")

@@ -8,7 +8,6 @@ is the natural condition of a free component.  Around the libration point L1 suc
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
@@ -33,32 +32,33 @@ def ellipse(t):
     return [POINT - WIDTH * np.cos(phase), STEEPNESS * WIDTH * np.sin(phase)]
 
 
-def main(plot=None):
+def main():
     """Solve for one constant after the other, each from the last orbit; returns half orbits by constant."""
     problem = cg.BoundaryProblem(lagrangian, (0.0, PERIOD / 2), [None, 0.0], [None, 0.0], energy=-JACOBI[0] / 2)
     half = cg.transcribe(problem, cg.Galerkin(degree=10), intervals=16)
     orbits, last = {}, ellipse
     for constant in JACOBI:
         last = orbits[constant] = half.solve(energy=-constant / 2, guess=last)
-    if plot:
-        draw(orbits, plot)
     return orbits
 
 
-def draw(orbits, name):
-    """Draw the family, with the Moon."""
-    axes = canvas("Lyapunov orbits around L1", "x in Earth-Moon distances", "y", (6.0, 5.0), aspect="equal")
+def draw(orbits):
+    """Draw the family, with the Moon; returns the figure."""
+    axes = cg.panels(size=(4.6, 4.2))
     for constant, path in orbits.items():
         x, y = path(np.linspace(0.0, path.t[-1], 200))
         axes.plot(np.append(x, x[::-1]), np.append(y, -y[::-1]), label=f"C = {constant:g}")
-    axes.plot(1 - MOON, 0, "o", color="0.5")
-    axes.plot(POINT, 0, "k+")
-    axes.figure.legend(fontsize="small", loc="outside right center")
-    save(axes, name)
+    axes.plot(1 - MOON, 0, "o", color="0.5", label="Moon")
+    axes.plot(POINT, 0, "k+", label="L1")
+    axes.set(title="Lyapunov orbits around L1", xlabel="x in Earth-Moon distances", ylabel="y", aspect="equal")
+    axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return axes.figure
 
 
 if __name__ == "__main__":
-    for constant, path in main(picture("lyapunov_orbit.png")).items():
+    answer = main()
+    for constant, path in answer.items():
         period = 2 * path.t[-1]
         print(f"C = {constant:g}: from x = {path.x[0, 0]:.9f} to {path.x[0, -1]:.9f}, ", end="")
         print(f"period {period:.12f}, {DAYS * period:.4f} days, Morse index {path.morse_index} of half an orbit")
+    draw(answer).savefig("lyapunov_orbit.png")

@@ -6,9 +6,9 @@ cheaper rule.
 """
 
 import casadi as ca
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
+from casadi_galerkin.solution.plotting import COLORS
 
 DEGREES, INTERVALS = (1, 2, 3), (2, 4, 8)
 
@@ -39,24 +39,30 @@ def gains(measured):
     return factors
 
 
-def main(plot=None):
-    """Compare both rules on both problems; returns the gains of each by degree."""
+def main():
+    """Compare both rules on both problems; returns the trades."""
     methods = [cg.Galerkin(m, quadrature=cg.gauss(r)) for m in DEGREES for r in (m, m + 1)]
-    trades = {name: cg.trade(problem, methods, INTERVALS) for name, problem in PROBLEMS.items()}
-    if plot:
-        rows = trades["mass 1 + x²"].rows
-        axes = canvas("Mass 1 + x²: one quadrature point more", "intervals", "error at the joints", (8.0, 4.0))
-        for method in methods:
-            chosen = [row for row in rows if row.method == method]
-            axes.loglog([row.intervals for row in chosen], [row.joint_error for row in chosen], "o-", label=str(method))
-        axes.set_xticks(INTERVALS, labels=INTERVALS)
-        axes.set_xticks([], minor=True)
-        axes.figure.legend(fontsize="small", loc="outside right center")
-        save(axes, plot)
-    return {name: gains(measured) for name, measured in trades.items()}
+    return {name: cg.trade(problem, methods, INTERVALS) for name, problem in PROBLEMS.items()}
+
+
+def draw(answer):
+    """Draw the errors of the first problem; returns the figure."""
+    axes, rows = cg.panels(size=(4.6, 3.8)), answer["mass 1 + x²"].rows
+    for i, method in enumerate(dict.fromkeys(row.method for row in rows)):
+        chosen, points = [row for row in rows if row.method == method], len(method.quadrature)
+        style = {"color": COLORS[method.degree - 1], "linestyle": "--" if i % 2 else "-"}
+        label = f"degree {method.degree}, {points} points"
+        axes.loglog([row.intervals for row in chosen], [row.joint_error for row in chosen], "o", label=label, **style)
+    axes.set(title="Mass 1 + x²: one quadrature point more", xlabel="intervals", ylabel="error at the joints")
+    axes.set_xticks(INTERVALS, labels=INTERVALS)
+    axes.set_xticks([], minor=True)
+    axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
+    return axes.figure
 
 
 if __name__ == "__main__":
-    for mass, factors in main(picture("mass_quadrature.png")).items():
-        for degree, factor in factors.items():
+    answer = main()
+    for mass, measured in answer.items():
+        for degree, factor in gains(measured).items():
             print(f"{mass}, degree {degree}: error of Gauss({degree}) over that of Gauss({degree + 1}) {factor:.1f}")
+    draw(answer).savefig("mass_quadrature.png")

@@ -1,13 +1,10 @@
-"""A double pendulum that swings from one pose to another, as a moving picture, in phase space, and its matrix.
+"""A double pendulum that swings from one pose to another, in poses, in phase space, and as a moving picture.
 
 Unit masses on unit rods.  The ends are those of a motion that starts at rest, so the velocity at the start is known.
 """
 
-from pathlib import Path
-
 import casadi as ca
 import numpy as np
-from show import picture
 
 import casadi_galerkin as cg
 
@@ -28,35 +25,34 @@ def places(x):
     return np.stack((np.zeros_like(elbow), elbow, elbow + np.stack((np.sin(x[1]), -np.cos(x[1])))))
 
 
-def main(plot=None):
-    """Solve; with `plot`, the name of a file, draw both pictures, and the moving one beside them."""
+def main():
+    """Solve between the two poses."""
     problem = cg.BoundaryProblem(lagrangian, (0.0, DURATION), START, END)
-    swing = cg.transcribe(problem, cg.Galerkin(degree=6), 10)
-    path = swing.solve()
-    if plot:
-        draw(swing, path, Path(plot))
-    return path
+    return cg.solve(problem, cg.Galerkin(degree=6), intervals=10)
 
 
-def draw(swing, path, name):
-    """Phase portrait and pattern of the Hessian as one picture; half as fast as a GIF of the same name."""
-    import matplotlib.pyplot as plt
-
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 4.4), layout="constrained")
+def draw(path):
+    """Draw the poses of both rods, and their ways through phase space; returns the figure."""
+    top, bottom = cg.panels(2, size=(4.6, 6.0))
+    path.plot_poses(places, top, count=9)
+    top.set(title="Nine poses of a double pendulum", xlabel="x in m", ylabel="y in m")
     for component in (0, 1):
-        path.plot_phase(component, left, ("angle in rad", "momentum in kg m²/s"))
-    left.legend(left.lines[::3], ["upper rod", "lower rod"])
-    left.set_title("Double pendulum", fontsize="medium")
-    swing.plot_hessian(right)
-    figure.savefig(name, dpi=100)
-    figure, axes = plt.subplots(figsize=(4.0, 4.0), layout="constrained")
+        path.plot_phase(component, bottom, ("angle in rad", "momentum in kg m²/s"))
+    bottom.legend(bottom.lines[::3], ["upper rod", "lower rod"], fontsize="small")
+    bottom.set_title("In phase space")
+    return top.figure
+
+
+def film(path):
+    """The mechanism moving, at half its speed."""
+    axes = cg.panels(size=(4.0, 4.0))
     axes.set(xlabel="x in m", ylabel="y in m")
-    path.animate(places, axes, seconds=2 * DURATION, unit="s").save(name.with_suffix(".gif"), writer="pillow", dpi=50)
-    plt.close("all")
-    print(f"pictures written to {name} and {name.with_suffix('.gif')}")
+    return path.animate(places, axes, seconds=2 * DURATION, unit="s")
 
 
 if __name__ == "__main__":
-    answer = main(picture("mechanism.png"))
+    answer = main()
     print(answer)
     print(f"  velocity    {answer.velocity[:, 0]} rad/s at the start, which is at rest")
+    draw(answer).savefig("mechanism.png")
+    film(answer).save("mechanism.gif", writer="pillow", dpi=50)

@@ -12,8 +12,6 @@ of free ratio p between motor and load, the motor's inertia J counts p² times: 
 from dataclasses import replace
 from math import sqrt
 
-from show import picture, save
-
 import casadi_galerkin as cg
 
 THRUST = 1.0
@@ -63,18 +61,21 @@ def geared():
     )
 
 
-def main(plot=None):
+def main():
     """Solve on ten intervals."""
-    path = cg.solve(problem(), cg.Galerkin(degree=2), intervals=10)
-    if plot:
-        axes = path.plot()
-        axes.set_title("Minimum time")
-        save(axes, plot)
-    return path
+    return cg.solve(problem(), cg.Galerkin(degree=2), intervals=10)
+
+
+def draw(path):
+    """Draw position, thrust and costate; returns the figure."""
+    names = {"labels": ["place in m"], "control_labels": ["thrust in N"], "costate_labels": ["costate in s/N"]}
+    axes = path.plot(time="t in s", **names)
+    axes.set_title("Minimum time")
+    return axes.figure
 
 
 if __name__ == "__main__":
-    answer = main(picture("minimum_time.png"))
+    answer = main()
     print(answer)
     print(f"  duration    {answer.t[-1]:.12f}, exact 2")
     between = cg.solve(problem(), cg.Galerkin(degree=2), intervals=11)
@@ -88,3 +89,4 @@ if __name__ == "__main__":
     driven = cg.solve(geared(), cg.Galerkin(degree=2), intervals=10)
     print(f"with a gear: ratio {driven.parameters[0]:.12f}, exact {INERTIA**-0.5:g}", end="; ")
     print(f"duration {driven.t[-1]:.12f}, exact {2 * INERTIA**0.25 * sqrt(2):.12f}")
+    draw(answer).savefig("minimum_time.png")

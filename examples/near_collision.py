@@ -7,7 +7,6 @@ shows the way round.
 
 import casadi as ca
 import numpy as np
-from show import canvas, dense, picture, save
 
 import casadi_galerkin as cg
 from casadi_galerkin.solution.plotting import COLORS
@@ -26,29 +25,29 @@ def position(anomaly):
     return np.array([np.cos(anomaly) - ECCENTRICITY, np.sqrt(1 - ECCENTRICITY**2) * np.sin(anomaly)])
 
 
-def main(plot=None):
-    """Solve to a relative error of 1e-9; with `plot`, the name of a file, draw the orbit."""
+def main():
+    """Solve to a relative error of 1e-9."""
     problem = cg.BoundaryProblem(lagrangian, (-HALF, HALF), position(-ANOMALY), position(ANOMALY))
-    path = cg.solve(
+    return cg.solve(
         problem, tol=1e-9, guess=lambda t: [np.cos(2 * t / HALF) - ECCENTRICITY / 2, np.sin(2 * t / HALF) / 2]
     )
-    if plot:
-        draw(path, plot)
-    return path
 
 
-def draw(path, name):
-    """Draw the orbit near the sun, joints as dots."""
-    axes = canvas("Near-collision, eccentricity 0.99", "x in semi-axes", "y in semi-axes", (6.0, 3.2))
-    axes.plot(*path(dense(path)))
-    axes.plot(*path.x, ".", label="joints")
-    axes.plot(0, 0, "o", color=COLORS[4], label="sun")
-    axes.legend()
-    save(axes, name)
+def draw(path):
+    """Draw the orbit with its joints, and what is near the sun; returns the figure."""
+    top, bottom = cg.panels(2, size=(4.6, 4.6), height_ratios=(2, 3))
+    for axes in (top, bottom):
+        path.plot_plane(axes=axes, labels=("x in semi-axes", "y in semi-axes"))
+        axes.plot(0, 0, "o", color=COLORS[4], label="sun")
+    top.set_title("A comet of eccentricity 0.99")
+    bottom.set(title="Near the sun", xlim=(-0.06, 0.02), ylim=(-0.025, 0.025))
+    bottom.legend(fontsize="small")
+    return top.figure
 
 
 if __name__ == "__main__":
-    answer = main(picture("near_collision.png"))
+    answer = main()
     print(answer)
     closest = np.hypot(*answer(0.0))
-    print(f"  distance     {closest:.12f} from the sun half-way, exactly {1 - ECCENTRICITY:.12f}")
+    print(f"  distance    {closest:.12f} from the sun half-way, exactly {1 - ECCENTRICITY:.12f}")
+    draw(answer).savefig("near_collision.png")

@@ -7,7 +7,6 @@ these hold the joints, and with an even number of intervals half time is one of 
 """
 
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 from casadi_galerkin.solution.plotting import COLORS
@@ -38,28 +37,25 @@ def problem():
     )
 
 
-def main(plot=None):
+def main():
     """Solve from the straight line."""
     method = cg.Galerkin(degree=4, quadrature=cg.lobatto(5))
-    path = cg.solve(problem(), method, intervals=20)
-    if plot:
-        draw(path, plot)
-    return path
+    return cg.solve(problem(), method, intervals=20)
 
 
-def draw(path, name):
-    """Draw the path round the disc, with the directions of thrust."""
-    axes = canvas("Round an obstacle", "x", "y", (6.0, 4.0), aspect="equal")
+def draw(path):
+    """Draw the path round the disc, with the directions of thrust; returns the figure."""
+    axes = path.plot_plane(labels=("x in m", "y in m"))
     turn = np.linspace(0, 2 * np.pi, 200)
     axes.fill(CENTRE[0] + RADIUS * np.cos(turn), CENTRE[1] + RADIUS * np.sin(turn), color="0.85")
-    axes.plot(*path(np.linspace(0, DURATION, 400)), label=f"path, cost {path.cost:.6f}")
     times = np.linspace(0, DURATION, 24)
-    axes.quiver(*path(times), *path.control(times), color=COLORS[1], width=0.004)
-    axes.legend()
-    save(axes, name)
+    axes.quiver(*path(times), *path.control(times), color=COLORS[1], width=0.005)
+    axes.set_title(f"Round an obstacle, at a cost of {path.cost:.6f}")
+    return axes.figure
 
 
 if __name__ == "__main__":
-    answer = main(picture("obstacle.png"))
+    answer = main()
     print(answer)
     print(f"  exact       {EXACT}")
+    draw(answer).savefig("obstacle.png")

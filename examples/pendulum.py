@@ -6,7 +6,6 @@ index, the number of directions in which the action decreases, tells them apart.
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
@@ -29,28 +28,27 @@ KNOWN = {0: 1.9995687170165, 1: 1.8318277309911, 2: 1.3287479250456}
 GUESSES = (swinging(3.0, 0.5), swinging(2.0, 1.0), None)
 
 
-def main(plot=None):
+def main():
     """Solve from three guesses, transcribing once; returns the paths by their Morse index."""
     problem = cg.BoundaryProblem(lagrangian, (0.0, DURATION), start=[0.0], end=[ANGLE])
     swing = cg.transcribe(problem, cg.Galerkin(degree=6), intervals=60)
     found = [swing.solve(guess=guess) for guess in GUESSES]
-    paths = {path.morse_index: path for path in found}
-    if plot:
-        draw(paths, plot)
-    return paths
+    return {path.morse_index: path for path in found}
 
 
-def draw(paths, name):
-    """Draw all paths into one picture."""
-    axes = canvas("Stationary paths of a pendulum between the same ends", "t in s", "angle in rad", (7.0, 4.0))
-    times = np.linspace(0, DURATION, 600)
+def draw(paths):
+    """Draw all paths into one picture; returns the figure."""
+    axes, times = cg.panels(size=(4.6, 3.6)), np.linspace(0, DURATION, 600)
     for index, path in sorted(paths.items()):
         axes.plot(times, path(times)[0], label=f"Morse index {index}, action {path.action:.4f}")
     axes.plot([0, DURATION], [0, ANGLE], "ko")
-    axes.legend()
-    save(axes, name)
+    axes.set(title="Three paths between the same ends", xlabel="t in s", ylabel="angle in rad")
+    axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.16))
+    return axes.figure
 
 
 if __name__ == "__main__":
-    for index, path in sorted(main(picture("pendulum.png")).items()):
+    answer = main()
+    for index, path in sorted(answer.items()):
         print(f"Morse index {index}: starts with velocity {path.velocity[0, 0]:.13f}, known {KNOWN[index]}\n{path}")
+    draw(answer).savefig("pendulum.png")

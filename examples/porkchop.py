@@ -1,15 +1,12 @@
 """A porkchop plot: what every launch date and flight time between two planets costs; 2,500 Lambert transfers.
 
 Both planets move on ellipses in one plane.  One problem is built once; ends and time span are its variations.  They
-are solved one after the other, or by any executor of processes; on Dask's local cluster, with `distributed`
-installed, run ``python examples/porkchop.py porkchop.png dask``.
+are solved one after the other, or by any executor of processes: ``with ProcessPoolExecutor() as pool: main(pool)``, or
+``main(client.get_executor())`` on a cluster of Dask's.
 """
-
-import sys
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
@@ -21,104 +18,64 @@ LAUNCHES, FLIGHTS = np.linspace(1.2, 2.0, 50), np.linspace(0.4, 1.1, 50)  # year
 METHOD, INTERVALS = cg.Galerkin(degree=6), 10
 
 
-def lagrangian(t, x, v):
-    """Kinetic minus potential energy of a unit mass in the Sun's field, au²/year²."""
-    return ca.dot(v, v) / 2 + MU / ca.norm_2(x)
-
-
 def state(orbit, t):
     """Position in au and velocity in au/year of a planet at time t, by Kepler's equation; (2,) each."""
     a, e = orbit["axis"], orbit["eccentricity"]
     rate = np.sqrt(MU / a**3)
-    mean = orbit["anomaly"] + rate * t
-    anomaly = mean
+    anomaly = mean = orbit["anomaly"] + rate * t
     for _ in range(20):
         anomaly -= (anomaly - e * np.sin(anomaly) - mean) / (1 - e * np.cos(anomaly))
     c, s, b = np.cos(anomaly), np.sin(anomaly), np.sqrt(1 - e**2)
-    axes = np.array([[np.cos(orbit["perihelion"]), np.sin(orbit["perihelion"])]])
-    axes = np.concatenate((axes, [[-axes[0, 1], axes[0, 0]]]))
+    along = np.array([np.cos(orbit["perihelion"]), np.sin(orbit["perihelion"])])
+    axes = np.stack((along, [-along[1], along[0]]))
     return a * np.array([c - e, b * s]) @ axes, a * rate / (1 - e * c) * np.array([-s, b * c]) @ axes
 
 
 def transfer(launch, flight):
-    """One variation: ends, times, and an arc round the Sun in the planets' direction as guess.
-
-    Half-way the arc is as far out as a circle on which that angle would take the time of the flight.
-    """
+    """One variation: ends, times, and as guess an arc round the Sun on which a circle would take as long half-way."""
     start, end = state(INNER, launch)[0], state(OUTER, launch + flight)[0]
-    radii = np.linalg.norm([start, end], axis=1)
-    first = np.arctan2(start[1], start[0])
-    swept = (np.arctan2(end[1], end[0]) - first) % (2 * np.pi)
-    middle = (MU * (flight / swept) ** 2) ** (1 / 3)
-    part = np.linspace(0, 1, INTERVALS + 1)
-    radius = radii[0] + part * (radii[1] - radii[0]) + 4 * part * (1 - part) * (middle - np.mean(radii))
-    angle = first + part * swept
+    radii, (first, last) = np.linalg.norm([start, end], axis=1), np.arctan2(*np.stack((start, end))[:, ::-1].T)
+    swept, part = (last - first) % (2 * np.pi), np.linspace(0, 1, INTERVALS + 1)
+    middle = (MU * (flight / swept) ** 2) ** (1 / 3) - np.mean(radii)
+    radius, angle = radii[0] + part * np.diff(radii) + 4 * part * (1 - part) * middle, first + part * swept
     guess = radius * np.array([np.cos(angle), np.sin(angle)])
     return {"start": start, "end": end, "t_span": (launch, launch + flight), "guess": guess}
 
 
-def variations():
-    """All transfers, launch date slowest."""
-    return [transfer(launch, flight) for launch in LAUNCHES for flight in FLIGHTS]
+def problem_and_variations():
+    """One problem in the Sun's field, and all transfers, launch date slowest."""
+    variations = [transfer(launch, flight) for launch in LAUNCHES for flight in FLIGHTS]
+    first = {name: variations[0][name] for name in ("t_span", "start", "end")}
+    return cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2 + MU / ca.norm_2(x), **first), variations
 
 
-def problem():
-    """The problem that all transfers are variations of."""
-    first = transfer(LAUNCHES[0], FLIGHTS[0])
-    return cg.BoundaryProblem(lagrangian, first["t_span"], first["start"], first["end"])
-
-
-def main(plot=None, executor=None):
+def main(executor=None):
     """Solve all; returns the sweep and the cost in km/s, (launch dates, flight times)."""
-    transfers = cg.sweep(problem(), variations(), METHOD, INTERVALS, executor=executor)
-    velocity = transfers.momentum  # of a unit mass
-    leaving = np.stack([state(INNER, launch)[1] for launch in LAUNCHES for _ in FLIGHTS])
-    arriving = np.stack([state(OUTER, launch + flight)[1] for launch in LAUNCHES for flight in FLIGHTS])
-    changes = [velocity[:, :, 0] - leaving, velocity[:, :, -1] - arriving]
-    cost = KILOMETRES_A_SECOND * sum(np.linalg.norm(change, axis=1) for change in changes)
-    cost = cost.reshape(len(LAUNCHES), len(FLIGHTS))
-    if plot:
-        draw(cost, plot)
-    return transfers, cost
+    transfers = cg.sweep(*problem_and_variations(), METHOD, INTERVALS, executor=executor)
+    ends = [(state(INNER, t)[1], state(OUTER, t + flight)[1]) for t in LAUNCHES for flight in FLIGHTS]
+    changes = transfers.momentum[:, :, [0, -1]] - np.swapaxes(ends, 1, 2)  # of the velocity of a unit mass
+    cost = KILOMETRES_A_SECOND * np.linalg.norm(changes, axis=1).sum(axis=1)
+    return transfers, cost.reshape(len(LAUNCHES), len(FLIGHTS))
 
 
-def hohmann():
-    """Cost in km/s of Hohmann's half ellipse between circles of the same axes, without the orbits' eccentricity."""
-    radii = np.array([INNER["axis"], OUTER["axis"]])
-    changes = np.sqrt(MU * (2 / radii - 2 / np.sum(radii))) - np.sqrt(MU / radii)
-    return KILOMETRES_A_SECOND * np.sum(np.abs(changes))
-
-
-def draw(cost, name):
-    """Draw lines of equal cost over launch date and flight time, and the cheapest transfer."""
-    axes = canvas("Porkchop plot of 2,500 transfers", "launch date in years", "flight time in years", (6.4, 4.6))
+def draw(answer):
+    """Draw lines of equal cost over launch date and flight time, and the cheapest transfer; returns the figure."""
+    cost, axes = answer[1], cg.panels()
     levels = np.floor(np.nanmin(cost)) + np.array([0, 1, 2, 3, 5, 7, 10, 14, 20, 30])
     areas = axes.contourf(LAUNCHES, FLIGHTS, cost.T, levels, cmap="cividis", extend="max")
-    axes.figure.colorbar(areas, label="sum of both changes of velocity in km/s", ticks=levels)
+    axes.figure.colorbar(areas, label="changes of velocity in km/s", ticks=levels)
     i, j = np.unravel_index(np.nanargmin(cost), cost.shape)
     axes.plot(LAUNCHES[i], FLIGHTS[j], "w*", markersize=12)
-    axes.annotate(
-        f"{cost[i, j]:.2f} km/s",
-        (LAUNCHES[i], FLIGHTS[j]),
-        xytext=(8, 6),
-        textcoords="offset points",
-        color="w",
-    )
-    save(axes, name)
-
-
-def on_dask(plot):
-    """The same on a local cluster of Dask: one thread a process."""
-    from dask.distributed import Client
-
-    with Client(n_workers=2, threads_per_worker=1, dashboard_address="localhost:0") as client:
-        return main(plot, client.get_executor())
+    text = {"xytext": (8, 6), "textcoords": "offset points", "color": "w"}
+    axes.annotate(f"{cost[i, j]:.2f} km/s", (LAUNCHES[i], FLIGHTS[j]), **text)
+    axes.set(title=f"{cost.size} transfers", xlabel="launch date in years", ylabel="flight time in years")
+    return axes.figure
 
 
 if __name__ == "__main__":
-    run = on_dask if sys.argv[2:] == ["dask"] else main
-    transfers, cost = run(picture("porkchop.png"))
+    answer = transfers, cost = main()
     print(transfers)
     i, j = np.unravel_index(np.nanargmin(cost), cost.shape)
     print(f"cheapest: {cost[i, j]:.3f} km/s, launch {LAUNCHES[i]:.3f}, flight {FLIGHTS[j]:.3f} years")
-    print(f"Hohmann's transfer between circles of the same axes: {hohmann():.3f} km/s")
+    transfers.to_npz("porkchop.npz")  # what every transfer has at both ends
+    draw(answer).savefig("porkchop.png")

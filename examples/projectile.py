@@ -7,7 +7,6 @@ v = (d/T, g T/2).
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
@@ -27,27 +26,26 @@ def drag(t, x, v):
     return -DRAG * ca.norm_2(v) * v
 
 
-def main(plot=None):
+def main():
     """Solve for every duration; returns the throws by duration."""
     problem = cg.BoundaryProblem(lagrangian, (0.0, 4.0), start=[0.0, 0.0], end=TARGET, force=drag)
     throw = cg.transcribe(problem, cg.Galerkin(degree=10), intervals=8)
-    throws = {duration: throw.solve(mesh=np.linspace(0.0, duration, 9)) for duration in DURATIONS}
-    if plot:
-        draw(throws, plot)
-    return throws
+    return {duration: throw.solve(mesh=np.linspace(0.0, duration, 9)) for duration in DURATIONS}
 
 
-def draw(throws, name):
-    """Draw the flights, with those in vacuum dashed."""
-    axes = canvas("Three throws at a target, with drag", "distance in m", "height in m", (7.0, 4.0), aspect="equal")
+def draw(throws):
+    """Draw the flights, with those in vacuum dashed; returns the figure."""
+    axes = cg.panels(size=(4.6, 4.2))
     for duration, path in throws.items():
-        times = np.linspace(0.0, duration, 200)
-        (line,) = axes.plot(*path(times), label=f"{duration:g} s, leaves at {speed(path):.1f} m/s")
+        path.plot_plane(axes=axes, labels=("distance in m", "height in m"))
+        line, times = axes.lines[-2], np.linspace(0.0, duration, 200)
+        line.set_label(f"{duration:g} s, leaves at {speed(path):.1f} m/s")
         parabola = times / duration * TARGET[0], GRAVITY / 2 * times * (duration - times)
         axes.plot(*parabola, "--", color=line.get_color(), linewidth=0.8)
     axes.plot(*TARGET, "kx")
-    axes.legend(fontsize="small", loc="lower center")
-    save(axes, name)
+    axes.set_title("Three throws with drag, dashed without")
+    axes.figure.legend(fontsize="small", loc="outside lower center")
+    return axes.figure
 
 
 def speed(path):
@@ -56,7 +54,9 @@ def speed(path):
 
 
 if __name__ == "__main__":
-    for duration, path in main(picture("projectile.png")).items():
+    answer = main()
+    for duration, path in answer.items():
         angle = np.degrees(np.arctan2(*path.velocity[::-1, 0]))
         lost = 1 - np.linalg.norm(path.velocity[:, -1]) ** 2 / speed(path) ** 2
         print(f"{duration:g} s: {speed(path):.6f} m/s at {angle:.4f}°, drag takes {100 * lost:.1f} % of the energy")
+    draw(answer).savefig("projectile.png")

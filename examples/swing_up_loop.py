@@ -8,16 +8,22 @@ state to plan from.  The plant itself is integrated by CVODES, which shares noth
 
 import casadi as ca
 import numpy as np
-from cart_pole import FORCE, TRACK, lagrangian
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
+CART, POLE, LENGTH, GRAVITY = 1.0, 0.3, 0.5, 9.81  # kg, kg, m, m/s²
+FORCE, TRACK = 20.0, 2.0  # N, m
 SAMPLE, COUNT = 0.02, 200  # s between two measurements, and how many
 NOISE = np.array([1e-3, 2e-3, 5e-3, 1e-2])  # standard deviations: m, rad, m/s, rad/s
 HASTE = 50.0  # N², what a second costs beside the force squared
 SHORTEST, LONGEST = 0.8, 4.0  # s, of a plan; the first is how softly the balance is kept
 KNOCK, KNOCKED = 1.0, 100  # rad/s, and the sample before which it comes
+
+
+def lagrangian(t, x, v):
+    """Kinetic minus potential energy of cart and pole, J; x[0] is the cart's place, x[1] the angle from below."""
+    kinetic = (CART + POLE) * v[0] ** 2 / 2 + POLE * (LENGTH * v[1]) ** 2 / 2
+    return kinetic + POLE * LENGTH * (v[0] * v[1] + GRAVITY) * ca.cos(x[1])
 
 
 def problem():
@@ -48,7 +54,7 @@ def plant():
     return ca.integrator("plant", "cvodes", {"x": ca.vertcat(x, v), "u": u, "ode": rates}, 0, SAMPLE)
 
 
-def main(plot=None, seed=1):
+def main(seed=1):
     """Run the loop; returns states (4, samples + 1), forces (samples,) and plans."""
     rng, system = np.random.default_rng(seed), plant()
     planner = cg.transcribe(problem(), cg.Galerkin(degree=3), intervals=15)
@@ -62,35 +68,28 @@ def main(plot=None, seed=1):
         states.append(state.copy())
         forces.append(force)
         plans.append(plan)
-    if plot:
-        draw(np.transpose(states), plans, plot)
     return np.transpose(states), np.array(forces), plans
 
 
-def draw(states, plans, name):
-    """Draw what happened over time, and some of the plans."""
-    axes = canvas("A swing-up planned anew every 20 ms", "t in s", "position", (7.0, 4.0))
-    times = SAMPLE * np.arange(states.shape[1])
+def draw(answer):
+    """Draw what happened over time, and some of the plans; returns the figure."""
+    (states, _, plans), axes = answer, cg.panels()
     for k in (0, 40, KNOCKED):
         fine = np.linspace(*plans[k].t[[0, -1]], 100)
-        axes.plot(SAMPLE * k + fine, plans[k](fine).T, "--", color="0.6", linewidth=1)
-    axes.plot(times, states[1], label="pole in rad")
-    axes.plot(times, states[0], label="cart in m")
-    axes.axvline(SAMPLE * KNOCKED, color="0.5", linewidth=0.8, linestyle=":")
-    axes.annotate("a knock", (SAMPLE * KNOCKED, 1.6), xytext=(4, 0), textcoords="offset points")
-    axes.plot([], [], "--", color="0.6", label="plans")
-    axes.legend(loc="center left")
-    save(axes, name)
+        names = ["_", "_" if k else "plans"]
+        axes.plot(SAMPLE * k + fine, plans[k](fine).T, "--", color="0.6", linewidth=1, label=names)
+    axes.plot(SAMPLE * np.arange(states.shape[1]), states[:2].T, label=["cart in m", "pole in rad"])
+    axes.axvline(SAMPLE * KNOCKED, color="0.5", linewidth=0.8, linestyle=":", label="a knock")
+    axes.set(title="A swing-up planned anew every 20 ms", xlabel="t in s", ylabel="pole in rad, cart in m")
+    axes.legend(fontsize="small", loc="center right")
+    return axes.figure
 
 
 if __name__ == "__main__":
-    states, forces, plans = main(picture("swing_up_loop.png"))
-    again = plans[1:]
+    answer = states, forces, plans = main()
     print(f"first plan: {plans[0].iterations} iterations, {plans[0].cost:.6g} N² s over {plans[0].t[-1]:.4g} s")
-    print(
-        f"{len(again)} more: {np.median([plan.iterations for plan in again]):g} iterations and "
-        f"{1e3 * np.median([plan.solve_seconds for plan in again]):.2f} ms each in the median, "
-        f"{max(plan.iterations for plan in again)} iterations at most"
-    )
+    iterations, seconds = np.median([(plan.iterations, plan.solve_seconds) for plan in plans[1:]], axis=0)
+    print(f"{len(plans) - 1} more: {iterations:g} iterations and {1e3 * seconds:.2f} ms each in the median")
     away = np.max(np.abs(states[:2, -25:].T - [0, np.pi]), axis=0)
     print(f"the last half second: cart within {1e3 * away[0]:.1f} mm, pole within {1e3 * away[1]:.1f} mrad of upright")
+    draw(answer).savefig("swing_up_loop.png")

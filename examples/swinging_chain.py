@@ -8,7 +8,6 @@ third axis only, so that the angular momentum about it is kept.
 
 import casadi as ca
 import numpy as np
-from show import picture, save
 
 import casadi_galerkin as cg
 
@@ -40,13 +39,10 @@ def guess(t):
     return place(FIRST + (LAST - FIRST) * t / DURATION)
 
 
-def main(plot=None):
+def main():
     """Solve between the two positions; returns the path."""
     problem = cg.BoundaryProblem(lagrangian, (0.0, DURATION), place(FIRST), place(LAST), constraint=rods)
-    path = cg.solve(problem, cg.Galerkin(degree=8), intervals=24, guess=guess)
-    if plot:
-        draw(path, plot)
-    return path
+    return cg.solve(problem, cg.Galerkin(degree=8), intervals=24, guess=guess)
 
 
 def spin(path):
@@ -55,31 +51,26 @@ def spin(path):
     return x * q - y * p + a * s - b * r
 
 
-def draw(path, name):
-    """Draw the way of both masses from above, with the rods at a few instants, and the tensions."""
-    import matplotlib.pyplot as plt
-
-    from casadi_galerkin.solution.plotting import COLORS
-
-    _, (left, right) = plt.subplots(1, 2, figsize=(9.0, 4.0), layout="constrained")
-    left.set(title="Two rods from above", xlabel="x in m", ylabel="y in m", aspect="equal")
+def draw(path):
+    """Draw the way of both masses from above, with the rods at a few instants, and the tensions; returns the figure."""
+    top, bottom = cg.panels(2, size=(4.6, 6.4), height_ratios=(3, 2))
     times = np.linspace(0.0, DURATION, 200)
-    x = path(times)
-    for i, of in enumerate(("upper", "lower")):
-        left.plot(x[3 * i], x[3 * i + 1], color=COLORS[i])
-        right.plot(times, -path.multipliers(times)[i], color=COLORS[i], label=f"{of} rod")
-    for k in range(0, 200, 33):
-        left.plot([0, x[0, k], x[3, k]], [0, x[1, k], x[4, k]], color="0.6", linewidth=0.8, marker=".", zorder=0)
-    right.set(title="Their tensions", xlabel="t in s", ylabel="N")
-    right.axhline(0, color="0.7", linewidth=0.8)
-    right.legend()
-    save(left, name)
+    path.plot_plane((0, 1), top)
+    path.plot_plane((3, 4), top, ("x in m", "y in m"))
+    top.set_title("Two rods from above")
+    for x in path(times[::33]).T:
+        top.plot([0, x[0], x[3]], [0, x[1], x[4]], color="0.6", linewidth=0.8, zorder=0)
+    bottom.plot(times, -path.multipliers(times).T, label=["upper rod", "lower rod"])
+    bottom.set(title="Their tensions", xlabel="t in s", ylabel="tension in N")
+    bottom.axhline(0, color="0.7", linewidth=0.8)
+    bottom.legend(fontsize="small")
+    return top.figure
 
 
 if __name__ == "__main__":
-    path = main(picture("swinging_chain.png"))
-    print(path)
-    tension = -path.multipliers(np.linspace(0.0, DURATION, 200))
-    for of, values in zip(("upper", "lower"), tension, strict=True):
-        print(f"tension of the {of} rod from {values.min():.6f} to {values.max():.6f} N")
-    print(f"angular momentum about the vertical {spin(path)[0]:.9f}, varies by {np.ptp(spin(path)):.1e}")
+    answer = main()
+    print(answer)
+    for of, tension in zip(("upper", "lower"), -answer.multipliers(np.linspace(0.0, DURATION, 200)), strict=True):
+        print(f"tension of the {of} rod from {tension.min():.6f} to {tension.max():.6f} N")
+    print(f"angular momentum about the vertical {spin(answer)[0]:.9f}, varies by {np.ptp(spin(answer)):.1e}")
+    draw(answer).savefig("swinging_chain.png")

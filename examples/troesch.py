@@ -7,7 +7,6 @@ what a tolerance relative to x, which is 1 at its largest, can resolve; it is no
 
 import casadi as ca
 import numpy as np
-from show import canvas, picture, save
 
 import casadi_galerkin as cg
 
@@ -19,14 +18,12 @@ def lagrangian(t, x, v, p):
     return v[0] ** 2 / 2 + ca.cosh(p[0] * x[0])
 
 
-def main(plot=None):
+def main():
     """Solve for every λ to a relative error of 1e-9; returns {λ: Trajectory}."""
     paths = {}
     for rate in RATES:
         problem = cg.BoundaryProblem(lagrangian, (0.0, 1.0), [0.0], [1.0], parameters=[rate])
         paths[rate] = cg.solve(problem, tol=1e-9)
-    if plot:
-        draw(paths, plot)
     return paths
 
 
@@ -35,23 +32,25 @@ def slope_at_end(rate, slope_at_start):
     return np.hypot(slope_at_start, 2 * np.sinh(rate / 2))
 
 
-def draw(paths, name):
-    """Draw the paths, joints as dots."""
-    axes = canvas("Troesch's problem", "distance from the end, 1 - t", "x")
+def draw(paths):
+    """Draw the paths over the logarithm of the distance from the end, joints as dots; returns the figure."""
+    axes = cg.panels(size=(4.6, 3.6))
     for rate, path in paths.items():
         times = np.unique(np.concatenate((path.t, 1 - np.logspace(-14, 0, 500))))
         (line,) = axes.plot(1 - times[:-1], path(times[:-1])[0], label=f"λ = {rate:g}")
         axes.plot(1 - path.t[:-1], path.x[0, :-1], ".", color=line.get_color())
-    axes.set(xscale="log")
-    axes.legend()
-    save(axes, name)
+    axes.set(title="Troesch's problem", xlabel="distance from the end, 1 - t", ylabel="x", xscale="log")
+    axes.legend(fontsize="small")
+    return axes.figure
 
 
 if __name__ == "__main__":
-    for rate, path in main(picture("troesch.png")).items():
+    answer = main()
+    for rate, path in answer.items():
         first, last = path.velocity[0, [0, -1]]
         start = f"{first:.4e}" if abs(first) > 1e-6 else "unresolved"
         print(
             f"λ = {rate:2g}: x'(0) = {start:10}, x'(1) = {last:.10e}, by the energy {slope_at_end(rate, first):.10e}, "
             f"{len(path.t) - 1} intervals, shortest {np.diff(path.t).min():.1e}"
         )
+    draw(answer).savefig("troesch.png")

@@ -8,7 +8,6 @@ a barrier that adapts to its progress and a tolerance of 1e-9.
 
 import casadi as ca
 import numpy as np
-from show import picture, save
 
 import casadi_galerkin as cg
 
@@ -45,26 +44,32 @@ def work(path):
     return weights @ ((shoulder - elbow) * upper + elbow * lower)
 
 
-def main(plot=None):
+def main():
     """Solve from a straight line."""
     solver = cg.ipopt.with_options(mu_strategy="adaptive", tol=1e-9)
-    path = cg.solve(problem(), cg.Galerkin(degree=4), intervals=20, solver=solver)
-    if plot:
-        axes = path.plot(
-            labels=["upper arm in rad", "forearm in rad"],
-            time="t in s",
-            control_labels=["shoulder in N m", "elbow in N m"],
-            costate_labels=["λ[0] in N m", "λ[1] in N m"],
-        )
-        axes.set_title("Two-link arm")
-        save(axes, plot)
-    return path
+    return cg.solve(problem(), cg.Galerkin(degree=4), intervals=20, solver=solver)
+
+
+def ends(x):
+    """Shoulder, elbow and hand in the plane, in m; (2, K) -> (3, 2, K)."""
+    elbow = np.stack((np.sin(x[0]), -np.cos(x[0])))
+    return np.stack((0 * elbow, elbow, elbow + np.stack((np.sin(x[1]), -np.cos(x[1])))))
+
+
+def draw(path):
+    """Draw the arm as a strip of poses, and the torques; returns the figure."""
+    top, bottom = cg.panels(2, size=(4.6, 3.6), height_ratios=(2, 3))
+    path.plot_poses(ends, top, count=9, apart=1.4)
+    top.set(title="Two-link arm, nine poses in 1.5 s", xticks=[], ylabel="m")
+    path.plot_controls(bottom, ["shoulder in N m", "elbow in N m"], "t in s")
+    return top.figure
 
 
 if __name__ == "__main__":
-    first = main(picture("two_link_arm.png"))
-    print(first)
-    best = cg.solve(problem(), tol=1e-7, guess=first)
-    for name, path in (("here", first), ("to 1e-7", best)):
+    answer = main()
+    print(answer)
+    best = cg.solve(problem(), tol=1e-7, guess=answer)
+    for name, path in (("here", answer), ("to 1e-7", best)):
         print(f"  {name:11} cost {path.cost:.6f}, work {work(path):.6f} J, exact {4 * GRAVITY} J")
     print(f"  torques     up to {np.max(np.abs(best.control.values), axis=1).round(3)} N m")
+    draw(answer).savefig("two_link_arm.png")

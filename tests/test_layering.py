@@ -22,7 +22,7 @@ LAYERS = (
     ("solvers",),
     ("boundary", "stepping", "control"),  # side by side
     ("_solve",),
-    ("studies",),
+    ("studies", "__main__"),
 )
 RANKS = {folder: rank for rank, folders in enumerate(LAYERS) for folder in folders}
 NAME = "casadi_galerkin"
@@ -85,7 +85,7 @@ def upward(module: str, source: str) -> list[str]:
 
 
 def test_every_folder_has_its_place():
-    assert sorted([*FOLDERS, "_solve"]) == sorted(RANKS)
+    assert sorted([*FOLDERS, "_solve", "__main__"]) == sorted(RANKS)
     assert {folder_of(module) for module in MODULES} == set(RANKS)
 
 

@@ -7,8 +7,9 @@ sign; the branch then leads back, with another Morse index.  The fold is found a
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,8 +25,12 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solution.plotting import plot_branch
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import Solution, verified
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.5, 1e-9  # of the arc length, in which the path counts by its size
 LONGER, SHORTER = 1.5, 0.5  # factors on the step after a correction in few iterations, and after one that failed
@@ -87,6 +92,22 @@ class Branch:
     trajectories: tuple[Trajectory, ...]
     folds: tuple[Fold, ...]
     reached: bool
+
+    def plot(self, height: Callable[[Path], float], axes: Axes | None = None, parameter: int = 0) -> Axes:
+        """Draw one number of every path over one parameter, by Morse index, and the folds; returns Matplotlib's axes.
+
+        Parameters
+        ----------
+        height : Trajectory -> number to draw, such as ``lambda path: path(0.5)[0]``
+        axes : Matplotlib axes to draw into, labelled by their owner; default a new figure
+        parameter : which, from 0 to n - 1
+        """
+        heights = np.array([height(path) for path in self.trajectories])
+        indices = [path.morse_index for path in self.trajectories]
+        values = self.parameters[:, parameter]
+        parts = {f"Morse index {i}": np.array([i == found for found in indices]) for i in dict.fromkeys(indices)}
+        folds = np.array([(fold.parameters[parameter], height(fold.path)) for fold in self.folds]).reshape(-1, 2)
+        return plot_branch(values, heights, parts, folds, axes)
 
     def __repr__(self) -> str:
         """Summarise the branch."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from casadi_galerkin.boundary.graph import CriticalPoint
@@ -22,22 +24,23 @@ class Levels:
     Parameters
     ----------
     problem : BoundaryProblem
+    deadline : of ``time.perf_counter()``, at which solves stop
 
     Attributes
     ----------
     iterations : of all solves so far
     """
 
-    def __init__(self, problem: BoundaryProblem) -> None:
+    def __init__(self, problem: BoundaryProblem, deadline: float = math.inf) -> None:
         check_mass(problem)
-        self.problem, self.iterations = problem, 0
+        self.problem, self.deadline, self.iterations = problem, deadline, 0
         self._transcriptions: dict[tuple[int, int], Transcription] = {}
 
     def transcription(self, method: Galerkin, mesh: np.ndarray, mapping: Mapping = one_by_one) -> Transcription:
         """The graph for this degree and number of intervals."""
         key = (method.degree, len(mesh))
         if key not in self._transcriptions:
-            self._transcriptions[key] = Transcription(self.problem, method, mesh, mapping)
+            self._transcriptions[key] = Transcription(self.problem, method, mesh, mapping, self.deadline)
         return self._transcriptions[key]
 
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike) -> CriticalPoint:

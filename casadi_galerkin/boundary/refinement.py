@@ -90,7 +90,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     ) -> None:
         super().__init__(tol, limits, verbose)
         self.method, self.fixed = method or of_degree(degree_for(tol)), method is not None
-        self.levels, self.patience = Levels(problem), math.inf
+        self.levels, self.patience = Levels(problem, self.deadline), math.inf
         self.seen: dict[str, tuple[float, float, float, int]] = {}
         self.solver, self.following = solver, following(solver)
 
@@ -177,7 +177,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                 return self.levels.solve(method, mesh, level.polynomial, self.following)
             except ConvergenceError:
                 finest, self.patience = np.sqrt(finest), self.patience - 1
-                if finest < SMALLEST_SPLIT or self.patience < 0:
+                if finest < SMALLEST_SPLIT or self.patience < 0 or self.out_of_time():
                     raise
 
     def check_mesh(self, mesh: np.ndarray, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> None:
@@ -223,6 +223,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                 raise
             except ConvergenceError as failure:
                 failures.append(failure)
+                if self.out_of_time():
+                    late = f"{self.limits.seconds:g} seconds have passed before there was a path"
+                    raise LimitReached(f"{late}: {failure}", failure.path, failure.residual, self.iterations) from None
         raise failures[-1]
 
     def finish(self, point: CriticalPoint, error: float) -> Trajectory:

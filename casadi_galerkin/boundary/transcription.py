@@ -47,6 +47,7 @@ class Transcription(BoundaryGraph):
     method : Galerkin
     mesh : (N + 1,), the joints used unless others are given to `solve`
     mapping : how L is evaluated at the points, as for `Functional`
+    deadline : of ``time.perf_counter()``, at which a solve stops
 
     Attributes
     ----------

@@ -131,6 +131,6 @@ def _control_points(degree: int, given: Sequence[float] | np.ndarray | None) -> 
             f"these control points magnify roundoff {lebesgue:.1e} times (Lebesgue constant); "
             f"lobatto_points({degree}) gives the same path without that loss",
             RuntimeWarning,
-            stacklevel=4,
+            stacklevel=3,
         )
     return tuple(points.tolist())

@@ -18,7 +18,8 @@ from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import constrained_motion
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_path import ControlPath
-from casadi_galerkin.solution.plotting import panels, plot_controls, plot_path
+from casadi_galerkin.solution.export import by_component
+from casadi_galerkin.solution.plotting import SIZE, panels, plot_controls, plot_path
 from casadi_galerkin.solution.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -177,6 +178,14 @@ class ControlTrajectory(Trajectory):
         held, force = (with_parameters(f, self.parameters) for f in (self.problem.constraint, self.replay()))
         return constrained_motion(self._lagrangian, held, force)
 
+    def table(self) -> dict[str, np.ndarray]:
+        """What a Trajectory has, controls and costate at the joints, by name."""
+        return {
+            **super().table(),
+            **by_component("control", self.control(self.t)),
+            **by_component("costate", self.costate(self.t)),
+        }
+
     def plot(
         self,
         axes: Axes | None = None,
@@ -201,20 +210,33 @@ class ControlTrajectory(Trajectory):
         """
         if axes is not None:
             return super().plot(axes, labels, time)
-        top, middle, bottom = panels(3)
+        top: Axes
+        top, middle, bottom = panels(3, size=(SIZE[0], 1.6 * SIZE[1]), sharex=True)
         super().plot(top, labels, time)
-        parts, steps = np.linspace(0.0, 1.0, 40), np.diff(self.t)[:, None]
-        times = self.t[:-1, None] + steps * parts
-        broken = np.append(times, np.full_like(steps, np.nan), axis=1).ravel()
-        lines = np.full((len(self.control.values), len(broken)), np.nan)
-        lines[:, np.isfinite(broken)] = self.control.at(parts)
-        limits = np.array(self.problem.control_bounds)
-        plot_controls(broken, lines, self.control.times, self.control.values, limits, middle, control_labels)
-        times = times.ravel()
+        self.plot_controls(middle, control_labels, "")
+        times = self._fine()
         plot_path(times, self.costate(times), self.t, self.costate(self.t), bottom, costate_labels, time, "λ")
         top.set_xlabel("")
         top.set_title(f"Degree {self.method.degree} on {len(self.t) - 1} intervals: cost {self.cost:.6g}")
         return top
+
+    def plot_controls(self, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t") -> Axes:
+        """Draw the controls with their bounds; returns the Matplotlib axes.
+
+        Parameters
+        ----------
+        axes : Matplotlib axes to draw into; default a new figure
+        labels : n names of the controls with units
+        time : name of the time with its unit
+        """
+        parts, steps = np.linspace(0.0, 1.0, 40), np.diff(self.t)[:, None]
+        times = np.append(self.t[:-1, None] + steps * parts, np.full_like(steps, np.nan), axis=1).ravel()
+        lines = np.full((len(self.control.values), len(times)), np.nan)
+        lines[:, np.isfinite(times)] = self.control.at(parts)
+        limits = np.array(self.problem.control_bounds)
+        drawn = plot_controls(times, lines, self.control.times, self.control.values, limits, axes, labels)
+        drawn.set_xlabel(time)
+        return drawn
 
     def __repr__(self) -> str:
         """Summarise path and solve in a few lines."""

@@ -16,7 +16,7 @@ class Limits:
     Parameters
     ----------
     intervals : largest number of intervals of a mesh
-    seconds : longest time, checked between levels
+    seconds : longest time; boundary problems look at it in every iteration of a solver, others between levels
     levels : largest number of meshes
 
     Examples

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.numbers import whole
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.solution.plotting import plot_path
+from casadi_galerkin.solution.export import Table, by_component
+from casadi_galerkin.solution.plotting import Pictured, plot_path, plot_plane, plot_poses
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +22,7 @@ SMOOTH = 200  # times on a path that make a smooth line
 
 
 @dataclass(frozen=True, repr=False)
-class Path:
+class Path(Table, Pictured):
     """A path x̄(t) over its joints.
 
     By itself it is no answer: the `path` of a ConvergenceError is what the solve had come to.
@@ -41,6 +43,10 @@ class Path:
     def x(self) -> np.ndarray:
         """Positions at the joints, (d, N + 1)."""
         return self.polynomial.values[:, :: self.polynomial.degree].copy()
+
+    def table(self) -> dict[str, np.ndarray]:
+        """Times and positions at the joints, by name."""
+        return {"t": self.t, **by_component("x", self.x)}
 
     def __call__(self, t: ArrayLike, nu: int = 0) -> np.ndarray:
         """Position, or derivative of order `nu`, at times t; shape (d,) + t.shape.
@@ -63,6 +69,48 @@ class Path:
         if axes is None:
             drawn.set_title(self._title())
         return drawn
+
+    def plot_plane(
+        self, components: tuple[int, int] = (0, 1), axes: Axes | None = None, labels: Sequence[str] | None = None
+    ) -> Axes:
+        """Draw two components against each other on equal axes, joints as dots; returns the Matplotlib axes.
+
+        Parameters
+        ----------
+        components : which two, from 0 to d - 1
+        axes : Matplotlib axes to draw into; default a new figure
+        labels : names of both with units, such as ("x in km", "y in km")
+        """
+        given = [whole(i) for i in components]
+        if len(given) != 2 or any(i is None or not 0 <= i < len(self.x) for i in given):
+            raise ValueError(f"components must be two numbers from 0 to {len(self.x) - 1}, got {components!r}")
+        chosen = list(components)
+        line = self(self.polynomial.times(np.linspace(0, 1, max(20, SMOOTH // (len(self.t) - 1)), endpoint=False)))
+        return plot_plane(line[chosen], self.x[chosen], axes, labels or [f"x[{i}]" for i in chosen])
+
+    def plot_poses(
+        self, points: Callable[[np.ndarray], ArrayLike], axes: Axes | None = None, count: int = 8, apart: float = 0.0
+    ) -> Axes:
+        """Draw a mechanism at several instants, from light to dark, and the way of its last point.
+
+        Parameters
+        ----------
+        points : as for `Trajectory.animate`
+        axes : Matplotlib axes to draw into, labelled by their owner; default a new figure
+        count : number of instants, evenly from start to end
+        apart : how far every pose is moved to the right of the one before; a strip of them needs no trail
+        """
+        poses = self.places(points, np.linspace(self.t[0], self.t[-1], count))
+        poses[:, 0] += apart * np.arange(count)
+        trail = np.empty((2, 0)) if apart else self.places(points, self._fine())[-1]
+        return plot_poses(poses, trail, axes)
+
+    def places(self, points: Callable[[np.ndarray], ArrayLike], times: np.ndarray) -> np.ndarray:
+        """Where the ends of the bars of a mechanism are at times (K,); (n, 2, K)."""
+        places = np.array(points(self(times)), dtype=float)
+        if places.ndim != 3 or places.shape[1:] != (2, len(times)):
+            raise ValueError(f"points must return an array of shape (n, 2, {len(times)}), got {places.shape}")
+        return places
 
     def _title(self) -> str:
         return f"A path of degree {self.polynomial.degree} on {len(self.t) - 1} intervals, not an answer"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_galerkin.solution.plotting import plot_family
+from casadi_galerkin.solution.plotting import Pictured, plot_family
 from casadi_galerkin.solution.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ FINER = "a higher degree or more intervals may"
 
 
 @dataclass(frozen=True, repr=False)
-class Paths:
+class Paths(Pictured):
     """Stationary paths of one problem in the order of their action.
 
     Attributes

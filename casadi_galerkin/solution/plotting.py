@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from html import escape
+from io import StringIO
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -15,18 +18,65 @@ if TYPE_CHECKING:
 
 # M. Okabe and K. Ito's palette, told apart by colour-blind readers
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+STYLE: Any = {"axes.grid": True, "grid.color": "0.92", "axes.axisbelow": True, "axes.titlesize": "medium"}
+SIZE = (4.6, 3.2)  # inches, legible where three stand side by side on a page
 DOTS = 200  # joints beyond which their dots would hide the line
 WIDTH = 30  # characters that fit beside the lowest panel
 FRAMES_A_SECOND = 25
 
 
-def axes_or_new(axes: Axes | None, size: tuple[float, float] = (7.0, 4.0)) -> Axes:
+def panels(rows: int = 1, columns: int = 1, size: tuple[float, float] = SIZE, **options: Any) -> Any:
+    """Matplotlib axes of a new figure in the style of the package's pictures: one, or an array of rows and columns.
+
+    Parameters
+    ----------
+    rows, columns : numbers of panels
+    size : of the figure, in inches
+    options : of Matplotlib's ``subplots``, such as ``sharex=True``
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> import matplotlib.pyplot as plt
+    >>> left, right = cg.panels(columns=2, size=(8.0, 3.2), sharey=True)
+    >>> left.figure is right.figure
+    True
+    >>> plt.close(left.figure)
+    """
+    import matplotlib.pyplot as plt
+
+    with plt.rc_context(STYLE):
+        drawn = plt.subplots(rows, columns, figsize=size, layout="constrained", **options)[1]
+    for axes in np.ravel(drawn):
+        axes.set_prop_cycle(color=COLORS)
+    return drawn
+
+
+def axes_or_new(axes: Axes | None, size: tuple[float, float] = SIZE) -> Axes:
     """Return the axes given, or those of a new figure of that size in inches."""
     if axes is not None:
         return axes
-    import matplotlib.pyplot as plt
+    new: Axes = panels(size=size)
+    return new
 
-    return plt.subplots(figsize=size, layout="constrained")[1]
+
+class Pictured(ABC):
+    """What draws itself, and so shows its picture beside its words in a notebook."""
+
+    @abstractmethod
+    def plot(self) -> Axes:
+        """Draw it; returns the Matplotlib axes."""
+
+    def _repr_html_(self) -> str:
+        """Its words and its picture."""
+        import matplotlib.pyplot as plt
+        from matplotlib.figure import Figure
+
+        drawn, picture = self.plot().figure, StringIO()
+        assert isinstance(drawn, Figure)
+        drawn.savefig(picture, format="svg")
+        plt.close(drawn)
+        return f"<pre>{escape(repr(self))}</pre>{picture.getvalue()}"
 
 
 def plot_path(
@@ -63,7 +113,7 @@ def plot_path(
             axes.plot(joints, dots, ".", color=color)
     axes.set(xlabel=time, ylabel=heading)
     if 1 < len(values) <= len(COLORS):
-        axes.legend()
+        axes.legend(fontsize="small")
     return axes
 
 
@@ -71,12 +121,41 @@ def plot_family(
     times: np.ndarray, lines: Sequence[tuple[str, np.ndarray]], axes: Axes | None, label: str, time: str
 ) -> Axes:
     """Draw one component of several paths over the same times (K,); `lines` are their names and values (K,)."""
-    axes = axes_or_new(axes)
+    axes = axes_or_new(axes, (SIZE[0], SIZE[1] + 0.2 * len(lines)))
     for i, (name, values) in enumerate(lines):
         axes.plot(times, values, color=COLORS[i % len(COLORS)], label=name)
     axes.set(xlabel=time, ylabel=label)
     if len(lines) <= len(COLORS):
-        axes.legend(fontsize="small")
+        legend_below(axes)
+    return axes
+
+
+def legend_below(axes: Axes, **options: Any) -> None:
+    """Put the legend of many or long entries under the axes, where it hides nothing and takes no width."""
+    axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.18), **options)
+
+
+def plot_plane(
+    places: np.ndarray, joints: np.ndarray, axes: Axes | None = None, labels: Sequence[str] = ("x[0]", "x[1]")
+) -> Axes:
+    """Draw a way through the plane on equal axes: a line through places (2, K), joints (2, N + 1) as dots."""
+    axes = axes_or_new(axes, (SIZE[0], 0.9 * SIZE[0]))
+    (line,) = axes.plot(*places)
+    if joints.shape[1] <= DOTS:
+        axes.plot(*joints, ".", color=line.get_color())
+    axes.set(xlabel=labels[0], ylabel=labels[1], aspect="equal")
+    return axes
+
+
+def plot_poses(points: np.ndarray, trail: np.ndarray, axes: Axes | None = None) -> Axes:
+    """Draw a chain of bars through points (n, 2, K) at K instants, from light to dark; a line through (2, M) behind."""
+    axes = axes_or_new(axes)
+    axes.plot(*trail, color=COLORS[5], linewidth=0.8, zorder=1)
+    count = points.shape[2]
+    for k in range(count):
+        shade = 0.2 + 0.8 * k / max(count - 1, 1)
+        axes.plot(*points[:, :, k].T, "o-", color=COLORS[0], alpha=shade, markersize=3, linewidth=1.5)
+    axes.set_aspect("equal")
     return axes
 
 
@@ -92,20 +171,13 @@ def _named(name: str, count: int, labels: Sequence[str] | None) -> tuple[Sequenc
     return given.tolist(), fill(unbroken, WIDTH).replace("\N{NO-BREAK SPACE}", " ")
 
 
-def panels(count: int) -> list[Axes]:
-    """Axes of a new figure, one above the other over the same time."""
-    import matplotlib.pyplot as plt
-
-    return list(plt.subplots(count, sharex=True, figsize=(7.0, 2.6 * count), layout="constrained")[1])
-
-
 def plot_controls(
     times: np.ndarray,
     values: np.ndarray,
     points: np.ndarray,
     point_values: np.ndarray,
     bounds: np.ndarray,
-    axes: Axes,
+    axes: Axes | None = None,
     labels: Sequence[str] | None = None,
 ) -> Axes:
     """Draw controls over time, quadrature points as dots where there are at most `DOTS`, finite bounds as dashed lines.
@@ -115,10 +187,11 @@ def plot_controls(
     times, values : (K,) and (n, K), lines; NaN breaks them where the controls may jump
     points, point_values : (M,) and (n, M)
     bounds : (2, n), lower and upper
-    axes : Matplotlib axes to draw into
+    axes : Matplotlib axes to draw into; default a new figure
     labels : n names with units, such as "force in N"; default u with an index
     """
     names, heading = _named("u", len(values), labels)
+    axes = axes_or_new(axes)
     for i, (line, dots) in enumerate(zip(values, point_values, strict=True)):
         color = COLORS[i % len(COLORS)]
         axes.plot(times, line, color=color, label=names[i])
@@ -129,7 +202,7 @@ def plot_controls(
                 axes.axhline(bound, color=color, linestyle="--", linewidth=0.8)
     axes.set_ylabel(heading)
     if 1 < len(values) <= len(COLORS):
-        axes.legend()
+        axes.legend(fontsize="small")
     return axes
 
 
@@ -139,7 +212,7 @@ def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None 
     Parameters
     ----------
     times : (N + 1,)
-    gaps : (N + 1,) by name; values that are zero or not finite are left out
+    gaps : (N + 1,) by name; values that are zero or not finite are left out, and what has no others
     axes : Matplotlib axes to draw into; default a new figure
     time : name of the time with its unit
 
@@ -150,11 +223,12 @@ def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None 
     axes = axes_or_new(axes)
     for color, (name, gap) in zip(COLORS, gaps.items(), strict=False):
         shown = np.isfinite(gap) & (gap > 0)
-        axes.plot(times[shown], gap[shown], ".-", color=color, label=name)
+        if np.any(shown):
+            axes.plot(times[shown], gap[shown], ".-", markersize=3, color=color, label=name)
     axes.set_yscale("log")
     axes.set_xlabel(time)
     axes.set_ylabel("relative gap to the global path")
-    axes.legend()
+    axes.legend(fontsize="small")
     return axes
 
 
@@ -167,7 +241,7 @@ def plot_phase(
     axes: Axes | None = None,
 ) -> Axes:
     """Draw one component in phase space: a line through (x, p), all (K,), joints as dots, the first one larger."""
-    axes = axes_or_new(axes, (5.0, 4.0))
+    axes = axes_or_new(axes)
     if not axes.lines:
         axes.set_prop_cycle(color=COLORS)
     (line,) = axes.plot(x, p)
@@ -177,11 +251,24 @@ def plot_phase(
     return axes
 
 
+def plot_branch(
+    values: np.ndarray, heights: np.ndarray, parts: dict[str, np.ndarray], folds: np.ndarray, axes: Axes | None = None
+) -> Axes:
+    """Draw heights (K,) over values (K,), in parts by name, masks (K,), and folds (F, 2) as crosses."""
+    axes = axes_or_new(axes)
+    for color, (name, chosen) in zip(COLORS, parts.items(), strict=False):
+        axes.plot(values[chosen], heights[chosen], ".-", color=color, label=name)
+    if len(folds):
+        axes.plot(*folds.T, "k+", markersize=12, label="fold")
+    axes.legend(fontsize="small")
+    return axes
+
+
 def plot_pattern(rows: np.ndarray, columns: np.ndarray, size: int, axes: Axes | None = None) -> Axes:
     """Draw the nonzeros of a square matrix, row 0 on top."""
     from matplotlib.ticker import MaxNLocator
 
-    axes = axes_or_new(axes, (4.6, 4.8))
+    axes = axes_or_new(axes, (SIZE[0], SIZE[0]))
     axes.plot(columns, rows, "s", color=COLORS[0], markersize=max(0.4, 230 / size), markeredgewidth=0)
     axes.set(xlim=(-0.5, size - 0.5), ylim=(size - 0.5, -0.5), aspect="equal", xlabel="unknown", ylabel="equation")
     axes.set_title(f"{len(rows)} nonzeros, {100 * len(rows) / size**2:.3g} % of {size} × {size}", fontsize="medium")
@@ -201,7 +288,7 @@ def animate_linkage(
     from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
 
-    axes = axes_or_new(axes, (5.0, 5.0))
+    axes = axes_or_new(axes, (SIZE[0], SIZE[0]))
     low, high = points.min(axis=(0, 2)), points.max(axis=(0, 2))
     middle, half = (low + high) / 2, 0.55 * max(np.max(high - low), np.finfo(float).tiny)
     axes.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half], aspect="equal")
@@ -216,11 +303,11 @@ def animate_linkage(
         clock.set_text(f"t = {times[k]:.{digits}f} {unit}".rstrip())
         return bars, trail, clock
 
-    figure = axes.figure
-    assert isinstance(figure, Figure)
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # laid out once; anew for every frame it took 0.2 s each
-    return FuncAnimation(figure, frame, frames=len(times), interval=1000 * interval)
+    drawn = axes.figure
+    assert isinstance(drawn, Figure)
+    drawn.draw_without_rendering()
+    drawn.set_layout_engine("none")  # laid out once; anew for every frame it took 0.2 s each
+    return FuncAnimation(drawn, frame, frames=len(times), interval=1000 * interval)
 
 
 Points: TypeAlias = Sequence[tuple[float, float]]
@@ -255,7 +342,7 @@ def plot_work_precision(
     from matplotlib.lines import Line2D
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    axes = axes_or_new(axes, (8.0, 4.5))
+    axes = axes_or_new(axes, (1.2 * SIZE[0], 1.5 * SIZE[1]))
     chosen: list[dict[str, str]] = []
     entries = [Line2D([], [], label="the front", color="0.85", linewidth=7)]
     for k, (style, values, sample) in enumerate(LINE_STYLES):
@@ -288,5 +375,5 @@ def plot_work_precision(
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set(xlabel="milliseconds of a repeated solve", ylabel=label)
-    axes.legend(handles=entries, fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))  # beside the lines
+    legend_below(axes, handles=entries, ncols=3)
     return axes

@@ -12,7 +12,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from casadi_galerkin.solution.errors import LimitReached
+from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.path import Path
 
@@ -59,6 +59,7 @@ class Refinement(ABC, Generic[Level, Detail]):
     def __init__(self, tol: float, limits: Limits, verbose: int) -> None:
         self.tol, self.limits, self.verbose = check_tolerance(tol), limits, verbose
         self.began = time.perf_counter()
+        self.deadline = self.began + limits.seconds
 
     @property
     @abstractmethod
@@ -83,7 +84,7 @@ class Refinement(ABC, Generic[Level, Detail]):
 
     def out_of_time(self) -> bool:
         """Whether the time is up."""
-        return time.perf_counter() - self.began > self.limits.seconds
+        return time.perf_counter() > self.deadline
 
     def refine(self, level: Level) -> tuple[Level, float]:
         """Solve on better and better meshes until the estimated error is below the tolerance; returns both.
@@ -104,14 +105,22 @@ class Refinement(ABC, Generic[Level, Detail]):
             if stalled == self.stalls:
                 floor = min(estimate.error, smallest)
                 raise self.stopped(f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here", best, floor)
-            if self.out_of_time():
-                raise self.stopped(f"{self.limits.seconds:g} seconds have passed", level, estimate.error)
+            self.check_time(level, estimate.error)
             if number + 1 >= self.limits.levels:
                 words = "level was" if self.limits.levels == 1 else "levels were"
                 raise self.stopped(f"{self.limits.levels:g} {words} not enough", level, estimate.error)
             if estimate.trusted and estimate.error < smallest:
                 best, smallest = level, estimate.error
-            level, number = self.improve(level, estimate), number + 1
+            try:
+                level, number = self.improve(level, estimate), number + 1
+            except ConvergenceError:
+                self.check_time(level, estimate.error)
+                raise
+
+    def check_time(self, level: Level, error: float) -> None:
+        """Stop where the time is up."""
+        if self.out_of_time():
+            raise self.stopped(f"{self.limits.seconds:g} seconds have passed", level, error)
 
     def check_intervals(self, count: int, level: Level, error: float) -> None:
         """Stop before a mesh of more intervals than allowed."""

@@ -19,6 +19,7 @@ from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, moving_motion_of, multipliers
 from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
 from casadi_galerkin.problems.problem import Problem
+from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import FRAMES_A_SECOND, animate_linkage, plot_phase
 from casadi_galerkin.solution.witness import ACTION, BALANCE, witnesses
@@ -189,6 +190,11 @@ class Trajectory(Path):
         lagrangian = np.array(mapped(self.t[None, :], self.x, self.velocity)).ravel()
         return np.asarray(np.sum(self.momentum * self.velocity, axis=0) - lagrangian)
 
+    def table(self) -> dict[str, np.ndarray]:
+        """Times, positions, velocities, momenta and energy at the joints, by name."""
+        motion = by_component("velocity", self.velocity) | by_component("momentum", self.momentum)
+        return {**super().table(), **motion, "energy": self.energy}
+
     def _title(self) -> str:
         index = "" if self.morse_index is None else f", Morse index {self.morse_index}"
         return f"Degree {self.method.degree} on {len(self.t) - 1} intervals: action {self.action:.6g}{index}"
@@ -233,10 +239,7 @@ class Trajectory(Path):
         duration = float(self.t[-1] - self.t[0]) if seconds is None else seconds
         count = max(2, round(FRAMES_A_SECOND * duration))
         times = np.linspace(self.t[0], self.t[-1], count)
-        places = np.asarray(points(self(times)), dtype=float)
-        if places.ndim != 3 or places.shape[1:] != (2, count):
-            raise ValueError(f"points must return an array of shape (n, 2, {count}), got {places.shape}")
-        return animate_linkage(times, places, duration / count, axes, unit)
+        return animate_linkage(times, self.places(points, times), duration / count, axes, unit)
 
     def _balance(self) -> str:
         """Words on how well the balance of energy is kept."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -58,12 +60,16 @@ def _interior_point(
     options: Mapping[str, Any],
 ) -> Solution:
     name = "IPOPT on the action" if minimize else "IPOPT"
+    seconds = stationarity.deadline - time.perf_counter()
+    if seconds <= 0:
+        raise SolveFailure(f"the time was up before {name} began", guess, 0)
+    limited = options if math.isinf(seconds) else {"max_wall_time": seconds, **options}
     sizes, unit = _units(stationarity, guess, data)
     positions, held = stationarity.functional.numbering.positions, stationarity.functional.numbering.multipliers
     bounds = {"lbg": 0.0, "ubg": 0.0} if held or not minimize else {}
     with stationarity.linearization() as at:
         key = f"ipopt {minimize} {verbose > 1} {sorted(options.items())}"
-        solver = at.keep(key, lambda: _nlpsol(stationarity.functional, minimize, verbose, options))
+        solver = at.keep(key, lambda: _nlpsol(stationarity.functional, minimize, verbose, limited))
         with fork_waits:
             first = {"x0": guess / sizes}
             if minimize and held:

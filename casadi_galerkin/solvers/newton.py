@@ -9,6 +9,7 @@ the terms it sums and of what the rounding of the unknowns themselves does to it
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,9 +86,7 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
         raise SolveFailure("the gradient of the action is not finite at the guess", guess, 0)
     last = math.sqrt(at.norm)  # the first step is taken for one of quadratic convergence
     for iteration in range(1, max_iter + 1):
-        if not math.isfinite(at.norm):
-            finite = bool(np.isfinite(linear.matrix).all())
-            raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=finite)
+        _check_going_on(linear, at, iteration)
         end = _end(linear, at, last, data)
         if end is not None:
             drift = DRIFT * (at.norm + min(1.0, at.norm / max(last, TINY)) ** 2)
@@ -114,6 +113,15 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
     raise SolveFailure(
         f"no convergence in {max_iter} iterations, last relative step {at.norm:.1e}", at.unknowns, max_iter
     )
+
+
+def _check_going_on(linear: Linearization, at: Iterate, iteration: int) -> None:
+    """Stop where there is no step, or no time."""
+    if not math.isfinite(at.norm):
+        finite = bool(np.isfinite(linear.matrix).all())
+        raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=finite)
+    if time.perf_counter() > linear.stationarity.deadline:
+        raise SolveFailure("the time was up", at.unknowns, iteration)
 
 
 def _report(iteration: int, norm: float, damping: float, verbose: int) -> None:

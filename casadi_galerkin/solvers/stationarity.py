@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any, NamedTuple, TypeVar, cast
 
 import casadi as ca
@@ -23,7 +23,7 @@ from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.buffers import Evaluator
 from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
-from casadi_galerkin.solvers.threads import one_thread
+from casadi_galerkin.solvers.threads import one_thread, without_zero_pivots
 
 Built = TypeVar("Built")
 
@@ -53,6 +53,7 @@ class Stationarity:
     Parameters
     ----------
     functional : Functional
+    deadline : of ``time.perf_counter()``, at which a solve stops
 
     Attributes
     ----------
@@ -63,8 +64,8 @@ class Stationarity:
     variational : whether the conditions are those of an action that may be lowered, under conditions if there are some
     """
 
-    def __init__(self, functional: Functional) -> None:
-        self.functional = functional
+    def __init__(self, functional: Functional, deadline: float = math.inf) -> None:
+        self.functional, self.deadline = functional, deadline
         self.linear_solver = linear_solver(functional)
         pointwise, plain = functional.pointwise, not (functional.terms or functional.numbering.stretched)
         self.variational = functional.symmetric and not functional.numbering.stretched
@@ -230,7 +231,8 @@ class Linearization:
             evaluator = self._evaluators.get(key) or self._bind(key, build(method))
             for name in (*measures, "defect") if method != METHODS[0] else ():
                 arrays[name][:] = np.nan  # what stays where CasADi's QR gives up
-            self._run(evaluator, unknowns, data)
+            with without_zero_pivots if method == METHODS[0] else nullcontext():
+                self._run(evaluator, unknowns, data)
             if arrays["defect"][0] <= 0:
                 return
             if not np.isfinite(self.gradient).all():
@@ -303,7 +305,8 @@ class Linearization:
             if key not in self._evaluators:
                 solutions = linear.solutions(method, columns, transposed)
                 self._evaluators[key] = Evaluator(solutions, {"matrix": self.matrix})
-            y, defect = self._evaluators[key](np.concatenate(rhs))
+            with without_zero_pivots if method == METHODS[0] else nullcontext():
+                y, defect = self._evaluators[key](np.concatenate(rhs))
             if defect[0] <= 0:
                 break
         else:

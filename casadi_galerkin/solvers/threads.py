@@ -1,4 +1,4 @@
-"""What CasADi shares with the whole process: the threads of its OpenBLAS, and locks of its own.
+"""What CasADi shares with the whole process: the threads of its OpenBLAS, locks of its own, and ``sys.stderr``.
 
 From some 250,000 multiplications on it shares a product among all cores.  Those of a Newton iteration are small: on two
 cores it was no faster and took twice the processor time, and beside another busy pool of threads, such as SciPy's, a
@@ -7,16 +7,21 @@ solve took 22 ms instead of 3.  Other users of the library are not asked, so the
 CasADi lets one thread at a time into IPOPT, and takes short locks whenever a Function is evaluated.  A process that is
 forked beside a thread that holds one would find it taken for ever: 2 of 450 forked children hung.  A fork waits until
 what runs without Python's own lock, IPOPT and evaluations of buffers, is left.
+
+Its LDLᵀ writes a line to ``sys.stderr`` for every pivot that is exactly zero, and no option stops it.  The package
+measures what such a factorization gives and takes another where it is useless, so the line says nothing.
 """
 
 from __future__ import annotations
 
 import ctypes
 import os
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 
@@ -53,3 +58,38 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(
         before=fork_waits.acquire, after_in_parent=fork_waits.release, after_in_child=fork_waits.release
     )
+
+
+ZERO_PIVOT = "LDL factorization has zeros in D"
+
+
+class _WithoutZeroPivots:
+    """While entered, stands for ``sys.stderr`` and passes on all but CasADi's lines on zero pivots."""
+
+    def __init__(self) -> None:
+        self._stream, self._line = sys.stderr, ""
+
+    def __enter__(self) -> None:
+        fork_waits.acquire()  # of two threads, the one that leaves first must not put back what the other has put there
+        self._stream, sys.stderr = sys.stderr, self
+
+    def __exit__(self, *_: object) -> None:
+        sys.stderr = self._stream
+        if self._line:
+            self._stream.write(self._line)
+            self._line = ""
+        fork_waits.release()
+
+    def write(self, text: str) -> int:
+        """Pass on what is no line on a zero pivot, which CasADi writes in several parts."""
+        *lines, self._line = (self._line + text).split("\n")
+        for line in lines:
+            if ZERO_PIVOT not in line:
+                self._stream.write(line + "\n")
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+without_zero_pivots = _WithoutZeroPivots()

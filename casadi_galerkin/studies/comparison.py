@@ -29,7 +29,8 @@ from casadi_galerkin.calculus.roundoff import EPS, component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.plotting import plot_gaps
+from casadi_galerkin.solution.export import Table
+from casadi_galerkin.solution.plotting import Pictured, plot_gaps
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.geometry import jacobians
 from casadi_galerkin.stepping.shooting import chain, shoot
@@ -64,7 +65,7 @@ class Attempt:
 
 
 @dataclass(frozen=True, repr=False)
-class Comparison:
+class Comparison(Table, Pictured):
     """A boundary problem solved globally and stepwise.
 
     Attributes
@@ -101,6 +102,10 @@ class Comparison:
         """First joint at which `stepped` is a tenth of the path's size away, or has failed; inf if there is none."""
         together = np.count_nonzero(_together(self.stepped.gap))
         return float(self.global_path.t[together]) if together < len(self.global_path.t) else np.inf
+
+    def table(self) -> dict[str, np.ndarray]:
+        """The gaps of both stepwise ways at the joints, by name."""
+        return {"t": self.global_path.t, "stepped": self.stepped.gap, "shooting": self.shooting.gap}
 
     def __repr__(self) -> str:
         """Table of the three ways."""

@@ -34,6 +34,7 @@ from casadi_galerkin.control.refinement import first_control_mesh
 from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.errors import ConvergenceError
+from casadi_galerkin.solution.export import Table, by_component
 from casadi_galerkin.solution.trajectory import Trajectory
 
 FIELDS = (*VARIED, "t_span", "guess")
@@ -57,7 +58,7 @@ class CutShort(ConvergenceError):
 
 
 @dataclass(frozen=True, repr=False)
-class Sweep:
+class Sweep(Table):
     """What became of every variation, in the order of the variations.
 
     Attributes
@@ -114,6 +115,28 @@ class Sweep:
     def cost(self) -> np.ndarray:
         """Costs of the variations of a control problem, (variations,); NaN where there is no answer."""
         return self._stacked("cost")
+
+    def table(self) -> dict[str, np.ndarray]:
+        """A row for each variation: why it failed, or an empty word; action, cost, duration, and both ends."""
+        paths = [answer if isinstance(answer, Trajectory) else None for answer in self.answers]
+        size, failures = max((len(path.x) for path in paths if path is not None), default=0), self.failures
+        names = [name for name in ("action", "cost") if any(hasattr(path, name) for path in paths)]
+
+        def ends(name: str) -> dict[str, np.ndarray]:
+            """Values at the start and at the end."""
+            found = np.full((len(paths), size, 2), np.nan)
+            for i, path in enumerate(paths):
+                if path is not None:
+                    found[i] = getattr(path, name)[:, [0, -1]]
+            return by_component(f"start_{name}", found[..., 0].T) | by_component(f"end_{name}", found[..., 1].T)
+
+        return {
+            "failure": np.array([str(failures.get(i, "")) for i in range(len(self))]),
+            **{name: np.array([np.nan if path is None else getattr(path, name) for path in paths]) for name in names},
+            "duration": np.array([np.nan if path is None else path.t[-1] - path.t[0] for path in paths]),
+            **ends("x"),
+            **ends("momentum"),
+        }
 
     def _stacked(self, name: str) -> np.ndarray:
         found = {i: np.asarray(getattr(a, name)) for i, a in enumerate(self.answers) if isinstance(a, Trajectory)}

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -14,8 +12,9 @@ from casadi_galerkin._solve import solve
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.quadrature import gauss, lobatto, radau
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.solution.export import Table
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.plotting import plot_work_precision
+from casadi_galerkin.solution.plotting import Pictured, plot_work_precision
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver
 from casadi_galerkin.stepping.shooting import shoot
@@ -115,7 +114,7 @@ class Row:
 
 
 @dataclass(frozen=True, repr=False)
-class Trade:
+class Trade(Table, Pictured):
     """Speed against accuracy of one problem.
 
     Attributes
@@ -201,15 +200,18 @@ class Trade:
         front = [(row.solve_seconds, row.error) for row in self.front()]
         return plot_work_precision(named, front, self.floor, f"relative error of {self.quantity or 'the path'}", axes)
 
-    def to_csv(self, path: str | Path) -> None:
-        """Write all rows to a file of comma-separated values, their way and degree in words before what they hold."""
-        names = [entry.name for entry in fields(Row) if entry.name != "mesh"]
-        with Path(path).open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(["way", "degree", *names])
-            for row in self.rows:
-                degree = None if row.method is None else row.method.degree
-                writer.writerow([row.way, degree, *(getattr(row, name) for name in names)])
+    def table(self) -> dict[str, np.ndarray]:
+        """All rows by the names of their fields, way and method in words; what a row has not is NaN, 0 or empty."""
+        names = [entry.name for entry in fields(Row) if entry.type in ("int", "float")]
+        return {
+            "way": np.array([row.way for row in self.rows]),
+            "method": np.array([str(row.method or "") for row in self.rows]),
+            "degree": np.array([row.method.degree if row.method else 0 for row in self.rows]),
+            "intervals": np.array([row.intervals or 0 for row in self.rows]),
+            "tol": np.array([np.nan if row.tol is None else row.tol for row in self.rows]),
+            **{name: np.array([getattr(row, name) for row in self.rows]) for name in names},
+            "failure": np.array([row.failure or "" for row in self.rows]),
+        }
 
     def __repr__(self) -> str:
         """Say how much was measured, and what came out best; ``print`` shows the table."""

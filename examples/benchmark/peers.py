@@ -432,27 +432,29 @@ def main():
 
 
 def draw(figures, name):
-    """Draw the table: one panel a problem, time over error, on logarithmic axes."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    from casadi_galerkin.solution.plotting import COLORS
+    """Draw the table: one panel a problem, time over error, on logarithmic axes; a cross on top is a failure."""
+    from matplotlib.ticker import NullLocator
 
     names = list(dict.fromkeys(problem for problem, _ in figures))
-    figure, panels = plt.subplots(1, len(names), figsize=(2.2 * len(names), 2.8), sharey=True, layout="constrained")
+    *panels, words = cg.panels(2, 3, size=(8.4, 4.8), sharey=True).ravel()
     for panel, problem in zip(panels, names, strict=True):
-        reached = [error for error in ERRORS if (problem, error) in figures]
+        reached = np.array([error for error in ERRORS if (problem, error) in figures])
         times = np.array([figures[problem, error] for error in reached])
         for column, (peer, marker) in enumerate((("this", "o"), ("by hand", "s"), ("solve_bvp", "^"))):
-            panel.loglog(reached, times[:, column], marker=marker, color=COLORS[column], label=peer)
+            (line,) = panel.loglog(reached, times[:, column], marker=marker, label=peer)
+            failed = reached[np.isnan(times[:, column])] * 1.25 ** (column - 1)
+            top = {"transform": panel.get_xaxis_transform(), "color": line.get_color(), "in_layout": False}
+            panel.plot(failed, np.full(len(failed), 0.94), "x", markeredgewidth=2, **top)
         panel.set(title=problem, xlabel="error of x", xticks=ERRORS)
-        panel.title.set_fontsize(9)
+        panel.xaxis.set_minor_locator(NullLocator())
         panel.invert_xaxis()
-    panels[0].set_ylabel("solve alone in ms")
-    panels[0].legend(fontsize=8)
-    figure.savefig(name, dpi=90)
+    for panel in (panels[0], panels[3]):
+        panel.set_ylabel("solve alone in ms")
+    words.axis("off")
+    words.plot([], [], "kx", markeredgewidth=2, label="fails")
+    lines = [*panels[0].lines[::2], words.lines[0]]
+    words.legend(lines, [line.get_label() for line in lines], loc="center")
+    words.figure.savefig(name, dpi=90)
     print(f"picture written to {name}")
 
 

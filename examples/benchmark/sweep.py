@@ -30,7 +30,7 @@ def timed(call):
 
 def main():
     """Measure; returns the best seconds of the serial sweep and of the pool's, and the number of solves."""
-    problem, transfers = porkchop.problem(), porkchop.variations()
+    problem, transfers = porkchop.problem_and_variations()
 
     def sweep(executor=None, count=None):
         return cg.sweep(problem, transfers[:count], porkchop.METHOD, porkchop.INTERVALS, executor=executor)

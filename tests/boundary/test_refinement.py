@@ -248,13 +248,35 @@ def test_the_roundoff_floor_is_named_and_the_best_path_attached():
     [
         (cg.Limits(levels=2), "2 levels were not enough"),
         (cg.Limits(intervals=9), "the mesh would need .* intervals"),
-        (cg.Limits(seconds=1e-9), "1e-09 seconds have passed"),
     ],
 )
 def test_limits_stop_a_refinement_with_the_best_path(limits, message):
     with pytest.raises(cg.ConvergenceError, match=message) as caught:
         cg.solve(cg.BoundaryProblem(boundary_layer(1e-8), (0, 1), [1.0], [0.0]), tol=1e-9, limits=limits)
     assert caught.value.path is not None
+
+
+def test_the_time_is_looked_at_in_every_iteration():
+    problem = cg.BoundaryProblem(boundary_layer(1e-8), (0, 1), [1.0], [0.0])
+    for solver in (cg.newton, cg.ipopt):
+        with pytest.raises(cg.LimitReached, match=r"1e-09 seconds have passed before .* the time was up") as caught:
+            cg.solve(problem, tol=1e-9, limits=cg.Limits(seconds=1e-9), solver=solver)
+        assert caught.value.iterations <= 1
+        assert caught.value.path is not None
+
+
+def test_the_time_may_be_up_on_a_later_level(monkeypatch):
+    """Newton's method from the last path stops, and what is attached is that path."""
+    improve = BoundaryRefinement.improve
+
+    def late(refinement, level, estimate):
+        refinement.deadline = refinement.levels.deadline = 0.0
+        return improve(refinement, level, estimate)
+
+    monkeypatch.setattr(BoundaryRefinement, "improve", late)
+    with pytest.raises(cg.LimitReached, match=r"60 seconds have passed. The best path has \d+ intervals") as caught:
+        cg.solve(BY_NAME["Troesch 10"].problem, tol=1e-9, limits=cg.Limits(seconds=60))
+    assert caught.value.path(1.0) == pytest.approx([1.0])
 
 
 def test_no_path_beyond_bratus_fold():

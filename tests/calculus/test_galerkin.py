@@ -19,8 +19,9 @@ def test_equispaced_control_points_up_to_ten_pass_without_a_word(degree):
 
 @pytest.mark.parametrize("degree", [11, 12, 20])
 def test_equispaced_control_points_above_ten_warn(degree):
-    with pytest.warns(RuntimeWarning, match=rf"magnify roundoff .* lobatto_points\({degree}\)"):
+    with pytest.warns(RuntimeWarning, match=rf"magnify roundoff .* lobatto_points\({degree}\)") as caught:
         cg.Galerkin(degree, control_points=cg.equispaced_points(degree))
+    assert caught[0].filename == __file__  # the caller's line
 
 
 @pytest.mark.parametrize("points", [cg.lobatto_points, cg.chebyshev_points])

@@ -3,9 +3,11 @@
 One table: a scene, what it claims in words, and a check of what its ``main()`` returned.
 """
 
+import ast
 import contextlib
-import importlib
+import csv
 import io
+import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -14,6 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from paths import EXAMPLES
@@ -25,6 +28,7 @@ from scipy.stats import chi2
 import casadi_galerkin as cg
 
 ROUNDOFF = 1e-13  # relative; closed forms are reproduced to this where the discretisation is fine enough
+LONGEST = 80  # lines of a scene that are not empty
 PRINTED = 1e-13  # the computed reference values carry 14 digits
 PUBLISHED = 1e-8  # the initial values of the figure eight were published with 8 decimals
 
@@ -94,7 +98,8 @@ def functional_by_hand(module, numbers):
     np.testing.assert_allclose(numbers["momenta by hand"], numbers["momenta reported"], rtol=1e-14, atol=0)
 
 
-def one_mass_is_helped(module, factors):
+def one_mass_is_helped(module, trades):
+    factors = {name: module.gains(measured) for name, measured in trades.items()}
     # ratios of leading error constants, still moving by a tenth between 4 and 8 intervals
     np.testing.assert_allclose([factors["mass 1 + x²"][m] for m in (1, 2, 3)], [1.7, 16.3, 5.7], rtol=0.1, atol=0)
     np.testing.assert_allclose([factors["mass exp(x)"][m] for m in (1, 2, 3)], [0.9, 0.7, 0.6], rtol=0.1, atol=0)
@@ -288,6 +293,7 @@ def shaken_as_measured(module, paths):
 
 def nothing_missing(module, found):
     swings, films, geodesics = found
+    swings = [path for path in swings if path.action <= 9.0]
     # by shooting in higher precision, and with DOP853
     actions = [-3.918564307581, -0.084750396892, 3.738317514793, 7.313292826489, 8.853960793439]
     np.testing.assert_allclose([path.action for path in swings], actions, rtol=1e-10, atol=0)
@@ -612,33 +618,36 @@ SCENES = sorted({name for name, _, _ in TABLE})
 
 @dataclass(frozen=True)
 class Run:
-    """A scene that was run once, with its picture."""
+    """A scene that was run once, alone in a folder: what it defines, what its ``main()`` returned, what it printed."""
 
     module: ModuleType
     answer: Any
-    picture: Path
+    folder: Path
     printed: str
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Callable[[str], Run]:
-    """Import a scene the way Python runs it, with its folder on the path, and run it once."""
+    """Copy a scene into an empty folder and run it there as a script, once."""
     patch, done = pytest.MonkeyPatch(), {}
     patch.setenv("MPLBACKEND", "Agg")
-    patch.syspath_prepend(str(EXAMPLES))
-    folder = tmp_path_factory.mktemp("pictures")
 
     def once(name):
         if name not in done:
-            sys.modules.pop(name, None)
-            module, picture, printed = importlib.import_module(name), folder / f"{name}.png", io.StringIO()
-            if name == "porkchop":  # all transfers take minutes
-                assert len(module.variations()) >= 2500
-                patch.setattr(module, "LAUNCHES", module.LAUNCHES[::7])
-                patch.setattr(module, "FLIGHTS", module.FLIGHTS[::7])
-            with contextlib.redirect_stdout(printed):
-                answer = module.main(str(picture))
-            done[name] = Run(module, answer, picture, printed.getvalue())
+            folder, printed = tmp_path_factory.mktemp(name), io.StringIO()
+            copy = Path(shutil.copy(EXAMPLES / f"{name}.py", folder))
+            *defined, script = ast.parse(copy.read_text(encoding="utf-8")).body
+            assert ast.unparse(script.test) == "__name__ == '__main__'"
+            module = ModuleType(name)
+            exec(compile(ast.Module(defined, []), str(copy), "exec"), vars(module))
+            if name == "porkchop":  # all transfers take ten seconds
+                assert len(module.LAUNCHES) * len(module.FLIGHTS) >= 2500
+                module.LAUNCHES, module.FLIGHTS = module.LAUNCHES[::7], module.FLIGHTS[::7]
+            with patch.context() as inside, contextlib.redirect_stdout(printed):
+                inside.chdir(folder)
+                exec(compile(ast.Module(script.body, []), str(copy), "exec"), vars(module))
+            plt.close("all")
+            done[name] = Run(module, module.answer, folder, printed.getvalue())
         return done[name]
 
     yield once
@@ -652,15 +661,50 @@ def test_scene_shows_what_it_claims(run, name, check, claim):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_scene_draws_its_picture(run, name):
+def test_scene_run_alone_prints_its_answer_and_leaves_its_picture(run, name):
     scene = run(name)
-    picture = scene.picture.read_bytes()
-    assert picture.startswith(b"\x89PNG")
-    assert len(picture) > 10_000
-    assert f"written to {scene.picture}" in scene.printed
-    if name == "mechanism":
-        assert scene.picture.with_suffix(".gif").read_bytes().startswith(b"GIF89a")
+    assert scene.printed
+    left = {file.name: file.read_bytes() for file in scene.folder.iterdir() if file.suffix != ".py"}
+    assert {file.partition(".")[0] for file in left} == {name}
+    assert left[f"{name}.png"].startswith(b"\x89PNG")
+    assert len(left[f"{name}.png"]) > 8_000
+    assert left.get(f"{name}.gif", b"GIF89a").startswith(b"GIF89a")
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scene_is_a_template(name):
+    """Short, with its problem in the first ten lines, the answer before the picture, and nothing but what installs."""
+    lines = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()
+    assert sum(bool(line.strip()) for line in lines) <= LONGEST
+    assert lines[0].startswith('"""')
+    script = lines[lines.index('if __name__ == "__main__":') :]
+    assert "main()" in script[1]
+    first = {word: min(i for i, line in enumerate(script) if word in line) for word in ("print(", "savefig(")}
+    assert first["print("] < first["savefig("]
+    tree = ast.parse("\n".join(lines))
+    imported = [alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
+    imported += [node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    own = {"casadi_galerkin", "casadi", "numpy", "matplotlib", "tqdm"}
+    assert {name.partition(".")[0] for name in imported} <= own | sys.stdlib_module_names
 
 
 def test_every_scene_is_in_the_table():
-    assert sorted(path.stem for path in EXAMPLES.glob("*.py") if path.stem not in ("gallery", "show")) == SCENES
+    assert sorted(path.stem for path in EXAMPLES.glob("*.py") if path.stem != "gallery") == SCENES
+
+
+def test_what_can_be_saved_was_saved_by_a_scene(run):
+    """As it can be read again: an orbit, what an actuator does, a comparison, a trade, a sweep."""
+    orbit, force = (
+        np.genfromtxt(run(name).folder / f"{name}.csv", delimiter=",", names=True, deletechars="")
+        for name in ("lambert", "cart_pole")
+    )
+    np.testing.assert_array_equal(orbit["velocity[0]"], run("lambert").answer.velocity[0])
+    np.testing.assert_array_equal(force["control[0]"], run("cart_pole").answer.control(force["t"])[0])
+    with np.load(run("double_pendulum").folder / "double_pendulum.npz") as gaps:
+        np.testing.assert_array_equal(gaps["stepped"], run("double_pendulum").answer.stepped.gap)
+    with np.load(run("porkchop").folder / "porkchop.npz") as transfers:
+        np.testing.assert_array_equal(transfers["end_momentum[1]"], run("porkchop").answer[0].momentum[:, 1, -1])
+        assert set(transfers["failure"]) == {""}
+    with (run("work_precision").folder / "work_precision.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["error"]) for row in rows] == [row.error for row in run("work_precision").answer.rows]

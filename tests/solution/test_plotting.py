@@ -18,8 +18,8 @@ def swing(parameters=None):
     return cg.transcribe(problem, cg.Galerkin(4), 6)
 
 
-def planar():
-    problem = cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2 - x[1], (0.0, 1.0), [0.0, 0.0], [1.0, 0.5])
+def planar(duration=1.0):
+    problem = cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2 - x[1], (0.0, duration), [0.0, 0.0], [1.0, 0.5])
     return cg.transcribe(problem, cg.Galerkin(3), 5)
 
 
@@ -121,6 +121,56 @@ def test_a_component_that_is_not_there_is_refused(component):
         planar().solve().plot_phase(component)
 
 
+def test_a_way_through_the_plane_has_equal_axes_and_all_joints():
+    path = planar().solve()
+    axes = path.plot_plane((1, 0), labels=("height in m", "width in m"))
+    line, joints = axes.get_lines()
+    np.testing.assert_array_equal(joints.get_xydata(), path.x[[1, 0]].T)
+    assert axes.get_aspect() == 1.0
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("height in m", "width in m")
+    height, width = line.get_xydata().T
+    np.testing.assert_allclose(
+        height, width / 2 + width * (1 - width) / 2, atol=1e-12
+    )  # a throw, one wide in unit time
+
+
+@pytest.mark.parametrize("components", [(0, 2), (0,), (0, 1, 0), (0.0, 1.0), (-1, 0)])
+def test_components_that_span_no_plane_are_refused(components):
+    with pytest.raises(ValueError, match="components must be two numbers from 0 to 1, got"):
+        planar().solve().plot_plane(components)
+
+
+def test_poses_are_those_of_the_path_and_a_strip_moves_them_apart():
+    path = planar().solve()
+    trail, *poses = path.plot_poses(rods, count=3).get_lines()
+    assert len(trail.get_xdata()) > 100
+    for pose, t in zip(poses, (0.0, 0.5, 1.0), strict=True):
+        np.testing.assert_allclose(pose.get_xydata(), [[0, 0], path(t)], atol=1e-15)
+    strip = path.plot_poses(rods, count=3, apart=2.0).get_lines()[1:]
+    np.testing.assert_allclose([pose.get_xydata()[0] for pose in strip], [[0, 0], [2, 0], [4, 0]])
+
+
+def test_a_branch_is_drawn_by_morse_index_with_its_folds():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0]), (0, 1), [0.0], [0.0], parameters=[3.0]
+    )
+    branch = cg.continuation(problem, [4.0], intervals=4)
+    *parts, fold = branch.plot(lambda path: path(0.5)[0]).get_lines()
+    assert [part.get_label() for part in parts] == ["Morse index 0", "Morse index 1"]
+    assert sum(len(part.get_xdata()) for part in parts) == len(branch.trajectories)
+    np.testing.assert_allclose(fold.get_xydata(), [[3.5138307, 1.1868]], rtol=1e-4)
+
+
+def test_an_answer_shows_its_words_and_its_picture_in_a_notebook():
+    import matplotlib.pyplot as plt
+
+    path = planar().solve()
+    shown = path._repr_html_()
+    assert "Trajectory of 2 components" in shown
+    assert "<svg" in shown
+    assert plt.get_fignums() == []
+
+
 def rods(x):
     """A fixed point, and one that slides."""
     return np.stack((np.zeros_like(x), x))
@@ -130,16 +180,16 @@ def test_animation_moves_the_mechanism_along_the_path(tmp_path):
     from PIL import Image
 
     path = planar().solve()
-    movie = path.animate(rods, seconds=0.4)
+    movie = path.animate(rods, seconds=0.2)
     target = tmp_path / "movie.gif"
     movie.save(target, writer="pillow", dpi=40)
     with Image.open(target) as image:
-        assert image.n_frames == 10
+        assert image.n_frames == 5
         assert image.info["duration"] == 40
     bars = movie._fig.axes[0].get_lines()[1]  # as the last frame left them
     np.testing.assert_allclose(bars.get_xydata(), [[0, 0], [1, 0.5]], atol=1e-14)
     trail = movie._fig.axes[0].get_lines()[0].get_xydata()
-    np.testing.assert_array_equal(trail, path(np.linspace(0, 1, 10)).T)
+    np.testing.assert_array_equal(trail, path(np.linspace(0, 1, 5)).T)
     assert movie._fig.axes[0].get_title() == "t = 1.00"
 
 
@@ -148,12 +198,12 @@ def test_animation_takes_the_duration_of_the_path_and_the_axes_given(tmp_path):
 
     figure, axes = plt.subplots()
     axes.set_xlabel("x in m")
-    movie = planar().solve().animate(rods, axes, unit="ms")
+    movie = planar(0.2).solve().animate(rods, axes, unit="ms")
     movie.save(tmp_path / "movie.gif", writer="pillow", dpi=20)
     assert movie._fig is figure
-    assert axes.get_title() == "t = 1.00 ms"
+    assert axes.get_title() == "t = 0.200 ms"
     assert axes.get_xlabel() == "x in m"
-    assert len(axes.get_lines()[0].get_xdata()) == 25
+    assert len(axes.get_lines()[0].get_xdata()) == 5  # 25 a second
 
 
 def test_points_of_another_shape_are_refused():

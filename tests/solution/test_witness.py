@@ -103,6 +103,15 @@ def test_no_path_through_the_sun_is_returned(start, end, duration, tol):
         cg.solve(problem, tol=tol)
 
 
+@pytest.mark.parametrize("tol", [1e-4, 1e-9])
+@pytest.mark.parametrize("duration", [0.5, 1.0, 2.0])
+def test_no_path_over_a_pole_on_its_line_is_returned(duration, tol):
+    """Nothing passes the pole of the attraction 1/x²; paths over it were returned, with estimates below these."""
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + 1 / ca.fabs(x[0]), (0, duration), [1.0], [-1.0])
+    with pytest.raises(cg.ConvergenceError):
+        cg.solve(problem, tol=tol, limits=cg.Limits(seconds=5))
+
+
 @pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("name", [name for name in SMOOTH if name in BY_NAME])
 def test_nothing_is_said_against_a_smooth_path(name, tol):

@@ -157,11 +157,11 @@ def test_lines_of_one_name_are_all_drawn(monkeypatch):
     plt.close(axes.figure)
 
 
-def test_plot_shows_the_floor_on_logarithmic_axes_and_a_narrow_legend(measured, monkeypatch):
+def test_plot_shows_the_floor_on_logarithmic_axes_and_a_low_legend(measured, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     axes = measured.plot()
     axes.figure.draw_without_rendering()
-    assert axes.get_legend().get_window_extent().width < axes.figure.bbox.width / 4
+    assert axes.get_legend().get_window_extent().height < axes.figure.bbox.height / 4
     assert axes.get_xscale() == axes.get_yscale() == "log"
     assert "reference" in axes.texts[0].get_text()
     assert axes.get_ylabel() == "relative error of the path"

@@ -1,0 +1,83 @@
+"""``python -m casadi_galerkin``: versions, what CasADi brings to solve with, and a self-test of a second."""
+
+from __future__ import annotations
+
+import math
+import platform
+import sys
+import time
+from importlib.metadata import PackageNotFoundError, version
+
+import casadi as ca
+import matplotlib
+import numpy as np
+
+from casadi_galerkin._solve import solve
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.initial_problem import InitialProblem
+from casadi_galerkin.solvers.solver import ipopt, minimizer, newton, rootfinder
+
+KNOWN = 1e-10  # relative error up to which a solver passes; IPOPT leaves so much in a cost
+PLUGINS = {
+    "rootfinder": (ca.has_rootfinder, ("newton", "kinsol")),
+    "nlpsol": (ca.has_nlpsol, ("ipopt", "sqpmethod")),
+    "linear solver": (ca.has_linsol, ("ldl", "qr", "csparse", "mumps", "ma27")),
+}
+
+
+def swing() -> dict[str, float]:
+    """Relative errors of an oscillator's action by every solver, and of the same motion step by step."""
+
+    def lagrangian(t: ca.SX, x: ca.SX, v: ca.SX) -> ca.SX:
+        return v[0] ** 2 / 2 - x[0] ** 2 / 2
+
+    method, exact = Galerkin(degree=8), 0.5 / math.tan(1)
+    problem = BoundaryProblem(lagrangian, (0, 1), [0.0], [1.0])
+    start = InitialProblem(lagrangian, (0, 1), [0.0], velocity=[1 / math.sin(1)])
+    found = {s.name: solve(problem, method, 4, solver=s) for s in (newton, rootfinder, ipopt, minimizer)}
+    found |= {"to a tolerance": solve(problem, tol=1e-12), "step by step": solve(start, method, 4)}
+    return {name: abs(path.action / exact - 1) for name, path in found.items()}
+
+
+def move() -> float:
+    """Relative error of the cost of a move from rest to rest, 6 for a unit of length in a unit of time."""
+    problem = ControlProblem(
+        lambda t, x, v: v[0] ** 2 / 2,
+        (0, 1),
+        [0.0],
+        [1.0],
+        start_velocity=[0.0],
+        end_velocity=[0.0],
+        force=lambda t, x, v, u: u,
+        running_cost=lambda t, x, v, u: u**2 / 2,
+        controls=1,
+    )
+    return abs(solve(problem, Galerkin(degree=3), 4).cost / 6 - 1)
+
+
+def installed() -> str:
+    """The version that is installed."""
+    try:
+        return version("casadi_galerkin")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
+def main() -> int:
+    """Print all; returns 0 if every test passed."""
+    print(f"casadi_galerkin {installed()}, Python {platform.python_version()}, {platform.platform()}")
+    print(f"CasADi {ca.__version__}, NumPy {np.__version__}, Matplotlib {matplotlib.__version__}")
+    for kind, (has, names) in PLUGINS.items():
+        print(f"{kind + ':':15} " + ", ".join(name if has(name) else f"no {name}" for name in names))
+    began = time.perf_counter()
+    errors = swing() | {"optimal control": move()}
+    for name, error in errors.items():
+        print(f"{name + ':':15} {'passed' if error <= KNOWN else 'FAILED'}, relative error {error:.0e}")
+    print(f"{len(errors)} tests in {time.perf_counter() - began:.2f} s")
+    return int(not all(error <= KNOWN for error in errors.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

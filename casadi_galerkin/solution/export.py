@@ -1,0 +1,49 @@
+"""Answers as tables of named columns, for other programs: a dict of lists, comma-separated values, NumPy's archive."""
+
+from __future__ import annotations
+
+import csv
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+class Table(ABC):
+    """What has a table of named columns, all as long as one another, and can be saved as such.
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> fall = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 8 * x[0], (0, 1), start=[0.0], end=[0.0])
+    >>> table = cg.solve(fall, cg.Galerkin(degree=2), intervals=2).to_dict()
+    >>> list(table), table["t"]
+    (['t', 'x[0]', 'velocity[0]', 'momentum[0]', 'energy'], [0.0, 0.5, 1.0])
+    """
+
+    @abstractmethod
+    def table(self) -> dict[str, np.ndarray]:
+        """The columns by name, (K,) each, of numbers or words."""
+
+    def to_dict(self) -> dict[str, list[Any]]:
+        """The columns by name as lists of Python's own numbers and words, such as JSON takes."""
+        return {name: column.tolist() for name, column in self.table().items()}
+
+    def to_csv(self, file: str | Path) -> None:
+        """Write the columns to a file of comma-separated values, under a line of their names, with all digits."""
+        columns = self.to_dict()
+        with Path(file).open("w", newline="", encoding="utf-8") as opened:
+            writer = csv.writer(opened)
+            writer.writerow(columns)
+            writer.writerows(zip(*columns.values(), strict=True))
+
+    def to_npz(self, file: str | Path) -> None:
+        """Write the columns to an archive that ``numpy.load`` reads by their names."""
+        columns: dict[str, Any] = self.table()
+        np.savez(file, **columns)
+
+
+def by_component(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns of the components of a vector, (d, K), called ``name[0]`` and so on."""
+    return {f"{name}[{i}]": row for i, row in enumerate(values)}

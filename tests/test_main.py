@@ -1,0 +1,24 @@
+"""``python -m casadi_galerkin`` says what is there and whether it works."""
+
+import casadi as ca
+import pytest
+
+from casadi_galerkin import __main__ as command
+
+
+def test_versions_solvers_and_a_test_of_each_are_printed(capsys):
+    assert command.main() == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(f"casadi_galerkin {command.installed()}, Python ")
+    assert lines[1].startswith(f"CasADi {ca.__version__}, NumPy ")
+    assert lines[3].split()[:2] == ["nlpsol:", "ipopt,"]
+    passed = [line.partition(":")[0] for line in lines if ": " in line and " passed, relative error " in line]
+    assert passed[:4] == ["newton", "rootfinder", "ipopt", "minimizer"]
+    assert passed[4:] == ["to a tolerance", "step by step", "optimal control"]
+
+
+@pytest.mark.parametrize("name", ["swing", "move"])
+def test_a_wrong_answer_fails(name, monkeypatch, capsys):
+    monkeypatch.setattr(command, name, lambda: {"newton": 1e-3} if name == "swing" else 1e-3)
+    assert command.main() == 1
+    assert "FAILED, relative error 1e-03" in capsys.readouterr().out
