@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
 from casadi_galerkin.boundary.mass import check_mass
@@ -21,29 +23,45 @@ class Levels:
     Parameters
     ----------
     problem : BoundaryProblem
+    mapping : how L is evaluated at the points, as for `Functional`, unless a graph is asked for with another
 
     Attributes
     ----------
     iterations : of all solves so far
     """
 
-    def __init__(self, problem: BoundaryProblem) -> None:
+    def __init__(self, problem: BoundaryProblem, mapping: Mapping = one_by_one) -> None:
         check_mass(problem)
-        self.problem, self.iterations = problem, 0
+        self.problem, self.iterations, self._mapping = problem, 0, mapping
         self._transcriptions: dict[tuple[int, int], Transcription] = {}
 
-    def transcription(self, method: Galerkin, mesh: np.ndarray, mapping: Mapping = one_by_one) -> Transcription:
+    def of(self, problem: BoundaryProblem) -> Levels:
+        """The same graphs for a problem that is `varied` from this one's; what is built for it is kept here, too."""
+        other = copy(self)
+        other.problem, other.iterations = problem, 0
+        return other
+
+    def transcription(self, method: Galerkin, mesh: np.ndarray, mapping: Mapping | None = None) -> Transcription:
         """The graph for this degree and number of intervals."""
         key = (method.degree, len(mesh))
         if key not in self._transcriptions:
-            self._transcriptions[key] = Transcription(self.problem, method, mesh, mapping)
-        return self._transcriptions[key]
+            self._transcriptions[key] = Transcription(self.problem, method, mesh, mapping or self._mapping)
+        built = self._transcriptions[key]
+        return built if built.problem is self.problem else built.of(self.problem)
 
-    def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike) -> CriticalPoint:
-        """Solve one level; breakpoints of the problem become joints."""
+    def solve(
+        self,
+        method: Galerkin,
+        mesh: np.ndarray,
+        guess: Guess | None,
+        solver: SolverLike,
+        problem: BoundaryProblem | None = None,
+    ) -> CriticalPoint:
+        """Solve one level, of the problem or of one that is `varied` from it; its breakpoints become joints."""
         mesh = with_breakpoints(mesh, self.problem.breakpoints)
+        graph = self.transcription(method, mesh)
         try:
-            point = self.transcription(method, mesh).critical_point(guess=guess, mesh=mesh, solver=solver)
+            point = (graph.of(problem) if problem else graph).critical_point(guess=guess, mesh=mesh, solver=solver)
         except ConvergenceError as failure:
             self.iterations += failure.iterations
             raise

@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.first_path import first_path_strategies, following, mesh_for_guess
+from casadi_galerkin.boundary.first_path import PATIENCE, first_path_strategies, following, mesh_for_guess
 from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.boundary.transcription import CriticalPoint
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
@@ -49,7 +49,7 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.refinement import Estimate, Refinement
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solution.witness import witnesses
-from casadi_galerkin.solvers.solver import SolverLike
+from casadi_galerkin.solvers.solver import Solver, SolverLike, newton
 
 FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
 RISE = 3  # degrees that a level may gain on the one before
@@ -74,13 +74,13 @@ SMALLEST_SPLIT = 1.2  # where Newton's method does not follow even a mesh this l
 
 
 class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
-    """One refinement of a boundary problem under way; arguments as for `solve`."""
+    """One refinement of the problem of some levels under way; the other arguments are those of `solve`."""
 
     roundoff_level, stalls = 0.0, 1
 
     def __init__(
         self,
-        problem: BoundaryProblem,
+        levels: Levels,
         tol: float,
         method: Galerkin | None,
         solver: SolverLike,
@@ -89,7 +89,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     ) -> None:
         super().__init__(tol, limits, verbose)
         self.method, self.fixed = method or of_degree(degree_for(tol)), method is not None
-        self.levels, self.patience = Levels(problem), math.inf
+        self.levels, self.patience = levels, math.inf
+        self.built = levels.build_seconds  # before this refinement
         self.seen: dict[str, tuple[float, float, float, int]] = {}
         self.solver, self.following = solver, following(solver)
 
@@ -208,6 +209,17 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             reason = f"an error of {worst:.1e} {where}, measured by the {source}, stays on any mesh. {UNSMOOTH}"
             raise self.stopped(reason, level, worst)
 
+    @property
+    def at_once(self) -> SolverLike:
+        """What solves near a path that is known: Newton's method, unless another solver is asked for."""
+        own = isinstance(self.solver, Solver) and self.solver.name != newton.name
+        return self.solver if own else self.following
+
+    def resume(self, level: CriticalPoint) -> Trajectory:
+        """Refine a path that was found on a mesh that served another."""
+        self.patience = PATIENCE
+        return self.finish(*self.refine(level))
+
     def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:
         """Refine the first path found that can be followed."""
         if guess is not None:
@@ -233,7 +245,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             path,
             iterations=self.iterations,
             build_seconds=build_seconds,
-            solve_seconds=time.perf_counter() - self.began - build_seconds,
+            solve_seconds=time.perf_counter() - self.began - (build_seconds - self.built),
             error_estimate=error,
         )
 
@@ -263,4 +275,4 @@ def solve_to_tolerance(
 ) -> Trajectory:
     """Solve a boundary problem to a tolerance; see `solve` for the arguments."""
     joints = first_mesh(problem, tol, method, intervals, mesh)
-    return BoundaryRefinement(problem, tol, method, solver, limits, verbose).run(joints, guess)
+    return BoundaryRefinement(Levels(problem), tol, method, solver, limits, verbose).run(joints, guess)

@@ -104,6 +104,13 @@ class Transcription:
         self.numbering = self.functional.numbering
         self.stationarity = Stationarity(self.functional)
 
+    def of(self, problem: BoundaryProblem) -> Transcription:
+        """The same graph for a problem that is `varied` from this one's; nothing is built."""
+        other = object.__new__(type(self))
+        other.__dict__.update(vars(self), problem=problem)
+        other.__dict__.pop("_stated", None)
+        return other
+
     @property
     def build_seconds(self) -> float:
         """Seconds spent on building the graph so far."""
@@ -156,8 +163,9 @@ class Transcription:
         start, end : d numbers, with None exactly where the problem has None
         parameters : as many numbers as the problem has
         guess : nothing (the straight line between the ends), a callable t -> (d,), which is called once for all times
-            where it takes an array (K,) to (d, K), an array (d, N + 1) of values at the joints or (d, N m + 1) at all
-            nodes, or an earlier Trajectory
+            where it takes an array (K,) to (d, K), a pair (times, values) of arrays (K,) and (d, K), joined by lines, an
+            array (d, N + 1) of values at the joints or (d, N m + 1) at all nodes, or an earlier Trajectory; a pair and
+            a Trajectory over other times are stretched
         mesh : (N + 1,) joints; where the duration is free it is stretched
         solver : newton, rootfinder, ipopt or minimizer
         verbose : 1 prints a summary, 2 also a line per iteration
@@ -173,9 +181,7 @@ class Transcription:
         ValueError, TypeError
             for input that does not fit
         """
-        unknown = sorted(set(given) - {*RATES, "energy"})
-        if unknown:
-            raise TypeError(f"solve takes {', '.join(RATES)} or energy beside its own arguments, got {unknown[0]}")
+        check_given(given)
         began = time.perf_counter() - self.build_seconds
         changes = {"start": start, "end": end, "parameters": parameters, **given}
         point = self.critical_point(changes, guess, mesh, solver, verbose)
@@ -391,6 +397,13 @@ class Transcription:
             f"Transcription of a boundary problem of {self.problem.dimension} component(s), {self.method}, on {size} "
             f"intervals: {self.numbering.free} unknowns, built in {self.build_seconds:.4f} s"
         )
+
+
+def check_given(given: Named[str, object]) -> None:
+    """Refuse what no boundary problem states."""
+    unknown = sorted(set(given) - {*RATES, "energy"})
+    if unknown:
+        raise TypeError(f"solve takes {', '.join(RATES)} or energy beside its own arguments, got {unknown[0]}")
 
 
 class SecondVariation:
