@@ -126,14 +126,15 @@ class AdaptiveTranscription:
         guess, solver, verbose : as for `solve`
         kept : a path whose mesh is tried first, unless the guess brings its own
         """
-        follows = isinstance(guess, Trajectory) and same_statement(guess.problem, problem)
-        if follows and problem.energy is not None:  # the duration is found, too
-            problem = problem.varied({}, (problem.t_span[0], problem.t_span[0] + guess.t[-1] - guess.t[0]))
+        known = guess if isinstance(guess, Trajectory) and same_statement(guess.problem, problem) else None
+        if known is not None and problem.energy is not None:  # the duration is found, too
+            problem = problem.varied({}, (problem.t_span[0], problem.t_span[0] + float(known.t[-1] - known.t[0])))
         levels = self._levels.of(problem)
         refinement = BoundaryRefinement(levels, self.tol, self.method, solver, self.limits, verbose)
+        refinement.lasting = True
         try:
-            if follows:
-                return refinement.resume(self._followed(refinement, guess))
+            if known is not None:
+                return refinement.resume(self._followed(refinement, known))
             if kept is not None:
                 mesh = self._stretched(kept.t, problem.t_span)
                 return refinement.resume(levels.solve(kept.method, mesh, guess, refinement.at_once))
@@ -164,13 +165,13 @@ class AdaptiveTranscription:
     def _stretched(self, mesh: np.ndarray, span: tuple[float, float]) -> np.ndarray:
         """Joints over another time span; breakpoints stay where they are."""
         fixed = self.problem.breakpoints
-        return np.interp(mesh, [mesh[0], *fixed, mesh[-1]], [span[0], *fixed, span[1]])
+        return np.asarray(np.interp(mesh, [mesh[0], *fixed, mesh[-1]], [span[0], *fixed, span[1]]))
 
     def __repr__(self) -> str:
         """Say what was built, and what mesh is kept."""
-        words = f"AdaptiveTranscription of a boundary problem of {self.problem.dimension} component(s), tol={self.tol:g}"
+        words = (
+            f"AdaptiveTranscription of a boundary problem of {self.problem.dimension} component(s), tol={self.tol:g}"
+        )
         if self.first is None:
             return f"{words}: nothing solved yet"
         return f"{words}: first path of degree {self.first.method.degree} on {len(self.first.t) - 1} intervals"
-
-

@@ -45,30 +45,30 @@ class Place:
         return self.index != other.index or abs(self.action - other.action - (here + there) / 2) > allowed
 
 
-def jumps(paths: Mapping[int, Trajectory]) -> dict[int, int]:
+def jumps(paths: Mapping[int, tuple[BoundaryProblem, Trajectory]]) -> dict[int, int]:
     """Number of a path -> number of its neighbour, for those that lie on another branch than their neighbour.
 
     The neighbour of a path is the nearest one that comes before it.
     """
+    if not paths:
+        return {}
+    numbers, values = list(paths), np.array([values_of(problem) for problem, _ in paths.values()])
+    spread, apart = np.ptp(values, axis=0), dict[int, int]()
     places: list[Place] = []
-    numbers, apart = list(paths), {}
-    levels: Levels | None = None
-    spread = np.ptp([values_of(path.problem) for path in paths.values()], axis=0) if paths else None
-    for number, path in paths.items():
-        assert isinstance(path.problem, BoundaryProblem)
-        levels = (levels or Levels(path.problem, by_rows)).of(path.problem)
-        place = _place(levels.transcription(path.method, path.t), path)
-        if places:
-            i = nearest(place.values, [other.values for other in places], spread)
-            if place.apart(places[i]):
+    levels = Levels(paths[numbers[0]][0], by_rows)
+    for k, (number, (problem, path)) in enumerate(paths.items()):
+        graph = levels.of(problem).transcription(path.method, path.t)
+        places.append(_place(graph, path, values[k]))
+        if k > 0:
+            i = nearest(values[k], values[:k], spread)
+            if places[k].apart(places[i]):
                 apart[number] = numbers[i]
-        places.append(place)
     return apart
 
 
-def _place(graph: Transcription, path: Trajectory) -> Place:
+def _place(graph: Transcription, path: Trajectory, values: np.ndarray) -> Place:
     problem, mesh = graph.problem, path.t
-    values, index = values_of(problem), SecondVariation(graph, problem, path.polynomial).negative()
+    index = SecondVariation(graph, problem, path.polynomial).negative()
     if graph.numbering.multipliers or not graph.stationarity.variational:
         return Place(values, index, np.nan, np.full(len(values), np.nan))
     data = graph.data(mesh, problem)

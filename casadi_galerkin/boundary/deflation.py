@@ -26,8 +26,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.loaded_curve import LoadedCurve
 from casadi_galerkin.boundary.levels import Levels
+from casadi_galerkin.boundary.loaded_curve import LoadedCurve
 from casadi_galerkin.boundary.refinement import BoundaryRefinement
 from casadi_galerkin.boundary.transcription import CriticalPoint, Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus

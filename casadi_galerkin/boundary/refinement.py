@@ -77,6 +77,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     """One refinement of the problem of some levels under way; the other arguments are those of `solve`."""
 
     roundoff_level, stalls = 0.0, 1
+    lasting = False  # whether the mesh is for later paths, too: it then gets the degree of the tolerance
 
     def __init__(
         self,
@@ -111,7 +112,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """What the path leaves out on every interval; where that is below the tolerance, its error."""
         path = level.polynomial
         left_out = truncation(path)
-        suits = not self.fixed or path.degree == self.method.degree
+        suits = not (self.fixed or self.lasting) or path.degree == self.method.degree
         largest = float(np.max(left_out))
         floor = self.floor(level) if suits and largest <= max(self.tol, CLEAR) else 0.0
         if not (suits and largest <= max(self.tol, BLURRED)):

@@ -5,7 +5,6 @@ The given values of a problem, its ends, times, parameters, velocities, momenta 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import chain
 
 import numpy as np
@@ -26,7 +25,9 @@ def same_statement(one: Problem, other: BoundaryProblem) -> bool:
     """Whether two problems have the same components given, so that one may be `varied` from the other."""
     if not isinstance(one, BoundaryProblem):
         return False
-    patterns = [{name: [a is None for a in value] for name, value in _given(problem).items()} for problem in (one, other)]
+    patterns = [
+        {name: [a is None for a in value] for name, value in _given(problem).items()} for problem in (one, other)
+    ]
     return patterns[0] == patterns[1]
 
 
@@ -60,7 +61,7 @@ def ends_replaced(values: np.ndarray, problem: BoundaryProblem) -> np.ndarray:
     return moved
 
 
-def nearest(values: np.ndarray, known: Sequence[np.ndarray], spread: np.ndarray) -> int:
-    """Number of the known vector of given values that is nearest, each measured by how much it varies."""
-    apart = (np.array(known) - values) / np.where(spread > 0, spread, 1.0)
+def nearest(values: np.ndarray, known: np.ndarray, spread: np.ndarray) -> int:
+    """Number of the vector of given values, of those in the rows of `known`, that is nearest in units of a spread."""
+    apart = (known - values) / np.where(spread > 0, spread, 1.0)
     return int(np.argmin(np.sum(apart**2, axis=1)))

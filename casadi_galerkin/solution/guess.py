@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -83,7 +84,7 @@ def guess_values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np
     return values
 
 
-def joined_by_lines(times: ArrayLike, values: ArrayLike, dimension: int) -> PiecewisePolynomial:
+def joined_by_lines(times: Any, values: Any, dimension: int) -> PiecewisePolynomial:
     """Values (d, K) of a guess at increasing times (K,), joined by straight lines."""
     try:
         joints = time_scale(times)

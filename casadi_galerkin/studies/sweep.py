@@ -127,9 +127,12 @@ class Sweep:
         Branches that differ in neither, such as mirror images, are not told apart; under constraints, end conditions,
         forces and a given energy only the index counts.
         """
-        found = {i: answer for i, answer in enumerate(self.answers) if isinstance(answer, Trajectory)}
-        if any(not isinstance(path.problem, BoundaryProblem) for path in found.values()):
-            raise ValueError("jumps between branches are told for boundary problems only")
+        found = {}
+        for i, answer in enumerate(self.answers):
+            if isinstance(answer, Trajectory):
+                if not isinstance(answer.problem, BoundaryProblem):
+                    raise ValueError("jumps between branches are told for boundary problems only")
+                found[i] = answer.problem, answer
         return jumps(found)
 
     def _stacked(self, name: str) -> np.ndarray:
@@ -319,9 +322,7 @@ def _answer(solver: Solve, variation: Variation) -> Answer:
         return error.with_traceback(None)
 
 
-def _answers(
-    solver: Solve | Neighbours, variations: Sequence[Variation], known: Sequence[Known]
-) -> Iterator[Answer]:
+def _answers(solver: Solve | Neighbours, variations: Sequence[Variation], known: Sequence[Known]) -> Iterator[Answer]:
     """Answers one after the other; with a tolerance each may start from those before and from paths that are known."""
     paths = list(known)
     for variation in variations:
@@ -335,9 +336,8 @@ def _answers(
 
 def _known(answer: Answer | None) -> list[Known]:
     """What other variations may start from."""
-    if not isinstance(answer, Trajectory):
+    if not isinstance(answer, Trajectory) or not isinstance(answer.problem, BoundaryProblem):
         return []
-    assert isinstance(answer.problem, BoundaryProblem)
     return [(values_of(answer.problem), answer)]
 
 
