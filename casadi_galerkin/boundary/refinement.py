@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.first_path import PATIENCE, first_path_strategies, following, mesh_for_guess
+from casadi_galerkin.boundary.first_path import PATIENCE, first_path_strategies, following
 from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.boundary.transcription import CriticalPoint
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
@@ -223,8 +223,6 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:
         """Refine the first path found that can be followed."""
-        if guess is not None:
-            mesh = mesh_for_guess(self.levels, self.method, guess, mesh)
         failures = []
         given = (self.method, mesh, guess, self.solver, self.limits.every_level, self.out_of_time)
         for strategy, patience in first_path_strategies(self.levels, *given):
