@@ -93,7 +93,8 @@ class AdaptiveTranscription:
         t_span : times of the ends, to which meshes are stretched
         start, end, parameters, solver, given : as for `Transcription.solve`
         guess : the same; from an earlier path of this problem, with other ends, times or parameters, the path is
-            followed to the new ones on its own mesh
+            followed to the new ones on its own mesh.  Where it is lost, it is a guess as any other; near a fold its
+            `morse_index` tells whether it has changed its branch
         verbose : 1 prints a line per level and a summary
 
         Raises

@@ -61,8 +61,8 @@ def first_path_strategies(
 ) -> Iterator[tuple[Callable[[], CriticalPoint], float]]:
     """Ways to a first path, each with the number of meshes on which it may be lost before the next one is tried.
 
-    Newton's method on the coarse mesh, and on a finer one that resolves the guess; a minimum of the action; a descent
-    of the action with moving joints; whatever `solver` tries.
+    Newton's method on the coarse mesh, and on a finer one that resolves the guess; without a guess a minimum of the
+    action on the coarse mesh; a descent of the action with moving joints; whatever `solver` tries.
     """
     if guess is not None:
         mesh = mesh_for_guess(levels, method, guess, mesh, ROUGHLY)
@@ -73,8 +73,8 @@ def first_path_strategies(
         fine = _with_more(fine, MORE * (len(mesh) - 1))
         yield partial(levels.solve, method, fine, guess, partial(plain, max_iter=ITERATIONS)), PATIENCE
         graph = levels.transcription(method, mesh)
-        if graph.stationarity.variational:
-            yield partial(levels.solve, method, mesh, guess, partial(rescue, minimize=True)), PATIENCE
+        if graph.stationarity.variational and guess is None:  # its long steps do not keep to a side that a guess tells
+            yield partial(levels.solve, method, mesh, None, partial(rescue, minimize=True)), PATIENCE
         joints = _with_more(fine, DESCENT_INTERVALS)
         for leap in LEAPS if graph.stationarity.variational and not graph.numbering.multipliers else ():
             yield partial(_by_descent, levels, joints, guess, leap, every_level, out_of_time), math.inf

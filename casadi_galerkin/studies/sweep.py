@@ -147,12 +147,16 @@ class Sweep:
         return stacked
 
     def __repr__(self) -> str:
-        """Summarise the sweep, with the reason of the first failure."""
+        """Summarise the sweep, with the first jump between branches and the reason of the first failure."""
         failures = self.failures
         text = f"Sweep of {len(self)} variation{'s' * (len(self) != 1)}, {len(self) - len(failures)} solved"
         cut_short = sum(isinstance(error, CutShort) for error in failures.values())
         if cut_short:
             text += f", {cut_short} cut short"
+        boundary = all(isinstance(a.problem, BoundaryProblem) for a in self.answers if isinstance(a, Trajectory))
+        if boundary and self.jumps:
+            i, neighbour = next(iter(self.jumps.items()))
+            text += f"\n  on another branch than their neighbours: {len(self.jumps)}, first {i} beside {neighbour}"
         if not failures:
             return text
         first, error = next(iter(failures.items()))
