@@ -1,8 +1,9 @@
 """A porkchop plot: what every launch date and flight time between two planets costs; 2,500 Lambert transfers.
 
-Both planets move on ellipses in one plane.  One problem is built once; ends and time span are its variations.  They
-are solved one after the other, or by any executor of processes; on Dask's local cluster, with `distributed`
-installed, run ``python examples/porkchop.py porkchop.png dask``.
+Both planets move on ellipses in one plane.  One problem is built once, to a tolerance; ends and time span are its
+variations.  Only the first needs a guess: each starts from the nearest that is solved, and so all go round the Sun in
+the planets' direction.  They are solved one after the other, or by any executor of processes; on Dask's local cluster,
+with `distributed` installed, run ``python examples/porkchop.py porkchop.png dask``.
 """
 
 import sys
@@ -18,7 +19,7 @@ KILOMETRES_A_SECOND = 4.74047  # in one au/year
 INNER = {"axis": 1.0, "eccentricity": 0.017, "perihelion": 1.8, "anomaly": 0.0}  # like the Earth's orbit
 OUTER = {"axis": 1.524, "eccentricity": 0.093, "perihelion": 5.9, "anomaly": 1.2}  # like that of Mars
 LAUNCHES, FLIGHTS = np.linspace(1.2, 2.0, 50), np.linspace(0.4, 1.1, 50)  # years
-METHOD, INTERVALS = cg.Galerkin(degree=6), 10
+TOLERANCE = 1e-8
 
 
 def lagrangian(t, x, v):
@@ -41,25 +42,31 @@ def state(orbit, t):
 
 
 def transfer(launch, flight):
-    """One variation: ends, times, and an arc round the Sun in the planets' direction as guess.
+    """One variation: ends and times."""
+    start, end = state(INNER, launch)[0], state(OUTER, launch + flight)[0]
+    return {"start": start, "end": end, "t_span": (launch, launch + flight)}
+
+
+def arc(variation):
+    """An arc round the Sun in the planets' direction as guess: times and positions.
 
     Half-way the arc is as far out as a circle on which that angle would take the time of the flight.
     """
-    start, end = state(INNER, launch)[0], state(OUTER, launch + flight)[0]
+    start, end, (launch, arrival) = variation["start"], variation["end"], variation["t_span"]
     radii = np.linalg.norm([start, end], axis=1)
     first = np.arctan2(start[1], start[0])
     swept = (np.arctan2(end[1], end[0]) - first) % (2 * np.pi)
-    middle = (MU * (flight / swept) ** 2) ** (1 / 3)
-    part = np.linspace(0, 1, INTERVALS + 1)
+    middle = (MU * ((arrival - launch) / swept) ** 2) ** (1 / 3)
+    part = np.linspace(0, 1, 11)
     radius = radii[0] + part * (radii[1] - radii[0]) + 4 * part * (1 - part) * (middle - np.mean(radii))
     angle = first + part * swept
-    guess = radius * np.array([np.cos(angle), np.sin(angle)])
-    return {"start": start, "end": end, "t_span": (launch, launch + flight), "guess": guess}
+    return np.linspace(launch, arrival, len(part)), radius * np.array([np.cos(angle), np.sin(angle)])
 
 
 def variations():
-    """All transfers, launch date slowest."""
-    return [transfer(launch, flight) for launch in LAUNCHES for flight in FLIGHTS]
+    """All transfers, launch date slowest; the first with its guess."""
+    first, *others = [transfer(launch, flight) for launch in LAUNCHES for flight in FLIGHTS]
+    return [{**first, "guess": arc(first)}, *others]
 
 
 def problem():
@@ -70,11 +77,11 @@ def problem():
 
 def main(plot=None, executor=None):
     """Solve all; returns the sweep and the cost in km/s, (launch dates, flight times)."""
-    transfers = cg.sweep(problem(), variations(), METHOD, INTERVALS, executor=executor)
-    velocity = transfers.momentum  # of a unit mass
+    transfers = cg.sweep(problem(), variations(), tol=TOLERANCE, executor=executor)
+    ends = np.array([path.momentum[:, [0, -1]] for path in transfers])  # velocities of a unit mass
     leaving = np.stack([state(INNER, launch)[1] for launch in LAUNCHES for _ in FLIGHTS])
     arriving = np.stack([state(OUTER, launch + flight)[1] for launch in LAUNCHES for flight in FLIGHTS])
-    changes = [velocity[:, :, 0] - leaving, velocity[:, :, -1] - arriving]
+    changes = [ends[:, :, 0] - leaving, ends[:, :, 1] - arriving]
     cost = KILOMETRES_A_SECOND * sum(np.linalg.norm(change, axis=1) for change in changes)
     cost = cost.reshape(len(LAUNCHES), len(FLIGHTS))
     if plot:
@@ -119,6 +126,7 @@ if __name__ == "__main__":
     run = on_dask if sys.argv[2:] == ["dask"] else main
     transfers, cost = run(picture("porkchop.png"))
     print(transfers)
+    print(f"{len(transfers.jumps)} transfers on another branch than their neighbours")
     i, j = np.unravel_index(np.nanargmin(cost), cost.shape)
     print(f"cheapest: {cost[i, j]:.3f} km/s, launch {LAUNCHES[i]:.3f}, flight {FLIGHTS[j]:.3f} years")
     print(f"Hohmann's transfer between circles of the same axes: {hohmann():.3f} km/s")

@@ -135,7 +135,7 @@ class AdaptiveTranscription:
         refinement.lasting = True
         try:
             if known is not None:
-                return refinement.resume(self._followed(refinement, known))
+                return self._followed(refinement, known)
             if kept is not None:
                 mesh = self._stretched(kept.t, problem.t_span)
                 return refinement.resume(levels.solve(kept.method, mesh, guess, refinement.at_once))
@@ -145,23 +145,38 @@ class AdaptiveTranscription:
             pass  # what the first path is found by may find this one
         return refinement.run(self._stretched(self._coarse, problem.t_span), guess)
 
-    def _followed(self, refinement: BoundaryRefinement, known: Trajectory) -> CriticalPoint:
-        """The path that a known one of other given values leads to, on its mesh."""
-        levels, wanted = refinement.levels, refinement.levels.problem
-        assert isinstance(known.problem, BoundaryProblem)
-        for steps in STEPS if wanted.constraint is None else STEPS[:1]:  # halfway, ends may miss the constraint
-            path = known.polynomial.values
+    def _followed(self, refinement: BoundaryRefinement, known: Trajectory) -> Trajectory:
+        """The path that a known one of other given values leads to, on its mesh: with its Morse index, if possible.
+
+        Another index tells of another branch.  It stays where the smallest steps lead to it, too: beyond a conjugate
+        point.
+        """
+        found: Trajectory | ConvergenceError
+        constrained = refinement.levels.problem.constraint is not None
+        for steps in STEPS[:1] if constrained else STEPS:  # halfway, ends may miss the constraint
             try:
-                for step in range(1, steps + 1):
-                    problem = wanted if step == steps else between(known.problem, wanted, step / steps)
-                    mesh, guess = self._stretched(known.t, problem.t_span), ends_replaced(path, problem)
-                    point = levels.solve(known.method, mesh, guess, refinement.at_once, problem)
-                    path = point.polynomial.values
+                found = refinement.resume(self._moved(refinement, known, steps))
+            except LimitReached:
+                raise
             except ConvergenceError as failure:
-                lost = failure
+                found = failure
             else:
-                return point
-        raise lost
+                if found.morse_index == known.morse_index:
+                    return found
+        if isinstance(found, ConvergenceError):
+            raise found
+        return found
+
+    def _moved(self, refinement: BoundaryRefinement, known: Trajectory, steps: int) -> CriticalPoint:
+        """Move the given values of a known path in so many steps, on its mesh."""
+        levels, path = refinement.levels, known.polynomial.values
+        assert isinstance(known.problem, BoundaryProblem)
+        for step in range(1, steps + 1):
+            problem = levels.problem if step == steps else between(known.problem, levels.problem, step / steps)
+            mesh, guess = self._stretched(known.t, problem.t_span), ends_replaced(path, problem)
+            point = levels.solve(known.method, mesh, guess, refinement.at_once, problem)
+            path = point.polynomial.values
+        return point
 
     def _stretched(self, mesh: np.ndarray, span: tuple[float, float]) -> np.ndarray:
         """Joints over another time span; breakpoints stay where they are."""

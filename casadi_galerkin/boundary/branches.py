@@ -22,6 +22,7 @@ from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.trajectory import Trajectory
 
+UNKNOWN = object()
 ROUGH = 1e-6  # part of the action that may be the error of a coarse mesh
 
 
@@ -68,7 +69,10 @@ def jumps(paths: Mapping[int, tuple[BoundaryProblem, Trajectory]]) -> dict[int, 
 
 def _place(graph: Transcription, path: Trajectory, values: np.ndarray) -> Place:
     problem, mesh = graph.problem, path.t
-    index = SecondVariation(graph, problem, path.polynomial).negative()
+    known = vars(path)  # a pickled path would build a graph of its own to find its index
+    index = (
+        known["morse_index"] if "morse_index" in known else SecondVariation(graph, problem, path.polynomial).negative()
+    )
     if graph.numbering.multipliers or not graph.stationarity.variational:
         return Place(values, index, np.nan, np.full(len(values), np.nan))
     data = graph.data(mesh, problem)

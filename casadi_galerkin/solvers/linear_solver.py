@@ -218,9 +218,8 @@ class LinearSolver:
         outputs = {"residual": residual, "regularity": ca.if_else(comparable, quotient, 0)}
         return self._function("verification", inputs, outputs)
 
-    def negative_eigenvalues(self, matrix: ca.DM) -> int:
+    def negative_eigenvalues(self, matrix: ca.DM, factors: ca.Linsol) -> int:
         """Number of negative eigenvalues of a regular symmetric matrix, from the inertia of its LDLᵀ factors."""
-        factors = ca.Linsol("inertia", "ldl", matrix.sparsity())  # its own: a Linsol keeps what it factored last
         factors.nfact(matrix)
         return int(factors.neig(matrix))
 

@@ -72,7 +72,9 @@ def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data:
         matrix = functional.function("derivatives").call([unknowns, *data])[0]
         if functional.numbering.multipliers:
             matrix = matrix + _softening(stationarity, matrix, unknowns, data)
-        return linear.negative_eigenvalues(matrix) - functional.numbering.multipliers
+        with stationarity.linearization() as at:
+            factors = at.keep("inertia", lambda: ca.Linsol("inertia", "ldl", matrix.sparsity()))
+            return linear.negative_eigenvalues(matrix, factors) - functional.numbering.multipliers
 
 
 def _softening(stationarity: Stationarity, matrix: ca.DM, unknowns: np.ndarray, data: Data) -> ca.DM:
