@@ -49,7 +49,7 @@ class AdaptiveTranscription:
     Examples
     --------
     >>> import casadi_galerkin as cg
-    >>> swing = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 4, (0, 1), start=[0.0], end=[1.0])
+    >>> swing = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + x[0] ** 4, (0, 1), start=[0.0], end=[1.0])
     >>> transcription = cg.transcribe(swing, tol=1e-9)
     >>> paths = [transcription.solve(end=[end]) for end in (1.0, 1.1, 1.2)]
     >>> all(path.error_estimate <= 1e-9 for path in paths), {len(path.t) for path in paths}

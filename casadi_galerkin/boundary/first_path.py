@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -28,6 +29,15 @@ LEAPS = 0.02, 0.1  # of a descent: short ones stay on their side of a singularit
 GUESS_LEVELS, GUESS_INTERVALS = 10, 200
 ROUGHLY, WELL = 0.1, 1e-4  # part of a guess that a first mesh may leave out: a corner or noise may, a layer may not
 MORE = 4  # times as many intervals as the coarse mesh has: where that is too coarse for any path, this was enough
+
+
+@dataclass(frozen=True)
+class Strategy:
+    """A way to a first path, and the number of meshes on which that may be lost before the next way is tried."""
+
+    name: str
+    find: Callable[[], CriticalPoint]
+    patience: float
 
 
 def following(solver: SolverLike) -> SolverLike:
@@ -58,27 +68,31 @@ def first_path_strategies(
     solver: SolverLike,
     every_level: range,
     out_of_time: Callable[[], bool],
-) -> Iterator[tuple[Callable[[], CriticalPoint], float]]:
-    """Ways to a first path, each with the number of meshes on which it may be lost before the next one is tried.
+) -> Iterator[Strategy]:
+    """Ways to a first path.
 
     Newton's method on the coarse mesh, and on a finer one that resolves the guess; without a guess a minimum of the
     action on the coarse mesh; a descent of the action with moving joints; whatever `solver` tries.
     """
     if guess is not None:
         mesh = mesh_for_guess(levels, method, guess, mesh, ROUGHLY)
+    solved = partial(levels.solve, method)
     if isinstance(solver, Solver) and solver.name == newton.name:
         plain = partial(damped_newton, **solver.options)
-        yield partial(levels.solve, method, mesh, guess, plain), PATIENCE
+        yield Strategy("Newton's method", partial(solved, mesh, guess, plain), PATIENCE)
         fine = mesh if guess is None else mesh_for_guess(levels, method, guess, mesh, WELL)
         fine = _with_more(fine, MORE * (len(mesh) - 1))
-        yield partial(levels.solve, method, fine, guess, partial(plain, max_iter=ITERATIONS)), PATIENCE
+        found = partial(solved, fine, guess, partial(plain, max_iter=ITERATIONS))
+        yield Strategy(f"Newton's method on {len(fine) - 1} intervals", found, PATIENCE)
         graph = levels.transcription(method, mesh)
         if graph.stationarity.variational and guess is None:  # its long steps do not keep to a side that a guess tells
-            yield partial(levels.solve, method, mesh, None, partial(rescue, minimize=True)), PATIENCE
+            found = partial(solved, mesh, None, partial(rescue, minimize=True))
+            yield Strategy("IPOPT on the action", found, PATIENCE)
         joints = _with_more(fine, DESCENT_INTERVALS)
         for leap in LEAPS if graph.stationarity.variational and not graph.numbering.multipliers else ():
-            yield partial(_by_descent, levels, joints, guess, leap, every_level, out_of_time), math.inf
-    yield partial(levels.solve, method, mesh, guess, solver), math.inf
+            found = partial(_by_descent, levels, joints, guess, leap, every_level, out_of_time)
+            yield Strategy(f"descent of the action in steps of {leap:g}", found, math.inf)
+    yield Strategy(f"{solver!r}", partial(solved, mesh, guess, solver), math.inf)
 
 
 def _with_more(mesh: np.ndarray, intervals: int) -> np.ndarray:

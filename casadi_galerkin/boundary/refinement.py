@@ -223,16 +223,21 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:
         """Refine the first path found that can be followed."""
-        failures = []
+        failures: list[ConvergenceError] = []
         given = (self.method, mesh, guess, self.solver, self.limits.every_level, self.out_of_time)
-        for strategy, patience in first_path_strategies(self.levels, *given):
-            self.patience = patience
+        for strategy in first_path_strategies(self.levels, *given):
+            self.patience, began, before = strategy.patience, time.perf_counter(), self.iterations
             try:
-                return self.finish(*self.refine(strategy()))
+                path = self.finish(*self.refine(strategy.find()))
             except LimitReached:
                 raise
             except ConvergenceError as failure:
                 failures.append(failure)
+                if self.verbose:
+                    spent = f"{self.iterations - before} iterations, {time.perf_counter() - began:.3f} s"
+                    print(f"{strategy.name}: no path, {spent}")
+            else:
+                return replace(path, solver=f"{path.solver} after {strategy.name}") if failures else path
         raise failures[-1]
 
     def finish(self, point: CriticalPoint, error: float) -> Trajectory:
