@@ -237,7 +237,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                     spent = f"{self.iterations - before} iterations, {time.perf_counter() - began:.3f} s"
                     print(f"{strategy.name}: no path, {spent}")
             else:
-                return replace(path, solver=f"{path.solver} after {strategy.name}") if failures else path
+                return replace(path, solver=f"{path.solver}; first path by {strategy.name}") if failures else path
         raise failures[-1]
 
     def finish(self, point: CriticalPoint, error: float) -> Trajectory:

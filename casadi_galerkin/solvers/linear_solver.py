@@ -230,6 +230,11 @@ def of_pattern(numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ..
     return LinearSolver(numbering, hessian_pattern(numbering, colind, row, symmetric).sparsity)
 
 
+def ldl_factors(sparsity: ca.Sparsity) -> ca.Linsol:
+    """Room for LDLᵀ factors; each solve has its own, because a Linsol keeps what it factored last."""
+    return ca.Linsol("inertia", "ldl", sparsity)
+
+
 def linear_solver(functional: Functional) -> LinearSolver:
     """The linear algebra of a functional; the same for all that have no further terms and the same sparsity."""
     plain = not (functional.terms or functional.numbering.stretched)

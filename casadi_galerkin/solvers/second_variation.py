@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.solvers.linear_solver import ldl_factors
 from casadi_galerkin.solvers.stationarity import Linearization, Stationarity, joined
 from casadi_galerkin.solvers.threads import fork_waits
 
@@ -73,7 +74,7 @@ def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data:
         if functional.numbering.multipliers:
             matrix = matrix + _softening(stationarity, matrix, unknowns, data)
         with stationarity.linearization() as at:
-            factors = at.keep("inertia", lambda: ca.Linsol("inertia", "ldl", matrix.sparsity()))
+            factors = at.keep("inertia", lambda: ldl_factors(matrix.sparsity()))
             return linear.negative_eigenvalues(matrix, factors) - functional.numbering.multipliers
 
 
