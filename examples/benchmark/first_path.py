@@ -115,7 +115,8 @@ def error(path, exact):
     """Largest difference of two paths, relative to the components' sizes."""
     times = np.linspace(*exact.t[[0, -1]], FINE)
     x = exact(times)
-    return float(np.max(np.abs(path(times) - x) / np.max(np.abs(x), axis=1, keepdims=True)))
+    size = np.max(np.abs(x), axis=1, keepdims=True)
+    return float(np.max(np.abs(path(times) - x) / np.where(size > 0, size, 1.0)))
 
 
 def finer(problem, path):
