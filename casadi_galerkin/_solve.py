@@ -7,6 +7,7 @@ from typing import overload
 import casadi as ca
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscription
 from casadi_galerkin.boundary.refinement import solve_to_tolerance
 from casadi_galerkin.boundary.sensitivity import boundary_function
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
@@ -159,18 +160,34 @@ def transcribe(
 
 @overload
 def transcribe(
+    problem: BoundaryProblem,
+    method: Galerkin | None = None,
+    intervals: int | None = None,
+    *,
+    mesh: ArrayLike | None = None,
+    tol: float,
+    limits: Limits | None = None,
+) -> AdaptiveTranscription: ...
+
+
+@overload
+def transcribe(
     problem: ControlProblem, method: Galerkin, intervals: int | None = None, *, mesh: ArrayLike | None = None
 ) -> ControlTranscription: ...
 
 
 def transcribe(
     problem: BoundaryProblem | ControlProblem,
-    method: Galerkin,
+    method: Galerkin | None = None,
     intervals: int | None = None,
     *,
     mesh: ArrayLike | None = None,
-) -> Transcription | ControlTranscription:
-    """Build the graph of a problem once, to solve it often.
+    tol: float | None = None,
+    limits: Limits | None = None,
+) -> Transcription | AdaptiveTranscription | ControlTranscription:
+    """Build the graph of a problem once, to solve it often: with a fixed discretisation, or to a tolerance.
+
+    With `tol`, mesh and degree are those that the first path needed; they are adapted where they no longer serve.
 
     Parameters
     ----------
@@ -178,10 +195,14 @@ def transcribe(
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
+    tol : relative tolerance, as for `solve`, which also says what method, intervals and mesh then are; for a
+        BoundaryProblem
+    limits : Limits that stop a refinement; only with `tol`
 
     Returns
     -------
-    Transcription or ControlTranscription, whose ``solve`` takes other ends, parameters, joints and guesses
+    Transcription, AdaptiveTranscription or ControlTranscription, whose ``solve`` takes other ends, parameters, times
+    and guesses
 
     Raises
     ------
@@ -196,6 +217,13 @@ def transcribe(
     >>> [float(transcription.solve(end=[height]).momentum[0, 0].round(6)) for height in (1.0, 2.0)]
     [6.0, 7.0]
     """
+    _check_limits(limits, tol)
+    if tol is not None:
+        if not isinstance(problem, BoundaryProblem):
+            raise TypeError(f"only a BoundaryProblem is transcribed with tol, got {type(problem).__name__}")
+        return AdaptiveTranscription(problem, tol, method, intervals, mesh, limits)
+    if method is None:
+        raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
     check_types(problem, method, BoundaryProblem, ControlProblem)
     if isinstance(problem, ControlProblem):
         return transcribed_control(problem, method, intervals, mesh)

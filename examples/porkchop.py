@@ -1,8 +1,9 @@
 """A porkchop plot: what every launch date and flight time between two planets costs; 2,500 Lambert transfers.
 
-Both planets move on ellipses in one plane.  One problem is built once; ends and time span are its variations.  They
-are solved one after the other, or by any executor of processes: ``with ProcessPoolExecutor() as pool: main(pool)``, or
-``main(client.get_executor())`` on a cluster of Dask's.
+Both planets move on ellipses in one plane.  One problem is built once, to a tolerance; ends and time span are its
+variations.  Only the first needs a guess: each starts from the nearest that is solved, and so all go round the Sun in
+the planets' direction.  They are solved one after the other, or by any executor of processes: ``with
+ProcessPoolExecutor() as pool: main(pool)``, or ``main(client.get_executor())`` on a cluster of Dask's.
 """
 
 import casadi as ca
@@ -15,7 +16,7 @@ KILOMETRES_A_SECOND = 4.74047  # in one au/year
 INNER = {"axis": 1.0, "eccentricity": 0.017, "perihelion": 1.8, "anomaly": 0.0}  # like the Earth's orbit
 OUTER = {"axis": 1.524, "eccentricity": 0.093, "perihelion": 5.9, "anomaly": 1.2}  # like that of Mars
 LAUNCHES, FLIGHTS = np.linspace(1.2, 2.0, 50), np.linspace(0.4, 1.1, 50)  # years
-METHOD, INTERVALS = cg.Galerkin(degree=6), 10
+TOLERANCE = 1e-8
 
 
 def state(orbit, t):
@@ -32,29 +33,45 @@ def state(orbit, t):
 
 
 def transfer(launch, flight):
-    """One variation: ends, times, and as guess an arc round the Sun on which a circle would take as long half-way."""
+    """One variation: ends and times."""
     start, end = state(INNER, launch)[0], state(OUTER, launch + flight)[0]
-    radii, (first, last) = np.linalg.norm([start, end], axis=1), np.arctan2(*np.stack((start, end))[:, ::-1].T)
-    swept, part = (last - first) % (2 * np.pi), np.linspace(0, 1, INTERVALS + 1)
-    middle = (MU * (flight / swept) ** 2) ** (1 / 3) - np.mean(radii)
-    radius, angle = radii[0] + part * np.diff(radii) + 4 * part * (1 - part) * middle, first + part * swept
-    guess = radius * np.array([np.cos(angle), np.sin(angle)])
-    return {"start": start, "end": end, "t_span": (launch, launch + flight), "guess": guess}
+    return {"start": start, "end": end, "t_span": (launch, launch + flight)}
 
 
-def problem_and_variations():
-    """One problem in the Sun's field, and all transfers, launch date slowest."""
-    variations = [transfer(launch, flight) for launch in LAUNCHES for flight in FLIGHTS]
-    first = {name: variations[0][name] for name in ("t_span", "start", "end")}
-    return cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2 + MU / ca.norm_2(x), **first), variations
+def arc(variation):
+    """An arc round the Sun in the planets' direction as guess: times and positions.
+
+    Half-way the arc is as far out as a circle on which that angle would take the time of the flight.
+    """
+    start, end, (launch, arrival) = variation["start"], variation["end"], variation["t_span"]
+    radii = np.linalg.norm([start, end], axis=1)
+    first = np.arctan2(start[1], start[0])
+    swept = (np.arctan2(end[1], end[0]) - first) % (2 * np.pi)
+    middle = (MU * ((arrival - launch) / swept) ** 2) ** (1 / 3)
+    part = np.linspace(0, 1, 11)
+    radius = radii[0] + part * (radii[1] - radii[0]) + 4 * part * (1 - part) * (middle - np.mean(radii))
+    angle = first + part * swept
+    return np.linspace(launch, arrival, len(part)), radius * np.array([np.cos(angle), np.sin(angle)])
+
+
+def variations():
+    """All transfers, launch date slowest; the first with its guess."""
+    first, *others = [transfer(launch, flight) for launch in LAUNCHES for flight in FLIGHTS]
+    return [{**first, "guess": arc(first)}, *others]
+
+
+def problem():
+    """The problem in the Sun's field that all transfers are variations of."""
+    first = transfer(LAUNCHES[0], FLIGHTS[0])
+    return cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2 + MU / ca.norm_2(x), **first)
 
 
 def main(executor=None):
     """Solve all; returns the sweep and the cost in km/s, (launch dates, flight times)."""
-    transfers = cg.sweep(*problem_and_variations(), METHOD, INTERVALS, executor=executor)
+    transfers = cg.sweep(problem(), variations(), tol=TOLERANCE, executor=executor)
     ends = [(state(INNER, t)[1], state(OUTER, t + flight)[1]) for t in LAUNCHES for flight in FLIGHTS]
-    changes = transfers.momentum[:, :, [0, -1]] - np.swapaxes(ends, 1, 2)  # of the velocity of a unit mass
-    cost = KILOMETRES_A_SECOND * np.linalg.norm(changes, axis=1).sum(axis=1)
+    momenta = np.array([path.momentum[:, [0, -1]] for path in transfers])  # velocities of a unit mass
+    cost = KILOMETRES_A_SECOND * np.linalg.norm(momenta - np.swapaxes(ends, 1, 2), axis=1).sum(axis=1)
     return transfers, cost.reshape(len(LAUNCHES), len(FLIGHTS))
 
 
@@ -75,6 +92,7 @@ def draw(answer):
 if __name__ == "__main__":
     answer = transfers, cost = main()
     print(transfers)
+    print(f"{len(transfers.jumps)} transfers on another branch than their neighbours")
     i, j = np.unravel_index(np.nanargmin(cost), cost.shape)
     print(f"cheapest: {cost[i, j]:.3f} km/s, launch {LAUNCHES[i]:.3f}, flight {FLIGHTS[j]:.3f} years")
     transfers.to_npz("porkchop.npz")  # what every transfer has at both ends

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.graph import CriticalPoint
+from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.boundary.loaded_curve import LoadedCurve
 from casadi_galerkin.boundary.refinement import BoundaryRefinement
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
@@ -139,9 +140,8 @@ class Search:
         self.transcription, self.stationarity = transcription, transcription.stationarity
         self.symmetries, self.random = symmetries, np.random.default_rng(seed)
         self.data = transcription.data(transcription.mesh)
-        self.refinement = BoundaryRefinement(
-            transcription.problem, RESOLVED, transcription.method, newton, Limits(), verbose=0
-        )
+        levels = Levels(transcription.problem)
+        self.refinement = BoundaryRefinement(levels, RESOLVED, transcription.method, newton, Limits(), verbose=0)
         self.found: list[tuple[Trajectory, np.ndarray]] = []  # with their unknowns
         self.known: list[np.ndarray] = []  # unknowns of all critical points and their images, also of those dropped
         self.solves = self.curves = self.unresolved = self.singular = 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -17,6 +18,7 @@ from casadi_galerkin.calculus.mesh_adaptation import equidistributed, of_degree,
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.solution.guess import Guess, guess_values
 from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solvers.ipopt import rescue
 from casadi_galerkin.solvers.newton import damped_newton
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton
 
@@ -24,7 +26,18 @@ PATIENCE = 2  # meshes on which a first path may be lost before another is looke
 ITERATIONS = 40  # of Newton's method from an earlier path; where it took more it was measured to wander
 DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
 LEAPS = 0.02, 0.1  # of a descent: short ones stay on their side of a singularity, long ones arrive
-GUESS_LEVELS, GUESS_INTERVALS, GUESS_TOLERANCE = 10, 200, 1e-4
+GUESS_LEVELS, GUESS_INTERVALS = 10, 200
+ROUGHLY, WELL = 0.1, 1e-4  # part of a guess that a first mesh may leave out: a corner or noise may, a layer may not
+MORE = 4  # times as many intervals as the coarse mesh has: where that is too coarse for any path, this was enough
+
+
+@dataclass(frozen=True)
+class Strategy:
+    """A way to a first path, and the number of meshes on which that may be lost before the next way is tried."""
+
+    name: str
+    find: Callable[[], CriticalPoint]
+    patience: float
 
 
 def following(solver: SolverLike) -> SolverLike:
@@ -33,15 +46,15 @@ def following(solver: SolverLike) -> SolverLike:
     return partial(damped_newton, **{"max_iter": ITERATIONS, **own})
 
 
-def mesh_for_guess(levels: Levels, method: Galerkin, guess: Guess, mesh: np.ndarray) -> np.ndarray:
-    """Joints on which the guess itself is resolved: where it turns sharply, so may the path."""
+def mesh_for_guess(levels: Levels, method: Galerkin, guess: Guess, mesh: np.ndarray, tol: float) -> np.ndarray:
+    """Joints on which the guess itself is resolved to a tolerance: where it turns sharply, so may the path."""
     path = levels.transcription(method, mesh).guess_on_mesh(guess, mesh)
     given = guess.polynomial if isinstance(guess, Path) else guess
     for _ in range(GUESS_LEVELS):
         error = truncation(path)
-        if not callable(given) or np.max(error) <= GUESS_TOLERANCE or len(mesh) > GUESS_INTERVALS:
+        if not callable(given) or np.max(error) <= tol or len(mesh) > GUESS_INTERVALS:
             break  # there is nothing between the values of an array
-        mesh = equidistributed(mesh, error, method.degree + 1, GUESS_TOLERANCE)
+        mesh = equidistributed(mesh, error, method.degree + 1, tol)
         calculus = DiscreteCalculus(method, mesh)
         path = calculus.emb(guess_values(given, calculus, len(path.values)))
     return mesh
@@ -55,19 +68,37 @@ def first_path_strategies(
     solver: SolverLike,
     every_level: range,
     out_of_time: Callable[[], bool],
-) -> Iterator[tuple[Callable[[], CriticalPoint], float]]:
-    """Ways to a first path, each with the number of meshes on which it may be lost before the next one is tried.
+) -> Iterator[Strategy]:
+    """Ways to a first path.
 
-    Newton's method on the coarse mesh; a descent of the action; whatever `solver` tries.
+    Newton's method on the coarse mesh, and on a finer one that resolves the guess; without a guess a minimum of the
+    action on the coarse mesh; a descent of the action with moving joints; whatever `solver` tries.
     """
+    if guess is not None:
+        mesh = mesh_for_guess(levels, method, guess, mesh, ROUGHLY)
+    solved = partial(levels.solve, method)
     if isinstance(solver, Solver) and solver.name == newton.name:
-        yield partial(levels.solve, method, mesh, guess, partial(damped_newton, **solver.options)), PATIENCE
-        count = max(DESCENT_INTERVALS + 1, len(mesh))
-        joints = np.interp(np.linspace(0, 1, count), np.linspace(0, 1, len(mesh)), mesh)
+        plain = partial(damped_newton, **solver.options)
+        yield Strategy("Newton's method", partial(solved, mesh, guess, plain), PATIENCE)
+        fine = mesh if guess is None else mesh_for_guess(levels, method, guess, mesh, WELL)
+        fine = _with_more(fine, MORE * (len(mesh) - 1))
+        found = partial(solved, fine, guess, partial(plain, max_iter=ITERATIONS))
+        yield Strategy(f"Newton's method on {len(fine) - 1} intervals", found, PATIENCE)
         graph = levels.transcription(method, mesh)
+        if graph.stationarity.variational and guess is None:  # its long steps do not keep to a side that a guess tells
+            found = partial(solved, mesh, None, partial(rescue, minimize=True))
+            yield Strategy("IPOPT on the action", found, PATIENCE)
+        joints = _with_more(fine, DESCENT_INTERVALS)
         for leap in LEAPS if graph.stationarity.variational and not graph.numbering.multipliers else ():
-            yield partial(_by_descent, levels, joints, guess, leap, every_level, out_of_time), math.inf
-    yield partial(levels.solve, method, mesh, guess, solver), math.inf
+            found = partial(_by_descent, levels, joints, guess, leap, every_level, out_of_time)
+            yield Strategy(f"descent of the action in steps of {leap:g}", found, math.inf)
+    yield Strategy(f"{solver!r}", partial(solved, mesh, guess, solver), math.inf)
+
+
+def _with_more(mesh: np.ndarray, intervals: int) -> np.ndarray:
+    """Joints that are graded as those of a mesh, with so many intervals if it has fewer."""
+    count = max(intervals + 1, len(mesh))
+    return np.asarray(np.interp(np.linspace(0, 1, count), np.linspace(0, 1, len(mesh)), mesh))
 
 
 def _by_descent(

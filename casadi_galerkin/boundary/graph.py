@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping as Named
 from dataclasses import dataclass
 
@@ -49,17 +48,12 @@ class BoundaryGraph:
     """A boundary problem on N intervals as one CasADi graph; arguments and attributes as of `Transcription`."""
 
     def __init__(
-        self,
-        problem: BoundaryProblem,
-        method: Galerkin,
-        mesh: np.ndarray,
-        mapping: Mapping = by_rows,
-        deadline: float = math.inf,
+        self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, mapping: Mapping = by_rows
     ) -> None:
         self.problem, self.method, self.mesh, self.phase = problem, method, mesh, has_phase(problem)
         self.functional = functional_of(problem, method, len(mesh) - 1, mapping)
         self.numbering = self.functional.numbering
-        self.stationarity = Stationarity(self.functional, deadline)
+        self.stationarity = Stationarity(self.functional)
 
     @property
     def build_seconds(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from copy import copy
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from casadi_galerkin.functional.mapping import Mapping, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import SolverLike
 
 
@@ -24,30 +26,47 @@ class Levels:
     Parameters
     ----------
     problem : BoundaryProblem
-    deadline : of ``time.perf_counter()``, at which solves stop
+    mapping : how L is evaluated at the points, as for `Functional`, unless a graph is asked for with another
 
     Attributes
     ----------
     iterations : of all solves so far
+    deadline : of ``time.perf_counter()``, at which solves stop
     """
 
-    def __init__(self, problem: BoundaryProblem, deadline: float = math.inf) -> None:
+    def __init__(self, problem: BoundaryProblem, mapping: Mapping = one_by_one) -> None:
         check_mass(problem)
-        self.problem, self.deadline, self.iterations = problem, deadline, 0
+        self.problem, self.iterations, self.deadline, self._mapping = problem, 0, math.inf, mapping
         self._transcriptions: dict[tuple[int, int], Transcription] = {}
 
-    def transcription(self, method: Galerkin, mesh: np.ndarray, mapping: Mapping = one_by_one) -> Transcription:
+    def of(self, problem: BoundaryProblem) -> Levels:
+        """The same graphs for a problem that is `varied` from this one's; what is built for it is kept here, too."""
+        other = copy(self)
+        other.problem, other.iterations = problem, 0
+        return other
+
+    def transcription(self, method: Galerkin, mesh: np.ndarray, mapping: Mapping | None = None) -> Transcription:
         """The graph for this degree and number of intervals."""
         key = (method.degree, len(mesh))
         if key not in self._transcriptions:
-            self._transcriptions[key] = Transcription(self.problem, method, mesh, mapping, self.deadline)
-        return self._transcriptions[key]
+            self._transcriptions[key] = Transcription(self.problem, method, mesh, mapping or self._mapping)
+        built = self._transcriptions[key]
+        return built if built.problem is self.problem else built.of(self.problem)
 
-    def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike) -> CriticalPoint:
-        """Solve one level; breakpoints of the problem become joints."""
+    def solve(
+        self,
+        method: Galerkin,
+        mesh: np.ndarray,
+        guess: Guess | None,
+        solver: SolverLike,
+        problem: BoundaryProblem | None = None,
+    ) -> CriticalPoint:
+        """Solve one level, of the problem or of one that is `varied` from it; its breakpoints become joints."""
         mesh = with_breakpoints(mesh, self.problem.breakpoints)
+        graph = self.transcription(method, mesh)
         try:
-            point = self.transcription(method, mesh).critical_point(guess=guess, mesh=mesh, solver=solver)
+            with until(self.deadline):
+                point = (graph.of(problem) if problem else graph).critical_point(guess=guess, mesh=mesh, solver=solver)
         except ConvergenceError as failure:
             self.iterations += failure.iterations
             raise

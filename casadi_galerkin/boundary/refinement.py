@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.error_estimate import discretization_error, roundoff_error
-from casadi_galerkin.boundary.first_path import first_path_strategies, following, mesh_for_guess
+from casadi_galerkin.boundary.first_path import PATIENCE, first_path_strategies, following
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
@@ -50,7 +50,7 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.refinement import Estimate, Refinement
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solution.witness import witnesses
-from casadi_galerkin.solvers.solver import SolverLike
+from casadi_galerkin.solvers.solver import Solver, SolverLike, newton
 
 FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
 RISE = 3  # degrees that a level may gain on the one before
@@ -75,13 +75,14 @@ SMALLEST_SPLIT = 1.2  # where Newton's method does not follow even a mesh this l
 
 
 class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
-    """One refinement of a boundary problem under way; arguments as for `solve`."""
+    """One refinement of the problem of some levels under way; the other arguments are those of `solve`."""
 
     roundoff_level, stalls = 0.0, 1
+    lasting = False  # whether the mesh is for later paths, too: it then gets the degree of the tolerance
 
     def __init__(
         self,
-        problem: BoundaryProblem,
+        levels: Levels,
         tol: float,
         method: Galerkin | None,
         solver: SolverLike,
@@ -90,7 +91,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     ) -> None:
         super().__init__(tol, limits, verbose)
         self.method, self.fixed = method or of_degree(degree_for(tol)), method is not None
-        self.levels, self.patience = Levels(problem, self.deadline), math.inf
+        self.levels, self.patience = levels, math.inf
+        levels.deadline = self.deadline
+        self.built = levels.build_seconds  # before this refinement
         self.seen: dict[str, tuple[float, float, float, int]] = {}
         self.solver, self.following = solver, following(solver)
 
@@ -111,7 +114,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """What the path leaves out on every interval; where that is below the tolerance, its error."""
         path = level.polynomial
         left_out = truncation(path)
-        suits = not self.fixed or path.degree == self.method.degree
+        suits = not (self.fixed or self.lasting) or path.degree == self.method.degree
         largest = float(np.max(left_out))
         floor = self.floor(level) if suits and largest <= max(self.tol, CLEAR) else 0.0
         if not (suits and largest <= max(self.tol, BLURRED)):
@@ -209,16 +212,25 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             reason = f"an error of {worst:.1e} {where}, measured by the {source}, stays on any mesh. {UNSMOOTH}"
             raise self.stopped(reason, level, worst)
 
+    @property
+    def at_once(self) -> SolverLike:
+        """What solves near a path that is known: Newton's method, unless another solver is asked for."""
+        own = isinstance(self.solver, Solver) and self.solver.name != newton.name
+        return self.solver if own else self.following
+
+    def resume(self, level: CriticalPoint) -> Trajectory:
+        """Refine a path that was found on a mesh that served another."""
+        self.patience = PATIENCE
+        return self.finish(*self.refine(level))
+
     def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:
         """Refine the first path found that can be followed."""
-        if guess is not None:
-            mesh = mesh_for_guess(self.levels, self.method, guess, mesh)
-        failures = []
+        failures: list[ConvergenceError] = []
         given = (self.method, mesh, guess, self.solver, self.limits.every_level, self.out_of_time)
-        for strategy, patience in first_path_strategies(self.levels, *given):
-            self.patience = patience
+        for strategy in first_path_strategies(self.levels, *given):
+            self.patience, began, before = strategy.patience, time.perf_counter(), self.iterations
             try:
-                return self.finish(*self.refine(strategy()))
+                path = self.finish(*self.refine(strategy.find()))
             except LimitReached:
                 raise
             except ConvergenceError as failure:
@@ -226,6 +238,11 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                 if self.out_of_time():
                     late = f"{self.limits.seconds:g} seconds have passed before there was a path"
                     raise LimitReached(f"{late}: {failure}", failure.path, failure.residual, self.iterations) from None
+                if self.verbose:
+                    spent = f"{self.iterations - before} iterations, {time.perf_counter() - began:.3f} s"
+                    print(f"{strategy.name}: no path, {spent}")
+            else:
+                return replace(path, solver=f"{path.solver}; first path by {strategy.name}") if failures else path
         raise failures[-1]
 
     def finish(self, point: CriticalPoint, error: float) -> Trajectory:
@@ -237,7 +254,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             path,
             iterations=self.iterations,
             build_seconds=build_seconds,
-            solve_seconds=time.perf_counter() - self.began - build_seconds,
+            solve_seconds=time.perf_counter() - self.began - (build_seconds - self.built),
             error_estimate=error,
         )
 
@@ -267,4 +284,4 @@ def solve_to_tolerance(
 ) -> Trajectory:
     """Solve a boundary problem to a tolerance; see `solve` for the arguments."""
     joints = first_mesh(problem, tol, method, intervals, mesh)
-    return BoundaryRefinement(problem, tol, method, solver, limits, verbose).run(joints, guess)
+    return BoundaryRefinement(Levels(problem), tol, method, solver, limits, verbose).run(joints, guess)

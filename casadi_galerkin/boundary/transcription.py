@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping as Named
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -47,7 +48,6 @@ class Transcription(BoundaryGraph):
     method : Galerkin
     mesh : (N + 1,), the joints used unless others are given to `solve`
     mapping : how L is evaluated at the points, as for `Functional`
-    deadline : of ``time.perf_counter()``, at which a solve stops
 
     Attributes
     ----------
@@ -66,6 +66,13 @@ class Transcription(BoundaryGraph):
     >>> transcription.hessian.sparsity_out(0).shape
     (7, 7)
     """
+
+    def of(self, problem: BoundaryProblem) -> Transcription:
+        """The same graph for a problem that is `varied` from this one's; nothing is built."""
+        other = object.__new__(type(self))
+        other.__dict__.update(vars(self), problem=problem)
+        other.__dict__.pop("_stated", None)
+        return other
 
     @property
     def action(self) -> ca.Function:
@@ -105,8 +112,9 @@ class Transcription(BoundaryGraph):
         start, end : d numbers, with None exactly where the problem has None
         parameters : as many numbers as the problem has
         guess : nothing (the straight line between the ends), a callable t -> (d,), which is called once for all times
-            where it takes an array (K,) to (d, K), an array (d, N + 1) of values at the joints or (d, N m + 1) at all
-            nodes, or an earlier Trajectory
+            where it takes an array (K,) to (d, K), a pair (times, values) of arrays (K,) and (d, K), joined by lines,
+            an array (d, N + 1) of values at the joints or (d, N m + 1) at all nodes, or an earlier Trajectory; a pair
+            and a Trajectory over other times are stretched
         mesh : (N + 1,) joints; where the duration is free it is stretched
         solver : newton, rootfinder, ipopt or minimizer
         verbose : 1 prints a summary, 2 also a line per iteration
@@ -122,9 +130,7 @@ class Transcription(BoundaryGraph):
         ValueError, TypeError
             for input that does not fit
         """
-        unknown = sorted(set(given) - {*RATES, "energy"})
-        if unknown:
-            raise TypeError(f"solve takes {', '.join(RATES)} or energy beside its own arguments, got {unknown[0]}")
+        check_given(given)
         began = time.perf_counter() - self.build_seconds
         changes = {"start": start, "end": end, "parameters": parameters, **given}
         point = self.critical_point(changes, guess, mesh, solver, verbose)
@@ -183,6 +189,13 @@ class Transcription(BoundaryGraph):
             f"Transcription of a boundary problem of {self.problem.dimension} component(s), {self.method}, on {size} "
             f"intervals: {self.numbering.free} unknowns, built in {self.build_seconds:.4f} s"
         )
+
+
+def check_given(given: Named[str, object]) -> None:
+    """Refuse what no boundary problem states."""
+    unknown = sorted(set(given) - {*RATES, "energy"})
+    if unknown:
+        raise TypeError(f"solve takes {', '.join(RATES)} or energy beside its own arguments, got {unknown[0]}")
 
 
 class SecondVariation:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, time_scale
 from casadi_galerkin.calculus.numbers import real_array
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.solution.path import Path
 
 Values = Callable[[float], ArrayLike] | ArrayLike
-Guess = Values | Path | PiecewisePolynomial | tuple[Values | Path | PiecewisePolynomial, Values]  # with controls
+Guess = Values | Path | PiecewisePolynomial | tuple[Values | Path | PiecewisePolynomial, Values]  # times, or controls
 
 
 def sampled(name: str, function: Callable[[float], ArrayLike], times: np.ndarray, dimension: int) -> np.ndarray:
@@ -83,8 +84,25 @@ def guess_values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np
     return values
 
 
+def joined_by_lines(times: Any, values: Any, dimension: int) -> PiecewisePolynomial:
+    """Values (d, K) of a guess at increasing times (K,), joined by straight lines."""
+    try:
+        joints = time_scale(times)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"a pair as guess is (times, values), and its times are no mesh: {error}") from None
+    given = real_array("the values of the guess", values)
+    if given.shape != (dimension, len(joints)):
+        raise ValueError(
+            f"a pair as guess is (times, values) with values of shape ({dimension}, {len(joints)}) for "
+            f"{len(joints)} times, got {given.shape}"
+        )
+    return PiecewisePolynomial(joints, np.array([0.0, 1.0]), given)
+
+
 def _values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:
     times, d = calculus.node_times, dimension
+    if isinstance(guess, tuple) and len(guess) == 2:
+        guess = joined_by_lines(*guess, d)
     if isinstance(guess, (Path, PiecewisePolynomial)):
         path = guess.polynomial if isinstance(guess, Path) else guess
         old = path.mesh
@@ -102,5 +120,5 @@ def _values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndar
         return np.stack([np.interp(times, calculus.mesh, row) for row in array])
     raise ValueError(
         f"the guess must have the shape ({d}, {len(calculus.mesh)}) for values at the joints or "
-        f"({d}, {len(times)}) at all nodes, got {array.shape}"
+        f"({d}, {len(times)}) at all nodes, got {array.shape}; a pair (times, values) fits any mesh"
     )

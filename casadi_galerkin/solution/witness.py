@@ -137,7 +137,10 @@ def _between_breakpoints(
     of_steps = np.append(steps, steps[-1])
     mass = pointwise.mass([at_joints(block) * of_steps for block in blocks])
     velocity, missing = at_joints(v), momentum - at_joints(slope)
-    correction = np.einsum("it,tij,jt->t", missing, np.linalg.pinv(mass, rcond=EPS, hermitian=True), missing) / 2
+    values, vectors = np.linalg.eigh(mass)
+    regular = np.abs(values) > EPS * np.max(np.abs(values), axis=1, keepdims=True)
+    inverse = np.divide(1.0, values, out=np.zeros_like(values), where=regular)
+    correction = np.sum(np.einsum("it,tij->tj", missing, vectors) ** 2 * inverse, axis=1) / 2
     kinetic = np.sum(momentum * velocity, axis=0)
     energy = kinetic - at_joints(lagrangian)[0] / of_steps + correction
     supplied = 0 * steps if pointwise.supplied is None else integral(evaluate(pointwise.supplied)[0])

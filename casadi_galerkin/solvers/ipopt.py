@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -14,6 +13,7 @@ import numpy as np
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 from casadi_galerkin.solvers.stationarity import Stationarity
@@ -60,7 +60,7 @@ def _interior_point(
     options: Mapping[str, Any],
 ) -> Solution:
     name = "IPOPT on the action" if minimize else "IPOPT"
-    seconds = stationarity.deadline - time.perf_counter()
+    seconds = seconds_left()
     if seconds <= 0:
         raise SolveFailure(f"the time was up before {name} began", guess, 0)
     limited = options if math.isinf(seconds) else {"max_wall_time": seconds, **options}

@@ -5,6 +5,7 @@ They are kept for all Lagrangians with that sparsity.  Nothing in them is writte
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import casadi as ca
@@ -224,13 +225,14 @@ class LinearSolver:
         outputs = {"residual": residual, "regularity": ca.if_else(comparable, quotient, 0)}
         return self._function("verification", inputs, outputs)
 
-    def negative_eigenvalues(self, matrix: ca.DM) -> int:
+    def negative_eigenvalues(self, matrix: ca.DM, keep: Callable[[str, Callable[[], ca.Linsol]], ca.Linsol]) -> int:
         """Number of negative eigenvalues among the directions that keep the conditions, from the inertia of LDLᵀ.
 
-        Where a pivot is exactly zero, those of a matrix that is so near that they have the same signs.
+        Where a pivot is exactly zero, those of a matrix that is so near that they have the same signs.  Room for the
+        factors is kept with a solve, because a Linsol keeps what it factored last.
         """
         softened = self.softened(matrix) + 0 * ca.DM.eye(self.numbering.free)  # with its whole diagonal
-        factors = ca.Linsol("inertia", "ldl", softened.sparsity())  # its own: a Linsol keeps what it factored last
+        factors = keep("inertia", lambda: ca.Linsol("inertia", "ldl", softened.sparsity()))
         with without_zero_pivots:
             factors.nfact(softened)
             if factors.rank(softened) < self.numbering.free:

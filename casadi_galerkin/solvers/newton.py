@@ -9,13 +9,13 @@ the terms it sums and of what the rounding of the unknowns themselves does to it
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 
 import numpy as np
 
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.linear_solver import LOCAL
 from casadi_galerkin.solvers.second_variation import SINGULAR, softest
 from casadi_galerkin.solvers.stationarity import ROUNDOFF, Iterate, Linearization, Stationarity
@@ -120,7 +120,7 @@ def _check_going_on(linear: Linearization, at: Iterate, iteration: int) -> None:
     if not math.isfinite(at.norm):
         finite = bool(np.isfinite(linear.matrix).all())
         raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=finite)
-    if time.perf_counter() > linear.stationarity.deadline:
+    if seconds_left() < 0:
         raise SolveFailure("the time was up", at.unknowns, iteration)
 
 

@@ -67,4 +67,6 @@ def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data:
     if len(unknowns) == 0:
         return 0
     with fork_waits:
-        return linear.negative_eigenvalues(functional.function("derivatives").call([unknowns, *data])[0])
+        matrix = functional.function("derivatives").call([unknowns, *data])[0]
+        with stationarity.linearization() as at:
+            return linear.negative_eigenvalues(matrix, at.keep)

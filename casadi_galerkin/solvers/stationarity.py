@@ -53,7 +53,6 @@ class Stationarity:
     Parameters
     ----------
     functional : Functional
-    deadline : of ``time.perf_counter()``, at which a solve stops
 
     Attributes
     ----------
@@ -64,8 +63,8 @@ class Stationarity:
     variational : whether the conditions are those of an action that may be lowered, under conditions if there are some
     """
 
-    def __init__(self, functional: Functional, deadline: float = math.inf) -> None:
-        self.functional, self.deadline = functional, deadline
+    def __init__(self, functional: Functional) -> None:
+        self.functional = functional
         self.linear_solver = linear_solver(functional)
         pointwise, plain = functional.pointwise, not (functional.terms or functional.numbering.stretched)
         self.variational = functional.symmetric and not functional.numbering.stretched

@@ -18,14 +18,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
 from casadi_galerkin._solve import solve, transcribe
-from casadi_galerkin.boundary.refinement import first_mesh
+from casadi_galerkin.boundary.branches import jumps
+from casadi_galerkin.boundary.variations import nearest, values_of
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
@@ -39,11 +40,13 @@ from casadi_galerkin.solution.trajectory import Trajectory
 
 FIELDS = (*VARIED, "t_span", "guess")
 CHUNKS, LARGEST_CHUNK = 64, 50  # enough chunks to keep workers equally busy; few enough that sending costs little
+SMALLEST_NEIGHBOURHOOD = 4  # variations about one that has to be solved before
 _one_at_a_time = threading.Lock()  # a worker of a cluster may run several chunks in threads of one process
 
 Variation = Mapping[str, Any]
 Answer = Trajectory | Exception
 Answers = dict[int, Answer]  # by the number of the variation
+Known = tuple[np.ndarray, Trajectory]  # the given values of a problem, and its path
 
 
 class CutShort(ConvergenceError):
@@ -138,6 +141,23 @@ class Sweep(Table):
             **ends("momentum"),
         }
 
+    @lazy
+    def jumps(self) -> dict[int, int]:
+        """Number of the variation -> number of its neighbour, for those on another branch than their neighbour.
+
+        A neighbour is the nearest variation that was solved and comes before.  Two variations are on different branches
+        where their Morse indices differ, or where the action changes by more than its derivatives at both explain.
+        Branches that differ in neither, such as mirror images, are not told apart; under constraints, end conditions,
+        forces and a given energy only the index counts.
+        """
+        found = {}
+        for i, answer in enumerate(self.answers):
+            if isinstance(answer, Trajectory):
+                if not isinstance(answer.problem, BoundaryProblem):
+                    raise ValueError("jumps between branches are told for boundary problems only")
+                found[i] = answer.problem, answer
+        return jumps(found)
+
     def _stacked(self, name: str) -> np.ndarray:
         found = {i: np.asarray(getattr(a, name)) for i, a in enumerate(self.answers) if isinstance(a, Trajectory)}
         shapes = {value.shape for value in found.values()}
@@ -150,12 +170,16 @@ class Sweep(Table):
         return stacked
 
     def __repr__(self) -> str:
-        """Summarise the sweep, with the reason of the first failure."""
+        """Summarise the sweep, with the first jump between branches and the reason of the first failure."""
         failures = self.failures
         text = f"Sweep of {len(self)} variation{'s' * (len(self) != 1)}, {len(self) - len(failures)} solved"
         cut_short = sum(isinstance(error, CutShort) for error in failures.values())
         if cut_short:
             text += f", {cut_short} cut short"
+        boundary = all(isinstance(a.problem, BoundaryProblem) for a in self.answers if isinstance(a, Trajectory))
+        if boundary and self.jumps:
+            i, neighbour = next(iter(self.jumps.items()))
+            text += f"\n  on another branch than their neighbours: {len(self.jumps)}, first {i} beside {neighbour}"
         if not failures:
             return text
         first, error = next(iter(failures.items()))
@@ -183,7 +207,10 @@ def sweep(
     variations : dicts of what differs from the problem: `start`, `end`, `parameters`, `t_span`; the velocities and
         momenta at the ends, and the energy, where the problem states them; and `guess`, as for `solve`, which with a
         process pool has to be picklable (an array, a Trajectory, a module's function)
-    method, intervals, tol : as for `solve`; with `tol`, every variation gets a mesh of its own
+    method, intervals : as for `solve`
+    tol : as for `solve`; each variation of a boundary problem without a guess of its own starts from the path and the
+        mesh of the nearest one that is solved, and so stays on its branch; see `Sweep.jumps`.  Variations of a control
+        problem get a mesh of their own each
     executor : any Executor of processes in the sense of `concurrent.futures`; default none, one after the other.
         Not of threads: CasADi Functions are not thread-safe
 
@@ -224,12 +251,10 @@ def sweep(
     answers: Answers = {}
     with tqdm(total=len(checked), unit="solve", disable=None) as bar, suppress(KeyboardInterrupt):
         if executor is None:
-            for i, variation in enumerate(checked):
-                answers[i] = _answer(solver, variation)
-                bar.update()
+            _solve_here(solver, checked, answers, bar)
         else:
             pickled = pickle.dumps(arguments)
-            _solve_chunks(executor, pickled, checked, answers, bar)
+            _solve_chunks(solver, executor, pickled, checked, answers, bar)
             _solve_lost(executor, pickled, checked, answers, bar)
     interrupted = "the sweep was interrupted before this variation was solved"
     return Sweep(tuple(answers[i] if i in answers else CutShort(interrupted) for i in range(len(checked))))
@@ -256,15 +281,46 @@ def _checked(problem: BoundaryProblem | ControlProblem, number: int, variation: 
     return checked
 
 
+class Neighbours:
+    """What solves variations of a boundary problem to a tolerance, each from the nearest that is solved.
+
+    A variation with a guess of its own is solved from that, on the mesh of its neighbour.
+    """
+
+    def __init__(self, problem: BoundaryProblem, method: Galerkin | None, intervals: int | None, tol: float) -> None:
+        self._problem, self._transcription = problem, transcribe(problem, method, intervals, tol=tol)
+
+    def varied(self, variation: Variation) -> BoundaryProblem:
+        """The problem of a variation."""
+        given = {name: value for name, value in variation.items() if name in VARIED}
+        return self._problem.varied(given, variation.get("t_span", self._problem.t_span))
+
+    def solve(self, variation: Variation, known: Sequence[Known]) -> Trajectory:
+        """Solve from the nearest known path; where that leads to none, from the straight line."""
+        problem = self.varied(variation)
+        if not known:
+            return self._transcription.found(problem, variation.get("guess"), None)
+        values = np.array([values_of(problem), *(place for place, _ in known)])
+        near, guess = known[nearest(values[0], values[1:], np.ptp(values, axis=0))][1], variation.get("guess")
+        try:
+            return self._transcription.found(problem, near if guess is None else guess, near)
+        except ConvergenceError:
+            if guess is not None:
+                raise
+            return self._transcription.found(problem, None, None)
+
+
+Solve = Callable[[Variation], Trajectory]
+
+
 def _solver(
     problem: BoundaryProblem | ControlProblem, method: Galerkin | None, intervals: int | None, tol: float | None
-) -> Callable[[Variation], Trajectory]:
-    """What solves one variation: a graph built once, or with a tolerance one refinement each."""
+) -> Solve | Neighbours:
+    """What solves the variations: a graph built once, or with a tolerance a control problem's refinement each."""
     if tol is not None:
-        if isinstance(problem, ControlProblem):  # refuses here what would fail in every variation
-            first_control_mesh(problem, tol, method, intervals, None)
-        else:
-            first_mesh(problem, tol, method, intervals, None)
+        if isinstance(problem, BoundaryProblem):
+            return Neighbours(problem, method, intervals, tol)
+        first_control_mesh(problem, tol, method, intervals, None)  # refuses here what would fail in every variation
 
         def refined(variation: Variation) -> Trajectory:
             fields = {name: value for name, value in variation.items() if name in VARIED}
@@ -285,12 +341,31 @@ def _solver(
     return solved
 
 
-def _answer(solver: Callable[[Variation], Trajectory], variation: Variation) -> Answer:
+def _answer(solver: Solve, variation: Variation) -> Answer:
     try:
         return solver(variation)
     except Exception as error:  # a guess may raise anything
         error.__cause__ = error.__context__ = None  # their frames, like those of the error, would keep arrays alive
         return error.with_traceback(None)
+
+
+def _answers(solver: Solve | Neighbours, variations: Sequence[Variation], known: Sequence[Known]) -> Iterator[Answer]:
+    """Answers one after the other; with a tolerance each may start from those before and from paths that are known."""
+    paths = list(known)
+    for variation in variations:
+        if isinstance(solver, Neighbours):
+            answer = _answer(partial(solver.solve, known=paths), variation)
+            paths += _known(answer)
+            yield answer
+        else:
+            yield _answer(solver, variation)
+
+
+def _known(answer: Answer | None) -> list[Known]:
+    """What other variations may start from."""
+    if not isinstance(answer, Trajectory) or not isinstance(answer.problem, BoundaryProblem):
+        return []
+    return [(values_of(answer.problem), answer)]
 
 
 def _named(error: BaseException) -> str:
@@ -308,16 +383,15 @@ def _sendable(answer: Answer) -> Answer:
 
 
 @lru_cache(1)
-def _unpickled(pickled: bytes) -> Callable[[Variation], Trajectory]:
+def _unpickled(pickled: bytes) -> Solve | Neighbours:
     """A worker's own solver, kept from chunk to chunk."""
     return _solver(*pickle.loads(pickled))
 
 
-def _chunk(pickled: bytes, variations: Sequence[Variation]) -> list[Answer]:
+def _chunk(pickled: bytes, variations: Sequence[Variation], known: Sequence[Known] = ()) -> list[Answer]:
     """What a worker does."""
     with _one_at_a_time:
-        solver = _unpickled(pickled)
-        return [_sendable(_answer(solver, variation)) for variation in variations]
+        return [_sendable(answer) for answer in _answers(_unpickled(pickled), variations, known)]
 
 
 def _alone(pickled: bytes, variations: Sequence[Variation], number: int) -> list[Answer]:  # noqa: ARG001
@@ -325,16 +399,93 @@ def _alone(pickled: bytes, variations: Sequence[Variation], number: int) -> list
     return _chunk(pickled, variations)
 
 
+@dataclass(frozen=True)
+class Chunk:
+    """Numbers of variations that are solved one after the other, and paths that they may start from."""
+
+    numbers: Sequence[int]
+    known: Sequence[Known] = ()
+
+
+def _chunks(count: int) -> list[Chunk]:
+    """Chunks in the order given."""
+    size = min(LARGEST_CHUNK, -(-count // CHUNKS) or 1)
+    return [Chunk(range(first, min(first + size, count))) for first in range(0, count, size)]
+
+
+def _neighbourhoods(
+    solver: Neighbours,
+    variations: Sequence[Variation],
+    answers: Answers,
+    bar: tqdm[Any],
+    solved: Callable[[Sequence[Variation], Sequence[Known]], list[Answer]],
+) -> list[Chunk]:
+    """Chunks of variations that are near one another, each about one that is solved first, those farther off later.
+
+    The first ones are solved here, the nearest to one that is solved before the others.  Chunks are the same whoever
+    solves them, so that the answers are, too.
+    """
+    count = len(variations)
+    size = min(LARGEST_CHUNK, max(SMALLEST_NEIGHBOURHOOD, -(-count // CHUNKS)))
+    values = np.array([values_of(solver.varied(variation)) for variation in variations])
+    scaled = values / [spread if spread > 0 else 1.0 for spread in np.ptp(values, axis=0)] if count else values
+    centres = np.arange(0, count, size)
+    apart = np.array([np.sum((scaled - scaled[centre]) ** 2, axis=1) for centre in centres]).reshape(-1, count)
+    waiting = np.where(centres == 0, 0.0, np.inf)  # distances from what is solved; NaN for what is
+    begins: dict[int, list[Known]] = {}
+    for _ in centres:
+        i = int(np.nanargmin(waiting))
+        first = int(centres[i])
+        order = sorted(begins, key=lambda k: float(apart[k, first]))
+        near = next((begins[k] for k in order if begins[k]), [])
+        with suppress(Exception):  # of a worker; it is solved again with what is lost
+            (answers[first],) = solved([variations[first]], near)
+        begins[i] = _known(answers.get(first))
+        waiting = np.minimum(waiting, apart[i, centres])
+        waiting[i] = np.nan
+        bar.update()
+    belongs = np.argmin(apart, axis=0)
+    chunks = []
+    for i, begin in begins.items():
+        own = np.flatnonzero(belongs == i)
+        own = own[np.argsort(apart[i, own], kind="stable")]
+        chunks.append(Chunk([k for k in own.tolist() if k != centres[i]], begin))
+    return chunks
+
+
+def _solve_here(solver: Solve | Neighbours, variations: Sequence[Variation], answers: Answers, bar: tqdm[Any]) -> None:
+    """Solve all in this process."""
+    chunks = [Chunk(range(len(variations)))]
+    if isinstance(solver, Neighbours):
+        chunks = _neighbourhoods(solver, variations, answers, bar, lambda *given: list(_answers(solver, *given)))
+    for chunk in chunks:
+        some = [variations[i] for i in chunk.numbers]
+        for i, answer in zip(chunk.numbers, _answers(solver, some, chunk.known), strict=True):
+            answers[i] = answer
+            bar.update()
+
+
 def _solve_chunks(
-    executor: Executor, pickled: bytes, variations: Sequence[Variation], answers: Answers, bar: tqdm[Any]
+    solver: Solve | Neighbours,
+    executor: Executor,
+    pickled: bytes,
+    variations: Sequence[Variation],
+    answers: Answers,
+    bar: tqdm[Any],
 ) -> None:
     """Solve all chunks; those of a worker that fails are left out."""
-    size = min(LARGEST_CHUNK, -(-len(variations) // CHUNKS) or 1)
-    futures: dict[Future[list[Answer]], int] = {}
+
+    def submitted(some: Sequence[Variation], known: Sequence[Known]) -> Future[list[Answer]]:
+        return executor.submit(_chunk, pickled, some, known)
+
+    chunks = _chunks(len(variations))
+    if isinstance(solver, Neighbours):
+        chunks = _neighbourhoods(solver, variations, answers, bar, lambda *given: submitted(*given).result())
+    futures: dict[Future[list[Answer]], Sequence[int]] = {}
     try:
-        for first in range(0, len(variations), size):
+        for chunk in chunks:
             try:
-                futures[executor.submit(_chunk, pickled, variations[first : first + size])] = first
+                futures[submitted([variations[i] for i in chunk.numbers], chunk.known)] = chunk.numbers
             except Exception:
                 if not futures:
                     raise  # it has never worked
@@ -343,9 +494,9 @@ def _solve_chunks(
             with suppress(Exception):
                 bar.update(len(future.result()))
     finally:  # also after an interrupt, be it here or in a worker
-        for future, first in futures.items():
+        for future, numbers in futures.items():
             if not future.cancel() and future.done() and future.exception() is None:
-                answers.update(enumerate(future.result(), first))
+                answers.update(zip(numbers, future.result(), strict=True))
 
 
 def _solve_lost(

@@ -8,6 +8,7 @@ import pytest
 from scenes import BY_NAME, TROESCH, boundary_layer, bratu, bratu_theta, oscillator, pendulum, troesch
 
 import casadi_galerkin as cg
+from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.boundary.refinement import BoundaryRefinement
 
 TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
@@ -312,7 +313,7 @@ def test_an_estimate_without_a_newton_step_is_infinite():
     """Where the higher degree leaves the domain of the Lagrangian, its Newton step is not finite."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.sqrt(x[0]), (0, 1), [-1.0], [1.0])
     method = cg.Galerkin(2)
-    refinement = BoundaryRefinement(problem, 1e-3, method, cg.newton, cg.Limits(), verbose=0)
+    refinement = BoundaryRefinement(Levels(problem), 1e-3, method, cg.newton, cg.Limits(), verbose=0)
     line = cg.transcribe(problem, method, 4).guess_on_mesh(None, np.linspace(0, 1, 5))
     assert refinement.error(line) == np.inf
 

@@ -36,6 +36,15 @@ sine = ca.Function("sine", [TIME], [ca.sin(TIME)])
         (lambda t: None, TypeError, "values of the guess must be real numbers, got None"),
         (lambda t: [1 / (t - 0.5)], ValueError, "the guess failed at t = 0.5: .*division by zero"),
         (lambda t: {"x": t}, TypeError, "values of the guess must be real numbers, got {'x': 0.0}"),
+        (
+            ([0, 1], [[0, 1, 2]]),
+            ValueError,
+            r"\(times, values\) with values of shape \(1, 2\) for 2 times, got \(1, 3\)",
+        ),
+        (([0, 1], [0, 1]), ValueError, r"\(times, values\) with values of shape \(1, 2\) for 2 times, got \(2,\)"),
+        (([1, 0], [[0, 1]]), ValueError, r"its times are no mesh: .* must increase, got t\[0\] = 1.0 and t\[1\] = 0.0"),
+        ((lambda t: [t], lambda t: [t]), TypeError, r"a pair as guess is \(times, values\), and its times are no mesh"),
+        (([0, 1], [[0, np.nan]]), ValueError, "the guess must be finite"),
         ([[0, 0, 0, 0, True]], TypeError, r"the guess must be real numbers, got True at \[0, 4\]"),
         (np.ma.array([range(5)], mask=[[0, 0, 0, 1, 0]]), ValueError, r"no masked values, got one at \[0, 3\]"),
         (lambda: [0.0], TypeError, "takes 0 positional arguments but 1 was given"),
@@ -75,6 +84,23 @@ def test_guesses_of_every_kind_lead_to_the_path_they_are_near():
         assert path.action == pytest.approx(wanted.action, rel=1e-13)
         np.testing.assert_allclose(path.x, wanted.x, rtol=0, atol=1e-12)
     assert tr.solve(guess=wanted).iterations == 1
+
+
+def test_a_pair_of_times_and_values_is_joined_by_lines_on_any_mesh():
+    times, values = [0.0, 0.3, 1.0], [[0.0, 2.0, 1.0], [1.0, 1.0, 0.0]]
+    calculus = cg.DiscreteCalculus(METHOD, [0.0, 0.4, 0.5, 1.0])
+    expected = [np.interp(calculus.node_times, times, row) for row in values]
+    np.testing.assert_allclose(guess_values((times, values), calculus, 2), expected, rtol=0, atol=1e-15)
+    later = cg.DiscreteCalculus(METHOD, [5.0, 5.8, 6.0, 7.0])  # the same on other times
+    np.testing.assert_allclose(guess_values((times, np.array(values)), later, 2), expected, rtol=0, atol=1e-14)
+
+
+def test_corners_of_a_guess_are_not_resolved():
+    problem = cg.BoundaryProblem(pendulum, (0, 1), [0.0], [1.0])
+    times, values = np.linspace(0, 1, 8), np.array([0.0, 0.3, 0.2, 0.5, 0.6, 0.5, 0.9, 1.0])
+    guesses = [None, (times, values[None]), lambda t: [np.interp(t, times, values)]]
+    paths = [cg.solve(problem, tol=1e-6, guess=guess) for guess in guesses]
+    assert len({len(path.t) for path in paths}) == 1
 
 
 def test_a_guess_on_another_time_span_is_stretched():

@@ -174,15 +174,82 @@ def test_guess_of_a_variation_is_its_own():
     assert (low.morse_index, high.morse_index) == (0, 1)
 
 
-def test_with_a_tolerance_every_path_has_its_own_mesh():
+def test_with_a_tolerance_every_path_keeps_it():
     sweep = cg.sweep(bratu(), [{"parameters": [0.01]}, {"parameters": [3.5]}, {"parameters": [9.0]}], tol=1e-8)
     assert sweep[0].error_estimate <= 1e-8
     assert sweep[1].error_estimate <= 1e-8
     assert list(sweep.failures) == [2]
     np.testing.assert_allclose(sweep.action[:2], [sweep[0].action, sweep[1].action])
-    if len(sweep[0].t) != len(sweep[1].t):
-        with pytest.raises(ValueError, match="different meshes"):
-            operator.attrgetter("x")(sweep)
+
+
+def test_paths_on_different_meshes_make_no_array():
+    def lagrangian(t, x, v, p):
+        return p[0] * v[0] ** 2 / 2 + x[0] ** 2 / 2
+
+    layers = cg.BoundaryProblem(lagrangian, (0.0, 1.0), [1.0], [0.0], parameters=[0.1])
+    sweep = cg.sweep(layers, [{"parameters": [width]} for width in (0.1, 1e-8)], tol=1e-6)
+    assert len(sweep[0].t) != len(sweep[1].t)
+    with pytest.raises(ValueError, match="different meshes"):
+        operator.attrgetter("x")(sweep)
+
+
+def lambert(count, seed=None):
+    """From one place to others round the sun, in order or not; from straight lines half of them go the other way."""
+
+    def lagrangian(t, x, v):
+        return ca.dot(v, v) / 2 + 1 / ca.norm_2(x)
+
+    angles = np.linspace(2.0, 4.0, count)
+    angles = angles if seed is None else np.random.default_rng(seed).permutation(angles)
+    ends = [{"end": [1.3 * float(np.cos(a)), 1.3 * float(np.sin(a))]} for a in angles]
+    return cg.BoundaryProblem(lagrangian, (0.0, 3.0), [1.0, 0.0], ends[0]["end"]), ends
+
+
+@pytest.mark.parametrize("seed", [None, 0])
+def test_with_a_tolerance_neighbours_are_on_one_branch(seed, pool):
+    problem, ends = lambert(41, seed)
+    ends[0]["guess"] = lambert_guess(ends[0]["end"])
+    sweep = cg.sweep(problem, ends, tol=1e-7)
+    assert not sweep.failures
+    assert not sweep.jumps
+    turned = [path.x[0, 0] * path.momentum[1, 0] - path.x[1, 0] * path.momentum[0, 0] for path in sweep]
+    assert min(turned) > 0
+    identical(cg.sweep(problem, ends, tol=1e-7, executor=pool), sweep)
+
+
+def lambert_guess(end):
+    """A pair (times, values): an arc against the clock."""
+    angle = np.linspace(0, np.arctan2(end[1], end[0]) % (2 * np.pi), 9)
+    return np.linspace(0, 3, 9), np.linspace(1, 1.3, 9) * np.array([np.cos(angle), np.sin(angle)])
+
+
+def test_variations_on_another_branch_are_told():
+    rates = [{"parameters": [rate]} for rate in np.linspace(0.8, 1.2, 9)]
+    rates[5]["guess"] = arched
+    sweep = cg.sweep(bratu(), rates, METHOD, INTERVALS)
+    assert [path.morse_index for path in sweep] == [0, 0, 0, 0, 0, 1, 0, 0, 0]
+    assert sweep.jumps == {5: 4, 6: 5}
+    assert str(sweep) == (
+        "Sweep of 9 variations, 9 solved\n  on another branch than their neighbours: 2, first 5 beside 4"
+    )
+
+
+def test_the_other_way_round_the_sun_is_another_branch_of_the_same_index():
+    problem, ends = lambert(8)
+    for end in ends:
+        end["guess"] = lambert_guess(end["end"])
+    times, arc = lambert_guess([1.3 * float(np.cos(2 * np.pi - 2.286)), 1.3 * float(np.sin(2 * np.pi - 2.286))])
+    ends[1]["guess"] = times, arc * np.array([[1.0], [-1.0]])
+    sweep = cg.sweep(problem, ends, METHOD, 20)
+    assert {path.morse_index for path in sweep} == {0}
+    assert sweep.jumps == {1: 0, 2: 1}
+
+
+def test_jumps_are_told_of_boundary_problems():
+    sweep = cg.sweep(double_integrator(position_bounds=(-1, 9)), PUSHES[:1], METHOD, INTERVALS)
+    with pytest.raises(ValueError, match="boundary problems only"):
+        operator.attrgetter("jumps")(sweep)
+    assert cg.sweep(bratu(), [], METHOD, INTERVALS).jumps == {}
 
 
 def test_a_guess_that_raises_is_one_failure():

@@ -1,0 +1,194 @@
+"""A boundary problem that is solved often and to a tolerance: the mesh of one path is where the next begins.
+
+A mesh and a degree that resolve one path mostly resolve those of other ends and parameters.  So what the first path
+was found on is kept, and later ones are solved on it.  The error of each is estimated; where it is too large, the
+same refinement that `solve` runs goes on from there.
+
+An earlier path is more than a guess, because its own problem is known.  Its node values are taken as they are, with the
+new ends: the first Newton step then is the tangent of the family of paths.  A path bent to the new ends instead was
+measured to need up to twice the iterations, or to be lost.  Where Newton's method does not follow in one step, it
+follows in several: ends, times and parameters are moved little by little (continuation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.boundary.graph import CriticalPoint
+from casadi_galerkin.boundary.levels import Levels
+from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_mesh
+from casadi_galerkin.boundary.transcription import check_given
+from casadi_galerkin.boundary.variations import between, ends_replaced, same_statement
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.numbers import time_span
+from casadi_galerkin.functional.mapping import by_rows
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
+from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solution.limits import Limits
+from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solvers.solver import Solver, newton
+
+STEPS = 1, 2, 4, 8  # in which the data of one path are moved to those of another
+
+
+class AdaptiveTranscription:
+    """A boundary problem with a tolerance, built once and solved often.
+
+    Parameters
+    ----------
+    problem : BoundaryProblem
+    tol, method, intervals, mesh, limits : as for `solve`
+
+    Attributes
+    ----------
+    first : Trajectory, the first path that was found, whose mesh and degree later solves begin with; None before
+
+    Examples
+    --------
+    >>> import casadi_galerkin as cg
+    >>> swing = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + x[0] ** 4, (0, 1), start=[0.0], end=[1.0])
+    >>> transcription = cg.transcribe(swing, tol=1e-9)
+    >>> paths = [transcription.solve(end=[end]) for end in (1.0, 1.1, 1.2)]
+    >>> all(path.error_estimate <= 1e-9 for path in paths), {len(path.t) for path in paths}
+    (True, {7})
+    """
+
+    def __init__(
+        self,
+        problem: BoundaryProblem,
+        tol: float,
+        method: Galerkin | None = None,
+        intervals: int | None = None,
+        mesh: ArrayLike | None = None,
+        limits: Limits | None = None,
+    ) -> None:
+        self.problem, self.tol, self.method, self.limits = problem, tol, method, limits or Limits()
+        self._coarse = first_mesh(problem, tol, method, intervals, mesh)
+        self._levels = Levels(problem, by_rows)
+        self.first: Trajectory | None = None
+
+    @property
+    def build_seconds(self) -> float:
+        """Seconds spent on building all graphs so far."""
+        return self._levels.build_seconds
+
+    def solve(
+        self,
+        start: Sequence[float | None] | None = None,
+        end: Sequence[float | None] | None = None,
+        parameters: Sequence[float] | None = None,
+        guess: Guess | None = None,
+        t_span: Sequence[float] | None = None,
+        solver: Solver = newton,
+        verbose: int = 0,
+        **given: Sequence[float | None] | float,
+    ) -> Trajectory:
+        """Solve for the path to the tolerance; whatever is left out is taken from the problem.
+
+        Parameters
+        ----------
+        t_span : times of the ends, to which meshes are stretched
+        start, end, parameters, solver, given : as for `Transcription.solve`
+        guess : the same; from an earlier path of this problem, with other ends, times or parameters, the path is
+            followed to the new ones on its own mesh.  Where it is lost, it is a guess as any other; near a fold its
+            `morse_index` tells whether it has changed its branch
+        verbose : 1 prints a line per level and a summary
+
+        Raises
+        ------
+        LimitReached, ConjugatePointError, ConvergenceError, ValueError, TypeError
+            as for `solve`
+        """
+        check_given(given)
+        changes = {"start": start, "end": end, "parameters": parameters, **given}
+        changes = {name: value for name, value in changes.items() if value is not None}
+        problem = self.problem.varied(changes, self.problem.t_span if t_span is None else time_span(t_span))
+        path = self.found(problem, guess, self.first, solver, verbose)
+        self.first = self.first or path
+        if verbose:
+            print(path)
+        return path
+
+    def found(
+        self,
+        problem: BoundaryProblem,
+        guess: Guess | None,
+        kept: Trajectory | None,
+        solver: Solver = newton,
+        verbose: int = 0,
+    ) -> Trajectory:
+        """Solve for the path of a problem that is `varied` from this one's.
+
+        Parameters
+        ----------
+        guess, solver, verbose : as for `solve`
+        kept : a path whose mesh is tried first, unless the guess brings its own
+        """
+        known = guess if isinstance(guess, Trajectory) and same_statement(guess.problem, problem) else None
+        if known is not None and problem.energy is not None:  # the duration is found, too
+            problem = problem.varied({}, (problem.t_span[0], problem.t_span[0] + float(known.t[-1] - known.t[0])))
+        levels = self._levels.of(problem)
+        refinement = BoundaryRefinement(levels, self.tol, self.method, solver, self.limits, verbose)
+        refinement.lasting = True
+        try:
+            if known is not None:
+                return self._followed(refinement, known)
+            if kept is not None:
+                mesh = self._stretched(kept.t, problem.t_span)
+                return refinement.resume(levels.solve(kept.method, mesh, guess, refinement.at_once))
+        except LimitReached:
+            raise
+        except ConvergenceError:
+            pass  # what the first path is found by may find this one
+        return refinement.run(self._stretched(self._coarse, problem.t_span), guess)
+
+    def _followed(self, refinement: BoundaryRefinement, known: Trajectory) -> Trajectory:
+        """The path that a known one of other given values leads to, on its mesh: with its Morse index, if possible.
+
+        Another index tells of another branch.  It stays where the smallest steps lead to it, too: beyond a conjugate
+        point.
+        """
+        found: Trajectory | ConvergenceError
+        constrained = refinement.levels.problem.constraint is not None
+        for steps in STEPS[:1] if constrained else STEPS:  # halfway, ends may miss the constraint
+            try:
+                found = refinement.resume(self._moved(refinement, known, steps))
+            except LimitReached:
+                raise
+            except ConvergenceError as failure:
+                found = failure
+            else:
+                if found.morse_index == known.morse_index:
+                    return found
+        if isinstance(found, ConvergenceError):
+            raise found
+        return found
+
+    def _moved(self, refinement: BoundaryRefinement, known: Trajectory, steps: int) -> CriticalPoint:
+        """Move the given values of a known path in so many steps, on its mesh."""
+        levels, path = refinement.levels, known.polynomial.values
+        assert isinstance(known.problem, BoundaryProblem)
+        for step in range(1, steps + 1):
+            problem = levels.problem if step == steps else between(known.problem, levels.problem, step / steps)
+            mesh, guess = self._stretched(known.t, problem.t_span), ends_replaced(path, problem)
+            point = levels.solve(known.method, mesh, guess, refinement.at_once, problem)
+            path = point.polynomial.values
+        return point
+
+    def _stretched(self, mesh: np.ndarray, span: tuple[float, float]) -> np.ndarray:
+        """Joints over another time span; breakpoints stay where they are."""
+        fixed = self.problem.breakpoints
+        return np.asarray(np.interp(mesh, [mesh[0], *fixed, mesh[-1]], [span[0], *fixed, span[1]]))
+
+    def __repr__(self) -> str:
+        """Say what was built, and what mesh is kept."""
+        words = (
+            f"AdaptiveTranscription of a boundary problem of {self.problem.dimension} component(s), tol={self.tol:g}"
+        )
+        if self.first is None:
+            return f"{words}: nothing solved yet"
+        return f"{words}: first path of degree {self.first.method.degree} on {len(self.first.t) - 1} intervals"

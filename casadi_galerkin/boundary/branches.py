@@ -1,0 +1,96 @@
+"""Whether paths of neighbouring problems lie on one branch: how the action changes from one to the other.
+
+Along a smooth family of critical points the action changes by its partial derivatives by the data alone, since its
+derivatives by the path vanish: dS = p_N·dx_N - p_0·dx_0 - E_N dt_N + E_0 dt_0 + ∂S/∂p·dp.  Where S is convex or concave
+between two of them, its change lies between those that the slopes at both promise.  A path of another branch has
+another action.  And it may have another Morse index, which changes along a family at conjugate points only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.boundary.levels import Levels
+from casadi_galerkin.boundary.transcription import SecondVariation, Transcription
+from casadi_galerkin.boundary.variations import nearest, values_of
+from casadi_galerkin.functional.functional import Functional, Parts
+from casadi_galerkin.functional.mapping import by_rows
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.solution.trajectory import Trajectory
+
+UNKNOWN = object()
+ROUGH = 1e-6  # part of the action that may be the error of a coarse mesh
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a path stands in a family: given values, Morse index, action and its slopes by the given values.
+
+    The last two are NaN under constraints and end conditions, and where no action is stationary.
+    """
+
+    values: np.ndarray
+    index: int | None
+    action: float
+    slopes: np.ndarray
+
+    def apart(self, other: Place) -> bool:
+        """Whether two neighbours lie on different branches."""
+        step = self.values - other.values
+        here, there = float(self.slopes @ step), float(other.slopes @ step)
+        allowed = (abs(here) + abs(there)) / 2 + ROUGH * (abs(self.action) + abs(other.action))
+        return self.index != other.index or abs(self.action - other.action - (here + there) / 2) > allowed
+
+
+def jumps(paths: Mapping[int, tuple[BoundaryProblem, Trajectory]]) -> dict[int, int]:
+    """Number of a path -> number of its neighbour, for those that lie on another branch than their neighbour.
+
+    The neighbour of a path is the nearest one that comes before it.
+    """
+    if not paths:
+        return {}
+    numbers, values = list(paths), np.array([values_of(problem) for problem, _ in paths.values()])
+    spread, apart = np.ptp(values, axis=0), dict[int, int]()
+    places: list[Place] = []
+    levels = Levels(paths[numbers[0]][0], by_rows)
+    for k, (number, (problem, path)) in enumerate(paths.items()):
+        graph = levels.of(problem).transcription(path.method, path.t)
+        places.append(_place(graph, path, values[k]))
+        if k > 0:
+            i = nearest(values[k], values[:k], spread)
+            if places[k].apart(places[i]):
+                apart[number] = numbers[i]
+    return apart
+
+
+def _place(graph: Transcription, path: Trajectory, values: np.ndarray) -> Place:
+    problem, mesh = graph.problem, path.t
+    known = vars(path)  # a pickled path would build a graph of its own to find its index
+    index = (
+        known["morse_index"] if "morse_index" in known else SecondVariation(graph, problem, path.polynomial).negative()
+    )
+    if graph.numbering.multipliers or not graph.stationarity.variational:
+        return Place(values, index, np.nan, np.full(len(values), np.nan))
+    data = graph.data(mesh, problem)
+    found = _slopes(graph.functional).call([graph.unknowns(path.polynomial.values.T, data), *data])
+    action, at_start, at_end, by_joints, *further = (np.array(value).ravel() for value in found)
+    joints = [mesh[0], *problem.breakpoints, mesh[-1]]  # only the ends move
+    ways = np.zeros((2, len(joints)))
+    ways[0, 0] = ways[1, -1] = 1.0
+    by_times = [np.interp(mesh, joints, way) @ by_joints for way in ways]
+    return Place(values, index, float(action[0]), np.concatenate((by_times, at_start, at_end, *further)))
+
+
+def _slopes(functional: Functional) -> ca.Function:
+    """(ξ, data) -> S, and its derivatives by start, end, mesh, parameters and given momenta."""
+
+    def parts() -> Parts:
+        action, (_, *data) = functional.action(), functional.symbols.items()
+        names = ["action", *(f"by_{name}" for name, _ in data)]
+        return {}, names, [action, *(ca.densify(ca.gradient(action, symbol)) for _, symbol in data)]
+
+    return functional.keep("slopes", parts)

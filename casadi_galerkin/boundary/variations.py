@@ -1,0 +1,67 @@
+"""Problems that differ in given values only: how far apart they are, what lies between them, a path of one for another.
+
+The given values of a problem, its ends, times, parameters, velocities, momenta and energy, are one vector.
+"""
+
+from __future__ import annotations
+
+from itertools import chain
+
+import numpy as np
+
+from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem, says
+from casadi_galerkin.problems.problem import Problem
+
+Given = tuple[float | None, ...] | float | None
+
+
+def _given(problem: BoundaryProblem) -> dict[str, tuple[float | None, ...]]:
+    """All that is given, by name; None where a component is free."""
+    values: dict[str, Given] = {name: getattr(problem, name) for name in VARIED}
+    return {name: value if isinstance(value, tuple) else (value,) for name, value in values.items() if says(value)}
+
+
+def same_statement(one: Problem, other: BoundaryProblem) -> bool:
+    """Whether two problems have the same components given, so that one may be `varied` from the other."""
+    if not isinstance(one, BoundaryProblem):
+        return False
+    patterns = [
+        {name: [a is None for a in value] for name, value in _given(problem).items()} for problem in (one, other)
+    ]
+    return patterns[0] == patterns[1]
+
+
+def values_of(problem: BoundaryProblem) -> np.ndarray:
+    """All given numbers of a problem, its times first."""
+    return np.array([*problem.t_span, *(a for a in chain(*_given(problem).values()) if a is not None)])
+
+
+def between(one: BoundaryProblem, other: BoundaryProblem, share: float) -> BoundaryProblem:
+    """The problem whose given values are a share of the way from one problem's to another's."""
+    start, end = ((1 - share) * a + share * b for a, b in zip(one.t_span, other.t_span, strict=True))
+    before, after = _given(one), _given(other)
+    changes: dict[str, object] = {}
+    for name, values in after.items():
+        mixed = [
+            None if a is None or b is None else (1 - share) * a + share * b
+            for a, b in zip(before[name], values, strict=True)
+        ]
+        changes[name] = mixed[0] if name == "energy" else mixed
+    return other.varied(changes, (start, end))
+
+
+def ends_replaced(values: np.ndarray, problem: BoundaryProblem) -> np.ndarray:
+    """Node values (d, N m + 1) of a path with the ends of another problem, and nothing else changed."""
+    moved = values.copy()
+    for column, end in ((0, problem.start), (-1, problem.end)):
+        for row, value in zip(moved, end, strict=True):
+            row[column] = row[column] if value is None else value
+    if problem.periodic:
+        moved[:, -1] = moved[:, 0]
+    return moved
+
+
+def nearest(values: np.ndarray, known: np.ndarray, spread: np.ndarray) -> int:
+    """Number of the vector of given values, of those in the rows of `known`, that is nearest in units of a spread."""
+    apart = (known - values) / np.where(spread > 0, spread, 1.0)
+    return int(np.argmin(np.sum(apart**2, axis=1)))
