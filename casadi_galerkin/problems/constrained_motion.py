@@ -169,9 +169,9 @@ def check_constraint(problem: Problem, given: Mapping[str, tuple[float, tuple[fl
 def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v: tuple[float, ...]) -> None:
     """Refuse a given velocity at an end that leaves the constraint."""
     motion = unforced_motion_of(problem)
-    _, slope, _, rate, _, _ = (np.array(a) for a in motion(t, x, v))
-    still = np.array(motion(t, x, np.zeros(len(x)))[3])
-    missed = np.abs(rate.ravel()) / (np.abs(slope) @ np.abs(v) + np.abs(still.ravel()) + np.finfo(float).tiny)
+    matrix, _, _, rate, pull = (np.array(a) for a in motion(t, x, v))
+    terms = np.abs(matrix[len(x) :, : len(x)]) @ np.abs(v) + np.abs(pull.ravel())
+    missed = np.abs(rate.ravel()) / (terms + np.finfo(float).tiny)
     if np.any(missed > HELD):
         raise ValueError(
             f"{name}_velocity must be tangent to the constraint at the {name}, got {list(v)}: the rate of its value "

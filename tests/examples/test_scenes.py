@@ -547,6 +547,35 @@ def a_sample_of_the_plant(module, answer):
     np.testing.assert_allclose(states[2:, 21], stepped.velocity[:, -1], rtol=0, atol=1e-4)
 
 
+def crane_in_balance(module, paths):
+    """The force found, applied to the crane in its own coordinates, and the rope's force from the load's motion."""
+    path, angle = paths
+    assert path.cost == pytest.approx(angle.cost, rel=1e-8)
+    assert np.max(np.abs(np.hypot(path.x[1] - path.x[0], path.x[2]) - module.ROPE)) <= 1e-12
+
+    def rates(y, u):
+        swing, spin = y[1], y[3]
+        mass = np.array([[module.TROLLEY + module.LOAD, module.LOAD * module.ROPE * np.cos(swing)]])
+        mass = np.vstack((mass, [np.cos(swing), module.ROPE]))
+        load = [1000 * u[0] + module.LOAD * module.ROPE * np.sin(swing) * spin**2, -module.GRAVITY * np.sin(swing)]
+        return np.concatenate((y[2:], np.linalg.solve(mass, load)))
+
+    np.testing.assert_allclose(flown(rates, path, [0, 0, 0, 0]), [module.WAY, 0, 0, 0], rtol=0, atol=1e-4)
+    swing, spin = angle.x[1], angle.velocity[1]
+    force = 1000 * np.append(angle.control(angle.t[:-1])[0], angle.control.at(np.ones(1))[0, -1])
+    across = (force + module.LOAD * np.sin(swing) * (module.ROPE * spin**2 + module.GRAVITY * np.cos(swing))) / (
+        module.TROLLEY + module.LOAD * np.sin(swing) ** 2
+    )
+    pull = module.LOAD * (module.GRAVITY * np.cos(swing) + module.ROPE * spin**2 - across * np.sin(swing))
+    np.testing.assert_allclose(module.tension(path), pull, rtol=1e-4)
+
+
+def cable_as_integrated(module, path):
+    assert np.max(np.abs(path.x[0] - module.exact(path.t))) <= 1e-13
+    assert path.momentum[0, -1] == pytest.approx(-module.SPRING * path.x[0, -1], rel=1e-13)
+    assert path.velocity[0, 0] == pytest.approx(module.INCLINATION, rel=1e-12)
+
+
 TABLE = [
     ("lambert", vallados_velocities, "the Lambert transfer has Vallado's velocities"),
     ("lambert", keplers_invariants, "the Lambert transfer conserves energy and angular momentum"),
@@ -610,6 +639,8 @@ TABLE = [
     ("low_thrust", primer_vector, "thrust is the primer vector and costs little more than a slow spiral"),
     ("low_thrust", wider_circle, "the spacecraft arrives on the wider circle"),
     ("low_thrust", cheapest_angle, "the angle of arrival is the cheapest"),
+    ("crane", crane_in_balance, "the crane's load arrives at rest, and its rope's force is that of the load's motion"),
+    ("elastic_support", cable_as_integrated, "the cable is that integrated by hand, in balance with its spring"),
     ("obstacle", passed_below, "the vehicle passes below at the exact cost"),
     ("swing_up_loop", upright_in_the_loop, "planned anew from noisy states the pole stands upright, knocked or not"),
     ("swing_up_loop", a_sample_of_the_plant, "the plant of the loop moves as its Lagrangian says"),

@@ -1,0 +1,57 @@
+"""A taut cable with ice hangs from a guide, which gives its inclination, to an elastic support, which gives way.
+
+In equilibrium the energy of the cable, ∫ (H x'²/2 + w x) ds over the distance s, and of the spring, k x²/2, is
+stationary.  The inclination is a velocity given at the start, and the spring an action of the end: nobody writes down
+the balance of forces there, H x' = -k x.  The weight w of the ice grows along the cable.
+"""
+
+import numpy as np
+
+import casadi_galerkin as cg
+
+SPAN, TENSION, SPRING, INCLINATION = 40.0, 2000.0, 300.0, -0.05  # m, N, N/m
+WEIGHT, ICE = 5.0, 0.4  # of the cable in N/m, and what the ice adds on every metre in N/m²
+
+
+def problem():
+    """State the cable with its height x(s) in m; both heights at the ends are free."""
+    return cg.BoundaryProblem(
+        lambda s, x, v: TENSION * v[0] ** 2 / 2 + (WEIGHT + ICE * s) * x[0],
+        (0.0, SPAN),
+        start=[None],
+        end=[None],
+        start_velocity=[INCLINATION],
+        end_action=lambda x0, x1: SPRING * x1[0] ** 2 / 2,
+    )
+
+
+def exact(s):
+    """Height by integrating H x'' = w twice, and the balance of forces at the end."""
+
+    def hanging(s):
+        return INCLINATION * s + WEIGHT * s**2 / (2 * TENSION) + ICE * s**3 / (6 * TENSION)
+
+    slope = INCLINATION + WEIGHT * SPAN / TENSION + ICE * SPAN**2 / (2 * TENSION)
+    return hanging(s) - hanging(SPAN) - TENSION * slope / SPRING
+
+
+def main():
+    """Solve with polynomials of degree 3, which hold the exact shape."""
+    return cg.solve(problem(), cg.Galerkin(degree=3), intervals=4)
+
+
+def draw(path):
+    """Draw the cable; returns the figure."""
+    axes = path.plot(labels=["height in m"], time="distance in m")
+    axes.set_title("A cable between a guide and an elastic support")
+    return axes.figure
+
+
+if __name__ == "__main__":
+    answer = main()
+    print(answer)
+    error = np.max(np.abs(answer.x[0] - exact(answer.t)))
+    first, last = answer.x[0, [0, -1]]
+    print(f"  height      {first:.6f} m at the guide, {last:.6f} m at the spring, error {error:.1e} m")
+    print(f"  forces      {answer.momentum[0, -1]:.6f} N on the spring, {-SPRING * last:.6f} N from it")
+    draw(answer).savefig("elastic_support.png")
