@@ -1,63 +1,38 @@
-"""Many variations of one problem: built once, solved here or by any executor, failures kept beside the answers.
-
-A CasADi Function must not be shared between threads.  So what goes to an executor is pickled: the problem once, and
-chunks of variations; each worker process unpickles the problem and builds its graph once, whatever the number of its
-chunks.  Nothing here knows whose executor it is: a process pool's, Dask's ``client.get_executor()``, mpi4py's
-``MPIPoolExecutor``.
-
-What ends a worker ends the whole of a process pool.  Chunks that were lost are solved again, one variation after the
-other, by the executor if it still works, else by a process of their own; so only what ends its worker stays without an
-answer, and never ends the process that asks.
-"""
+"""Many variations of one problem: built once, solved here or by any executor, failures kept beside the answers."""
 
 from __future__ import annotations
 
 import pickle
-import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
-from contextlib import ExitStack, suppress
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache, partial
-from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from casadi_galerkin._solve import solve, transcribe
 from casadi_galerkin.boundary.branches import jumps
-from casadi_galerkin.boundary.variations import nearest, values_of
-from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.numbers import time_span, times_inside
-from casadi_galerkin.control.refinement import first_control_mesh
 from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table, by_component
 from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.studies.distribution import (
+    Answer,
+    Answers,
+    CutShort,
+    Variation,
+    named,
+    solve_chunks,
+    solve_here,
+    solve_lost,
+    solver_of,
+)
 
 FIELDS = (*VARIED, "t_span", "guess")
-CHUNKS, LARGEST_CHUNK = 64, 50  # enough chunks to keep workers equally busy; few enough that sending costs little
-SMALLEST_NEIGHBOURHOOD = 4  # variations about one that has to be solved before
-_one_at_a_time = threading.Lock()  # a worker of a cluster may run several chunks in threads of one process
-
-Variation = Mapping[str, Any]
-Answer = Trajectory | Exception
-Answers = dict[int, Answer]  # by the number of the variation
-Known = tuple[np.ndarray, Trajectory]  # the given values of a problem, and its path
-
-
-class CutShort(ConvergenceError):
-    """A solve that something else ended: its worker failed, or the sweep was interrupted.  A path may well exist.
-
-    Examples
-    --------
-    >>> import casadi_galerkin as cg
-    >>> issubclass(cg.CutShort, cg.ConvergenceError)
-    True
-    """
 
 
 @dataclass(frozen=True, repr=False)
@@ -183,7 +158,7 @@ class Sweep(Table):
         if not failures:
             return text
         first, error = next(iter(failures.items()))
-        reason = str(error) if isinstance(error, ConvergenceError) else _named(error)
+        reason = str(error) if isinstance(error, ConvergenceError) else named(error)
         return f"{text}\n  variation {first} is the first without an answer: {reason}"
 
 
@@ -247,15 +222,15 @@ def sweep(
         )
     checked = [_checked(problem, i, variation) for i, variation in enumerate(variations)]
     arguments = (problem, method, intervals, tol)
-    solver = _solver(*arguments)  # refuses here what would fail in every worker
+    solver = solver_of(*arguments)  # refuses here what would fail in every worker
     answers: Answers = {}
     with tqdm(total=len(checked), unit="solve", disable=None) as bar, suppress(KeyboardInterrupt):
         if executor is None:
-            _solve_here(solver, checked, answers, bar)
+            solve_here(solver, checked, answers, bar)
         else:
             pickled = pickle.dumps(arguments)
-            _solve_chunks(solver, executor, pickled, checked, answers, bar)
-            _solve_lost(executor, pickled, checked, answers, bar)
+            solve_chunks(solver, executor, pickled, checked, answers, bar)
+            solve_lost(executor, pickled, checked, answers, bar)
     interrupted = "the sweep was interrupted before this variation was solved"
     return Sweep(tuple(answers[i] if i in answers else CutShort(interrupted) for i in range(len(checked))))
 
@@ -279,250 +254,3 @@ def _checked(problem: BoundaryProblem | ControlProblem, number: int, variation: 
     except (TypeError, ValueError) as error:
         raise type(error)(f"variation {number}: {error}") from None
     return checked
-
-
-class Neighbours:
-    """What solves variations of a boundary problem to a tolerance, each from the nearest that is solved.
-
-    A variation with a guess of its own is solved from that, on the mesh of its neighbour.
-    """
-
-    def __init__(self, problem: BoundaryProblem, method: Galerkin | None, intervals: int | None, tol: float) -> None:
-        self._problem, self._transcription = problem, transcribe(problem, method, intervals, tol=tol)
-
-    def varied(self, variation: Variation) -> BoundaryProblem:
-        """The problem of a variation."""
-        given = {name: value for name, value in variation.items() if name in VARIED}
-        return self._problem.varied(given, variation.get("t_span", self._problem.t_span))
-
-    def solve(self, variation: Variation, known: Sequence[Known]) -> Trajectory:
-        """Solve from the nearest known path; where that leads to none, from the straight line."""
-        problem = self.varied(variation)
-        if not known:
-            return self._transcription.found(problem, variation.get("guess"), None)
-        values = np.array([values_of(problem), *(place for place, _ in known)])
-        near, guess = known[nearest(values[0], values[1:], np.ptp(values, axis=0))][1], variation.get("guess")
-        try:
-            return self._transcription.found(problem, near if guess is None else guess, near)
-        except ConvergenceError:
-            if guess is not None:
-                raise
-            return self._transcription.found(problem, None, None)
-
-
-Solve = Callable[[Variation], Trajectory]
-
-
-def _solver(
-    problem: BoundaryProblem | ControlProblem, method: Galerkin | None, intervals: int | None, tol: float | None
-) -> Solve | Neighbours:
-    """What solves the variations: a graph built once, or with a tolerance a control problem's refinement each."""
-    if tol is not None:
-        if isinstance(problem, BoundaryProblem):
-            return Neighbours(problem, method, intervals, tol)
-        first_control_mesh(problem, tol, method, intervals, None)  # refuses here what would fail in every variation
-
-        def refined(variation: Variation) -> Trajectory:
-            fields = {name: value for name, value in variation.items() if name in VARIED}
-            varied = problem.varied(fields, variation.get("t_span", problem.t_span))
-            return solve(varied, method, intervals, tol=tol, guess=variation.get("guess"))
-
-        return refined
-    if method is None or intervals is None:
-        raise ValueError(f"give a method and intervals, or tol, got method={method!r} and intervals={intervals!r}")
-    transcription = transcribe(problem, method, intervals)
-    breakpoints = problem.breakpoints if isinstance(problem, BoundaryProblem) else ()
-
-    def solved(variation: Variation) -> Trajectory:
-        given = dict(variation)
-        span = given.pop("t_span", None)
-        return transcription.solve(**given, mesh=None if span is None else mesh_of(span, intervals, None, breakpoints))
-
-    return solved
-
-
-def _answer(solver: Solve, variation: Variation) -> Answer:
-    try:
-        return solver(variation)
-    except Exception as error:  # a guess may raise anything
-        error.__cause__ = error.__context__ = None  # their frames, like those of the error, would keep arrays alive
-        return error.with_traceback(None)
-
-
-def _answers(solver: Solve | Neighbours, variations: Sequence[Variation], known: Sequence[Known]) -> Iterator[Answer]:
-    """Answers one after the other; with a tolerance each may start from those before and from paths that are known."""
-    paths = list(known)
-    for variation in variations:
-        if isinstance(solver, Neighbours):
-            answer = _answer(partial(solver.solve, known=paths), variation)
-            paths += _known(answer)
-            yield answer
-        else:
-            yield _answer(solver, variation)
-
-
-def _known(answer: Answer | None) -> list[Known]:
-    """What other variations may start from."""
-    if not isinstance(answer, Trajectory) or not isinstance(answer.problem, BoundaryProblem):
-        return []
-    return [(values_of(answer.problem), answer)]
-
-
-def _named(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}"
-
-
-def _sendable(answer: Answer) -> Answer:
-    """The answer, or an exception with the same words if it cannot be pickled, which would take others with it."""
-    if isinstance(answer, Exception):
-        try:
-            pickle.loads(pickle.dumps(answer))
-        except Exception:  # pickling runs the exception's own code, too
-            return RuntimeError(_named(answer))
-    return answer
-
-
-@lru_cache(1)
-def _unpickled(pickled: bytes) -> Solve | Neighbours:
-    """A worker's own solver, kept from chunk to chunk."""
-    return _solver(*pickle.loads(pickled))
-
-
-def _chunk(pickled: bytes, variations: Sequence[Variation], known: Sequence[Known] = ()) -> list[Answer]:
-    """What a worker does."""
-    with _one_at_a_time:
-        return [_sendable(answer) for answer in _answers(_unpickled(pickled), variations, known)]
-
-
-def _alone(pickled: bytes, variations: Sequence[Variation], number: int) -> list[Answer]:  # noqa: ARG001
-    """What a worker does again; another call than the one that failed, whose failure Dask would otherwise repeat."""
-    return _chunk(pickled, variations)
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """Numbers of variations that are solved one after the other, and paths that they may start from."""
-
-    numbers: Sequence[int]
-    known: Sequence[Known] = ()
-
-
-def _chunks(count: int) -> list[Chunk]:
-    """Chunks in the order given."""
-    size = min(LARGEST_CHUNK, -(-count // CHUNKS) or 1)
-    return [Chunk(range(first, min(first + size, count))) for first in range(0, count, size)]
-
-
-def _neighbourhoods(
-    solver: Neighbours,
-    variations: Sequence[Variation],
-    answers: Answers,
-    bar: tqdm[Any],
-    solved: Callable[[Sequence[Variation], Sequence[Known]], list[Answer]],
-) -> list[Chunk]:
-    """Chunks of variations that are near one another, each about one that is solved first, those farther off later.
-
-    The first ones are solved here, the nearest to one that is solved before the others.  Chunks are the same whoever
-    solves them, so that the answers are, too.
-    """
-    count = len(variations)
-    size = min(LARGEST_CHUNK, max(SMALLEST_NEIGHBOURHOOD, -(-count // CHUNKS)))
-    values = np.array([values_of(solver.varied(variation)) for variation in variations])
-    scaled = values / [spread if spread > 0 else 1.0 for spread in np.ptp(values, axis=0)] if count else values
-    centres = np.arange(0, count, size)
-    apart = np.array([np.sum((scaled - scaled[centre]) ** 2, axis=1) for centre in centres]).reshape(-1, count)
-    waiting = np.where(centres == 0, 0.0, np.inf)  # distances from what is solved; NaN for what is
-    begins: dict[int, list[Known]] = {}
-    for _ in centres:
-        i = int(np.nanargmin(waiting))
-        first = int(centres[i])
-        order = sorted(begins, key=lambda k: float(apart[k, first]))
-        near = next((begins[k] for k in order if begins[k]), [])
-        with suppress(Exception):  # of a worker; it is solved again with what is lost
-            (answers[first],) = solved([variations[first]], near)
-        begins[i] = _known(answers.get(first))
-        waiting = np.minimum(waiting, apart[i, centres])
-        waiting[i] = np.nan
-        bar.update()
-    belongs = np.argmin(apart, axis=0)
-    chunks = []
-    for i, begin in begins.items():
-        own = np.flatnonzero(belongs == i)
-        own = own[np.argsort(apart[i, own], kind="stable")]
-        chunks.append(Chunk([k for k in own.tolist() if k != centres[i]], begin))
-    return chunks
-
-
-def _solve_here(solver: Solve | Neighbours, variations: Sequence[Variation], answers: Answers, bar: tqdm[Any]) -> None:
-    """Solve all in this process."""
-    chunks = [Chunk(range(len(variations)))]
-    if isinstance(solver, Neighbours):
-        chunks = _neighbourhoods(solver, variations, answers, bar, lambda *given: list(_answers(solver, *given)))
-    for chunk in chunks:
-        some = [variations[i] for i in chunk.numbers]
-        for i, answer in zip(chunk.numbers, _answers(solver, some, chunk.known), strict=True):
-            answers[i] = answer
-            bar.update()
-
-
-def _solve_chunks(
-    solver: Solve | Neighbours,
-    executor: Executor,
-    pickled: bytes,
-    variations: Sequence[Variation],
-    answers: Answers,
-    bar: tqdm[Any],
-) -> None:
-    """Solve all chunks; those of a worker that fails are left out."""
-
-    def submitted(some: Sequence[Variation], known: Sequence[Known]) -> Future[list[Answer]]:
-        return executor.submit(_chunk, pickled, some, known)
-
-    chunks = _chunks(len(variations))
-    if isinstance(solver, Neighbours):
-        chunks = _neighbourhoods(solver, variations, answers, bar, lambda *given: submitted(*given).result())
-    futures: dict[Future[list[Answer]], Sequence[int]] = {}
-    try:
-        for chunk in chunks:
-            try:
-                futures[submitted([variations[i] for i in chunk.numbers], chunk.known)] = chunk.numbers
-            except Exception:
-                if not futures:
-                    raise  # it has never worked
-                break  # a worker has failed meanwhile
-        for future in as_completed(futures):
-            with suppress(Exception):
-                bar.update(len(future.result()))
-    finally:  # also after an interrupt, be it here or in a worker
-        for future, numbers in futures.items():
-            if not future.cancel() and future.done() and future.exception() is None:
-                answers.update(zip(numbers, future.result(), strict=True))
-
-
-def _solve_lost(
-    executor: Executor, pickled: bytes, variations: Sequence[Variation], answers: Answers, bar: tqdm[Any]
-) -> None:
-    """Solve what has no answer yet, each alone, so that a worker that fails tells which variation it fails of."""
-    lost = [i for i in range(len(variations)) if i not in answers]
-    with ExitStack() as own:
-        for i in lost:
-            try:
-                executor = _working(executor, pickled, own)
-            except Exception as error:
-                answers.update((j, CutShort(f"no worker works, {_named(error)}")) for j in lost if j not in answers)
-                break
-            try:
-                (answers[i],) = executor.submit(_alone, pickled, [variations[i]], i).result()
-            except Exception as error:
-                answers[i] = CutShort(f"the worker that solved this variation failed, {_named(error)}")
-            bar.update()
-
-
-def _working(executor: Executor, pickled: bytes, own: ExitStack) -> Executor:
-    """The executor if it still works, else a process of our own."""
-    try:
-        executor.submit(_chunk, pickled, []).result()
-    except Exception:
-        executor = own.enter_context(ProcessPoolExecutor(1, getattr(executor, "_mp_context", None)))
-        executor.submit(_chunk, pickled, []).result()
-    return executor

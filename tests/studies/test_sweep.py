@@ -15,7 +15,7 @@ from control_problems import double_integrator
 from scenes import DAMPED
 
 import casadi_galerkin as cg
-from casadi_galerkin.studies.sweep import CutShort, _sendable
+from casadi_galerkin.studies.distribution import CutShort, _sendable
 
 METHOD, INTERVALS = cg.Galerkin(degree=4), 6
 
@@ -352,7 +352,7 @@ def test_a_process_pool_takes_ends_spans_guesses_and_tolerances(pool):
 
 @pytest.mark.parametrize("count", [1, 63, 64, 65, 200, 3300])
 def test_chunks_hold_everything_once_whatever_their_order_of_arrival(count, monkeypatch):
-    module = import_module("casadi_galerkin.studies.sweep")
+    module = import_module("casadi_galerkin.studies.distribution")
     monkeypatch.setattr(module, "_answer", lambda solver, variation: variation["parameters"][0])
     executor = Recorder()
     size = min(50, -(-count // 64))
@@ -365,7 +365,7 @@ def test_chunks_hold_everything_once_whatever_their_order_of_arrival(count, monk
 
 
 def test_a_worker_builds_one_graph_for_all_its_chunks(monkeypatch):
-    module = import_module("casadi_galerkin.studies.sweep")
+    module = import_module("casadi_galerkin.studies.distribution")
     built, transcribe = [], module.transcribe
     monkeypatch.setattr(module, "transcribe", lambda *given: built.append(1) or transcribe(*given))
     module._unpickled.cache_clear()
@@ -394,7 +394,7 @@ class Inline(Executor):
 
 @pytest.fixture
 def two_chunks(monkeypatch):
-    monkeypatch.setattr(import_module("casadi_galerkin.studies.sweep"), "CHUNKS", 2)
+    monkeypatch.setattr(import_module("casadi_galerkin.studies.distribution"), "CHUNKS", 2)
 
 
 @pytest.mark.usefixtures("two_chunks")
@@ -420,7 +420,7 @@ def test_without_any_worker_that_works_one_is_tried_and_no_more(monkeypatch):
         started.append(Inline(lambda rates: broken))
         return started[-1]
 
-    monkeypatch.setattr(import_module("casadi_galerkin.studies.sweep"), "ProcessPoolExecutor", process)
+    monkeypatch.setattr(import_module("casadi_galerkin.studies.distribution"), "ProcessPoolExecutor", process)
     answering = Inline(lambda rates: None if rates == RATES[:1] else broken)
     sweep = cg.sweep(bratu(), VARIATIONS, METHOD, INTERVALS, executor=answering)
     assert isinstance(sweep[0], cg.Trajectory)
@@ -553,7 +553,7 @@ def test_a_variation_is_a_dict(variation):
     ],
 )
 def test_a_variation_that_does_not_fit_is_named_before_any_solve(variation, error, message, monkeypatch):
-    module = import_module("casadi_galerkin.studies.sweep")
+    module = import_module("casadi_galerkin.studies.distribution")
     monkeypatch.setattr(module, "transcribe", lambda *given: pytest.fail("built before the input was checked"))
     with pytest.raises(error, match=message):
         cg.sweep(bratu(), [{}, variation], METHOD, INTERVALS)
