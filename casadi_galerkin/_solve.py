@@ -78,8 +78,8 @@ def solve(
     are where refinement begins.
 
     An `InitialProblem` is solved step by step, with `method` and `intervals` or `mesh`; a `ControlProblem`, whose
-    answer is a ControlTrajectory, by IPOPT or fatrop, with these or `tol`, and a `guess`.  Its `tol` bounds the relative errors
-    of cost and duration as well.
+    answer is a ControlTrajectory, by IPOPT or fatrop, with these or `tol`, and a `guess`.  Its `tol` bounds the
+    relative errors of cost and duration as well.
 
     Parameters
     ----------
