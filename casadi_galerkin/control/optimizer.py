@@ -32,9 +32,10 @@ PUSHES = [f"warm_start_{which}" for which in ("bound_push", "bound_frac", "slack
 # Of fatrop's error, which roundoff keeps above 1e-10 in one problem of ten; costs then differ from IPOPT's by 1e-9 to
 # 2e-8 of themselves, with the number of bounds that are met.
 FATROP_TOLERANCE = 1e-9
-# Fatrop takes rows with smaller pivots for dependent.  With its own 1e-5 that hung on units of a micrometer, for ever
-# and before its first iteration, and failed on units of a megameter; with this both take as long as a meter.
-PIVOT = 1e-12
+# Fatrop takes rows with smaller pivots, in units of the unknowns, for dependent.  Where it takes them wrongly it damps
+# its steps for ever, before the first iteration: with its own 1e-5 on lengths of 1e-6, with 1e-7 on constraints held
+# at many nodes.  With this, neither was seen; lengths of 1e-7 hang, and of 1e5 fail.
+PIVOT = 1e-6
 FATROP_WORDS = {"0": "Solve Succeeded", "1": "No Optimum Found"}  # it has none
 RELAXED = {"ipopt": 0.0, "fatrop": 1e-8}  # by this part of them bounds b are; in fatrop no option changes it
 WARM = {

@@ -186,8 +186,6 @@ class ControlTranscription:
         changes = {name: value for name, value in {**ends, "parameters": parameters}.items() if value is not None}
         problem = self.problem.varied(changes, (float(calculus.mesh[0]), float(calculus.mesh[-1])))
         chain, limits = self.chain, limits_of(problem, self.chain)
-        if solver.name == fatrop.name:
-            self._check_stages(limits)
         values, duals, terms = self.start(problem, calculus, guess)
         unknowns, data = chain.pack(values)
         program, relaxed = self.program(solver, bool(duals), verbose), RELAXED[solver.name]
@@ -233,6 +231,7 @@ class ControlTranscription:
         if key not in self._solvers:
             began = time.perf_counter()
             if solver.name == fatrop.name:
+                self._check_stages(limits_of(self.problem, self.chain))
                 self._solvers[key] = with_fatrop(self.graph, verbose, solver.options)
             else:
                 self._solvers[key] = with_ipopt(self.graph, warm, verbose, solver.options)

@@ -8,7 +8,8 @@ as constraints under a constant objective; `minimizer` minimises the action, so 
 `fatrop` is for control problems, which it solves stage by stage, as `ipopt` does as a whole: in a fraction of the time,
 with any rule of quadrature.  It does not start warm, from multipliers; takes no conditions that the start enters; and
 stalls where `ipopt` does not, as where a position touches its bound in a point, or where equations depend on one
-another.  It has no time limit.
+another.  It needs units in which positions and controls are of order one, 1e-5 to 1e4: far from these it may run for
+ever, without an iteration that a limit could stop.
 """
 
 from __future__ import annotations
