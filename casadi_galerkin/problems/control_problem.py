@@ -150,7 +150,9 @@ class ControlProblem:
         sizes = {"t": 1, "x": d, "v": d, "u": count} | ({} if given is None else {"p": len(given)})
         at_the_end = {name: size for name, size in sizes.items() if name != "u"}
         both = {"x0": d, "v0": d, "x1": d, "v1": d} | {name: size for name, size in sizes.items() if name == "p"}
-        own = _none_of("rates", sizes) if rates is None else trace("rates", rates, sizes, "any")
+        if _is_of_none(force):
+            lagrangian = force = None
+        own = _none_of("rates", sizes) if rates is None or _is_of_none(rates) else trace("rates", rates, sizes, "any")
         mechanical = d - own.numel_out(0)
         if mechanical < 0:
             raise ValueError(f"rates must be those of at most all {d} component(s), got {d - mechanical} values")
@@ -408,6 +410,11 @@ def _none_of(name: str, sizes: Mapping[str, int]) -> ca.Function:
     """Forces or rates of no component."""
     symbols = [ca.SX.sym(symbol, size) for symbol, size in sizes.items()]
     return ca.Function(name, symbols, [ca.SX(0, 1)], list(sizes), ["value"])
+
+
+def _is_of_none(function: object) -> bool:
+    """Whether it is what `_none_of` makes, which comes back where a field of a problem is replaced."""
+    return isinstance(function, ca.Function) and function.n_out() == 1 and function.numel_out(0) == 0
 
 
 def _check_mechanics(mechanical: int, lagrangian: object, force: object) -> None:
