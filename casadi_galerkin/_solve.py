@@ -79,8 +79,8 @@ def solve(
     are where refinement begins.
 
     An `InitialProblem` is solved step by step, with `method` and `intervals` or `mesh`; a `ControlProblem`, whose
-    answer is a ControlTrajectory, by IPOPT, with these or `tol`, and a `guess`.  Its `tol` bounds the relative errors
-    of cost and duration as well.
+    answer is a ControlTrajectory, by IPOPT or fatrop, with these or `tol`, and a `guess`.  Its `tol` bounds the
+    relative errors of cost and duration as well.
 
     Parameters
     ----------
@@ -90,8 +90,8 @@ def solve(
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     tol : relative tolerance between 0 and 1; for boundary and control problems
     guess : as for `Transcription.solve` and `ControlTranscription.solve`; for boundary and control problems
-    solver : newton (the default), rootfinder, ipopt or minimizer for a BoundaryProblem, ipopt for a ControlProblem;
-        each also ``.with_options(...)``
+    solver : newton (the default), rootfinder, ipopt or minimizer for a BoundaryProblem, ipopt (the default) or
+        fatrop for a ControlProblem; each also ``.with_options(...)``
     limits : Limits that stop a refinement; only with `tol`
     verbose : 1 prints a summary and, with `tol`, a line per level; 2 also the solver's lines
 

@@ -210,7 +210,6 @@ class ChainEmbedding:
         end = start + dm + k_held
         ends = height + 2 * (dm + k_held)
         at = ends + chain.conditions + (k_held + dm) * np.arange(self.nodes.count)[:, None]
-        later = np.concatenate((rows["motion"][:, 1:], rows["momentum"][:, None]), axis=1).reshape(-1, dm)
         triplets: list[Triplet] = [
             (width * k + component, nodes, f),
             (width * k + dm + component, nodes, g),
@@ -223,6 +222,7 @@ class ChainEmbedding:
             (ends + np.arange(chain.conditions), rows["ends"], 1.0),
         ]
         if k_held:
+            later = np.concatenate((rows["motion"][:, 1:], rows["momentum"][:, None]), axis=1).reshape(-1, dm)
             of_held = np.vstack((rows["start_held"], rows["held"].reshape(-1, k_held)))
             pushed = np.vstack((rows["start"], later))
             signs = np.append(-1.0, np.tile(sign[1:], chain.intervals))[:, None]

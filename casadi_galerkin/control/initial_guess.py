@@ -93,11 +93,14 @@ def near_answer(guess: Guess | None, chain: Chain, calculus: DiscreteCalculus) -
     shapes = [guess.polynomial.values.shape, guess.duals[0].shape, guess.duals[1].shape]
     if shapes != [(chain.dimension, len(calculus.node_times)), (chain.equations,), (chain.unknowns,)]:
         return None
-    return guess if np.max(np.abs(_fractions(guess.t) - _fractions(calculus.mesh))) <= SAME_FRACTION else None
+    before, now = (_fractions(mesh, chain.phases) for mesh in (guess.t, calculus.mesh))
+    return guess if np.max(np.abs(before - now)) <= SAME_FRACTION else None
 
 
-def _fractions(mesh: np.ndarray) -> np.ndarray:
-    return np.asarray((mesh - mesh[0]) / (mesh[-1] - mesh[0]))
+def _fractions(mesh: np.ndarray, phases: np.ndarray) -> np.ndarray:
+    """Steps over the durations of their phases."""
+    steps = np.diff(mesh)
+    return np.asarray(steps / np.bincount(phases, steps)[phases])
 
 
 def _resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
@@ -165,11 +168,15 @@ def check_finite(problem: ControlProblem, embedding: ChainEmbedding, values: dic
     ):
         if function:
             _report(name, np.array(function.map(points.count)(*arguments)), times[0])
+    rest, when = np.zeros(chain.dimension - chain.mechanical), values["begin"] + np.sum(values["durations"])
+    p = [values["parameters"]] if given else []
+    first, last = (
+        (values["x"][i], np.append(values[f"{name}_velocity"], rest)) for i, name in ((0, "start"), (-1, "end"))
+    )
     if problem.terminal_cost is not None:
-        velocity = np.append(values["end_velocity"], np.zeros(chain.dimension - chain.mechanical))
-        when = values["begin"] + np.sum(values["durations"])
-        end = (when, values["x"][-1], velocity, *([values["parameters"]] if given else []))
-        _report("terminal_cost", np.array(problem.terminal_cost(*end)), when)
+        _report("terminal_cost", np.array(problem.terminal_cost(when, *last, *p)), when)
+    if problem.end_conditions is not None:
+        _report("end_conditions", np.array(problem.end_conditions[0](*first, *last, *p)), when)
 
 
 def _report(name: str, values: np.ndarray, times: np.ndarray) -> None:

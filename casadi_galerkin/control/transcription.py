@@ -48,6 +48,7 @@ HINTS = {
     "Restoration Failed": "There may be no path within these ends and bounds; else try a guess nearer to it",
 }
 OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"
+FATROP_HINT = "Try cg.ipopt, which stalls less easily"
 NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
 ENDS = ("start", "end", "start_velocity", "end_velocity")
 
@@ -103,6 +104,28 @@ class ControlTranscription:
                 f"{self.method.degree}: take more intervals, a higher degree or more controls, or free a component"
             )
 
+    def _check_stages(self, limits: ProgramBounds) -> None:
+        """Refuse what fatrop cannot take apart into stages, or takes for an error when it runs."""
+        conditions, chain = self.problem.end_conditions, self.chain
+        if conditions is not None and any(conditions[0].sparsity_jac(k, 0).nnz() for k in (0, 1)):
+            raise ValueError(
+                "fatrop takes end_conditions on the end alone, stage by stage: give what is known of the start as "
+                "start and start_velocity, or take cg.ipopt"
+            )
+        states, others, counts = (np.array(column) for column in zip(*chain.stages, strict=True))
+        row = unknown = 0
+        for i, following in enumerate(np.append(states[1:], 0)):
+            own, row = row + following, row + following + counts[i]
+            first, unknown = unknown, unknown + states[i] + others[i]
+            equations = np.count_nonzero((limits.equations_lower == limits.equations_upper)[own:row])
+            equations += np.count_nonzero((limits.lower == limits.upper)[first:unknown])
+            if equations > unknown - first:
+                where = f"interval {i}" if i < chain.intervals else "the end"
+                raise ValueError(
+                    f"fatrop takes no more equations than unknowns in a stage, got {equations} for {unknown - first} "
+                    f"at {where}: state nothing twice, or take cg.ipopt"
+                )
+
     def solve(
         self,
         start: Sequence[float | None] | None = None,
@@ -127,8 +150,8 @@ class ControlTranscription:
             warm, from its multipliers.  A guess of the controls is a callable t -> (n,), or an array (n, N r) of values
             at the quadrature points
         mesh : (N + 1,) joints; where the duration is free their span is its guess
-        solver : ipopt, with or without options
-        verbose : 1 prints a summary, 2 also IPOPT's own output
+        solver : ipopt or fatrop, with or without options
+        verbose : 1 prints a summary, 2 also the solver's own output
 
         Raises
         ------
@@ -208,6 +231,7 @@ class ControlTranscription:
         if key not in self._solvers:
             began = time.perf_counter()
             if solver.name == fatrop.name:
+                self._check_stages(limits_of(self.problem, self.chain))
                 self._solvers[key] = with_fatrop(self.graph, verbose, solver.options)
             else:
                 self._solvers[key] = with_ipopt(self.graph, warm, verbose, solver.options)
@@ -258,7 +282,7 @@ class ControlTranscription:
             state = f"all constraints hold, with a cost of {cost:.6g}"
         else:
             state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
-        hint = HINTS.get(optimum.status, OTHER_HINT)
+        hint = FATROP_HINT if solver.name == fatrop.name else HINTS.get(optimum.status, OTHER_HINT)
         stopped = f"{NAMES[solver.name]} stopped with '{optimum.status}' after {optimum.iterations} iterations"
         message = f"{stopped}; {state}. {hint}"
         path = Path(PiecewisePolynomial(joints, self.method.element.nodes, self.chain.path(values)))

@@ -21,6 +21,7 @@ from casadi_galerkin.problems.constrained_motion import check_constraint, check_
 from casadi_galerkin.problems.problem import finite, shown, varied_values
 
 Limit: TypeAlias = float | Sequence[float]
+ROUNDED = 1e-8  # of a condition that the ends given meet, as much as a solve may leave
 Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
 
 
@@ -149,7 +150,9 @@ class ControlProblem:
         sizes = {"t": 1, "x": d, "v": d, "u": count} | ({} if given is None else {"p": len(given)})
         at_the_end = {name: size for name, size in sizes.items() if name != "u"}
         both = {"x0": d, "v0": d, "x1": d, "v1": d} | {name: size for name, size in sizes.items() if name == "p"}
-        own = _none_of("rates", sizes) if rates is None else trace("rates", rates, sizes, "any")
+        if _is_of_none(force):
+            lagrangian = force = None
+        own = _none_of("rates", sizes) if rates is None or _is_of_none(rates) else trace("rates", rates, sizes, "any")
         mechanical = d - own.numel_out(0)
         if mechanical < 0:
             raise ValueError(f"rates must be those of at most all {d} component(s), got {d - mechanical} values")
@@ -191,8 +194,11 @@ class ControlProblem:
     def __repr__(self) -> str:
         """State the problem without its callables."""
         free = "" if self.duration_bounds is None else f", duration within {self.duration_bounds}"
+        others = self.dimension - self.mechanical
+        rates, held = f", {others} of which follow rates," if others else "", "held " if self.hold else ""
         return (
-            f"ControlProblem of {self.dimension} component(s) and {self.controls} control(s) on {self.t_span}{free}:\n"
+            f"ControlProblem of {self.dimension} component(s){rates} and {self.controls} {held}control(s) "
+            f"on {self.t_span}{free}:\n"
             f"  start {shown(self.start)}, velocity {shown(self.start_velocity)}\n"
             f"  end {shown(self.end)}, velocity {shown(self.end_velocity)}\n"
             f"  parameters {shown(self.parameters)}"
@@ -238,7 +244,7 @@ class ControlProblem:
             used = {i for k in where if function for i in function.sparsity_jac(k, 0).T.row()}
             if used & own:
                 i = min(used & own)
-                raise ValueError(f"{name} depends on v[{i}], the rate of x[{i}]: write what it is in rates instead")
+                raise ValueError(f"{name} must not depend on v[{i}], the rate of x[{i}]: write that rate instead")
         for name in ("start_velocity", "end_velocity"):
             for i in own:
                 if getattr(self, name)[i] is not None:
@@ -292,6 +298,8 @@ class ControlProblem:
             check_constraint(self, self._whole_ends())
             self._check_constraint("start", self.t_span[0])
             self._check_constraint("end", self.t_span[1])
+        if self.end_conditions is not None:
+            self._check_conditions(*self.end_conditions)
 
     def _whole_ends(self) -> dict[str, tuple[float, tuple[float, ...]]]:
         """Time and position of the ends where all of the position is given."""
@@ -313,6 +321,26 @@ class ControlProblem:
                 raise ValueError(
                     f"path constraint {i} is {values[i]} at the {name} whatever the controls, outside its bounds "
                     f"[{low[i]}, {high[i]}]"
+                )
+
+    def _check_conditions(self, g: ca.Function, low: tuple[float, ...], high: tuple[float, ...]) -> None:
+        """Refuse a condition on the ends that what is given there violates."""
+        names = ("start", "start_velocity", "end", "end_velocity")
+        given = [np.array(getattr(self, name), dtype=float) for name in names]  # NaN for None
+        given += [] if self.parameters is None else [np.array(self.parameters)]
+        free = [np.isnan(values) for values in given]
+        if self.parameter_bounds is not None:
+            free[-1] = np.less(*self.parameter_bounds)
+        depends = np.zeros(len(low), dtype=bool)
+        for k, which in enumerate(free):
+            rows, columns = (np.array(index, dtype=int) for index in g.sparsity_jac(k, 0).get_triplet())
+            depends[rows[which[columns]]] = True
+        values = np.array(g(*map(np.nan_to_num, given))).ravel()
+        rounded = ROUNDED * np.fmax(1.0, np.abs(values))
+        for i in np.flatnonzero(~depends):
+            if not low[i] - rounded[i] <= values[i] <= high[i] + rounded[i]:
+                raise ValueError(
+                    f"end condition {i} is {values[i]} with the ends given, outside its bounds [{low[i]}, {high[i]}]"
                 )
 
     def _check_guesses(self) -> None:
@@ -382,6 +410,11 @@ def _none_of(name: str, sizes: Mapping[str, int]) -> ca.Function:
     """Forces or rates of no component."""
     symbols = [ca.SX.sym(symbol, size) for symbol, size in sizes.items()]
     return ca.Function(name, symbols, [ca.SX(0, 1)], list(sizes), ["value"])
+
+
+def _is_of_none(function: object) -> bool:
+    """Whether it is what `_none_of` makes, which comes back where a field of a problem is replaced."""
+    return isinstance(function, ca.Function) and function.n_out() == 1 and function.numel_out(0) == 0
 
 
 def _check_mechanics(mechanical: int, lagrangian: object, force: object) -> None:

@@ -154,10 +154,16 @@ def _nlpsol(functional: Functional, minimize: bool, verbose: int, given: Mapping
 
 
 def check_option(name: str, value: object, plugin: str = "ipopt") -> None:
-    """Refuse what the solver underneath does not know; it is asked."""
+    """Refuse what the solver underneath does not know; it is asked, and fatrop, which answers when it runs, is run."""
     x, quiet = ca.MX.sym("x"), {"print_level": 0} | ({"sb": "yes"} if plugin == "ipopt" else {})
+    called = "IPOPT" if plugin == "ipopt" else plugin
+    refusal = ValueError(f"{called} has no option {name} that takes {value!r}")
     try:
-        ca.nlpsol("asked", plugin, {"x": x, "f": x**2}, {plugin: {**quiet, name: value}})
+        asked = ca.nlpsol("asked", plugin, {"x": x, "f": x**2}, {"print_time": False, plugin: {**quiet, name: value}})
+        if plugin == "ipopt":
+            return
+        asked(x0=1.0)
     except (RuntimeError, NotImplementedError, TypeError) as error:
-        called = "IPOPT" if plugin == "ipopt" else plugin
-        raise ValueError(f"{called} has no option {name} that takes {value!r}") from error
+        raise refusal from error
+    if not asked.stats()["success"]:
+        raise refusal

@@ -1,14 +1,16 @@
-"""Trajectory optimisation against the same problems written by hand in casadi.Opti, at equal cost error.
+"""Trajectory optimization here, with IPOPT and with fatrop, against the same problems by hand in CasADi.
 
-The rival is what CasADi's own example shows: Gauss-Legendre collocation of the first-order system, one loop over the
-intervals, collocated states of an interval as one matrix.  Both use the same degree and IPOPT; each gets the
-fewest intervals with which its cost is within the target of the reference.  Times are of building and solving together,
-medians over repeated runs in one process.
+The rivals are what CasADi's own example shows: Gauss-Legendre collocation of the first-order system, one loop over the
+intervals, collocated states of an interval as one matrix.  "By hand" gives it to `casadi.nlpsol`, "Opti" to
+`casadi.Opti`, both to IPOPT and expanded.  All use the same degree and the same guess; each gets the fewest intervals
+with which its cost is within the target of the reference.  Times are CPU times, medians over repeated runs in one
+process in which all take turns: of a solve on what was built, and of building and solving.
 """
 
 import statistics
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -21,16 +23,17 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import cart_pole
 import low_thrust
-import minimum_time
-import obstacle
+import moon_landing
 import two_link_arm
 
 TARGET = 1e-6
 REPEATS = 15
-INTERVALS = (2, 4, 6, 8, 10, 12, 16, 20, 24, 30, 40, 50, 60)
+SWING = 2.5  # s, for the acrobot
+INTERVALS = (2, 3, 4, 6, 8, 9, 10, 12, 15, 18, 20, 24, 30, 40, 50, 60, 80, 100)
+QUIET = {"print_time": False, "expand": True, "ipopt": {"print_level": 0, "sb": "yes"}}
 
 
-def cart_pole_rates(x, v, u):
+def pole_rates(x, v, u):
     """Accelerations of cart and pole, solved for by hand."""
     m, length, gravity = cart_pole.POLE, cart_pole.LENGTH, cart_pole.GRAVITY
     s, c, total = ca.sin(x[1]), ca.cos(x[1]), cart_pole.CART + m
@@ -42,8 +45,9 @@ def cart_pole_rates(x, v, u):
 def arm_rates(x, v, u):
     """Accelerations of both rods, from their 2 by 2 mass matrix."""
     s, c, g = ca.sin(x[0] - x[1]), ca.cos(x[0] - x[1]) / 2, two_link_arm.GRAVITY
-    first = u[0] - u[1] - s * v[1] ** 2 / 2 - 1.5 * g * ca.sin(x[0])
-    second = u[1] + s * v[0] ** 2 / 2 - 0.5 * g * ca.sin(x[1])
+    shoulder, elbow = (u[0], u[1]) if u.numel() == 2 else (0, u[0])
+    first = shoulder - elbow - s * v[1] ** 2 / 2 - 1.5 * g * ca.sin(x[0])
+    second = elbow + s * v[0] ** 2 / 2 - 0.5 * g * ca.sin(x[1])
     below = 4 / 9 - c**2
     return [(first / 3 - c * second) / below, (4 / 3 * second - c * first) / below]
 
@@ -54,159 +58,256 @@ def orbit_rates(x, v, u):
 
 
 def free_rates(x, v, u):
-    """Accelerations of a free unit mass."""
-    return [u[i] for i in range(x.numel())]
+    """Acceleration of a free unit mass."""
+    return [u[0]]
 
 
-# scene -> accelerations, degree, quadrature of ours, guess, exact cost, fewest intervals worth measuring.
-# The two exact ones are exact on any even number of intervals; both solvers then use the scene's own mesh.
-SCENES = {
-    "cart_pole": (cart_pole, cart_pole_rates, 4, cg.gauss(4), None, None, 2),
-    "minimum_time": (minimum_time, free_rates, 2, cg.gauss(2), None, 2.0, 10),
-    "two_link_arm": (two_link_arm, arm_rates, 4, cg.gauss(4), None, None, 2),
-    "low_thrust": (low_thrust, orbit_rates, 5, cg.gauss(5), low_thrust.guess, None, 2),
-    "obstacle": (obstacle, free_rates, 4, cg.lobatto(5), None, obstacle.EXACT, 20),
+def rocket_rates(x, v, u):
+    """Loss of mass, and acceleration."""
+    return [-u[0] / moon_landing.EXHAUST, u[0] / x[1] - moon_landing.GRAVITY]
+
+
+def cart(**changes):
+    """Unit mass from rest to rest a unit length away, with the least effort."""
+    fields = {
+        "lagrangian": lambda t, x, v: v[0] ** 2 / 2,
+        "t_span": (0.0, 1.0),
+        "start": [0.0],
+        "end": [1.0],
+        "start_velocity": [0.0],
+        "end_velocity": [0.0],
+        "force": lambda t, x, v, u: u,
+        "running_cost": lambda t, x, v, u: u[0] ** 2 / 2,
+        "controls": 1,
+    }
+    return cg.ControlProblem(**(fields | changes))
+
+
+def bryson_denham():
+    """Back to where it began with the opposite velocity, never further away than 1/9: cost 4."""
+    return cart(end=[0.0], start_velocity=[1.0], end_velocity=[-1.0], position_bounds=(-np.inf, 1 / 9))
+
+
+def acrobot():
+    """The two-link arm with a motor in its elbow only."""
+    return replace(
+        two_link_arm.problem(),
+        t_span=(0.0, SWING),
+        force=lambda t, x, v, u: [-u[0], u[0]],
+        running_cost=lambda t, x, v, u: u[0] ** 2 / 2,
+        controls=1,
+        control_bounds=(-100.0, 100.0),
+    )
+
+
+def swinging(t):
+    """Back first, the forearm twice as far: from a straight line every way finds another optimum, or none."""
+    part, back = np.pi * t / SWING, np.sin(2 * np.pi * t / SWING)
+    return [part - 1.5 * back, part - 3.0 * back]
+
+
+def crane():
+    """The cart carries its pole, hanging, a metre further, and is to swing it little."""
+    return replace(cart_pole.problem(), end=[1.0, 0.0], running_cost=lambda t, x, v, u: u[0] ** 2 + 100 * x[1] ** 2)
+
+
+def rocket():
+    """The landing on the Moon as one phase, whose thrust may jump anywhere."""
+    return moon_landing.problem(breakpoints=(), hold=False, duration_bounds=(0.5, 4.0))
+
+
+# name -> problem, rates and accelerations, degree, guess, known cost
+PROBLEMS = {
+    "cart-pole": (cart_pole.problem, pole_rates, 4, None, None),
+    "orbit raising": (low_thrust.problem, orbit_rates, 5, low_thrust.guess, None),
+    "double integrator": (cart, free_rates, 3, None, 6.0),
+    "Bryson-Denham": (bryson_denham, free_rates, 3, None, 4.0),
+    "two-link arm": (two_link_arm.problem, arm_rates, 4, None, None),
+    "acrobot": (acrobot, arm_rates, 5, swinging, None),
+    "crane": (crane, pole_rates, 4, None, None),
+    "rocket": (rocket, rocket_rates, 4, None, 1.4203125990491976),
 }
 
 
-def ours(scene, intervals):
-    """Build and solve with this package: cost and number of unknowns."""
-    module, _, degree, quadrature, guess, *_ = SCENES[scene]
-    program = cg.transcribe(module.problem(), cg.Galerkin(degree, quadrature=quadrature), intervals)
-    return program.solve(guess=guess).cost, program.numbering.unknowns
+def here(solver):
+    """A way that builds with this package and solves with one of its solvers."""
+
+    def build(name, intervals):
+        make, _, degree, guess, _ = PROBLEMS[name]
+        program = cg.transcribe(make(), cg.Galerkin(degree), intervals)
+        return lambda: program.solve(guess=guess, solver=solver).cost
+
+    return build
 
 
-def by_hand(scene, intervals):
-    """Build and solve with casadi.Opti: cost and number of unknowns."""
-    module, rates, degree, _, guess, *_ = SCENES[scene]
-    problem = module.problem()
-    opti, d, n = ca.Opti(), problem.dimension, problem.controls
-    states, u = ca.MX.sym("states", 2 * d), ca.MX.sym("u", n)
-    x, v = states[:d], states[d:]
-    slopes = ca.vertcat(v, *rates(x, v, u))
-    f = ca.Function("f", [states, u], [slopes, problem.running_cost(0, x, v, u)])
-    points, weights = (np.array(a) for a in (cg.gauss(degree).points, cg.gauss(degree).weights))
-    nodes = np.append(0.0, points)
-    slope, last = differentiation_matrix(nodes)[1:].T, lagrange_values(nodes, np.array([1.0]))[0]
-    guessed = states_guess(problem, guess)
-    span = free_duration(opti, problem)
-    h, cost, now = span / intervals, 0, opti.variable(2 * d)
-    opti.set_initial(now, guessed(0.0))
-    fix(opti, now, problem.start, problem.start_velocity)
-    for i in range(intervals):
-        inner, controls, after = opti.variable(2 * d, degree), opti.variable(n, degree), opti.variable(2 * d)
-        opti.set_initial(inner, np.stack([guessed((i + c) / intervals) for c in points], axis=1))
-        opti.set_initial(after, guessed((i + 1) / intervals))
-        rate, running = f(inner, controls)
-        everything = ca.horzcat(now, inner)
-        opti.subject_to(ca.mtimes(everything, slope) == h * rate)
-        opti.subject_to(after == ca.mtimes(everything, last))
-        bound(opti, controls, *problem.control_bounds)
-        bound(opti, inner[:d, :], *problem.position_bounds)
-        if problem.path_constraint:
-            g, low, _ = problem.path_constraint
-            opti.subject_to(g(0, inner[:d, :], 0, 0) >= low[0])
-            opti.subject_to(g(0, after[:d], 0, 0) >= low[0])
-        cost, now = cost + h * ca.mtimes(running, weights), after
-    fix(opti, now, problem.end, problem.end_velocity)
-    opti.minimize(cost)
-    opti.solver("ipopt", {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}})
-    return float(opti.solve().value(cost)), opti.nx
+class Collocation:
+    """Variables, equations and bounds of the same problem by hand; states are positions, then velocities."""
 
+    def __init__(self, name, intervals, variable):
+        make, rates, degree, guess, _ = PROBLEMS[name]
+        problem = make()
+        self.variable, self.unknowns, self.bounds, self.guess = variable, [], [], []
+        self.equations, self.cost = [], 0
+        d, n, count = problem.dimension, problem.controls, problem.dimension + problem.mechanical
+        states, u = ca.MX.sym("states", count), ca.MX.sym("u", n)
+        x, v = ca.vertsplit(states, [0, d, count])
+        slopes = ca.vertcat(v, *rates(x, v, u))
+        f = ca.Function(
+            "f", [states, u], [slopes, problem.running_cost(0, x, ca.vertcat(v, np.zeros(d - v.numel())), u)]
+        )
+        points, weights = (np.array(a) for a in (cg.gauss(degree).points, cg.gauss(degree).weights))
+        nodes = np.append(0.0, points)
+        slope, last = differentiation_matrix(nodes)[1:].T, lagrange_values(nodes, np.array([1.0]))[0]
+        guessed, free = states_guess(problem, guess), np.full(problem.mechanical, np.inf)
+        low, high = (np.append(side, sign * free) for side, sign in zip(problem.position_bounds, (-1, 1), strict=True))
+        span = problem.t_span[1] - problem.t_span[0]
+        if problem.duration_bounds is not None:
+            span = self.new(1, 1, *problem.duration_bounds, span)
+        h = span / intervals
+        now = self.new(count, 1, *self.given(problem, "start", low, high), guessed(0.0))
+        for i in range(intervals):
+            inside = np.stack([guessed((i + c) / intervals) for c in points], axis=1)
+            inner = self.new(count, degree, low, high, inside)
+            controls = self.new(n, degree, *problem.control_bounds, np.zeros((n, degree)))
+            ends = self.given(problem, "end", low, high) if i == intervals - 1 else (low, high)
+            after = self.new(count, 1, *ends, guessed((i + 1) / intervals))
+            rate, running = f(inner, controls)
+            everything = ca.horzcat(now, inner)
+            self.equations += [ca.mtimes(everything, slope) - h * rate, after - ca.mtimes(everything, last)]
+            self.cost, now = self.cost + h * ca.mtimes(running, weights), after
 
-def free_duration(opti, problem):
-    """Duration, a variable if it is free."""
-    duration = problem.t_span[1] - problem.t_span[0]
-    if problem.duration_bounds is None:
-        return duration
-    span = opti.variable()
-    opti.subject_to(opti.bounded(problem.duration_bounds[0], span, problem.duration_bounds[1]))
-    opti.set_initial(span, duration)
-    return span
+    def new(self, rows, columns, low, high, guess):
+        """New variables with their bounds and their guess."""
+        fresh = self.variable(rows, columns)
+        self.unknowns.append(fresh)
+        self.bounds.append([np.broadcast_to(np.reshape(side, (-1, 1)), (rows, columns)) for side in (low, high)])
+        self.guess.append(np.reshape(guess, (rows, columns)))
+        return fresh
+
+    @staticmethod
+    def given(problem, end, low, high):
+        """Bounds at an end, which meet where a state is given."""
+        values = [*getattr(problem, end), *getattr(problem, f"{end}_velocity")[: problem.mechanical]]
+        return [[a if b is None else b for a, b in zip(side, values, strict=True)] for side in (low, high)]
 
 
 def states_guess(problem, guess):
-    """The guess our solver starts from, as states at a fraction of the duration."""
+    """The guess this package starts from, as states at a fraction of the duration."""
     begin, duration = problem.t_span[0], problem.t_span[1] - problem.t_span[0]
-    if guess is None:
-        start, end = np.array(problem.start), np.array(problem.end)
-        return lambda part: np.append(start + part * (end - start), (end - start) / duration)
+    start, end = (np.array(side, dtype=float) for side in (problem.start, problem.end))
+    end, dm = np.where(np.isnan(end), start, end), problem.mechanical
+    path = guess or (lambda t: start + (t - begin) / duration * (end - start))
 
     def states(part):
         t, step = begin + part * duration, 1e-4 * duration
-        after, before = np.array(guess(t + step)), np.array(guess(t - step))
-        return np.append(guess(t), (after - before) / (2 * step))
+        slope = (np.array(path(t + step)) - np.array(path(t - step))) / (2 * step)
+        return np.append(path(t), slope[:dm])
 
     return states
 
 
-def fix(opti, states, positions, velocities):
-    """Impose what is given of the states at an end."""
-    for i, value in enumerate((*positions, *velocities)):
-        if value is not None:
-            opti.subject_to(states[i] == value)
+def by_hand(name, intervals):
+    """Build with `casadi.nlpsol`."""
+    stated = Collocation(name, intervals, lambda *shape: ca.MX.sym("w", *shape))
+    x, g = (ca.vertcat(*map(ca.vec, parts)) for parts in (stated.unknowns, stated.equations))
+    solver = ca.nlpsol("by_hand", "ipopt", {"x": x, "f": stated.cost, "g": g}, QUIET)
+    low, high = (np.concatenate([b[k].ravel("F") for b in stated.bounds]) for k in (0, 1))
+    first = np.concatenate([guess.ravel("F") for guess in stated.guess])
+
+    def solve():
+        answer = solver(x0=first, lbx=low, ubx=high, lbg=0, ubg=0)
+        if not solver.stats()["success"]:
+            raise RuntimeError("Solver failed")
+        return float(answer["f"])
+
+    return solve
 
 
-def bound(opti, values, low, high):
-    """Impose the finite bounds of every row."""
-    for i, (a, b) in enumerate(zip(low, high, strict=True)):
-        if np.isfinite(a) and np.isfinite(b):
-            opti.subject_to(opti.bounded(a, values[i, :], b))
+def with_opti(name, intervals):
+    """Build with `casadi.Opti`."""
+    opti = ca.Opti()
+    stated = Collocation(name, intervals, opti.variable)
+    for fresh, (low, high), guess in zip(stated.unknowns, stated.bounds, stated.guess, strict=True):
+        opti.set_initial(fresh, guess)
+        for i, j in np.ndindex(*low.shape):
+            if low[i, j] == high[i, j]:
+                opti.subject_to(fresh[i, j] == low[i, j])
+            elif np.isfinite([low[i, j], high[i, j]]).any():
+                opti.subject_to(opti.bounded(low[i, j], fresh[i, j], high[i, j]))
+    for equations in stated.equations:
+        opti.subject_to(ca.vec(equations) == 0)
+    opti.minimize(stated.cost)
+    opti.solver("ipopt", {name: value for name, value in QUIET.items() if name != "ipopt"}, QUIET["ipopt"])
+    return lambda: float(opti.solve().value(stated.cost))
 
 
-def fewest(solver, scene, reference):
-    """Fewest intervals with which the cost is within the target: them, unknowns, relative error."""
-    for intervals in INTERVALS[INTERVALS.index(SCENES[scene][-1]) :]:
+WAYS = {"IPOPT": here(cg.ipopt), "fatrop": here(cg.fatrop), "by hand": by_hand, "Opti": with_opti}
+
+
+def reference_cost(name):
+    """The exact cost, or that of a much finer solution."""
+    make, _, _, guess, known = PROBLEMS[name]
+    if known is not None:
+        return known
+    return cg.solve(make(), cg.Galerkin(degree=8), intervals=60, guess=guess).cost
+
+
+def fewest(build, name, reference):
+    """Fewest intervals with which the cost is within the target, and its relative error."""
+    for intervals in INTERVALS:
         try:
-            cost, unknowns = solver(scene, intervals)
-        except cg.ConvergenceError:
+            cost = build(name, intervals)()
+        except (cg.ConvergenceError, ValueError):
             continue
         except RuntimeError as error:
-            if "Solver failed" not in str(error):
+            if "Solver failed" not in str(error) and "solver failed" not in str(error):
                 raise
             continue
         error = abs(cost / reference - 1)
         if error <= TARGET:
-            return intervals, unknowns, error
-    raise RuntimeError(f"{solver.__name__} does not reach {TARGET} on {scene}")
+            return intervals, error
+    return None, np.inf
 
 
-def seconds(scene, solvers, intervals):
-    """Median times of building and solving, the solvers taking turns so that both see the same machine."""
-    times = {solver: [] for solver in solvers}
+def medians(name, counts):
+    """Median times of solving on what was built and of building and solving, in ms, for every way that solves it."""
+    solved, both = ({way: [] for way in counts} for _ in range(2))
+    programs = {way: WAYS[way](name, count) for way, count in counts.items()}
     for _ in range(REPEATS):
-        for solver, count in zip(solvers, intervals, strict=True):
-            began = time.perf_counter()
-            solver(scene, count)
-            times[solver].append(time.perf_counter() - began)
-    return [statistics.median(times[solver]) for solver in solvers]
+        for way, count in counts.items():
+            began = time.process_time()
+            programs[way]()
+            between = time.process_time()
+            WAYS[way](name, count)()
+            solved[way].append(between - began)
+            both[way].append(time.process_time() - between)
+    return [{way: 1e3 * statistics.median(times) for way, times in all_.items()} for all_ in (solved, both)]
 
 
-def reference_cost(scene):
-    """The exact cost, or that of a much finer solution."""
-    module, guess, exact = SCENES[scene][0], *SCENES[scene][4:6]
-    if exact is not None:
-        return exact
-    return cg.solve(module.problem(), cg.Galerkin(degree=6), intervals=80, guess=guess).cost
-
-
-def main():
-    """Print the table; returns the ratio of times of every scene."""
-    print(f"relative error of the cost at most {TARGET}; times of building and solving, medians of {REPEATS}")
-    print("                      casadi_galerkin                      casadi.Opti")
-    print("scene         intervals unknowns      ms    error  intervals unknowns      ms    error   ratio")
-    ratios = {}
-    for scene in SCENES:
-        reference = reference_cost(scene)
-        found = [fewest(solver, scene, reference) for solver in (ours, by_hand)]
-        times = seconds(scene, (ours, by_hand), [intervals for intervals, _, _ in found])
-        cells = "".join(
-            f"  {intervals:9d} {unknowns:8d} {1e3 * taken:7.1f} {error:8.1e}"
-            for (intervals, unknowns, error), taken in zip(found, times, strict=True)
-        )
-        ratios[scene] = times[1] / times[0]
-        print(f"{scene:12s}{cells} {ratios[scene]:7.1f}")
-    print(f"median ratio {statistics.median(ratios.values()):.1f}")
+def main(names=tuple(PROBLEMS)):
+    """Print the tables; returns ratios of times: by hand over IPOPT and fatrop here, Opti over building with IPOPT."""
+    print(f"relative error of the cost at most {TARGET}; CPU times in ms, medians of {REPEATS}")
+    print(f"{'':18s}" + "".join(f"{way:>30s}" for way in WAYS))
+    print(f"{'problem':18s}" + f"{'intervals  solve  build+solve':>30s}" * len(WAYS))
+    ratios = {"IPOPT": {}, "fatrop": {}, "built with IPOPT": {}}
+    for name in names:
+        reference = reference_cost(name)
+        counts = {way: fewest(build, name, reference)[0] for way, build in WAYS.items()}
+        solved, both = medians(name, {way: count for way, count in counts.items() if count})
+        cells = [
+            f"{counts[way]:13d} {solved[way]:7.2f} {both[way]:8.1f}" if counts[way] else f"{'fails':>30s}"
+            for way in WAYS
+        ]
+        print(f"{name:18s}" + "".join(cells), flush=True)
+        for way in ("IPOPT", "fatrop"):
+            if counts[way] and counts["by hand"]:
+                ratios[way][name] = solved["by hand"] / solved[way]
+        if counts["Opti"] and counts["IPOPT"]:
+            ratios["built with IPOPT"][name] = both["Opti"] / both["IPOPT"]
+    for what, found in ratios.items():
+        rival = "Opti, built and solved" if what == "built with IPOPT" else "by hand, solved"
+        values = ", ".join(f"{name} {ratio:.1f}" for name, ratio in found.items())
+        print(f"{rival}, over {what} here: median {statistics.median(found.values()):.1f} ({values})")
     return ratios
 
 

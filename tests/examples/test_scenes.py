@@ -22,7 +22,7 @@ import pytest
 from paths import EXAMPLES
 from scenes import TROESCH
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
+from scipy.optimize import brentq, fsolve
 from scipy.stats import chi2
 
 import casadi_galerkin as cg
@@ -576,6 +576,49 @@ def cable_as_integrated(module, path):
     assert path.velocity[0, 0] == pytest.approx(module.INCLINATION, rel=1e-12)
 
 
+def cheapest_landing(module, path):
+    """Against the closed form, and the path integrated with the controls found."""
+    fall, burn = fsolve(lambda parts: module.landed(*parts), [0.2, 1.2], xtol=1e-14)
+    np.testing.assert_allclose(path.t[1:], [fall, fall + burn], rtol=0, atol=1e-8)
+    assert path.cost == pytest.approx(module.THRUST * burn, abs=1e-8)
+    np.testing.assert_allclose(path.control.values, [[0.0, module.THRUST]], rtol=0, atol=1e-8)
+    thrust = path.control.values[0]
+
+    def rates(y, u):
+        return [y[2], -u[0] / module.EXHAUST, u[0] / y[1] - module.GRAVITY]
+
+    assert flown(rates, path, [module.HEIGHT, 1.0, module.SPEED]) == pytest.approx(
+        [0.0, 1 - thrust[1] * burn / module.EXHAUST, 0.0], abs=1e-7
+    )
+
+
+def landed_by_both_solvers(module, path):
+    other = cg.solve(module.problem(), path.method, intervals=2, solver=cg.fatrop)
+    np.testing.assert_allclose(other.t, path.t, rtol=0, atol=1e-7)
+    assert other.cost == pytest.approx(path.cost, abs=1e-7)
+
+
+def layers_at_both_ends(module, path):
+    assert path.cost == pytest.approx(module.EXACT, abs=1e-9)
+    assert abs(path(module.DURATION / 2)[0]) < 1e-8
+    drop = path(np.linspace(0, 3, 50))[0]
+    costate = path.costate(np.linspace(0, 3, 50))[0]
+    np.testing.assert_allclose(costate, np.sqrt(drop**6 + drop**2) - drop**3, rtol=0, atol=1e-5)
+
+
+def over_and_over(module, path):
+    def rates(y, u):
+        slope = -2 * np.pi / module.HILL * np.sin(2 * np.pi * y[0] / module.HILL)
+        return [y[1], u[0] - module.DRAG * y[1] - module.GRAVITY * module.HEIGHT * slope]
+
+    speed = path.start_velocity[0]
+    np.testing.assert_allclose(flown(rates, path, [0.0, speed]), [module.HILL, speed], rtol=0, atol=1e-7)
+    assert path.costate(path.t[-1])[0] == pytest.approx(path.costate(0.0)[0], abs=1e-7)
+    later = cg.solve(module.problem(begin=0.3), path.method, intervals=16)
+    three = cg.solve(module.problem(hills=3), path.method, intervals=48)
+    np.testing.assert_allclose([later.cost, three.cost / 3], path.cost, rtol=1e-8, atol=0)
+
+
 TABLE = [
     ("lambert", vallados_velocities, "the Lambert transfer has Vallado's velocities"),
     ("lambert", keplers_invariants, "the Lambert transfer conserves energy and angular momentum"),
@@ -623,7 +666,10 @@ TABLE = [
     ),
     *(
         (name, constraints_are_met, f"{name} meets its constraints")
-        for name in ("cart_pole", "minimum_time", "two_link_arm", "low_thrust", "obstacle")
+        for name in (
+            *("cart_pole", "minimum_time", "two_link_arm", "low_thrust", "obstacle"),
+            *("moon_landing", "hypersensitive", "rolling_hills"),
+        )
     ),
     ("cart_pole", kellys_cost, "the cart-pole costs what Kelly found"),
     ("cart_pole", cheaper_swing_up, "the cart-pole has a cheaper swing-up, and both do the work of lifting"),
@@ -643,6 +689,10 @@ TABLE = [
     ("elastic_support", cable_as_integrated, "the cable is that integrated by hand, in balance with its spring"),
     ("obstacle", passed_below, "the vehicle passes below at the exact cost"),
     ("swing_up_loop", upright_in_the_loop, "planned anew from noisy states the pole stands upright, knocked or not"),
+    ("moon_landing", cheapest_landing, "the landing falls and brakes as the closed form says"),
+    ("moon_landing", landed_by_both_solvers, "fatrop lands as IPOPT does"),
+    ("hypersensitive", layers_at_both_ends, "the hypersensitive problem has its two layers at the exact cost"),
+    ("rolling_hills", over_and_over, "the car goes over the hills for ever, from wherever it begins"),
     ("swing_up_loop", a_sample_of_the_plant, "the plant of the loop moves as its Lagrangian says"),
 ]
 SCENES = sorted({name for name, _, _ in TABLE})

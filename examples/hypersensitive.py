@@ -1,0 +1,70 @@
+"""A problem of first order that forgets its ends at once: x' = -x³ + u, least ∫ (x² + u²)/2 over a long time.
+
+There is nothing mechanical here: no Lagrangian, no force, one component that follows its rate.  The path drops to zero
+within a few units of time, stays there, and rises to the end in the last few; a mesh of equal intervals sees neither.
+A tolerance grades the mesh by itself.
+
+Both layers are known: with the Hamiltonian zero, the costate on the way to rest is -x³ + √(x⁶ + x²), and on the way
+out of it x³ + √(x⁶ + x²).  The cost is the integral of the first up to the start, and of the second up to the end.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import casadi_galerkin as cg
+
+START, END, DURATION = 1.5, 1.0, 1e4
+
+
+def problem():
+    """One component, one control, no mechanics."""
+    return cg.ControlProblem(
+        None,
+        (0.0, DURATION),
+        start=[START],
+        end=[END],
+        start_velocity=[None],
+        end_velocity=[None],
+        force=None,
+        running_cost=lambda t, x, v, u: (x[0] ** 2 + u[0] ** 2) / 2,
+        controls=1,
+        rates=lambda t, x, v, u: -(x[0] ** 3) + u[0],
+    )
+
+
+def potential(x):
+    """∫ √(s⁶ + s²) ds from 0 to x."""
+    return (x**2 * np.sqrt(1 + x**4) + np.arcsinh(x**2)) / 4
+
+
+EXACT = potential(START) - START**4 / 4 + potential(END) + END**4 / 4  # 1.33081
+
+
+def main(plot=None):
+    """Solve to a tolerance, from eight equal intervals and a straight line."""
+    path = cg.solve(problem(), tol=1e-6)
+    if plot:
+        draw(path, plot)
+    return path
+
+
+def draw(path, name):
+    """Draw the two layers, with the control, and leave out what is between."""
+    figure, sides = plt.subplots(1, 2, figsize=(6.0, 4.0), sharey=True, layout="constrained")
+    for axes, times in zip(sides, (np.linspace(0, 6, 300), np.linspace(DURATION - 6, DURATION, 300)), strict=True):
+        axes.plot(times, path(times)[0], label="x")
+        axes.plot(times, path.control(times)[0], label="u")
+        axes.set_xlabel("time")
+    sides[0].set_title("Dropping to rest")
+    sides[1].set_title("rising from it")
+    sides[1].legend()
+    figure.savefig(name, dpi=100)
+    plt.close(figure)
+    print(f"picture written to {name}")
+
+
+if __name__ == "__main__":
+    answer = main("hypersensitive.png")
+    print(answer)
+    print(f"  exact cost  {EXACT:.12f}, so the error is {abs(answer.cost / EXACT - 1):.1e} of it")
+    print(f"  intervals from {np.diff(answer.t).min():.2g} to {np.diff(answer.t).max():.4g} long")
