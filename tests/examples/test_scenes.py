@@ -22,7 +22,8 @@ import pytest
 from paths import EXAMPLES
 from scenes import TROESCH
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq, fsolve
+from scipy.interpolate import CubicSpline
+from scipy.optimize import brentq, fsolve, minimize
 from scipy.stats import chi2
 
 import casadi_galerkin as cg
@@ -619,6 +620,22 @@ def over_and_over(module, path):
     np.testing.assert_allclose([later.cost, three.cost / 3], path.cost, rtol=1e-8, atol=0)
 
 
+def cubic_spline_through_the_gates(module, path):
+    """The least ∫ x''² between places given is a cubic spline; its times are found by SciPy's minimizer."""
+    places = np.array([[0.0, 3.0, 6.0, 9.0, module.LAST[0]], [1.0, 2.0, 1.0, 2.5, module.LAST[1]]])
+
+    def price(legs):
+        times = np.append(0.0, np.cumsum(legs))
+        bends = [CubicSpline(times, row, bc_type="clamped").derivative(2)(times) for row in places]
+        squared = sum(np.sum(legs * (b[1:] ** 2 + b[1:] * b[:-1] + b[:-1] ** 2) / 3) for b in bends)
+        return times[-1] + module.EFFORT * module.MASS**2 * squared
+
+    best = minimize(price, np.ones(4), method="BFGS", options={"gtol": 1e-9})
+    assert path.cost == pytest.approx(best.fun, abs=1e-9)
+    np.testing.assert_allclose(np.diff([0.0, *path.problem.breakpoints, path.t[-1]]), best.x, rtol=0, atol=1e-5)
+    assert np.max(np.abs(path.hamiltonian)) < 1e-9
+
+
 TABLE = [
     ("lambert", vallados_velocities, "the Lambert transfer has Vallado's velocities"),
     ("lambert", keplers_invariants, "the Lambert transfer conserves energy and angular momentum"),
@@ -686,6 +703,7 @@ TABLE = [
     ("low_thrust", wider_circle, "the spacecraft arrives on the wider circle"),
     ("low_thrust", cheapest_angle, "the angle of arrival is the cheapest"),
     ("crane", crane_in_balance, "the crane's load arrives at rest, and its rope's force is that of the load's motion"),
+    ("gates", cubic_spline_through_the_gates, "the flight through the gates is the best of all cubic splines"),
     ("elastic_support", cable_as_integrated, "the cable is that integrated by hand, in balance with its spring"),
     ("obstacle", passed_below, "the vehicle passes below at the exact cost"),
     ("swing_up_loop", upright_in_the_loop, "planned anew from noisy states the pole stands upright, knocked or not"),
