@@ -16,6 +16,17 @@ NOT_FINITE = {
         "path_constraint .* at t = 0.0211",
     ),
     "end": ({"terminal_cost": lambda t, x, v: ca.sqrt(-x[0])}, "terminal_cost .* at t = 1"),
+    "condition": (
+        {"end": [None], "end_conditions": (lambda x0, v0, x1, v1: ca.log(x1 - 2), 0, 0)},
+        "end_conditions .* at t = 1",
+    ),
+    "rate": (
+        {
+            **{"lagrangian": None, "force": None, "start_velocity": [None], "end_velocity": [None]},
+            "rates": lambda t, x, v, u: u + ca.sqrt(0.5 - t),
+        },
+        "rates .* at t = 0.521",
+    ),
     "slope of the cost": (
         {"running_cost": lambda t, x, v, u: ca.sqrt(u[0])},
         r"derivative of the cost by u\[0\] .* at t = 0.0211",

@@ -1,5 +1,7 @@
 """Control problems that are stated badly are refused, with what came and what was expected."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -89,6 +91,55 @@ BADLY_STATED = {
     "cost that fails": ({"running_cost": lambda t, x, v, u: u[7]}, ValueError, "running_cost failed"),
     "path constraint alone": ({"path_constraint": ca.sin}, TypeError, r"path_constraint must be \(g, lo, hi\)"),
     "parameter bounds alone": ({"parameter_bounds": (0, 1)}, ValueError, "parameter_bounds need parameters"),
+    "rates as numbers": ({"rates": 3}, TypeError, r"rates must be a callable of \(t, x, v, u\), got 3"),
+    "more rates than components": (
+        {"rates": lambda t, x, v, u: [u[0], 0]},
+        ValueError,
+        r"rates must be those of at most all 1 component\(s\), got 2 values",
+    ),
+    "mechanics of rates": (
+        {"rates": lambda t, x, v, u: u},
+        ValueError,
+        "all components follow rates: lagrangian must be None, got",
+    ),
+    "no lagrangian": ({"lagrangian": None}, ValueError, r"lagrangian is None, but 1 component\(s\) follow no rates"),
+    "no force": ({"force": None}, ValueError, r"force is None, but 1 component\(s\) follow no rates"),
+    "condition alone": (
+        {"end_conditions": lambda x0, v0, x1, v1: x1},
+        TypeError,
+        r"end_conditions must be \(g, lo, hi\), got",
+    ),
+    "condition of two arguments": (
+        {"end_conditions": (lambda x0, x1: x1 - x0, 0, 0)},
+        TypeError,
+        r"end_conditions is called as end_conditions\(x0, v0, x1, v1\)",
+    ),
+    "condition that contradicts": (
+        {"end_conditions": (lambda x0, v0, x1, v1: x1, 2, 0)},
+        ValueError,
+        "end_conditions contradict each other in component 0",
+    ),
+    "condition that the ends violate": (
+        {"end_conditions": (lambda x0, v0, x1, v1: [v1[0] ** 2, x1[0] - x0[0]], 0, [9, 0.5])},
+        ValueError,
+        r"end condition 1 is 1.0 with the ends given, outside its bounds \[0.0, 0.5\]",
+    ),
+    "breakpoint outside": (
+        {"breakpoints": [0.5, 1.0]},
+        ValueError,
+        r"breakpoints.* must increase inside of \(0.0, 1.0\), got \(0.5, 1.0\)",
+    ),
+    "bounds of three phases": (
+        {"breakpoints": [0.5], "duration_bounds": ([0.1, 0.1, 0.1], 2)},
+        ValueError,
+        r"lo of duration_bounds must be a number or 2 numbers, .* got shape \(3,\)",
+    ),
+    "a phase outside its bounds": (
+        {"breakpoints": [0.3], "duration_bounds": (0.4, 2)},
+        ValueError,
+        "must hold the guess, the phase from 0.0 to 0.3 lasts 0.3",
+    ),
+    "hold as a number": ({"hold": 1}, TypeError, "hold must be True or False, got 1"),
     "velocity of a wrong length": ({"end_velocity": [0, 0]}, ValueError, "end_velocity must have 1"),
 }
 
@@ -168,3 +219,43 @@ def plane(**changes):
         controls=2,
         **fields,
     )
+
+
+FIRST_ORDER = {
+    "lagrangian": None,
+    "force": None,
+    "start_velocity": [None],
+    "end_velocity": [None],
+    "rates": lambda t, x, v, u: u,
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"start_velocity": [0.0]}, r"x\[0\] follows a rate: start_velocity\[0\] must be None, got 0.0"),
+        ({"rates": lambda t, x, v, u: u + v}, r"rates must not depend on v\[0\], the rate of x\[0\]"),
+        ({"terminal_cost": lambda t, x, v: v[0]}, r"terminal_cost must not depend on v\[0\]"),
+        ({"end_conditions": (lambda x0, v0, x1, v1: v1, 0, 0)}, r"end_conditions must not depend on v\[0\]"),
+    ],
+)
+def test_what_depends_on_the_velocity_of_a_rate_is_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        double_integrator(**(FIRST_ORDER | changes))
+
+
+def test_a_lagrangian_of_the_velocity_of_a_rate_is_refused():
+    fields = {"start": [0, 0], "end": [1, None], "start_velocity": [0, None], "end_velocity": [0, None]}
+    with pytest.raises(ValueError, match=r"the lagrangian depends on v\[1\], but x\[1\] follows a rate"):
+        double_integrator(
+            lagrangian=lambda t, x, v: ca.sumsqr(v), force=lambda t, x, v, u: u, rates=lambda t, x, v, u: u, **fields
+        )
+
+
+def test_fields_of_problems_with_and_without_rates_are_replaced():
+    changes = {"force": lambda t, x, v, u: u[0] + u[1], "running_cost": lambda t, x, v, u: ca.dot(u, u)}
+    assert replace(double_integrator(), controls=2, control_bounds=(-1, 1), **changes).controls == 2
+    longer = replace(double_integrator(**FIRST_ORDER), t_span=(0.0, 3.0))
+    assert longer.t_span == (0.0, 3.0)
+    assert longer.mechanical == 0
+    assert "1 of which follow rates, and 1 held control(s)" in str(replace(longer, hold=True))
