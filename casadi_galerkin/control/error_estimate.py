@@ -42,6 +42,12 @@ def sampled(path: ControlTrajectory, degree: int) -> tuple[np.ndarray, np.ndarra
     return times, path(times)
 
 
+def cost_change(path: ControlTrajectory, higher: ControlTrajectory) -> float:
+    """Relative change of cost and duration."""
+    cost = abs(higher.cost - path.cost) / (abs(higher.cost) or 1.0)
+    return float(max(cost, abs(np.ptp(higher.t) / np.ptp(path.t) - 1)))
+
+
 def change_of_degree(path: ControlTrajectory, higher: ControlTrajectory) -> float:
     """Relative error of cost, duration and positions, D / (1 - q)."""
     degree = path.method.degree
@@ -49,12 +55,10 @@ def change_of_degree(path: ControlTrajectory, higher: ControlTrajectory) -> floa
         np.abs(sampled(higher, degree)[1] - sampled(path, degree)[1])
         / component_sizes(path.polynomial.values)[:, None, None]
     )
-    cost = abs(higher.cost - path.cost) / (abs(higher.cost) or 1.0)
-    duration = abs(np.ptp(higher.t) / np.ptp(path.t) - 1)
     coarse, fine = (float(np.max(truncation(p.polynomial))) for p in (path, higher))
     at_points = path.problem.path_constraint is not None or len(switches(higher)) > 0
     ratio = SLOWEST if at_points else min(fine / max(coarse, fine, 1e-300), SLOWEST)
-    return float(max(cost, duration, np.max(change)) / (1 - ratio))
+    return float(max(cost_change(path, higher), np.max(change)) / (1 - ratio))
 
 
 def estimated_error(path: ControlTrajectory, higher: ControlTrajectory) -> float:

@@ -110,7 +110,6 @@ def goddard():
         terminal_cost=lambda t, x, v: -x[0],
         controls=1,
         control_bounds=(0.0, 3.5),
-        position_bounds=([1.0, 0.6], [INF, 1.0]),
         duration_bounds=(0.01, 1.0),
         rates=lambda t, x, v, u: -u[0] / 0.5,
     )  # fmt: skip
