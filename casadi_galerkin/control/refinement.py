@@ -55,7 +55,7 @@ def raised(method: Galerkin) -> Galerkin:
 
 def halved(mesh: np.ndarray) -> np.ndarray:
     """The mesh with every interval halved."""
-    return np.interp(np.arange(2 * len(mesh) - 1) / 2, np.arange(len(mesh)), mesh)
+    return np.asarray(np.interp(np.arange(2 * len(mesh) - 1) / 2, np.arange(len(mesh)), mesh))
 
 
 def fits_any_mesh(guess: Guess | None) -> bool:
@@ -164,9 +164,7 @@ class ControlRefinement(Refinement[ControlTrajectory, ControlTrajectory | None])
         self.cost_error = cost_change(level, higher)
         return Estimate(error, True, f"degree {degree}", higher)
 
-    def improve(
-        self, level: ControlTrajectory, estimate: Estimate[ControlTrajectory | None]
-    ) -> ControlTrajectory:
+    def improve(self, level: ControlTrajectory, estimate: Estimate[ControlTrajectory | None]) -> ControlTrajectory:
         """Solve on the better mesh, from the path of higher degree; without that, on a mesh twice as fine."""
         higher = estimate.detail
         mesh = halved(level.t) if higher is None else better_mesh(level, higher, self.tol)

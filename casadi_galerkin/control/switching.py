@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -52,7 +53,7 @@ def switches(path: ControlTrajectory) -> list[Switch]:
             continue
         side = sides(u, low, high)
         bound = np.flatnonzero(side)
-        for a, b in zip(bound[:-1], bound[1:], strict=True):
+        for a, b in pairwise(bound.tolist()):
             first, last = a // r, b // r
             if side[a] != side[b] and times[b] - times[a] <= np.max(steps[first : last + 1]):
                 found.append(switch(path, i, first, last, *((high, low) if side[a] > 0 else (low, high))))
