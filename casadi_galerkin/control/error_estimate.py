@@ -6,12 +6,12 @@ error is D / (1 - q).
 
 Two things that both degrees miss alike are added.  A switch from bound to bound is due where the switching function
 ∂(ℓ + λ·F)/∂u is zero: with the joint next to it elsewhere, no quadrature point may lie between and tell.  And bounds
-of positions hold at nodes only: passing one by ε between them moves the path by about √ε.  Path constraints hold at
-quadrature points only: passing one by ε for a time moves cost and path by about their product.
+of positions hold at nodes only: passing one by ε between them moves the path by about √ε.
 
 The new mesh spreads what the finer path has beyond degree m evenly.  Where a higher degree does not help the path has
 a kink, and intervals are split as for order 2.  Where a control switches inside an interval its impulse ∫ u dt tells
-when, and a joint is moved there; the intervals on both sides shrink with the time by which the switch is not due there.
+when, and a joint is put there.  Two more stand beside it, as close as the switch is known: the next path has it between
+them, and knows it some ten times better.
 """
 
 from __future__ import annotations
@@ -34,8 +34,6 @@ NARROW = 0.25  # of its neighbour is an interval beside a jump
 CLOSE = 1 / 3  # of an interval: a joint so near to a jump gives way to it
 AGREED = 1e-3  # of what the switching function says: nearer to its joint an impulse says nothing
 MARGIN = 3.0  # times what is not known of a switch: joints beside it
-MIDDLES = (np.arange(32) + 0.5) / 32  # where path constraints are looked at, in parts of an interval
-FEASIBLE = 1e-8  # violation of a path constraint that a solve leaves at the points themselves
 ROUNDOFF = 1e-15  # of positions relative to their size
 
 
@@ -67,8 +65,7 @@ def change_of_degree(path: ControlTrajectory, higher: ControlTrajectory) -> floa
 def estimated_error(path: ControlTrajectory, higher: ControlTrajectory) -> float:
     """Relative error of cost, duration and positions from the same mesh with degree m + 2."""
     late = [abs(s.due - s.joint) / np.ptp(higher.t) for s in switches(higher)]
-    beyond = np.sqrt(np.max(excess(path))), np.sum(constraint_excess(path)), np.sum(constraint_excess(higher))
-    return float(max(change_of_degree(path, higher), *late, *beyond))
+    return float(max(change_of_degree(path, higher), *late, np.sqrt(np.max(excess(path))), 0.0))
 
 
 def excess(path: ControlTrajectory) -> np.ndarray:
@@ -85,29 +82,6 @@ def excess(path: ControlTrajectory) -> np.ndarray:
         / component_sizes(path.polynomial.values)[:, None, None]
     )
     return np.asarray(np.max(np.where(beyond > ROUNDOFF, beyond, 0.0), axis=(0, 2)))
-
-
-def constraint_excess(path: ControlTrajectory) -> np.ndarray:
-    """By how much path constraints without controls leave their bounds between the points, times how long; (N,).
-
-    Relative to their largest values and the duration.
-    """
-    steps = np.diff(path.t)
-    if path.problem.path_constraint is None:
-        return np.zeros(len(steps))
-    g, *bounds = path.problem.path_constraint
-    free = np.setdiff1d(np.arange(g.numel_out(0)), g.sparsity_jac(3, 0).row())
-    if len(free) == 0:
-        return np.zeros(len(steps))
-    times = times_at(path.t, MIDDLES)
-    given = [] if path.parameters is None else [path.parameters]
-    controls = np.zeros((path.problem.controls, 1))
-    values = np.array(g.map(len(times))(times[None], path(times), path(times, 1), controls, *given))[free]
-    low, high = (np.array(side)[free, None] for side in bounds)
-    beyond = np.maximum(np.maximum(low - values, values - high), 0.0) / component_sizes(values)[:, None]
-    beyond = np.where(beyond > FEASIBLE, beyond, 0.0)
-    means = np.mean(np.max(beyond, axis=0).reshape(len(steps), -1), axis=1)
-    return np.asarray(means * steps / np.sum(steps))
 
 
 def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
@@ -127,8 +101,6 @@ def better_mesh(path: ControlTrajectory, higher: ControlTrajectory, tol: float) 
     error[kinked] = target * (error[kinked] / target) ** (order / KINK_ORDER)
     outside = np.sqrt(excess(path))  # of the order of the distance to the nearest node, so of order 1
     error = np.maximum(error, target * (outside / target) ** order)
-    passed = np.maximum(constraint_excess(path), constraint_excess(higher))
-    error = np.maximum(error, target * (passed / target) ** (order / KINK_ORDER))
     mesh, error = widened(higher.t, error, found, target)
     mesh = equidistributed(mesh, error, order, tol, FINEST)
     return with_jumps(mesh, found, tol)

@@ -16,7 +16,7 @@ class Limits:
     Parameters
     ----------
     intervals : largest number of intervals of a mesh
-    seconds : longest time, checked between levels
+    seconds : longest time: no level begins after it, and in a trajectory optimisation IPOPT stops within one
     levels : largest number of meshes
 
     Examples
