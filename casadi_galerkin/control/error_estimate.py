@@ -10,7 +10,8 @@ of positions hold at nodes only: passing one by ε between them moves the path b
 
 The new mesh spreads what the finer path has beyond degree m evenly.  Where a higher degree does not help the path has
 a kink, and intervals are split as for order 2.  Where a control switches inside an interval its impulse ∫ u dt tells
-when, and a joint is moved there; the intervals on both sides shrink with the time by which the switch is not due there.
+when, and a joint is put there.  Two more stand beside it, as close as the switch is known: the next path has it between
+them, and knows it some ten times better.
 """
 
 from __future__ import annotations
@@ -22,14 +23,17 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, truncation
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
-from casadi_galerkin.control.switching import switches
+from casadi_galerkin.control.switching import Switch, switches
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 SLOWEST = 2 / 3  # q where a jump or a constraint at points keeps the higher degree from gaining much
 STUBBORN = 0.25  # an interval whose truncation falls by less with the higher degree is not smooth
 KINK_ORDER = 2  # a jump of the acceleration inside a step h moves x by h²
 FINEST = 8.0  # parts of one interval at once; a kink needs few levels and leaves few intervals behind
-LEAST = 1e-3  # of the target: intervals beside a switch that is not late may grow, as far as a mesh lets them
+NARROW = 0.25  # of its neighbour is an interval beside a jump
+CLOSE = 1 / 3  # of an interval: a joint so near to a jump gives way to it
+AGREED = 1e-3  # of what the switching function says: nearer to its joint an impulse says nothing
+MARGIN = 3.0  # times what is not known of a switch: joints beside it
 ROUNDOFF = 1e-15  # of positions relative to their size
 
 
@@ -39,6 +43,12 @@ def sampled(path: ControlTrajectory, degree: int) -> tuple[np.ndarray, np.ndarra
     return times, path(times)
 
 
+def cost_change(path: ControlTrajectory, higher: ControlTrajectory) -> float:
+    """Relative change of cost and duration."""
+    cost = abs(higher.cost - path.cost) / (abs(higher.cost) or 1.0)
+    return float(max(cost, abs(np.ptp(higher.t) / np.ptp(path.t) - 1)))
+
+
 def change_of_degree(path: ControlTrajectory, higher: ControlTrajectory) -> float:
     """Relative error of cost, duration and positions, D / (1 - q)."""
     degree = path.method.degree
@@ -46,12 +56,10 @@ def change_of_degree(path: ControlTrajectory, higher: ControlTrajectory) -> floa
         np.abs(sampled(higher, degree)[1] - sampled(path, degree)[1])
         / component_sizes(path.polynomial.values)[:, None, None]
     )
-    cost = abs(higher.cost - path.cost) / (abs(higher.cost) or 1.0)
-    duration = abs(np.ptp(higher.t) / np.ptp(path.t) - 1)
     coarse, fine = (float(np.max(truncation(p.polynomial))) for p in (path, higher))
     at_points = path.problem.path_constraint is not None or len(switches(higher)) > 0
     ratio = SLOWEST if at_points else min(fine / max(coarse, fine, 1e-300), SLOWEST)
-    return float(max(cost, duration, np.max(change)) / (1 - ratio))
+    return float(max(cost_change(path, higher), np.max(change)) / (1 - ratio))
 
 
 def estimated_error(path: ControlTrajectory, higher: ControlTrajectory) -> float:
@@ -93,11 +101,48 @@ def better_mesh(path: ControlTrajectory, higher: ControlTrajectory, tol: float) 
     error[kinked] = target * (error[kinked] / target) ** (order / KINK_ORDER)
     outside = np.sqrt(excess(path))  # of the order of the distance to the nearest node, so of order 1
     error = np.maximum(error, target * (outside / target) ** order)
+    mesh, error = widened(higher.t, error, found, target)
+    mesh = equidistributed(mesh, error, order, tol, FINEST)
+    return with_jumps(mesh, found, tol)
+
+
+def widened(mesh: np.ndarray, error: np.ndarray, jumps: list[Switch], target: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mesh and errors without the narrow intervals around jumps; an interval with a jump need not be split."""
+    steps = np.concatenate(([0.0], np.diff(mesh), [0.0]))
+    narrow = steps[1:-1] < NARROW * np.maximum(steps[:-2], steps[2:])
+    error, drop = error.copy(), np.zeros(len(mesh), dtype=bool)
+    for s in jumps:
+        times = (s.when, s.joint, s.due)
+        first = max(int(np.searchsorted(mesh, min(times))) - 1, 0)
+        last = min(int(np.searchsorted(mesh, max(times), side="right")) - 1, len(narrow) - 1)
+        while first > 0 and narrow[first]:
+            first -= 1
+        while last < len(narrow) - 1 and narrow[last]:
+            last += 1
+        error[first : last + 1] = np.minimum(error[first : last + 1], target)
+        drop[first + 1 : last + 1] |= narrow[first:last] | narrow[first + 1 : last + 1]
+    keep = np.flatnonzero(~drop)
+    return mesh[keep], np.maximum.reduceat(error, keep[:-1])
+
+
+def with_jumps(mesh: np.ndarray, found: list[Switch], tol: float) -> np.ndarray:
+    """Joints at switches, and beside them, as close as the switches are known or have to be.
+
+    The switching function says when they are, but not to which place between two points of the quadrature; the impulse
+    says it in the smaller of two intervals, but not where all controls stay at their bounds on both sides.
+    """
+    jumps, distances = [], []
     for s in found:
-        i = int(np.argmin(np.abs(higher.t - s.joint)))
-        error[max(i - 1, 0) : i + 1] = target * max(abs(s.due - s.joint) / np.ptp(higher.t) / target, LEAST) ** order
-    mesh = equidistributed(higher.t, error, order, tol, FINEST)
-    for s in found:
-        best = s.due if s.when == s.joint else s.when
-        mesh[1 + np.argmin(np.abs(mesh[1:-1] - best))] = best
-    return mesh
+        late = abs(s.when - s.joint), abs(s.due - s.joint)
+        when = s.due if late[0] < AGREED * late[1] else s.when
+        k = int(np.searchsorted(mesh[1:-1], when))
+        near = min((k, k + 1), key=lambda j: abs(mesh[j] - when))
+        if 0 < near < len(mesh) - 1 and abs(mesh[near] - when) < CLOSE * (mesh[k + 1] - mesh[k]):
+            mesh = np.delete(mesh, near)
+        jumps.append(when)
+        distances.append(max(tol * np.ptp(mesh), MARGIN * max(late)))
+    everything = np.unique(np.concatenate((mesh, jumps)))
+    for when, distance in zip(jumps, distances, strict=True):
+        if distance < NARROW * np.min(np.abs(everything - when)[everything != when]):
+            mesh = np.append(mesh, [when - distance, when + distance])
+    return np.unique(np.concatenate((mesh, jumps)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -11,11 +12,6 @@ from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 AT_BOUND = 0.05  # of the bounds' distance: a switch is from one bound to the other within this
-
-
-NEAR = 2  # intervals within which it happens
-
-
 ZOOMS = 4  # of 32 parts each, in search of a zero: 1e-6 of the bracket, then linear
 
 
@@ -41,20 +37,26 @@ def switching_function(path: ControlTrajectory, times: np.ndarray) -> np.ndarray
     return np.array(slope(times[None, :], *along))
 
 
+def sides(u: np.ndarray, low: float, high: float) -> np.ndarray:
+    """For values of a control: 1 and -1 where it stays at its bounds for more than a point, else 0."""
+    slack = AT_BOUND * (high - low)
+    side = np.where(u >= high - slack, 1, np.where(u <= low + slack, -1, 0))
+    near = np.concatenate(([0], side, [0]))
+    return np.where((side == near[2:]) | (side == near[:-2]), side, 0)
+
+
 def switches(path: ControlTrajectory) -> list[Switch]:
-    """All switches of all controls."""
-    found, r = [], len(path.method.quadrature)
+    """All switches of all controls, each within the length of one interval."""
+    found, r, steps, times = [], len(path.method.quadrature), np.diff(path.t), path.control.times
     for i, (u, low, high) in enumerate(zip(path.control.values, *path.problem.control_bounds, strict=True)):
         if not 0 < high - low < np.inf:
             continue
-        slack = AT_BOUND * (high - low)
-        side = np.where(u >= high - slack, 1, np.where(u <= low + slack, -1, 0))
+        side = sides(u, low, high)
         bound = np.flatnonzero(side)
-        for k in np.flatnonzero(side[bound[1:]] != side[bound[:-1]]):
-            first, last = bound[k] // r, bound[k + 1] // r
-            if last - first <= NEAR:
-                ends = (high, low) if side[bound[k]] > 0 else (low, high)
-                found.append(switch(path, i, max(first - 1, 0), min(last + 1, len(path.t) - 2), *ends))
+        for a, b in pairwise(bound.tolist()):
+            first, last = a // r, b // r
+            if side[a] != side[b] and times[b] - times[a] <= np.max(steps[first : last + 1]):
+                found.append(switch(path, i, first, last, *((high, low) if side[a] > 0 else (low, high))))
     return found
 
 

@@ -36,7 +36,7 @@ class ControlTrajectory(Trajectory):
     Attributes
     ----------
     problem : ControlProblem
-    cost : value of the discrete cost
+    cost : value of the discrete cost, a local minimum: paths that differ much from this one may cost less
     control : callable, ``control(t)`` -> (number of controls,) + t.shape
     costate : multipliers λ of the equations of motion, and of the rates, as a path: ``costate(t)`` -> (d,) + t.shape.
         The cost of a small extra force (or rate) δF(t) is ∫ λ·δF dt to first order

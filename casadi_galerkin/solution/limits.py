@@ -16,7 +16,7 @@ class Limits:
     Parameters
     ----------
     intervals : largest number of intervals of a mesh
-    seconds : longest time; boundary problems look at it in every iteration of a solver, others between levels
+    seconds : longest time: no level begins after it, and Newton's method and IPOPT stop within one
     levels : largest number of meshes
 
     Examples

@@ -9,6 +9,7 @@ from paths import EXAMPLES
 from scipy.optimize import minimize_scalar
 
 import casadi_galerkin as cg
+from casadi_galerkin.control.refinement import ControlRefinement
 
 
 def late_start(velocity=-0.3):
@@ -113,7 +114,6 @@ def test_lines_of_the_levels(capsys):
 
 LIMITS = {
     "intervals": (cg.Limits(intervals=9), "would need .* intervals"),
-    "seconds": (cg.Limits(seconds=1e-9), "seconds have passed"),
     "levels": (cg.Limits(levels=1), "1 level was not enough"),
 }
 
@@ -127,6 +127,43 @@ def test_best_path_is_attached_when_a_limit_is_reached(name):
     assert best.cost == pytest.approx(58.8, abs=0.1)
     assert best.error_estimate > 1e-8
     assert cg.solve(cart_pole(), tol=1e-3, guess=best).error_estimate <= 1e-3
+
+
+def test_best_path_is_attached_when_the_time_is_up(monkeypatch):
+    monkeypatch.setattr(ControlRefinement, "out_of_time", lambda self: True)
+    with pytest.raises(cg.LimitReached, match="120 seconds have passed") as caught:
+        cg.solve(cart_pole(), tol=1e-8)
+    assert caught.value.path.cost == pytest.approx(58.8, abs=0.1)
+
+
+def test_time_is_a_limit_within_a_level():
+    with pytest.raises(cg.ConvergenceError, match=r"Maximum WallTime Exceeded.*Allow more seconds"):
+        cg.solve(cart_pole(), tol=1e-8, intervals=300, limits=cg.Limits(seconds=1e-3))
+
+
+@pytest.mark.parametrize("failing", ["the estimate", "the next mesh"])
+def test_a_level_that_fails_is_tried_on_a_finer_mesh(monkeypatch, failing):
+    """IPOPT is made to give up on one solve in the middle: the answer is true nevertheless."""
+    solve, levels = ControlRefinement.solve, []
+
+    def once(self, method, mesh, guess):
+        levels.append((method.degree, len(mesh) - 1))
+        if len(levels) == (2 if failing == "the estimate" else 3):
+            raise cg.ConvergenceError("made to fail")
+        return solve(self, method, mesh, guess)
+
+    monkeypatch.setattr(ControlRefinement, "solve", once)
+    path = cg.solve(cart_pole(), tol=1e-4)
+    (degree, count), (next_degree, next_count) = levels[1:3] if failing == "the estimate" else levels[2:4]
+    assert next_count == 2 * count
+    assert next_degree == (degree - 2 if failing == "the estimate" else degree)
+    assert true_error(path, *resolved(cart_pole)) <= 1e-4
+
+
+def test_an_array_as_guess_is_not_tried_on_another_mesh():
+    guess = np.linspace(0.0, 1.0, 8 * 5 + 1)[None, :]
+    with pytest.raises(cg.ConvergenceError, match="Infeasible"):
+        cg.solve(double_integrator(control_bounds=(-1, 1)), cg.Galerkin(5), tol=1e-4, guess=guess)
 
 
 def test_infeasible_problem_is_refused_in_ipopts_words():

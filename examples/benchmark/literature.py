@@ -1,0 +1,353 @@
+"""Optimal control problems of the literature, solved to a tolerance: found, published, estimated error, seconds.
+
+Every problem is stated as it was published, and begins with the default guess, but for the transfer between orbits.
+Costs are compared with closed forms where there are some, which functions below evaluate.  The others were computed with
+this package on finer meshes or to tighter tolerances: there the published digits are what is independent.  Two problems
+have singular arcs, along which the path is not found to the tolerance: printed is the path attached to the error.
+"""
+
+import argparse
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.integrate import quad
+from scipy.linalg import expm
+from scipy.optimize import brentq, fsolve
+
+import casadi_galerkin as cg
+
+INF = np.inf
+
+
+KNOWN = 3e-9  # relative error of the costs compared with
+SECONDS = 10.0  # that a problem may take
+
+
+@dataclass(frozen=True)
+class Case:
+    """A problem, its published cost, NaN if there is none, and it to more digits; a guess where a line is a bad one."""
+
+    problem: cg.ControlProblem
+    published: float
+    exact: float
+    guess: Any = None
+
+
+def boundary_layers():
+    """Cost of a long duration: down from 1.5 to rest and up to 1, with the Hamiltonian zero on both ways."""
+    down = quad(lambda x: -(x**3) + np.sqrt(x**6 + x**2), 0, 1.5, epsabs=1e-14)[0]
+    return down + quad(lambda x: x**3 + np.sqrt(x**6 + x**2), 0, 1, epsabs=1e-14)[0]
+
+
+def riccati():
+    """Cost of the regulator from the flow of states and costates over its ten seconds."""
+    flow = expm(10 * np.array([[0, 1, 0, 0], [0, 0, 0, -1], [-1, 0, 0, 0], [0, 0, -1, 0]]))
+    return -np.linalg.solve(flow[2:, 2:], flow[2:, :2])[0, 0] / 2
+
+
+def least_fuel():
+    """Fuel of the moon lander: free fall, then full thrust until height and speed are zero together."""
+    thrust, exhaust = 1.227, 2.349
+
+    def missed(times):
+        fall, burn = times
+        gained = quad(lambda t: -exhaust * np.log(1 - thrust * t / exhaust), 0, burn, epsabs=1e-15)[0]
+        speed = -0.783 - fall
+        height = 1 - 0.783 * fall - fall**2 / 2 + speed * burn - burn**2 / 2 + gained
+        return height, speed - burn - exhaust * np.log(1 - thrust * burn / exhaust)
+
+    return thrust * fsolve(missed, [0.24, 1.15], xtol=1e-14)[1]
+
+
+def crossing():
+    """Duration of Zermelo's crossing from its headings at both ends (Bryson and Ho, equations 2.7.12 to 2.7.15)."""
+
+    def missed(headings):
+        (tan0, tan1), (sec0, sec1) = np.tan(headings), 1 / np.cos(headings)
+        way = sec1 * (tan1 - tan0) - tan0 * (sec1 - sec0) + np.log((tan1 + sec1) / (tan0 + sec0))
+        return sec0 - sec1 + 1.86, -way / 2 - 3.66
+
+    return float(np.diff(np.tan(fsolve(missed, np.radians([105, 240]), xtol=1e-14)))[0])
+
+
+def cycloid(friction):
+    """Duration of a slide with friction: without it, in axes turned by the angle of friction, with more gravity."""
+    more = np.hypot(1, friction)
+    along, down = 2 * (1 + friction) / more, 2 * (1 - friction) / more
+    angle = brentq(lambda a: (a - np.sin(a)) / (1 - np.cos(a)) - along / down, 0.1, 6)
+    return angle * np.sqrt(down / (1 - np.cos(angle)) / (9.81 * more))
+
+
+def mass(**changes):
+    """Unit mass on a line, from rest to rest."""
+    fields = {
+        "lagrangian": lambda t, x, v: v[0] ** 2 / 2,
+        "t_span": (0.0, 1.0),
+        "start": [0.0],
+        "end": [1.0],
+        "start_velocity": [0.0],
+        "end_velocity": [0.0],
+        "force": lambda t, x, v, u: u,
+        "running_cost": lambda t, x, v, u: u[0] ** 2 / 2,
+        "controls": 1,
+    }
+    return cg.ControlProblem(**(fields | changes))
+
+
+def shortest(t, x, v, u):
+    """The running cost of minimum time."""
+    return 1
+
+
+def cart_pole():
+    """M. Kelly, SIAM Review 59 (2017)."""
+
+    def lagrangian(t, x, v):
+        kinetic = 1.3 * v[0] ** 2 / 2 + 0.15 * v[0] * v[1] * ca.cos(x[1]) + 0.3 * (0.5 * v[1]) ** 2 / 2
+        return kinetic + 0.3 * 9.81 * 0.5 * ca.cos(x[1])
+
+    problem = cg.ControlProblem(
+        lagrangian, (0.0, 2.0), [0.0, 0.0], [1.0, np.pi], [0.0, 0.0], [0.0, 0.0],
+        force=lambda t, x, v, u: [u[0], 0],
+        running_cost=lambda t, x, v, u: u[0] ** 2,
+        controls=1,
+        control_bounds=(-20.0, 20.0),
+        position_bounds=([-2.0, -INF], [2.0, INF]),
+    )  # fmt: skip
+    return Case(problem, 58.8077, 58.807667459)
+
+
+def low_thrust():
+    """From a circular orbit to one of twice the radius with the least squared thrust; the angle of arrival is free."""
+    problem = cg.ControlProblem(
+        lambda t, x, v: (v[0] ** 2 + (x[0] * v[1]) ** 2) / 2 + 1 / x[0],
+        (0.0, 20.0), [1.0, 0.0], [2.0, None], [0.0, 1.0], [0.0, 2.0**-1.5],
+        force=lambda t, x, v, u: [u[0], x[0] * u[1]],
+        running_cost=lambda t, x, v, u: (u[0] ** 2 + u[1] ** 2) / 2,
+        controls=2,
+    )  # fmt: skip
+    return Case(problem, np.nan, 0.00221872638555, lambda t: [1 + t / 20, t * (1 + 2.0**-1.5) / 2])
+
+
+def bryson_denham():
+    """A. E. Bryson, W. F. Denham, S. E. Dreyfus, AIAA Journal 1 (1963), with the wall at 1/9: 4/9 of 9."""
+    problem = mass(end=[0.0], start_velocity=[1.0], end_velocity=[-1.0], position_bounds=(-INF, 1 / 9))
+    return Case(problem, 4.0, 4.0)
+
+
+def speed_limit():
+    """From rest to rest, 1.5 away, with a speed and a force of at most 1: 2.5."""
+    problem = mass(
+        end=[1.5],
+        running_cost=shortest,
+        control_bounds=(-1.0, 1.0),
+        duration_bounds=(0.1, 10.0),
+        path_constraint=(lambda t, x, v, u: v[0], -1.0, 1.0),
+    )
+    return Case(problem, 2.5, 2.5)
+
+
+def goddard():
+    """Goddard's rocket as in COPS 3 (2004): the greatest height in its units."""
+
+    def drag(x, v):
+        return 310 * v[0] ** 2 * ca.exp(-500 * (x[0] - 1))
+
+    problem = cg.ControlProblem(
+        lambda t, x, v: x[1] * v[0] ** 2 / 2 + x[1] / x[0],
+        (0.0, 0.2), [1.0, 1.0], [None, 0.6], [0.0, None], [None, None],
+        force=lambda t, x, v, u: u[0] - drag(x, v) - u[0] / 0.5 * v[0],
+        running_cost=lambda t, x, v, u: 0,
+        terminal_cost=lambda t, x, v: -x[0],
+        controls=1,
+        control_bounds=(0.0, 3.5),
+        duration_bounds=(0.01, 1.0),
+        rates=lambda t, x, v, u: -u[0] / 0.5,
+    )  # fmt: skip
+    return Case(problem, -1.01284, -1.012836934)
+
+
+def hypersensitive(duration=10000.0):
+    """A. V. Rao, K. D. Mease, Automatica 35 (1999)."""
+    problem = cg.ControlProblem(
+        None, (0.0, duration), [1.5], [1.0], [None], [None],
+        force=None,
+        running_cost=lambda t, x, v, u: (x[0] ** 2 + u[0] ** 2) / 2,
+        controls=1,
+        rates=lambda t, x, v, u: -(x[0] ** 3) + u[0],
+    )  # fmt: skip
+    return Case(problem, 1.33081, boundary_layers())
+
+
+def moon_lander():
+    """Soft landing with least fuel, PSOPT's manual: one switch."""
+    problem = cg.ControlProblem(
+        lambda t, x, v: x[1] * v[0] ** 2 / 2 - x[1] * x[0],
+        (0.0, 1.5), [1.0, 1.0], [0.0, None], [-0.783, None], [0.0, None],
+        force=lambda t, x, v, u: u[0] - u[0] / 2.349 * v[0],
+        running_cost=lambda t, x, v, u: u[0],
+        controls=1,
+        control_bounds=(0.0, 1.227),
+        duration_bounds=(0.1, 10.0),
+        position_bounds=([-INF, 0.01], [INF, INF]),
+        rates=lambda t, x, v, u: -u[0] / 2.349,
+    )  # fmt: skip
+    return Case(problem, 1.4204, least_fuel())
+
+
+def robot_arm():
+    """The arm of COPS 3 (2004), three joints in minimum time."""
+
+    def inertia(x):
+        return ((5 - x[0]) ** 3 + x[0] ** 3) / 3
+
+    problem = cg.ControlProblem(
+        lambda t, x, v: ca.dot(v, v) / 2,
+        (0.0, 1.0), [4.5, 0.0, np.pi / 4], [4.5, 2 * np.pi / 3, np.pi / 4], [0.0] * 3, [0.0] * 3,
+        force=lambda t, x, v, u: [u[0] / 5, u[1] / (inertia(x) * ca.sin(x[2]) ** 2), u[2] / inertia(x)],
+        running_cost=shortest,
+        controls=3,
+        control_bounds=(-1.0, 1.0),
+        position_bounds=([0.0, -np.pi, 0.0], [5.0, np.pi, np.pi]),
+        duration_bounds=(0.1, 100.0),
+    )  # fmt: skip
+    return Case(problem, 9.1409, 9.140911746)
+
+
+def regulator():
+    """Double integrator, ∫ (x² + u²)/2 over [0, 10] from 1 with a free end: its Riccati equation gives the cost."""
+    problem = mass(
+        t_span=(0.0, 10.0), start=[1.0], end=[None], end_velocity=[None],
+        running_cost=lambda t, x, v, u: (x[0] ** 2 + u[0] ** 2) / 2,
+    )  # fmt: skip
+    return Case(problem, np.nan, riccati())
+
+
+def van_der_pol():
+    """PROPT's van der Pol oscillator: u within [-0.3, 1]."""
+    problem = mass(
+        t_span=(0.0, 5.0), start=[1.0], end=[None], end_velocity=[None],
+        lagrangian=lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2,
+        force=lambda t, x, v, u: (1 - x[0] ** 2) * v[0] + u[0],
+        running_cost=lambda t, x, v, u: x[0] ** 2 + v[0] ** 2 + u[0] ** 2,
+        control_bounds=(-0.3, 1.0),
+    )  # fmt: skip
+    return Case(problem, 2.86726, 2.8672610452)
+
+
+def zermelo():
+    """Zermelo's ship in a current that grows with the distance from the shore, Bryson and Ho (1975), section 2.7."""
+    problem = cg.ControlProblem(
+        None, (0.0, 5.0), [3.66, -1.86], [0.0, 0.0], [None] * 2, [None] * 2,
+        force=None,
+        running_cost=shortest,
+        controls=1,
+        duration_bounds=(0.1, 100.0),
+        rates=lambda t, x, v, u: [ca.cos(u[0]) - x[1], ca.sin(u[0])],
+    )  # fmt: skip
+    return Case(problem, 5.46, crossing())
+
+
+def quadrotor(distance=3.0):
+    """A plane quadrotor in minimum time, M. Hehn, R. Ritz, R. D'Andrea, Autonomous Robots 33 (2012)."""
+    problem = cg.ControlProblem(
+        lambda t, x, v: (v[0] ** 2 + v[1] ** 2) / 2 - 9.81 * x[1],
+        (0.0, 1.0), [0.0, 0.0, 0.0], [distance, 0.0, 0.0], [0.0, 0.0, None], [0.0, 0.0, None],
+        force=lambda t, x, v, u: [u[0] * ca.sin(x[2]), u[0] * ca.cos(x[2])],
+        running_cost=shortest,
+        controls=2,
+        control_bounds=([1.0, -10.0], [20.0, 10.0]),
+        duration_bounds=(0.1, 10.0),
+        rates=lambda t, x, v, u: u[1],
+    )  # fmt: skip
+    return Case(problem, 0.898, 0.898702918)
+
+
+def crane():
+    """A container crane, Y. Sakawa, Y. Shindo, Automatica 18 (1982); squared controls cost a hundredth."""
+    problem = cg.ControlProblem(
+        lambda t, x, v: (v[0] ** 2 + v[1] ** 2 + v[2] ** 2) / 2,
+        (0.0, 9.0), [0.0, 22.0, 0.0], [10.0, 14.0, 0.0], [0.0, -1.0, 0.0], [2.5, 0.0, 0.0],
+        force=lambda t, x, v, u: [
+            u[0] + 17.2656 * x[2], u[1], -(u[0] + 27.0756 * x[2] + 2 * v[1] * v[2]) / x[1]
+        ],
+        running_cost=lambda t, x, v, u: (x[2] ** 2 + v[2] ** 2 + 0.01 * (u[0] ** 2 + u[1] ** 2)) / 2,
+        controls=2,
+        control_bounds=([-2.83374, -0.80865], [2.83374, 0.71265]),
+        path_constraint=(lambda t, x, v, u: [v[0], v[1]], [-2.5, -1.0], [2.5, 1.0]),
+    )  # fmt: skip
+    return Case(problem, 0.037520, 0.0375194614)
+
+
+def brachistochrone(friction=0.3):
+    """Sliding down with friction, N. Ashby et al., American Journal of Physics 43 (1975)."""
+    problem = cg.ControlProblem(
+        None, (0.0, 1.0), [0.0, 0.0, 0.0], [2.0, 2.0, None], [None] * 3, [None] * 3,
+        force=None,
+        running_cost=shortest,
+        controls=1,
+        duration_bounds=(0.1, 10.0),
+        rates=lambda t, x, v, u: [
+            x[2] * ca.sin(u[0]), x[2] * ca.cos(u[0]), 9.81 * (ca.cos(u[0]) - friction * ca.sin(u[0]))
+        ],
+    )  # fmt: skip
+    return Case(problem, np.nan, cycloid(friction))
+
+
+CASES = {f.__name__: f for f in (
+    cart_pole, low_thrust, bryson_denham, speed_limit, goddard, hypersensitive, moon_lander, robot_arm, regulator,
+    van_der_pol, zermelo, quadrotor, crane, brachistochrone,
+)}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a problem: its cost, the estimated and the true error, seconds, and the words of a refusal."""
+
+    cost: float
+    estimate: float
+    error: float
+    intervals: int
+    seconds: float
+    said: str
+
+
+def outcome(case, tol, verbose=0):
+    """Solve a problem to a tolerance."""
+    began, said = time.perf_counter(), ""
+    try:
+        path = cg.solve(case.problem, tol=tol, guess=case.guess, limits=cg.Limits(seconds=SECONDS), verbose=verbose)
+    except cg.LimitReached as failure:
+        path, said = failure.path, str(failure)
+    seconds = time.perf_counter() - began
+    error = abs(path.cost / case.exact - 1)
+    return Outcome(path.cost, path.error_estimate, error, len(path.t) - 1, seconds, said)
+
+
+def main(names=(), tols=(1e-6,), verbose=0):
+    """Print what was found of every problem; returns the outcomes."""
+    print(f"{'problem':17}{'tol':>8}{'cost':>18}{'published':>12}{'error':>9}{'estimate':>9}{'intervals':>10}{'s':>7}")
+    outcomes = []
+    for name in names or CASES:
+        case = CASES[name]()
+        for tol in tols:
+            one = outcome(case, tol, verbose)
+            outcomes.append(one)
+            print(f"{name:17}{tol:8.0e}{one.cost:18.10f}{case.published:12.6f}{one.error:9.1e}{one.estimate:9.1e}"
+                  f"{one.intervals:10d}{one.seconds:7.2f} {one.said[:100]}", flush=True)  # fmt: skip
+    answers = [one for one in outcomes if not one.said]
+    bounded = sum(one.error <= max(one.estimate, KNOWN) for one in answers)
+    refused = len(outcomes) - len(answers)
+    print(f"{refused} runs without an answer; the estimate bounds the error of the cost in {bounded} of {len(answers)}")
+    return outcomes
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", help="problems, all if none is named")
+    parser.add_argument("--tols", type=float, nargs="+", default=[1e-6], help="tolerances")
+    parser.add_argument("--verbose", type=int, default=0)
+    main(**vars(parser.parse_args()))
