@@ -6,8 +6,7 @@ x at the joints and between them, relative to the size of its component; neither
 the optimum is the global one.
 
 Where IPOPT finds no answer the mesh is halved, twice at most, and the last good path tried there; where it finds none
-of degree m + 2, the level is not judged, and followed by one on the mesh halved.  An optimum of a coarse mesh may be
-far from all others: after an estimate above `MISLEADING` the next mesh is solved from the first guess as well.  IPOPT's
+of degree m + 2, the level is not judged, and followed by one on the mesh halved.  IPOPT's
 own tolerance does not follow `tol`: of eight problems of the literature, 1e-9 instead of 1e-12 was a tenth faster on
 four, slower on two, and failed on two.
 
@@ -46,7 +45,6 @@ from casadi_galerkin.solvers.solver import Solver, ipopt
 
 FIRST_INTERVALS = 8
 DOUBLINGS = 2  # of a mesh, while IPOPT finds nothing on it
-MISLEADING = 0.1  # estimated error from which a path is no better guess than the first
 LEAST_SECONDS = 1e-3  # that IPOPT is given
 HIGHER = 2  # degrees added for the error estimate; two, because of parity
 
@@ -146,20 +144,6 @@ class ControlRefinement(Refinement[ControlTrajectory, ControlTrajectory | None])
                     raise
         return self.solve(self.method, mesh, guess)
 
-    def cheapest(self, mesh: np.ndarray, guess: Guess | None, error: float) -> ControlTrajectory:
-        """The path from the last one; where that is very wrong, from the first guess as well, and the cheaper of both.
-
-        A coarse mesh has optima that a finer one has not, and from there leads to others that cost more.
-        """
-        path = self.solve_finer(mesh, guess)
-        if error < MISLEADING or self.out_of_time() or not fits_any_mesh(self.guess):
-            return path
-        try:
-            other = self.solve(self.method, path.t, self.guess)
-        except ConvergenceError:
-            return path
-        return min(path, other, key=lambda found: found.cost)
-
     def estimate(self, level: ControlTrajectory) -> Estimate[ControlTrajectory | None]:
         """The error from the same mesh with a higher degree, where that is solved."""
         degree = raised(self.method).degree
@@ -179,7 +163,7 @@ class ControlRefinement(Refinement[ControlTrajectory, ControlTrajectory | None])
         mesh = halved(level.t) if higher is None else better_mesh(level, higher, self.tol)
         self.check_intervals(len(mesh) - 1, level, estimate.error)
         try:
-            return self.cheapest(mesh, higher or level, estimate.error)
+            return self.solve_finer(mesh, higher or level)
         except ConvergenceError as failure:
             self.check_time(level, estimate.error)
             raise self.stopped(str(failure), level, estimate.error) from failure
@@ -197,7 +181,6 @@ class ControlRefinement(Refinement[ControlTrajectory, ControlTrajectory | None])
 
     def run(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Refine the first path, and say what all levels have cost."""
-        self.guess = guess
         path, error = self.refine(self.solve_finer(mesh, guess))
         return replace(
             path,

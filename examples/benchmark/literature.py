@@ -1,10 +1,9 @@
 """Optimal control problems of the literature, solved to a tolerance: found, published, estimated error, seconds.
 
 Every problem is stated as it was published, and begins with the default guess, but for the transfer between orbits.
-Costs are compared with closed forms where there are some, which functions below evaluate. The others were computed
-with this package on finer meshes or to tighter tolerances: there the published digits are what is independent. Two
-problems have singular arcs, along which the path is not found to the tolerance: printed is the path attached to the
-error.
+Costs are compared with closed forms where there are some, evaluated by functions below.  The others were computed with
+this package on finer meshes or to tighter tolerances: there the published digits are what is independent.  Two problems
+have singular arcs, along which the path is not found to the tolerance: printed is the path attached to the error.
 """
 
 import argparse
