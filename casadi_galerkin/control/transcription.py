@@ -209,22 +209,31 @@ class ControlTranscription:
     ) -> tuple[dict[str, np.ndarray], tuple[np.ndarray, ...], np.ndarray]:
         """Values at a guess, multipliers of the bounds and of the equations where it has them, and sizes of the terms.
 
-        The equations of motion are measured by their terms there, so that the solver's tolerance, which is absolute,
-        does not depend on units; and with momenta of zero they are the momenta.
+        The equations of motion are measured by their terms on the straight line between the ends, or along the guess
+        where those are smaller, so that the solver's tolerance, which is absolute, does not depend on units: the terms
+        of a noisy guess are far too large.  With momenta of zero the equations of the joints are the momenta.
         """
         chain, near = self.chain, near_answer(guess, self.chain, calculus)
         values = first_values(problem, chain, calculus, guess)
         report = self.graph.report(*chain.pack(values))
         if not np.isfinite(report.cost + report.action + np.sum(report.equations)):
-            check_finite(problem, self.graph.embedding, values)
-        sizes = chain.largest(report.terms)[chain.dimension : chain.dimension + chain.mechanical]
-        values["sizes"] = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
+            check_finite(problem, chain, values)
+        values["sizes"] = self._sizes(report)
+        if guess is not None:  # which may be noisy; the straight line is not
+            line = self.graph.report(*chain.pack(first_values(problem, chain, calculus, None)))
+            values["sizes"] = np.fmin(values["sizes"], self._sizes(line))
         rows = report.equations[np.vstack((chain.rows["motion"][:, 0], chain.rows["momentum"][-1:]))]
         momentum = -rows if near is None else near.momentum[: chain.mechanical].T
         values["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0) / values["sizes"]
         units = chain.units(values["sizes"])
         duals = () if near is None else (near.duals[1], near.duals[0] * units)
         return values, duals, report.terms / units
+
+    def _sizes(self, report: Report) -> np.ndarray:
+        """Largest sum of terms of an equation of motion, by component; 1 where that says nothing."""
+        chain = self.chain
+        sizes = chain.largest(report.terms)[chain.dimension : chain.dimension + chain.mechanical]
+        return np.asarray(np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0))
 
     def program(self, solver: Solver, warm: bool, verbose: int) -> ca.Function:
         """The solver for this program, built when it is first needed."""
