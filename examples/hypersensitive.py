@@ -40,16 +40,13 @@ def potential(x):
 EXACT = potential(START) - START**4 / 4 + potential(END) + END**4 / 4  # 1.33081
 
 
-def main(plot=None):
+def main():
     """Solve to a tolerance, from eight equal intervals and a straight line."""
-    path = cg.solve(problem(), tol=1e-6)
-    if plot:
-        draw(path, plot)
-    return path
+    return cg.solve(problem(), tol=1e-6)
 
 
-def draw(path, name):
-    """Draw the two layers, with the control, and leave out what is between."""
+def draw(path):
+    """Draw the two layers, with the control, and leave out what is between; returns the figure."""
     figure, sides = plt.subplots(1, 2, figsize=(6.0, 4.0), sharey=True, layout="constrained")
     for axes, times in zip(sides, (np.linspace(0, 6, 300), np.linspace(DURATION - 6, DURATION, 300)), strict=True):
         axes.plot(times, path(times)[0], label="x")
@@ -58,13 +55,12 @@ def draw(path, name):
     sides[0].set_title("Dropping to rest")
     sides[1].set_title("rising from it")
     sides[1].legend()
-    figure.savefig(name, dpi=100)
-    plt.close(figure)
-    print(f"picture written to {name}")
+    return figure
 
 
 if __name__ == "__main__":
-    answer = main("hypersensitive.png")
+    answer = main()
     print(answer)
     print(f"  exact cost  {EXACT:.12f}, so the error is {abs(answer.cost / EXACT - 1):.1e} of it")
     print(f"  intervals from {np.diff(answer.t).min():.2g} to {np.diff(answer.t).max():.4g} long")
+    draw(answer).savefig("hypersensitive.png")

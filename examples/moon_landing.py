@@ -49,16 +49,13 @@ def landed(fall, burn):
     return height + speed * burn - GRAVITY * burn**2 / 2 + lifted, speed - GRAVITY * burn - EXHAUST * np.log(mass)
 
 
-def main(plot=None):
+def main():
     """Solve with one interval for each phase."""
-    path = cg.solve(problem(), cg.Galerkin(degree=8), intervals=2)
-    if plot:
-        draw(path, plot)
-    return path
+    return cg.solve(problem(), cg.Galerkin(degree=8), intervals=2)
 
 
-def draw(path, name):
-    """Draw height, mass and thrust over time."""
+def draw(path):
+    """Draw height, mass and thrust over time; returns the figure."""
     axes = plt.subplots(figsize=(6.0, 4.0), layout="constrained")[1]
     axes.set(title="A soft landing on the Moon", xlabel="time", ylabel="height, mass and thrust in lunar units")
     times = np.linspace(*path.t[[0, -1]], 200)
@@ -66,13 +63,11 @@ def draw(path, name):
         axes.plot(times, values, label=label)
     axes.axvline(path.t[1], color="0.5", linewidth=0.8, linestyle=":")
     axes.legend(loc="center left")
-    axes.figure.savefig(name, dpi=100)
-    plt.close(axes.figure)
-    print(f"picture written to {name}")
+    return axes.figure
 
 
 if __name__ == "__main__":
-    answer = main("moon_landing.png")
+    answer = main()
     print(answer)
     fall, burn = np.diff(answer.t)
     print(f"  fall for {fall:.9f}, burn for {burn:.9f}: height and velocity by the closed form", end=" ")
@@ -80,3 +75,4 @@ if __name__ == "__main__":
     smooth = {"breakpoints": (), "hold": False, "duration_bounds": (0.5, 4.0)}
     blind = cg.solve(problem(**smooth), cg.Galerkin(degree=4), intervals=40)
     print(f"  one phase of 40 intervals of degree 4, thrust as it likes: {blind.cost:.9f}, exact {THRUST * burn:.9f}")
+    draw(answer).savefig("moon_landing.png")

@@ -36,16 +36,13 @@ def problem(hills=1, begin=0.0):
     )
 
 
-def main(plot=None):
+def main():
     """Solve for one hill."""
-    path = cg.solve(problem(), cg.Galerkin(degree=6), intervals=16)
-    if plot:
-        draw(path, plot)
-    return path
+    return cg.solve(problem(), cg.Galerkin(degree=6), intervals=16)
 
 
-def draw(path, name):
-    """Draw speed and thrust over the way, above the road."""
+def draw(path):
+    """Draw speed and thrust over the way, above the road; returns the figure."""
     figure, (top, road) = plt.subplots(
         2, 1, figsize=(6.0, 4.0), sharex=True, height_ratios=[3, 1], layout="constrained"
     )
@@ -57,16 +54,15 @@ def draw(path, name):
     top.legend()
     road.fill_between(way, HEIGHT * np.cos(2 * np.pi * way / HILL), -HEIGHT, color="0.8")
     road.set(xlabel="way", ylabel="road")
-    figure.savefig(name, dpi=100)
-    plt.close(figure)
-    print(f"picture written to {name}")
+    return figure
 
 
 if __name__ == "__main__":
-    answer = main("rolling_hills.png")
+    answer = main()
     print(answer)
     print(f"  sets out and arrives with {answer.start_velocity[0]:.9f} and {answer.end_velocity[0]:.9f}")
     three = cg.solve(problem(hills=3), cg.Galerkin(degree=6), intervals=48)
     print(f"  three hills cost {three.cost / answer.cost:.9f} times as much as one")
     steady = (DRAG * HILL / TIME) ** 2 / 2
     print(f"  on a flat road the cost would be {steady:.6g} a hill, here it is {answer.cost:.6g}")
+    draw(answer).savefig("rolling_hills.png")

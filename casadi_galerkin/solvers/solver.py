@@ -3,13 +3,8 @@
 `newton`, the default, is Newton's method with a line search.  Where it fails, IPOPT first minimises the action (long
 pendulum swings: 10 iterations where the stationarity conditions alone took 60 to 500), then solves the stationarity
 conditions; Newton's method finishes from where it stopped.  `rootfinder` is CasADi's own.  `ipopt` takes the equations
-as constraints under a constant objective; `minimizer` minimises the action, so it finds minima only.
-
-`fatrop` is for control problems, which it solves stage by stage, as `ipopt` does as a whole: in a fraction of the time,
-with any rule of quadrature.  It does not start warm, from multipliers; takes no conditions that the start enters; and
-stalls where `ipopt` does not, as where a position touches its bound in a point, or where equations depend on one
-another.  It needs units in which positions and controls are of order one, 1e-5 to 1e4: far from these it may run for
-ever, without an iteration that a limit could stop.
+as constraints under a constant objective; `minimizer` minimises the action, so it finds minima only.  `fatrop`
+is for control problems.
 """
 
 from __future__ import annotations
@@ -33,7 +28,13 @@ SolverLike: TypeAlias = Callable[[Stationarity, np.ndarray, Data, int], Solution
 
 @dataclass(frozen=True)
 class Solver:
-    """A way to solve the stationarity conditions ∇S = 0, with its options.
+    """A way to solve the stationarity conditions ∇S = 0, with its options; or, `ipopt` and `fatrop`, a control problem.
+
+    `fatrop` goes through a control problem stage by stage, with any rule of quadrature, in half the time of `ipopt`.
+    It does not start warm, from multipliers; takes no `end_conditions` on the start; stalls where `ipopt` does not, as
+    where a position touches its bound in a point, or where equations depend on one another; and needs units in which
+    positions and controls are of order one, 1e-5 to 1e4: far from these it may run for ever, without an iteration that
+    a limit could stop.
 
     Attributes
     ----------
