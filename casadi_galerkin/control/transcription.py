@@ -217,9 +217,9 @@ class ControlTranscription:
         values = first_values(problem, chain, calculus, guess)
         report = self.graph.report(*chain.pack(values))
         if not np.isfinite(report.cost + report.action + np.sum(report.equations)):
-            check_finite(problem, chain, values)
+            check_finite(problem, self.graph.embedding, values)
         values["sizes"] = self._sizes(report)
-        if guess is not None:  # which may be noisy; the straight line is not
+        if guess is not None and near is None:  # it may be noisy; the straight line is not
             line = self.graph.report(*chain.pack(first_values(problem, chain, calculus, None)))
             values["sizes"] = np.fmin(values["sizes"], self._sizes(line))
         rows = report.equations[np.vstack((chain.rows["motion"][:, 0], chain.rows["momentum"][-1:]))]

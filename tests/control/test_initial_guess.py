@@ -133,7 +133,7 @@ def test_an_earlier_answer_starts_warm_and_saves_iterations(name):
     assert warm.cost == pytest.approx(by_path.cost, rel=1e-10)
     np.testing.assert_allclose(warm.x, by_path.x, rtol=0, atol=SOLVED)
     np.testing.assert_allclose(warm.costate.values, by_path.costate.values, rtol=1e-6, atol=1e-6)
-    assert warm.iterations <= 0.7 * by_path.iterations
+    assert warm.iterations <= 0.75 * by_path.iterations
     assert program.solve(guess=known).iterations <= 2
 
 
