@@ -21,7 +21,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO, cast
 
 import casadi as ca
 
@@ -63,33 +63,46 @@ if hasattr(os, "register_at_fork"):
 ZERO_PIVOT = "LDL factorization has zeros in D"
 
 
-class _WithoutZeroPivots:
-    """While entered, stands for ``sys.stderr`` and passes on all but CasADi's lines on zero pivots."""
+class _Filter:
+    """Stands for a stream and passes on all but CasADi's lines on zero pivots, which come in several parts."""
 
-    def __init__(self) -> None:
-        self._stream, self._line = sys.stderr, ""
-
-    def __enter__(self) -> None:
-        fork_waits.acquire()  # of two threads, the one that leaves first must not put back what the other has put there
-        self._stream, sys.stderr = sys.stderr, self
-
-    def __exit__(self, *_: object) -> None:
-        sys.stderr = self._stream
-        if self._line:
-            self._stream.write(self._line)
-            self._line = ""
-        fork_waits.release()
+    def __init__(self, stream: TextIO) -> None:
+        self.stream, self._line = stream, ""
 
     def write(self, text: str) -> int:
-        """Pass on what is no line on a zero pivot, which CasADi writes in several parts."""
+        """Pass on whole lines."""
         *lines, self._line = (self._line + text).split("\n")
         for line in lines:
             if ZERO_PIVOT not in line:
-                self._stream.write(line + "\n")
+                self.stream.write(line + "\n")
         return len(text)
 
+    def finish(self) -> None:
+        """Pass on a line that was begun."""
+        if self._line:
+            self.stream.write(self._line)
+            self._line = ""
+
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
+        return getattr(self.stream, name)
+
+
+class _WithoutZeroPivots:
+    """While entered, ``sys.stderr`` has no lines on zero pivots.
+
+    It takes no lock, which an interrupt could leave taken.  What an interrupt, or another thread, may leave is the
+    filter: it passes on all else, and the next to leave takes it away.
+    """
+
+    def __enter__(self) -> None:
+        if not isinstance(sys.stderr, _Filter):
+            sys.stderr = cast(TextIO, _Filter(sys.stderr))
+
+    def __exit__(self, *_: object) -> None:
+        now: object = sys.stderr
+        if isinstance(now, _Filter):
+            now.finish()
+            sys.stderr = now.stream
 
 
 without_zero_pivots = _WithoutZeroPivots()
