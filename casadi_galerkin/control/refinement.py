@@ -1,4 +1,4 @@
-"""From a tolerance to a degree and a mesh, for trajectory optimisation.
+"""From a tolerance to a degree and a mesh, for trajectory optimization.
 
 Every mesh is solved twice, with degree m and, warm-started from that, with degree m + 2 (`control_adaptivity` says how
 these make an error and a new mesh).  Estimated are the relative errors of cost and duration, and the largest error of
@@ -74,7 +74,7 @@ def fits_any_mesh(guess: Guess | None) -> bool:
 
 
 class ControlRefinement(Refinement[ControlTrajectory, ControlTrajectory | None]):
-    """One refinement of a trajectory optimisation under way; arguments as for `solve`."""
+    """One refinement of a trajectory optimization under way; arguments as for `solve`."""
 
     roundoff_level, stalls = 1e-8, 1  # what IPOPT leaves
 

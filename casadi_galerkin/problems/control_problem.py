@@ -1,6 +1,6 @@
-"""What a scene of trajectory optimisation states: a forced Lagrangian system, a cost, bounds; checked before any solve.
+"""What a scene of trajectory optimization states: a forced Lagrangian system, a cost, bounds; checked before any solve.
 
-minimise    ∫ ℓ(t, x, v, u) dt + τ(t_N, x_N, v_N)
+minimize    ∫ ℓ(t, x, v, u) dt + τ(t_N, x_N, v_N)
 subject to  d/dt ∂L/∂v - ∂L/∂x = F(t, x, v, u),     lo <= g(t, x, v, u) <= hi,
             ends, and bounds on x, u, the duration and the parameters.
 """

@@ -40,7 +40,7 @@ class Row:
     ----------
     method, intervals : as `solve` takes them, or as a tolerance has found them; None where it has found none
     solver : as `solve` takes it; None where a path is found step by step
-    tol : the tolerance; None of a fixed discretisation
+    tol : the tolerance; None of a fixed discretization
     mesh : joints that were found for `tol`, taken as a fixed mesh; None where the mesh is none of these
     shooting : whether the path is found by `shoot`
     unknowns : node values and controls solved for

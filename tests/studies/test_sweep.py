@@ -206,7 +206,7 @@ def lambert(count, seed=None):
 
 
 @pytest.mark.parametrize("seed", [None, 0])
-def test_with_a_tolerance_neighbours_are_on_one_branch(seed, pool):
+def test_with_a_tolerance_neighbors_are_on_one_branch(seed, pool):
     problem, ends = lambert(41, seed)
     ends[0]["guess"] = lambert_guess(ends[0]["end"])
     sweep = cg.sweep(problem, ends, tol=1e-7)
@@ -230,7 +230,7 @@ def test_variations_on_another_branch_are_told():
     assert [path.morse_index for path in sweep] == [0, 0, 0, 0, 0, 1, 0, 0, 0]
     assert sweep.jumps == {5: 4, 6: 5}
     assert str(sweep) == (
-        "Sweep of 9 variations, 9 solved\n  on another branch than their neighbours: 2, first 5 beside 4"
+        "Sweep of 9 variations, 9 solved\n  on another branch than their neighbors: 2, first 5 beside 4"
     )
 
 
@@ -565,7 +565,7 @@ def test_parameters_of_a_problem_without_any_are_refused():
         cg.sweep(problem, [{"parameters": [1.0]}], METHOD, INTERVALS)
 
 
-def test_discretisation_is_asked_for():
+def test_discretization_is_asked_for():
     with pytest.raises(ValueError, match="give a method and intervals, or tol"):
         cg.sweep(bratu(), VARIATIONS, METHOD)
 

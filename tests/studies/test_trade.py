@@ -113,7 +113,7 @@ def test_a_mesh_that_a_tolerance_has_found_is_solved_on_again(every_way):
 
 
 def test_a_way_that_fails_is_a_row_that_says_why():
-    """Beyond half a period the path of an oscillator is a saddle of the action, which no minimiser finds."""
+    """Beyond half a period the path of an oscillator is a saddle of the action, which no minimizer finds."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0.0, 4.0), [0.0], [1.0])
     measured = cg.trade(problem, [cg.Galerkin(4)], [8], tolerances=[1e-6], solvers=[cg.newton, cg.minimizer])
     failed = {row.way for row in measured.rows if row.failure is not None}
