@@ -105,12 +105,17 @@ def solver_of(
     if method is None or intervals is None:
         raise ValueError(f"give a method and intervals, or tol, got method={method!r} and intervals={intervals!r}")
     transcription = transcribe(problem, method, intervals)
-    breakpoints = problem.breakpoints if isinstance(problem, BoundaryProblem) else ()
+
+    def joints(start: float, end: float) -> np.ndarray:
+        if isinstance(problem, BoundaryProblem):
+            return mesh_of((start, end), intervals, None, problem.breakpoints)
+        (first, last), inner = problem.t_span, problem.breakpoints  # breakpoints keep their numbers among the joints
+        return np.asarray(np.interp(transcription.mesh, [first, *inner, last], [start, *inner, end]))
 
     def solved(variation: Variation) -> Trajectory:
         given = dict(variation)
         span = given.pop("t_span", None)
-        return transcription.solve(**given, mesh=None if span is None else mesh_of(span, intervals, None, breakpoints))
+        return transcription.solve(**given, mesh=None if span is None else joints(*span))
 
     return solved
 

@@ -307,6 +307,14 @@ def test_a_control_problem_is_swept(pool):
     np.testing.assert_allclose(cg.sweep(problem, PUSHES[:2], tol=1e-6).cost, sweep.cost[:2], rtol=1e-6, atol=0)
 
 
+def test_breakpoints_of_a_control_problem_are_joints_whatever_the_time_span():
+    sweep = cg.sweep(double_integrator(breakpoints=[0.3]), [{}, {"t_span": (0.0, 2.0)}], METHOD, INTERVALS)
+    np.testing.assert_allclose(sweep.cost, [6.0, 0.75], rtol=1e-10, atol=0)
+    assert np.all(np.any(sweep.t == 0.3, axis=1))
+    with pytest.raises(ValueError, match=r"variation 0: breakpoints must increase inside of \(0.0, 0.2\)"):
+        cg.sweep(double_integrator(breakpoints=[0.3]), [{"t_span": (0.0, 0.2)}], METHOD, INTERVALS)
+
+
 def test_a_failure_of_a_control_problem_is_kept():
     sweep = cg.sweep(double_integrator(control_bounds=(-7, 7)), [{}, {"end": [2.0]}], METHOD, INTERVALS)
     assert list(sweep.failures) == [1]
