@@ -2,14 +2,15 @@
 
 Every mesh is solved twice, with degree m and, warm-started from that, with degree m + 2 (`error_estimate` says how
 these make an error and a new mesh).  Estimated are the relative errors of cost and duration, and the largest error of
-x at the joints and between them, relative to the size of its component; neither is the control judged, nor whether
+x at the joints and between them, relative to the size of its component.  Neither the control is judged, nor whether
 the optimum is the global one.
 
 Where the solver finds no answer the mesh is halved, twice at most, and the last good path tried there; where it finds
 none of degree m + 2, the level is not judged, and the next one has the mesh halved.  An optimum of a coarse mesh may
-be far from all others: after an estimate above `MISLEADING` the next mesh is solved from the first guess as well.  IPOPT's
-own tolerance does not follow `tol`: of eight problems of the literature, 1e-9 instead of 1e-12 was a tenth faster on
-four, slower on two, and failed on two.
+be far from all others: after an estimate above `MISLEADING` the next mesh is solved from the first guess as well.
+
+IPOPT's own tolerance does not follow `tol`: of eight problems of the literature, 1e-9 instead of 1e-12 was a tenth
+faster on four, slower on two, and failed on two.
 
 Measured over tolerances 1e-3 ... 1e-8, the estimate is 0.95 to 1.2 times the true error on smooth paths down to 1e-12,
 and 1.5 to 2.5 times with a path constraint touched in one point.  With bang-bang controls it is only a bound, because

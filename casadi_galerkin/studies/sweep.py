@@ -185,7 +185,7 @@ def sweep(
     method, intervals : as for `solve`
     tol : as for `solve`; each variation of a boundary problem without a guess of its own starts from the path and the
         mesh of the nearest one that is solved, and so stays on its branch; see `Sweep.jumps`.  Variations of a control
-        problem get a mesh of their own each
+        problem are refined one by one, each from its own guess
     executor : any Executor of processes in the sense of `concurrent.futures`; default none, one after the other.
         Not of threads: CasADi Functions are not thread-safe
 
