@@ -95,6 +95,18 @@ def solve(
     limits : Limits that stop a refinement; only with `tol`
     verbose : 1 prints a summary and, with `tol`, a line per level; 2 also the solver's lines
 
+    Returns
+    -------
+    Trajectory, of a ControlProblem a ControlTrajectory
+
+    Raises
+    ------
+    TypeError, ValueError
+        for input that does not fit, before anything is solved; naming what came and what was expected
+    ConvergenceError
+        if no path is found that can be verified: ConjugatePointError where the ends do not determine it, LimitReached,
+        with the best path, where the tolerance is not reached within the limits
+
     Examples
     --------
     >>> from casadi_galerkin import BoundaryProblem, Galerkin, solve

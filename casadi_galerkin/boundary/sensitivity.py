@@ -110,6 +110,11 @@ def sensitivity(path: Trajectory) -> Sensitivity:
     -------
     Sensitivity, whose arrays have no columns for what the problem does not have
 
+    Raises
+    ------
+    TypeError, ValueError
+        for what is no path of a BoundaryProblem, and for a path of given energy
+
     Examples
     --------
     >>> import casadi_galerkin as cg
