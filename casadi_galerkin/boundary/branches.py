@@ -22,7 +22,6 @@ from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.trajectory import Trajectory
 
-UNKNOWN = object()
 ROUGH = 1e-6  # part of the action that may be the error of a coarse mesh
 
 

@@ -1,8 +1,8 @@
 """Speed against accuracy, measured on the user's own problem by every way there is to its path.
 
 A way is a `Row` not yet measured: a method on a number of intervals or a tolerance, with a solver, or by shooting.
-Each is gone with a copy of the problem first, so that nothing is built or differentiated yet, and is then repeated on
-what it has built.  Errors are differences to a reference, which is given or solved for (`reference`).
+Each way first solves a copy of the problem, for which nothing is built or differentiated yet, and then repeats the
+solve on what it has built.  Errors are differences to a reference, which is given or solved for (`reference`).
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class _Cell:
 
 
 def _cell(problem: Problem, row: Row, guess: Guess | None, measure: Measure | None) -> _Cell:
-    """Go a way for the first time, twice where that does not take long, and build what its repeats need.
+    """Solve in one way for the first time, twice where that does not take long, and build what its repeats need.
 
     The second time finds CasADi's plugins loaded.
     """
