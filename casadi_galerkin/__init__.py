@@ -3,6 +3,7 @@
 from casadi_galerkin._solve import solution_function as solution_function
 from casadi_galerkin._solve import solve as solve
 from casadi_galerkin._solve import transcribe as transcribe
+from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscription as AdaptiveTranscription
 from casadi_galerkin.boundary.continuation import Branch as Branch
 from casadi_galerkin.boundary.continuation import Fold as Fold
 from casadi_galerkin.boundary.continuation import continuation as continuation

@@ -71,7 +71,7 @@ def solve(
     limits: Limits | None = None,
     verbose: int = 0,
 ) -> Trajectory:
-    """Solve a problem: with a fixed discretisation, or to a tolerance.
+    """Solve a problem: with a fixed discretization, or to a tolerance.
 
     With `method` and `intervals` or `mesh`, this is `transcribe` followed by `Transcription.solve`.  With `tol`, the
     degree and the mesh are chosen so that the estimated error of x, at the joints and between them and relative to
@@ -94,6 +94,18 @@ def solve(
         fatrop for a ControlProblem; each also ``.with_options(...)``
     limits : Limits that stop a refinement; only with `tol`
     verbose : 1 prints a summary and, with `tol`, a line per level; 2 also the solver's lines
+
+    Returns
+    -------
+    Trajectory, of a ControlProblem a ControlTrajectory
+
+    Raises
+    ------
+    TypeError, ValueError
+        for input that does not fit, before anything is solved; naming what came and what was expected
+    ConvergenceError
+        if no path is found that can be verified: ConjugatePointError where the ends do not determine it, LimitReached,
+        with the best path, where the tolerance is not reached within the limits
 
     Examples
     --------
@@ -185,7 +197,7 @@ def transcribe(
     tol: float | None = None,
     limits: Limits | None = None,
 ) -> Transcription | AdaptiveTranscription | ControlTranscription:
-    """Build the graph of a problem once, to solve it often: with a fixed discretisation, or to a tolerance.
+    """Build the graph of a problem once, to solve it often: with a fixed discretization, or to a tolerance.
 
     With `tol`, mesh and degree are those that the first path needed; they are adapted where they no longer serve.
 
@@ -239,7 +251,7 @@ def solution_function(
     guess: Guess | None = None,
     solver: Solver | None = None,
 ) -> ca.Function:
-    """Turn the solve into a CasADi Function of the data, to embed in larger graphs, to serialise, to map.
+    """Turn the solve into a CasADi Function of the data, to embed in larger graphs, to serialize, to map.
 
     The problem is solved once as it stands, so that one that cannot be solved is refused here and not in the middle
     of a larger calculation, and so that residuals can be measured by the sizes of their terms.

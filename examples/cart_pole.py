@@ -1,7 +1,7 @@
 """A cart swings its pole up in two seconds with little effort ∫u² dt (M. Kelly, SIAM Review 59, 2017).
 
 x[0] is the cart's position, x[1] the pole's angle from below; the force acts on the cart only.  From the straight line
-an optimiser finds the swing-up of that paper, back once and over.  It is a local optimum: a guess that goes another way
+an optimizer finds the swing-up of that paper, back once and over.  It is a local optimum: a guess that goes another way
 leads to one that swings once more and costs less.  All work of the force ends up in the pole's height, 2 m g l.  That
 force alone, replayed from rest step by step with the same method, brings cart and pole there again.
 """
@@ -25,7 +25,7 @@ def lagrangian(t, x, v):
 
 
 def problem():
-    """Cart-pole from rest below to rest upright, a metre further on."""
+    """Cart-pole from rest below to rest upright, a meter further on."""
     return cg.ControlProblem(
         lagrangian,
         (0.0, DURATION),

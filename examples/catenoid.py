@@ -4,8 +4,8 @@ Two catenoids x = c cosh(t/c) with c cosh(h/c) = 1 span the rings at t = -h and 
 one is not.  At h = 0.66274 they become one, and beyond there is none.  Either area is π c (2 h + c sinh(2 h/c)); two
 discs of radius 1 have less, 2π, so the wide film is a local minimum only.
 
-IPOPT finds both: minimising the area it finds the wide film, and solving the stationarity conditions the narrow one,
-which is a saddle that no minimiser holds on to.
+IPOPT finds both: minimizing the area it finds the wide film, and solving the stationarity conditions the narrow one,
+which is a saddle that no minimizer holds on to.
 """
 
 import casadi as ca

@@ -10,7 +10,7 @@ import numpy as np
 import casadi_galerkin as cg
 
 SPAN, TENSION, SPRING, INCLINATION = 40.0, 2000.0, 300.0, -0.05  # m, N, N/m
-WEIGHT, ICE = 5.0, 0.4  # of the cable in N/m, and what the ice adds on every metre in N/m²
+WEIGHT, ICE = 5.0, 0.4  # of the cable in N/m, and what the ice adds on every meter in N/m²
 
 
 def problem():

@@ -3,7 +3,7 @@
 A. Chenciner and R. Montgomery, Annals of Mathematics 152 (2000); initial values by C. Simó.  The path is found from a
 rough guess for the given period; what was published for time 0 is then compared with it.
 
-Equal masses and G are 1.  Jacobi's coordinates leave out the centre of mass: x = (r, R), with r from body 1 to body 2
+Equal masses and G are 1.  Jacobi's coordinates leave out the center of mass: x = (r, R), with r from body 1 to body 2
 and R from their middle to body 3.  Two components of the start that are 0 fix the rotation and the shift in time: then
 all bodies are on the x axis at time 0.  They allow a kink in the momenta there, and there is none.  Another orbit
 differs by 1e-7 of its action only; it is no figure eight, and its Morse index is 3 in place of 2.
@@ -72,7 +72,7 @@ if __name__ == "__main__":
     first = bodies(answer.x[:, 0])[0]
     speed = np.linalg.norm(bodies(answer.velocity[:, 0])[2])
     print(answer)
-    print(f"  body 1 from the centre  {np.linalg.norm(first):.9f}, published {np.linalg.norm(POSITION_1):.9f}")
+    print(f"  body 1 from the center  {np.linalg.norm(first):.9f}, published {np.linalg.norm(POSITION_1):.9f}")
     print(f"  speed of body 3 there   {speed:.9f}, published {np.linalg.norm(VELOCITY_3):.9f}")
     print(f"  angular momentum        {np.max(np.abs(angular_momentum(answer))):.1e}")
     print(f"  kink of the momenta     {np.max(np.abs(answer.momentum[:, 0] - answer.momentum[:, -1])):.1e} at time 0")

@@ -16,7 +16,7 @@ SCENES = sorted(path.stem for path in HERE.glob("*.py") if path.stem != "gallery
 def draw(scene, folder=HERE / "pictures"):
     """Run one scene in an empty folder, as its user would, and put its pictures into the folder; returns the first.
 
-    Margins are cut off.  A palette of 256 colours makes it half as large, and no line looks different.
+    Margins are cut off.  A palette of 256 colors makes it half as large, and no line looks different.
     """
     before = Path.cwd()
     with tempfile.TemporaryDirectory() as empty:

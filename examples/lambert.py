@@ -1,4 +1,4 @@
-"""A Lambert transfer in kilometres and seconds: the flight between two positions in a given time.
+"""A Lambert transfer in kilometers and seconds: the flight between two positions in a given time.
 
 Vallado, "Fundamentals of Astrodynamics and Applications", 4th edition, example 5.7.  Nothing is rescaled:
 the solver does not see the units.

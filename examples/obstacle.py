@@ -1,6 +1,6 @@
 """A vehicle in the plane drives round a disc with the least ∫|u|²/2 dt; the disc is a path constraint.
 
-The straight line runs through the disc a little below its centre, so the cheaper way is below.  The best path touches
+The straight line runs through the disc a little below its center, so the cheaper way is below.  The best path touches
 the disc in its lowest point at half time, and is a cubic before and after: its cost is 6 for the unit length, and
 twice 6 d²/(T/2)³ for going down by d and up again.  Path constraints hold at the quadrature points; with a Lobatto rule
 these hold the joints, and with an even number of intervals half time is one of them: the answer is then exact.
@@ -11,14 +11,14 @@ import numpy as np
 import casadi_galerkin as cg
 from casadi_galerkin.solution.plotting import COLORS
 
-CENTRE, RADIUS, DURATION = (0.5, 0.05), 0.25, 1.0
-DIP = RADIUS - CENTRE[1]
+CENTER, RADIUS, DURATION = (0.5, 0.05), 0.25, 1.0
+DIP = RADIUS - CENTER[1]
 EXACT = 6 / DURATION**3 + 2 * 6 * DIP**2 / (DURATION / 2) ** 3
 
 
 def distance(t, x, v, u):
-    """Squared distance from the disc's centre."""
-    return (x[0] - CENTRE[0]) ** 2 + (x[1] - CENTRE[1]) ** 2
+    """Squared distance from the disc's center."""
+    return (x[0] - CENTER[0]) ** 2 + (x[1] - CENTER[1]) ** 2
 
 
 def problem():
@@ -47,7 +47,7 @@ def draw(path):
     """Draw the path round the disc, with the directions of thrust; returns the figure."""
     axes = path.plot_plane(labels=("x in m", "y in m"))
     turn = np.linspace(0, 2 * np.pi, 200)
-    axes.fill(CENTRE[0] + RADIUS * np.cos(turn), CENTRE[1] + RADIUS * np.sin(turn), color="0.85")
+    axes.fill(CENTER[0] + RADIUS * np.cos(turn), CENTER[1] + RADIUS * np.sin(turn), color="0.85")
     times = np.linspace(0, DURATION, 24)
     axes.quiver(*path(times), *path.control(times), color=COLORS[1], width=0.005)
     axes.set_title(f"Round an obstacle, at a cost of {path.cost:.6f}")

@@ -1,6 +1,6 @@
 """How fast, and at which angle, a ball is thrown that hits a target in a given time in spite of air drag.
 
-Drag is c |v| v per mass, with c = 0.01/m about that of a golf ball.  Drag is a force, so there is no action to minimise
+Drag is c |v| v per mass, with c = 0.01/m about that of a golf ball.  Drag is a force, so there is no action to minimize
 and no Morse index; the discrete Lagrange-d'Alembert equations are solved all at once.  In vacuum the ball leaves at
 v = (d/T, g T/2).
 """

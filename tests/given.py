@@ -6,17 +6,17 @@ import numpy as np
 class Series:
     """As in pandas, values that are found by their labels and converted in their order."""
 
-    def __init__(self, labelled):
-        self.labelled = labelled
+    def __init__(self, labeled):
+        self.labeled = labeled
 
     def __len__(self):
-        return len(self.labelled)
+        return len(self.labeled)
 
     def __getitem__(self, label):
-        return self.labelled[label]
+        return self.labeled[label]
 
     def to_numpy(self):
-        return np.array(list(self.labelled.values()))
+        return np.array(list(self.labeled.values()))
 
 
 class Arraylike(Series):
@@ -25,7 +25,7 @@ class Arraylike(Series):
     to_numpy = None
 
     def __array__(self, dtype=None, copy=None):
-        return np.array(list(self.labelled.values()), dtype=dtype)
+        return np.array(list(self.labeled.values()), dtype=dtype)
 
 
 class Quantity:

@@ -29,7 +29,7 @@ DAMPED = cg.BoundaryProblem(  # x'' + c x' + 4 x = 0, at first without friction
 
 @dataclass(frozen=True)
 class Scene:
-    """A boundary problem, what is known of its path, and a discretisation that resolves it.
+    """A boundary problem, what is known of its path, and a discretization that resolves it.
 
     `path` is the exact path, t -> list of d CasADi expressions; `velocities` are known values of x' at the start
     and at the end; `values` known positions {t: x}; `index` the Morse index; `digits` the relative accuracy to which

@@ -39,7 +39,7 @@ def test_equispaced_points_are_useless_at_degree_40(extremes):
 
 
 @pytest.mark.parametrize("intervals", [10_000, pytest.param(1_000_000, marks=extreme)])
-def test_many_intervals_of_degree_1_leave_only_the_discretisation_error(extremes, intervals):
+def test_many_intervals_of_degree_1_leave_only_the_discretization_error(extremes, intervals):
     # 0.11 h² is measured from 1e3 intervals on; at 1e6 that is as small as roundoff
     assert extremes.many_intervals(1, intervals) < 0.2 * (2 / intervals) ** 2 + ROUNDOFF
 
@@ -125,7 +125,7 @@ def test_mesh_graded_over_decades(extremes, decades):
 
 @pytest.mark.parametrize(("distance", "error"), [(1e-2, 1e-11), (1e-3, 1e-10), (1e-4, 1e-8)])
 def test_near_collision(extremes, distance, error):
-    # the angle at which the orbit leaves the pericentre has a condition of 1/distance^2.5 or so
+    # the angle at which the orbit leaves the pericenter has a condition of 1/distance^2.5 or so
     assert extremes.collision(distance) < error
 
 

@@ -32,4 +32,4 @@ def test_random_guesses_lead_to_the_same_costs_as_by_hand(scripts):
     problem = guesses.SCENES["cart-pole"][0]()
     programs = guesses.Ours(problem), guesses.ByHand(problem)
     ours, by_hand = (program.solve(guesses.guess(problem, seed=0))[0] for program in programs)
-    assert ours == pytest.approx(by_hand, rel=1e-4)  # of different discretisations
+    assert ours == pytest.approx(by_hand, rel=1e-4)  # of different discretizations

@@ -31,7 +31,7 @@ def test_solves_after_an_interrupt_are_right_whatever_it_stopped(state):
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs a timer signal")
-def test_an_optimisation_that_was_interrupted_says_so_and_is_right_the_next_time():
+def test_an_optimization_that_was_interrupted_says_so_and_is_right_the_next_time():
     program = cg.transcribe(cart_pole(), cg.Galerkin(8), 150)
     expected = program.solve()
 

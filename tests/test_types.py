@@ -11,10 +11,10 @@ from paths import ROOT
 CODE = """\
 import casadi_galerkin as cg
 
-def optimised(problem: cg.ControlProblem) -> float:
+def optimized(problem: cg.ControlProblem) -> float:
     return cg.solve(problem, cg.Galerkin(3), 4).cost
 
-def optimised_often(problem: cg.ControlProblem) -> float:
+def optimized_often(problem: cg.ControlProblem) -> float:
     return cg.transcribe(problem, cg.Galerkin(3), 4).solve(start=[0.1], guess=(lambda t: [t], lambda t: [0.0])).cost
 
 def warm(problem: cg.ControlProblem, last: cg.ControlTrajectory) -> cg.ControlTrajectory:

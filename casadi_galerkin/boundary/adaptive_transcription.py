@@ -47,6 +47,11 @@ class AdaptiveTranscription:
     ----------
     first : Trajectory, the first path that was found, whose mesh and degree later solves begin with; None before
 
+    Raises
+    ------
+    TypeError, ValueError
+        as for `transcribe`
+
     Examples
     --------
     >>> import casadi_galerkin as cg

@@ -1,4 +1,4 @@
-"""Whether paths of neighbouring problems lie on one branch: how the action changes from one to the other.
+"""Whether paths of neighboring problems lie on one branch: how the action changes from one to the other.
 
 Along a smooth family of critical points the action changes by its partial derivatives by the data alone, since its
 derivatives by the path vanish: dS = p_N·dx_N - p_0·dx_0 - E_N dt_N + E_0 dt_0 + ∂S/∂p·dp.  Where S is convex or concave
@@ -22,7 +22,6 @@ from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.trajectory import Trajectory
 
-UNKNOWN = object()
 ROUGH = 1e-6  # part of the action that may be the error of a coarse mesh
 
 
@@ -39,7 +38,7 @@ class Place:
     slopes: np.ndarray
 
     def apart(self, other: Place) -> bool:
-        """Whether two neighbours lie on different branches."""
+        """Whether two neighbors lie on different branches."""
         step = self.values - other.values
         here, there = float(self.slopes @ step), float(other.slopes @ step)
         allowed = (abs(here) + abs(there)) / 2 + ROUGH * (abs(self.action) + abs(other.action))
@@ -47,9 +46,9 @@ class Place:
 
 
 def jumps(paths: Mapping[int, tuple[BoundaryProblem, Trajectory]]) -> dict[int, int]:
-    """Number of a path -> number of its neighbour, for those that lie on another branch than their neighbour.
+    """Number of a path -> number of its neighbor, for those that lie on another branch than their neighbor.
 
-    The neighbour of a path is the nearest one that comes before it.
+    The neighbor of a path is the nearest one that comes before it.
     """
     if not paths:
         return {}

@@ -99,7 +99,7 @@ class Branch:
         Parameters
         ----------
         height : Trajectory -> number to draw, such as ``lambda path: path(0.5)[0]``
-        axes : Matplotlib axes to draw into, labelled by their owner; default a new figure
+        axes : Matplotlib axes to draw into, labeled by their owner; default a new figure
         parameter : which, from 0 to n - 1
         """
         heights = np.array([height(path) for path in self.trajectories])
@@ -110,7 +110,7 @@ class Branch:
         return plot_branch(values, heights, parts, folds, axes)
 
     def __repr__(self) -> str:
-        """Summarise the branch."""
+        """Summarize the branch."""
         end = "the target" if self.reached else "the start, on another branch"
         lines = [f"Branch of {len(self.trajectories)} paths from {self.parameters[0]} to {self.parameters[-1]}, {end}"]
         lines += [f"  fold at {fold.parameters}, after {fold.after} paths" for fold in self.folds]

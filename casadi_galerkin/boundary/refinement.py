@@ -184,7 +184,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                     raise
 
     def check_mesh(self, mesh: np.ndarray, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> None:
-        """Stop before there are too many intervals, or some so short that nothing more can be learnt there."""
+        """Stop before there are too many intervals, or some so short that nothing more can be learned there."""
         steps, duration = np.diff(mesh), mesh[-1] - mesh[0]
         inside = np.minimum(mesh[:-1] - mesh[0], mesh[-1] - mesh[1:])
         shortest = np.maximum(SHORTEST * duration, BLUNT * inside)

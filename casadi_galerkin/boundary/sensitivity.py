@@ -6,7 +6,7 @@ gives its derivative from the same matrix that Newton's method used:
     ∇²S ∂ξ/∂d = -∂∇S/∂d.
 
 CasADi's rootfinder knows this rule and applies it to itself, so that `solution_function` has derivatives of any
-order CasADi allows, forward and reverse.  `sensitivity` is the rule by hand: one factorisation, all data at once.
+order CasADi allows, forward and reverse.  `sensitivity` is the rule by hand: one factorization, all data at once.
 """
 
 from __future__ import annotations
@@ -100,15 +100,20 @@ class Sensitivity:
 
 
 def sensitivity(path: Trajectory) -> Sensitivity:
-    """Derivatives of a solution by parameters and ends, by one factorisation of its Hessian.
+    """Derivatives of a solution by parameters and ends, by one factorization of its Hessian.
 
     Parameters
     ----------
-    path : Trajectory of a BoundaryProblem; found to a tolerance or on a fixed discretisation
+    path : Trajectory of a BoundaryProblem; found to a tolerance or on a fixed discretization
 
     Returns
     -------
     Sensitivity, whose arrays have no columns for what the problem does not have
+
+    Raises
+    ------
+    TypeError, ValueError
+        for what is no path of a BoundaryProblem, and for a path of given energy
 
     Examples
     --------

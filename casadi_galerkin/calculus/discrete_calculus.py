@@ -51,6 +51,11 @@ class DiscreteCalculus:
     ----------
     mesh : (N + 1,), the time scale T
 
+    Raises
+    ------
+    TypeError, ValueError
+        for joints that do not increase, or are not finite
+
     Examples
     --------
     >>> calculus = DiscreteCalculus(Galerkin(2), [0.0, 0.5, 1.0])

@@ -50,6 +50,11 @@ class Galerkin:
     min(m + 1, u) and the velocity of order m; with ``lobatto(m)`` one less of each.  With r < m points the equations
     still have a solution, but a wrong one: each interval adds a spurious critical direction, so it is refused.
 
+    Raises
+    ------
+    TypeError, ValueError
+        for a degree that is no whole number >= 1, for control points that do not fit, and for fewer than m points
+
     Examples
     --------
     >>> Galerkin(3)

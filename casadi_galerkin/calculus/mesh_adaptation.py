@@ -18,7 +18,7 @@ from casadi_galerkin.calculus.roundoff import component_sizes
 
 FINEST = 32.0  # an interval is split into at most this many at once
 COARSEST = 4.0  # and at most this many are merged
-NEIGHBOURS = 8.0  # largest ratio of densities of neighbouring intervals of a new mesh
+NEIGHBORS = 8.0  # largest ratio of densities of neighboring intervals of a new mesh
 FEWEST = 4  # intervals of a new mesh
 FEWER = 3.0  # factor of too many intervals from which the number of intervals is lowered
 GROWTH = 1.25  # least factor by which the number of intervals grows, if it does
@@ -63,7 +63,7 @@ def truncation(path: PiecewisePolynomial) -> np.ndarray:
 
     The Legendre coefficients of an analytic function fall geometrically.  Their rate is taken from the last four,
     in pairs because of parity, and the first coefficient left out follows from the last two with it.  Below degree 3
-    there are no four: the first coefficient left out then follows from the last one's change between neighbours.
+    there are no four: the first coefficient left out then follows from the last one's change between neighbors.
     """
     m = len(path.nodes) - 1
     local = path.local / component_sizes(path.values)[:, None, None]
@@ -116,9 +116,9 @@ def equidistributed(
     wanted = np.clip((error / (TARGET * tol)) ** (1.0 / order), 1 / COARSEST, finest)
     density = wanted / np.diff(mesh)
     for i in range(1, len(density)):
-        density[i] = max(density[i], density[i - 1] / NEIGHBOURS)
+        density[i] = max(density[i], density[i - 1] / NEIGHBORS)
     for i in range(len(density) - 2, -1, -1):
-        density[i] = max(density[i], density[i + 1] / NEIGHBOURS)
+        density[i] = max(density[i], density[i + 1] / NEIGHBORS)
     cumulated = np.concatenate(([0.0], np.cumsum(density * np.diff(mesh))))
     count = max(fewest, int(np.ceil(cumulated[-1])))
     before = len(mesh) - 1

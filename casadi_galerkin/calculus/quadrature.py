@@ -34,6 +34,11 @@ class Quadrature:
     points : increasing sequence of r numbers in [0, 1]
     weights : sequence of r numbers that sum to 1; points of weight 0 are dropped
 
+    Raises
+    ------
+    TypeError, ValueError
+        for points that do not increase within [0, 1], and for weights that do not sum to 1 within roundoff
+
     Examples
     --------
     >>> Quadrature([0.0, 0.5, 1.0], [1 / 6, 2 / 3, 1 / 6]).exactness

@@ -1,4 +1,4 @@
-"""Judges the point where the solver stopped: how far every constraint is violated, and what it is called."""
+"""The check of the point where the solver stopped: how far each constraint is violated, and what its name is."""
 
 from __future__ import annotations
 

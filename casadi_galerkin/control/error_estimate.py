@@ -4,9 +4,10 @@ The relative changes of cost and duration and the largest change of x, at the sa
 to the size of its component, make D; with q the ratio of what the two paths leave out (`truncation`), the estimated
 error is D / (1 - q).
 
-Two things that both degrees miss alike are added.  A switch from bound to bound is due where the switching function
-∂(ℓ + λ·F)/∂u is zero: with the joint next to it elsewhere, no quadrature point may lie between and tell.  And bounds
-of positions hold at nodes only: passing one by ε between them moves the path by about √ε.
+Two errors that both degrees share are added.  A switch from bound to bound is due where the switching function
+∂(ℓ + λ·(F, ρ))/∂u, with forces F and rates ρ, is zero; if the next joint lies elsewhere, there may be no quadrature
+point between the two that shows it.  And bounds of positions hold at nodes only: a path that passes one by ε between
+them is moved by about √ε.
 
 The new mesh spreads what the finer path has beyond degree m evenly.  Where a higher degree does not help the path has
 a kink, and intervals are split as for order 2.  Where a control switches inside an interval its impulse ∫ u dt tells
@@ -30,7 +31,7 @@ SLOWEST = 2 / 3  # q where a jump or a constraint at points keeps the higher deg
 STUBBORN = 0.25  # an interval whose truncation falls by less with the higher degree is not smooth
 KINK_ORDER = 2  # a jump of the acceleration inside a step h moves x by h²
 FINEST = 8.0  # parts of one interval at once; a kink needs few levels and leaves few intervals behind
-NARROW = 0.25  # of its neighbour is an interval beside a jump
+NARROW = 0.25  # of its neighbor is an interval beside a jump
 CLOSE = 1 / 3  # of an interval: a joint so near to a jump gives way to it
 AGREED = 1e-3  # of what the switching function says: nearer to its joint an impulse says nothing
 MARGIN = 3.0  # times what is not known of a switch: joints beside it

@@ -159,7 +159,7 @@ class ControlGraph:
         everything = ca.fabs(ca.vertcat(self.unknowns, self.data))
         linear = ca.mtimes(ca.fabs(embedding.linear), everything[: chain.unknowns])
         rows = ca.fabs(self._stack(self._evaluate("equations", self.at)))
-        cancelled = ca.mtimes(ca.fabs(self._derivatives()), ca.mtimes(ca.fabs(embedding.differentiated), everything))
+        canceled = ca.mtimes(ca.fabs(self._derivatives()), ca.mtimes(ca.fabs(embedding.differentiated), everything))
         multipliers = ca.MX.sym("multipliers", chain.equations)
         part = int(embedding.points.row("part")[0, 0])
         shares = point.derivative(part)(self.at[0], self.weights[0], self._along(multipliers)[0])
@@ -169,7 +169,7 @@ class ControlGraph:
             self._total("weighted_action"),
             self.equations,
             ca.mtimes(ca.fabs(embedding.test.T), rows) + linear,
-            ca.mtimes(ca.fabs(embedding.test.T), cancelled) + linear,
+            ca.mtimes(ca.fabs(embedding.test.T), canceled) + linear,
             ca.sum1(ca.reshape(shares / durations, -1, chain.intervals)),
         ]
         return self._name("verification", [ca.densify(ca.veccat(*told))], multipliers)
@@ -180,13 +180,13 @@ class ControlGraph:
         given = np.zeros(count) if multipliers is None else multipliers
         (told,) = Evaluator(self._verification)(unknowns, data, given)
         cost, action = told[:2].tolist()
-        equations, moving, cancelled = told[2 : 2 + 3 * count].reshape(3, -1)
-        terms, motion = np.fmax(moving, cancelled), np.arange(chain.dimension, chain.dimension + chain.mechanical)
+        equations, moving, canceled = told[2 : 2 + 3 * count].reshape(3, -1)
+        terms, motion = np.fmax(moving, canceled), np.arange(chain.dimension, chain.dimension + chain.mechanical)
         # The terms of a component that stands still are roundoff of its slopes: what cancels in the slopes measures it.
         # Those of another are measured without it.
         for kind in motion:
             rows = chain.kinds == kind
-            largest = np.max(cancelled[rows])
+            largest = np.max(canceled[rows])
             resting = np.isfinite(largest) and np.max(moving[rows]) <= RESTING * largest
-            terms[rows] = cancelled[rows] if resting else moving[rows]
+            terms[rows] = canceled[rows] if resting else moving[rows]
         return Report(cost, action, equations, terms, told[2 + 3 * count :])

@@ -1,4 +1,4 @@
-"""Where an optimization begins: from a guess to a value for every field of the `Chain`, and a look at it."""
+"""Where an optimization begins: a guess as a value for every field of the `Chain`, and the check that it is finite."""
 
 from __future__ import annotations
 

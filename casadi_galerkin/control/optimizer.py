@@ -36,7 +36,7 @@ FATROP_TOLERANCE = 1e-9
 # its steps for ever, before the first iteration: with its own 1e-5 on lengths of 1e-6, with 1e-7 on constraints held
 # at many nodes.  With this, neither was seen; lengths of 1e-7 hang, and of 1e5 fail.
 PIVOT = 1e-6
-FATROP_WORDS = {"0": "Solve Succeeded", "1": "No Optimum Found"}  # it has none
+FATROP_WORDS = {"0": "Solve Succeeded", "1": "No Optimum Found"}  # fatrop returns numbers alone
 RELAXED = {"ipopt": 0.0, "fatrop": 1e-8}  # by this part of them bounds b are; in fatrop no option changes it
 WARM = {
     **dict.fromkeys(["mu_init", "warm_start_mult_bound_push", *PUSHES], WARM_BARRIER),

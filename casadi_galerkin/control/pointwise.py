@@ -1,4 +1,4 @@
-"""The terms of an optimisation at one quadrature point, and at the two ends, as SX Functions with their derivatives.
+"""The terms of an optimization at one quadrature point, and at the two ends, as SX Functions with their derivatives.
 
 At a quadrature point, with L̂(t, h, x, x') = h L(t, x, x'/h), the cost and the rows of the equations are
 

@@ -1,23 +1,25 @@
-"""From a tolerance to a degree and a mesh, for trajectory optimisation.
+"""From a tolerance to a degree and a mesh, for trajectory optimization.
 
 Every mesh is solved twice, with degree m and, warm-started from that, with degree m + 2 (`error_estimate` says how
 these make an error and a new mesh).  Estimated are the relative errors of cost and duration, and the largest error of
-x at the joints and between them, relative to the size of its component; neither is the control judged, nor whether
+x at the joints and between them, relative to the size of its component.  Neither the control is judged, nor whether
 the optimum is the global one.
 
-Where IPOPT finds no answer the mesh is halved, twice at most, and the last good path tried there; where it finds none
-of degree m + 2, the level is not judged, and followed by one on the mesh halved.  IPOPT's own tolerance does not follow
-`tol`: of eight problems of the literature, 1e-9 instead of 1e-12 was a tenth faster on four, slower on two, and failed
-on two.
+Where the solver finds no answer the mesh is halved, twice at most, and the last good path tried there; where it finds
+none of degree m + 2, the level is not judged, and the next one has the mesh halved.  IPOPT's own tolerance does not
+follow `tol`: of eight problems of the literature, 1e-9 instead of 1e-12 was a tenth faster on four, slower on two, and
+failed on two.
 
 Measured over tolerances 1e-3 ... 1e-8, the estimate is 0.95 to 1.2 times the true error on smooth paths down to 1e-12,
 and 1.5 to 2.5 times with a path constraint touched in one point.  With bang-bang controls it is only a bound, because
 it holds for the switching times; where a position touches its bound, 6 to 30 times.  For fourteen problems of the
 literature at 1e-3 ... 1e-6 it bounds the error of the cost in 47 of 48 answers; the other lives on a path constraint,
 and eight runs ended without an answer, seven of them along singular arcs.
+
 Out of reach is a path with a singular arc, where controls differ from mesh to mesh and cost the same: cost and duration
 are then known long before the path, and the error raised says so.  So is 1e-8 with a path constraint touched in one
 point and a Gauss rule.
+
 The dynamics defect was measured too: of order m, it is 0.3 to 100 times the error of x.
 """
 
@@ -44,7 +46,7 @@ from casadi_galerkin.solution.refinement import Estimate, Refinement
 from casadi_galerkin.solvers.solver import Solver, ipopt
 
 FIRST_INTERVALS = 8
-DOUBLINGS = 2  # of a mesh, while IPOPT finds nothing on it
+DOUBLINGS = 2  # of a mesh, while the solver finds nothing on it
 LEAST_SECONDS = 1e-3  # that IPOPT is given
 HIGHER = 2  # degrees added for the error estimate; two, because of parity
 
@@ -72,9 +74,9 @@ def fits_any_mesh(guess: Guess | None) -> bool:
 
 
 class ControlRefinement(Refinement[ControlTrajectory, ControlTrajectory | None]):
-    """One refinement of a trajectory optimisation under way; arguments as for `solve`."""
+    """One refinement of a trajectory optimization under way; arguments as for `solve`."""
 
-    roundoff_level, stalls = 1e-8, 1  # what IPOPT leaves
+    roundoff_level, stalls = 1e-8, 1  # what the solvers leave
 
     def __init__(
         self,
@@ -93,11 +95,11 @@ class ControlRefinement(Refinement[ControlTrajectory, ControlTrajectory | None])
 
     @property
     def iterations(self) -> int:
-        """Iterations of IPOPT in all solves."""
+        """Iterations of the solver in all solves."""
         return self._iterations
 
     def solved(self, level: ControlTrajectory) -> tuple[int, float]:
-        """Iterations of IPOPT on one level, and the violation it left."""
+        """Iterations of the solver on one level, and the violation it left."""
         return level.iterations, level.residual
 
     def path(self, level: ControlTrajectory, error: float) -> ControlTrajectory:
@@ -224,7 +226,7 @@ def solve_control_to_tolerance(
     LimitReached
         with the best path attached
     ConvergenceError
-        where IPOPT finds no path on the first mesh, nor on the same mesh twice and four times as fine
+        where the solver finds no path on the first mesh, nor on the same mesh twice and four times as fine
     """
     joints = first_control_mesh(problem, tol, method, intervals, mesh)
     return ControlRefinement(problem, tol, method, limits, solver, verbose).run(joints, guess)

@@ -1,4 +1,4 @@
-"""Where controls switch from bound to bound."""
+"""Where controls switch from bound to bound: by their impulses, and by the switching function ∂(ℓ + λ·(F, ρ))/∂u."""
 
 from __future__ import annotations
 
@@ -17,7 +17,14 @@ ZOOMS = 4  # of 32 parts each, in search of a zero: 1e-6 of the bracket, then li
 
 @dataclass(frozen=True)
 class Switch:
-    """A control goes from bound to bound: the time its impulse tells, the nearest joint, when it is due."""
+    """A control goes from bound to bound.
+
+    Attributes
+    ----------
+    when : time that its impulse ∫ u dt over the intervals around tells
+    joint : time of the nearest joint
+    due : time at which the switching function is zero; `when` if it is zero nowhere near
+    """
 
     when: float
     joint: float

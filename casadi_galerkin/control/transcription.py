@@ -51,7 +51,6 @@ HINTS = {
 OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"
 FATROP_HINT = "Try cg.ipopt, which stalls less easily"
 NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
-ENDS = ("start", "end", "start_velocity", "end_velocity")
 
 
 class ControlTranscription:

@@ -172,7 +172,7 @@ def assembly(
     """Eᵀ blockdiag(·) E: the Jacobian at the points -> sparse matrix over the unknowns ξ.
 
     Inputs are one matrix per block, (stored entries of the (d, d) pattern, N r), as in `cell`.  Each interval
-    contributes a dense (m + 1) by (m + 1) grid of cells with that pattern, and neighbours overlap in the joint:
+    contributes a dense (m + 1) by (m + 1) grid of cells with that pattern, and neighbors overlap in the joint:
 
         ■ ■ ■ · ·
         ■ ■ ■ · ·

@@ -247,7 +247,7 @@ class Functional:
         - derivatives : -> matrix ∇²S, gradient ∇S
         - summary : -> action S; momentum (d, N + 1), -∂S/∂x_0 and then ∂S_k/∂x_{k+1} of every interval; gradient ∇S;
           terms, the sizes of what the gradient sums
-        - joint_time_derivatives : -> by_joint, twice_by_joint, by_neighbours
+        - joint_time_derivatives : -> by_joint, twice_by_joint, by_neighbors
         - heavier : with inertia -> matrix ∇²S with ∂²L/∂v² times that
         - curvature : with left z and right y -> signed zᵀ∇²S y, positive sum of the sizes of its terms
         - sensitivity : with direction of the parameters -> change of ∇S along it
@@ -265,7 +265,7 @@ class Functional:
             "summary": lambda: ({}, ["action", "momentum", "gradient", "terms"], self.first_variation()),
             "joint_time_derivatives": lambda: (
                 {},
-                ["by_joint", "twice_by_joint", "by_neighbours"],
+                ["by_joint", "twice_by_joint", "by_neighbors"],
                 list(self.joint_time_derivatives()),
             ),
             "heavier": lambda: ({"inertia": inertia}, ["matrix"], [self.hessian(inertia)]),

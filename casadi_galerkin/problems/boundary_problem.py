@@ -39,7 +39,7 @@ class BoundaryProblem:
         (natural boundary condition) unless one of the following says otherwise
     parameters : numbers passed to all callables as p, their last argument; default none
     periodic : whether x(t_N) = x(t_0) with equal momenta; `start` may fix components of that point, `end` is left out
-    force : callable (t, x, v) -> d generalised forces, that do the virtual work F·δx (Lagrange-d'Alembert)
+    force : callable (t, x, v) -> d generalized forces, that do the virtual work F·δx (Lagrange-d'Alembert)
     constraint : callable (t, x) -> k < d values that are zero all along the path (holonomic)
     start_velocity, end_velocity, start_momentum, end_momentum : d numbers each, None where nothing is given.  They
         replace the natural condition of a component whose position is None.  Under a constraint only the tangent part

@@ -25,7 +25,7 @@ class InitialProblem:
     momentum : d numbers, p(t_0) = ∂L/∂v; or
     velocity : d numbers, v(t_0)
     parameters : numbers passed to the callables as p; default none
-    force : callable of the same arguments -> d generalised forces, that do the virtual work F·δx
+    force : callable of the same arguments -> d generalized forces, that do the virtual work F·δx
         (Lagrange-d'Alembert); default none
     constraint : callable (t, x) -> k < d values that are zero all along the path (holonomic); default none.  `position`
         fulfils it, and `velocity` is tangent to it; of `momentum` the tangent part counts

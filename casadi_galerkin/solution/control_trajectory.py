@@ -1,4 +1,4 @@
-"""The answer of a trajectory optimisation: the path with its controls, costate and Hamiltonian."""
+"""The answer of a trajectory optimization: the path with its controls, costate and Hamiltonian."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class ControlTrajectory(Trajectory):
     start_velocity, end_velocity : (d,), the velocities given or found at the ends; of a component that follows a rate,
         the derivative of its polynomial
 
-    `action` is that of the Lagrangian alone, `morse_index` is None, and `parameters` are the optimised ones.
+    `action` is that of the Lagrangian alone, `morse_index` is None, and `parameters` are the optimized ones.
 
     Examples
     --------
@@ -78,7 +78,7 @@ class ControlTrajectory(Trajectory):
     end_velocity: np.ndarray
 
     def replay(self) -> ca.Function:
-        """Return the force (t, x, v[, p]) -> (d,) of the optimised controls, for an `InitialProblem`.
+        """Return the force (t, x, v[, p]) -> (d,) of the optimized controls, for an `InitialProblem`.
 
         Stepped with the same method on the same joints it gives the same path.
 
@@ -239,7 +239,7 @@ class ControlTrajectory(Trajectory):
         return drawn
 
     def __repr__(self) -> str:
-        """Summarise path and solve in a few lines."""
+        """Summarize path and solve in a few lines."""
         size, n = len(self.x), len(self.control.values)
         return "\n".join(
             [

@@ -14,7 +14,7 @@ class ConvergenceError(RuntimeError):
     ----------
     path : the last path that the solve had reached, which can be called and plotted, but is no answer; None if there
         is none
-    residual : float, its largest residual over that residual's roundoff floor; of an optimisation its largest violation
+    residual : float, its largest residual over that residual's roundoff floor; of an optimization its largest violation
         over the relative precision of a double
     iterations : int
 
@@ -53,7 +53,7 @@ class ConjugatePointError(ConvergenceError):
 class LimitReached(ConvergenceError):
     """A refinement was stopped before it reached its tolerance; another guess for the same path would not help.
 
-    Its `path` is the best so far: of a trajectory optimisation a ControlTrajectory that solves its own mesh.
+    Its `path` is the best so far: of a trajectory optimization a ControlTrajectory that solves its own mesh.
 
     Examples
     --------

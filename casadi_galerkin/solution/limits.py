@@ -16,8 +16,14 @@ class Limits:
     Parameters
     ----------
     intervals : largest number of intervals of a mesh
-    seconds : longest time: no level begins after it, and Newton's method and IPOPT stop within one
+    seconds : longest time: no level begins after it, and Newton's method and IPOPT stop within one; fatrop, which takes
+        no such limit, ends its own first
     levels : largest number of meshes
+
+    Raises
+    ------
+    ValueError
+        for a limit that is not positive, or of intervals or levels and not whole
 
     Examples
     --------

@@ -96,7 +96,7 @@ class Path(Table, Pictured):
         Parameters
         ----------
         points : as for `Trajectory.animate`
-        axes : Matplotlib axes to draw into, labelled by their owner; default a new figure
+        axes : Matplotlib axes to draw into, labeled by their owner; default a new figure
         count : number of instants, evenly from start to end
         apart : how far every pose is moved to the right of the one before; a strip of them needs no trail
         """

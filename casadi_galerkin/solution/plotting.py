@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-# M. Okabe and K. Ito's palette, told apart by colour-blind readers
+# M. Okabe and K. Ito's palette, told apart by color-blind readers
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 STYLE: Any = {"axes.grid": True, "grid.color": "0.92", "axes.axisbelow": True, "axes.titlesize": "medium"}
 SIZE = (4.6, 3.2)  # inches, legible where three stand side by side on a page

@@ -232,7 +232,7 @@ class Trajectory(Path):
         ----------
         points : callable, positions x (d, K) at K times -> (n, 2, K), places in the plane of all ends of the bars of a
             chain, one after the other, the fixed one included
-        axes : Matplotlib axes to draw into, labelled by their owner; default a new figure
+        axes : Matplotlib axes to draw into, labeled by their owner; default a new figure
         seconds : how long it runs; default the duration of the path, taken as seconds
         unit : of the time shown in the title
         """
@@ -264,7 +264,7 @@ class Trajectory(Path):
         return with_parameters(self.lagrangian, self.parameters)
 
     def __repr__(self) -> str:
-        """Summarise path and solve in a few lines."""
+        """Summarize path and solve in a few lines."""
         size, energy = len(self.x), self.energy
         kind = "a local minimum" if self.morse_index == 0 else f"a saddle of Morse index {self.morse_index}"
         if self.morse_index is None:

@@ -22,5 +22,5 @@ def until(deadline: float) -> Iterator[None]:
 
 
 def seconds_left() -> float:
-    """Seconds until then; infinite where nothing limits the solve."""
+    """Seconds until the deadline; infinite where nothing limits the solve."""
     return _deadline.get() - time.perf_counter()

@@ -111,7 +111,7 @@ def _nlpsol(functional: Functional, minimize: bool, verbose: int, given: Mapping
     """IPOPT with all derivatives supplied from the one graph.
 
     Its tolerances are absolute, so unknowns and action are measured by units that follow the data as parameters.  Where
-    the action is minimised, the multipliers are IPOPT's own: their rows are its constraints.
+    the action is minimized, the multipliers are IPOPT's own: their rows are its constraints.
     """
     slope = functional.function("gradient")
     n, *lengths = [slope.size1_in(i) for i in range(slope.n_in())]

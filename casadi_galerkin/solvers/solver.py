@@ -1,10 +1,10 @@
 """The solvers by name: each takes the stationarity conditions and a guess, and returns what was verified, or raises.
 
-`newton`, the default, is Newton's method with a line search.  Where it fails, IPOPT first minimises the action (long
+`newton`, the default, is Newton's method with a line search.  Where it fails, IPOPT first minimizes the action (long
 pendulum swings: 10 iterations where the stationarity conditions alone took 60 to 500), then solves the stationarity
 conditions; Newton's method finishes from where it stopped.  `rootfinder` is CasADi's own.  `ipopt` takes the equations
-as constraints under a constant objective; `minimizer` minimises the action, so it finds minima only.  `fatrop`
-is for control problems.
+as constraints under a constant objective; `minimizer` minimizes the action, so it finds minima only.  `fatrop` is for
+control problems.
 """
 
 from __future__ import annotations

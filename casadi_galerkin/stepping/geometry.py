@@ -62,7 +62,7 @@ class Geometry:
         return np.asarray(np.max(np.abs(defect), axis=(1, 2)))
 
     def __repr__(self) -> str:
-        """Summarise in a few lines."""
+        """Summarize in a few lines."""
         determinant = self.determinants[np.argmax(np.abs(self.determinants - 1))]
         lines = [
             f"energy         error up to {self.energy_error:.1e}, drift {self.energy_drift:.1e} over the path",

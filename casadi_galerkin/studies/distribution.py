@@ -35,7 +35,7 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.trajectory import Trajectory
 
 CHUNKS, LARGEST_CHUNK = 64, 50  # enough chunks to keep workers equally busy; few enough that sending costs little
-SMALLEST_NEIGHBOURHOOD = 4  # variations about one that has to be solved before
+SMALLEST_NEIGHBORHOOD = 4  # variations about one that has to be solved before
 _one_at_a_time = threading.Lock()  # a worker of a cluster may run several chunks in threads of one process
 
 Variation = Mapping[str, Any]
@@ -55,10 +55,10 @@ class CutShort(ConvergenceError):
     """
 
 
-class Neighbours:
+class Neighbors:
     """What solves variations of a boundary problem to a tolerance, each from the nearest that is solved.
 
-    A variation with a guess of its own is solved from that, on the mesh of its neighbour.
+    A variation with a guess of its own is solved from that, on the mesh of its neighbor.
     """
 
     def __init__(self, problem: BoundaryProblem, method: Galerkin | None, intervals: int | None, tol: float) -> None:
@@ -89,11 +89,11 @@ Solve = Callable[[Variation], Trajectory]
 
 def solver_of(
     problem: BoundaryProblem | ControlProblem, method: Galerkin | None, intervals: int | None, tol: float | None
-) -> Solve | Neighbours:
+) -> Solve | Neighbors:
     """What solves the variations: a graph built once, or with a tolerance a control problem's refinement each."""
     if tol is not None:
         if isinstance(problem, BoundaryProblem):
-            return Neighbours(problem, method, intervals, tol)
+            return Neighbors(problem, method, intervals, tol)
         first_control_mesh(problem, tol, method, intervals, None)  # refuses here what would fail in every variation
 
         def refined(variation: Variation) -> Trajectory:
@@ -105,12 +105,17 @@ def solver_of(
     if method is None or intervals is None:
         raise ValueError(f"give a method and intervals, or tol, got method={method!r} and intervals={intervals!r}")
     transcription = transcribe(problem, method, intervals)
-    breakpoints = problem.breakpoints if isinstance(problem, BoundaryProblem) else ()
+
+    def joints(start: float, end: float) -> np.ndarray:
+        if isinstance(problem, BoundaryProblem):
+            return mesh_of((start, end), intervals, None, problem.breakpoints)
+        (first, last), inner = problem.t_span, problem.breakpoints  # breakpoints keep their numbers among the joints
+        return np.asarray(np.interp(transcription.mesh, [first, *inner, last], [start, *inner, end]))
 
     def solved(variation: Variation) -> Trajectory:
         given = dict(variation)
         span = given.pop("t_span", None)
-        return transcription.solve(**given, mesh=None if span is None else mesh_of(span, intervals, None, breakpoints))
+        return transcription.solve(**given, mesh=None if span is None else joints(*span))
 
     return solved
 
@@ -123,11 +128,11 @@ def _answer(solver: Solve, variation: Variation) -> Answer:
         return error.with_traceback(None)
 
 
-def _answers(solver: Solve | Neighbours, variations: Sequence[Variation], known: Sequence[Known]) -> Iterator[Answer]:
+def _answers(solver: Solve | Neighbors, variations: Sequence[Variation], known: Sequence[Known]) -> Iterator[Answer]:
     """Answers one after the other; with a tolerance each may start from those before and from paths that are known."""
     paths = list(known)
     for variation in variations:
-        if isinstance(solver, Neighbours):
+        if isinstance(solver, Neighbors):
             answer = _answer(partial(solver.solve, known=paths), variation)
             paths += _known(answer)
             yield answer
@@ -158,7 +163,7 @@ def _sendable(answer: Answer) -> Answer:
 
 
 @lru_cache(1)
-def _unpickled(pickled: bytes) -> Solve | Neighbours:
+def _unpickled(pickled: bytes) -> Solve | Neighbors:
     """A worker's own solver, kept from chunk to chunk."""
     return solver_of(*pickle.loads(pickled))
 
@@ -188,8 +193,8 @@ def _chunks(count: int) -> list[Chunk]:
     return [Chunk(range(first, min(first + size, count))) for first in range(0, count, size)]
 
 
-def _neighbourhoods(
-    solver: Neighbours,
+def _neighborhoods(
+    solver: Neighbors,
     variations: Sequence[Variation],
     answers: Answers,
     bar: tqdm[Any],
@@ -201,22 +206,22 @@ def _neighbourhoods(
     solves them, so that the answers are, too.
     """
     count = len(variations)
-    size = min(LARGEST_CHUNK, max(SMALLEST_NEIGHBOURHOOD, -(-count // CHUNKS)))
+    size = min(LARGEST_CHUNK, max(SMALLEST_NEIGHBORHOOD, -(-count // CHUNKS)))
     values = np.array([values_of(solver.varied(variation)) for variation in variations])
     scaled = values / [spread if spread > 0 else 1.0 for spread in np.ptp(values, axis=0)] if count else values
-    centres = np.arange(0, count, size)
-    apart = np.array([np.sum((scaled - scaled[centre]) ** 2, axis=1) for centre in centres]).reshape(-1, count)
-    waiting = np.where(centres == 0, 0.0, np.inf)  # distances from what is solved; NaN for what is
+    centers = np.arange(0, count, size)
+    apart = np.array([np.sum((scaled - scaled[center]) ** 2, axis=1) for center in centers]).reshape(-1, count)
+    waiting = np.where(centers == 0, 0.0, np.inf)  # distances from what is solved; NaN for what is
     begins: dict[int, list[Known]] = {}
-    for _ in centres:
+    for _ in centers:
         i = int(np.nanargmin(waiting))
-        first = int(centres[i])
+        first = int(centers[i])
         order = sorted(begins, key=lambda k: float(apart[k, first]))
         near = next((begins[k] for k in order if begins[k]), [])
         with suppress(Exception):  # of a worker; it is solved again with what is lost
             (answers[first],) = solved([variations[first]], near)
         begins[i] = _known(answers.get(first))
-        waiting = np.minimum(waiting, apart[i, centres])
+        waiting = np.minimum(waiting, apart[i, centers])
         waiting[i] = np.nan
         bar.update()
     belongs = np.argmin(apart, axis=0)
@@ -224,15 +229,15 @@ def _neighbourhoods(
     for i, begin in begins.items():
         own = np.flatnonzero(belongs == i)
         own = own[np.argsort(apart[i, own], kind="stable")]
-        chunks.append(Chunk([k for k in own.tolist() if k != centres[i]], begin))
+        chunks.append(Chunk([k for k in own.tolist() if k != centers[i]], begin))
     return chunks
 
 
-def solve_here(solver: Solve | Neighbours, variations: Sequence[Variation], answers: Answers, bar: tqdm[Any]) -> None:
+def solve_here(solver: Solve | Neighbors, variations: Sequence[Variation], answers: Answers, bar: tqdm[Any]) -> None:
     """Solve all in this process."""
     chunks = [Chunk(range(len(variations)))]
-    if isinstance(solver, Neighbours):
-        chunks = _neighbourhoods(solver, variations, answers, bar, lambda *given: list(_answers(solver, *given)))
+    if isinstance(solver, Neighbors):
+        chunks = _neighborhoods(solver, variations, answers, bar, lambda *given: list(_answers(solver, *given)))
     for chunk in chunks:
         some = [variations[i] for i in chunk.numbers]
         for i, answer in zip(chunk.numbers, _answers(solver, some, chunk.known), strict=True):
@@ -241,7 +246,7 @@ def solve_here(solver: Solve | Neighbours, variations: Sequence[Variation], answ
 
 
 def solve_chunks(
-    solver: Solve | Neighbours,
+    solver: Solve | Neighbors,
     executor: Executor,
     pickled: bytes,
     variations: Sequence[Variation],
@@ -254,8 +259,8 @@ def solve_chunks(
         return executor.submit(_chunk, pickled, some, known)
 
     chunks = _chunks(len(variations))
-    if isinstance(solver, Neighbours):
-        chunks = _neighbourhoods(solver, variations, answers, bar, lambda *given: submitted(*given).result())
+    if isinstance(solver, Neighbors):
+        chunks = _neighborhoods(solver, variations, answers, bar, lambda *given: submitted(*given).result())
     futures: dict[Future[list[Answer]], Sequence[int]] = {}
     try:
         for chunk in chunks:

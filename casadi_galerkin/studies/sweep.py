@@ -118,9 +118,9 @@ class Sweep(Table):
 
     @lazy
     def jumps(self) -> dict[int, int]:
-        """Number of the variation -> number of its neighbour, for those on another branch than their neighbour.
+        """Number of the variation -> number of its neighbor, for those on another branch than their neighbor.
 
-        A neighbour is the nearest variation that was solved and comes before.  Two variations are on different branches
+        A neighbor is the nearest variation that was solved and comes before.  Two variations are on different branches
         where their Morse indices differ, or where the action changes by more than its derivatives at both explain.
         Branches that differ in neither, such as mirror images, are not told apart; under constraints, end conditions,
         forces and a given energy only the index counts.
@@ -145,7 +145,7 @@ class Sweep(Table):
         return stacked
 
     def __repr__(self) -> str:
-        """Summarise the sweep, with the first jump between branches and the reason of the first failure."""
+        """Summarize the sweep, with the first jump between branches and the reason of the first failure."""
         failures = self.failures
         text = f"Sweep of {len(self)} variation{'s' * (len(self) != 1)}, {len(self) - len(failures)} solved"
         cut_short = sum(isinstance(error, CutShort) for error in failures.values())
@@ -153,8 +153,8 @@ class Sweep(Table):
             text += f", {cut_short} cut short"
         boundary = all(isinstance(a.problem, BoundaryProblem) for a in self.answers if isinstance(a, Trajectory))
         if boundary and self.jumps:
-            i, neighbour = next(iter(self.jumps.items()))
-            text += f"\n  on another branch than their neighbours: {len(self.jumps)}, first {i} beside {neighbour}"
+            i, neighbor = next(iter(self.jumps.items()))
+            text += f"\n  on another branch than their neighbors: {len(self.jumps)}, first {i} beside {neighbor}"
         if not failures:
             return text
         first, error = next(iter(failures.items()))
@@ -185,7 +185,7 @@ def sweep(
     method, intervals : as for `solve`
     tol : as for `solve`; each variation of a boundary problem without a guess of its own starts from the path and the
         mesh of the nearest one that is solved, and so stays on its branch; see `Sweep.jumps`.  Variations of a control
-        problem get a mesh of their own each
+        problem are refined one by one, each from its own guess
     executor : any Executor of processes in the sense of `concurrent.futures`; default none, one after the other.
         Not of threads: CasADi Functions are not thread-safe
 
@@ -246,8 +246,7 @@ def _checked(problem: BoundaryProblem | ControlProblem, number: int, variation: 
     try:
         if "t_span" in checked:
             checked["t_span"] = time_span(checked["t_span"])
-            if isinstance(problem, BoundaryProblem):
-                times_inside("breakpoints", problem.breakpoints, checked["t_span"])
+            times_inside("breakpoints", problem.breakpoints, checked["t_span"])
         given = {name: checked[name] for name in VARIED if name in checked}
         varied = problem.varied(given, checked.get("t_span", problem.t_span))
         checked |= {name: getattr(varied, name) for name in given}

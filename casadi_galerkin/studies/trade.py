@@ -1,8 +1,8 @@
 """Speed against accuracy, measured on the user's own problem by every way there is to its path.
 
 A way is a `Row` not yet measured: a method on a number of intervals or a tolerance, with a solver, or by shooting.
-Each is gone with a copy of the problem first, so that nothing is built or differentiated yet, and is then repeated on
-what it has built.  Errors are differences to a reference, which is given or solved for (`reference`).
+Each way first solves a copy of the problem, for which nothing is built or differentiated yet, and then repeats the
+solve on what it has built.  Errors are differences to a reference, which is given or solved for (`reference`).
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from tqdm import tqdm
 from casadi_galerkin._solve import transcribe
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.control.transcription import check_solver
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
@@ -28,7 +29,7 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, guess_values
 from casadi_galerkin.solution.limits import check_tolerance
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.solvers.solver import Solver, ipopt, minimizer, newton, rootfinder
+from casadi_galerkin.solvers.solver import Solver, ipopt, newton
 from casadi_galerkin.studies.reference import (
     Measure,
     Problem,
@@ -65,7 +66,7 @@ class _Cell:
 
 
 def _cell(problem: Problem, row: Row, guess: Guess | None, measure: Measure | None) -> _Cell:
-    """Go a way for the first time, twice where that does not take long, and build what its repeats need.
+    """Solve in one way for the first time, twice where that does not take long, and build what its repeats need.
 
     The second time finds CasADi's plugins loaded.
     """
@@ -100,13 +101,19 @@ def _repeated(problem: Problem, row: Row, guess: Guess | None) -> Callable[[], T
 
 
 def _on_its_mesh(problem: Problem, cell: _Cell) -> Row:
-    """The way on a fixed mesh that a tolerance has found; where the duration is free, over the one guessed."""
+    """The way on a fixed mesh that a tolerance has found; where durations are free, over those guessed."""
     assert cell.path is not None
-    joints, (start, end) = cell.path.t, problem.t_span
-    if (joints[0], joints[-1]) != (start, end):
-        joints = np.interp((joints - joints[0]) / (joints[-1] - joints[0]), [0.0, 1.0], [start, end])
-    row = cell.row
+    joints, row = cell.path.t, cell.row
+    found, guessed = _marks(cell.path.problem), _marks(problem)
+    if found != guessed:
+        joints = np.interp(joints, found, guessed)
     return Row(row.method, row.intervals, row.solver, row.tol, mesh=tuple(joints.tolist()))
+
+
+def _marks(problem: object) -> list[float]:
+    """Times of the ends and of the breakpoints."""
+    assert isinstance(problem, (BoundaryProblem, ControlProblem)), "no other is solved to a tolerance"
+    return [problem.t_span[0], *problem.breakpoints, problem.t_span[1]]
 
 
 def _unknowns(problem: Problem, path: Trajectory) -> int:
@@ -152,8 +159,8 @@ def _solvers(problem: Problem, solvers: Iterable[Solver]) -> Sequence[Solver | N
             raise TypeError(f"solvers must be Solvers, such as [newton, ipopt], got {solver!r}")
         if isinstance(problem, InitialProblem):
             raise ValueError(f"an initial problem takes no solver: it is solved step by step, got {solver!r}")
-        if isinstance(problem, ControlProblem) and solver.name in {newton.name, rootfinder.name, minimizer.name}:
-            raise ValueError(f"a ControlProblem is solved by ipopt, got the solver {solver!r}")
+        if isinstance(problem, ControlProblem):
+            check_solver(solver)
     if given or isinstance(problem, InitialProblem):
         return given or [None]
     return [ipopt if isinstance(problem, ControlProblem) else newton]

@@ -34,14 +34,14 @@ RULES = {"Gauss": gauss, "Lobatto": lobatto, "Radau": radau}
 
 @dataclass(frozen=True)
 class Row:
-    """One way to the path of a problem, which can be gone again, with what it has cost and how far it has missed.
+    """One way to solve a problem, which can be taken again, with its cost in time and its errors.
 
     Attributes
     ----------
     method, intervals : as `solve` takes them, or as a tolerance has found them; None where it has found none
     solver : as `solve` takes it; None where a path is found step by step
-    tol : the tolerance; None of a fixed discretisation
-    mesh : joints that were found for `tol`, taken as a fixed mesh; None where the mesh is none of these
+    tol : the tolerance; None of a fixed discretization
+    mesh : (N + 1,), joints that were found for `tol`, taken as a fixed mesh; None of all other rows
     shooting : whether the path is found by `shoot`
     unknowns : node values and controls solved for
     first_seconds : of a first call with a problem, which builds everything but the patterns that another problem with

@@ -107,7 +107,7 @@ def swinging(t):
 
 
 def crane():
-    """The cart carries its pole, hanging, a metre further, and is to swing it little."""
+    """The cart carries its pole, hanging, a meter further, and is to swing it little."""
     return replace(cart_pole.problem(), end=[1.0, 0.0], running_cost=lambda t, x, v, u: u[0] ** 2 + 100 * x[1] ** 2)
 
 

@@ -1,7 +1,7 @@
 """What a solve costs: building, overhead, the growth with the number of intervals, memory and the error floor.
 
-"Outside" is wall time less the time that CasADi spends on evaluating its Functions and factorising matrices: tracing,
-building graphs, symbolic factorisation, and everything in Python.  It is the best of several runs in a warm process;
+"Outside" is wall time less the time that CasADi spends on evaluating its Functions and factorizing matrices: tracing,
+building graphs, symbolic factorization, and everything in Python.  It is the best of several runs in a warm process;
 the growth is a median of rounds, since the speed of a machine changes more between two sizes measured one after the
 other than their cost does.  The problem is a Kepler arc with d = 2 whose end is known to 1e-15, so that the error floor
 can be seen.
@@ -21,7 +21,7 @@ import casadi_galerkin as cg
 from casadi_galerkin.functional import embedding, numbering
 from casadi_galerkin.solvers import linear_solver
 
-ECCENTRICITY, START = 0.6, (0.4, 0.0)  # from the pericentre, unit semi-major axis
+ECCENTRICITY, START = 0.6, (0.4, 0.0)  # from the pericenter, unit semi-major axis
 SMALL, REPEATS = 20, 15  # intervals of the small problem, runs of which the best counts
 SIZES = (100, 1000, 10_000, 100_000)
 
@@ -68,7 +68,7 @@ class Ledger:
 
 
 def exact(t):
-    """Position at time t after the pericentre, by Kepler's equation; (2,)."""
+    """Position at time t after the pericenter, by Kepler's equation; (2,)."""
     anomaly = t
     for _ in range(50):
         anomaly -= (anomaly - ECCENTRICITY * np.sin(anomaly) - t) / (1 - ECCENTRICITY * np.cos(anomaly))
@@ -116,7 +116,7 @@ def overhead(ledger, degree):
 
 
 def stepper(intervals, degree=4):
-    """A callable of one Newton step: ∇S and ∇²S, a factorisation, and two solutions with it."""
+    """A callable of one Newton step: ∇S and ∇²S, a factorization, and two solutions with it."""
     transcription = cg.transcribe(arc(), cg.Galerkin(degree), intervals)
     point = transcription.critical_point()
     unknowns = point.solution.unknowns

@@ -31,7 +31,7 @@ def oscillator(duration):
 
 
 def kepler_path(eccentricity):
-    """Position (2, K) at times (K,) after the pericentre, by Kepler's equation with bisected Newton steps."""
+    """Position (2, K) at times (K,) after the pericenter, by Kepler's equation with bisected Newton steps."""
 
     def exact(t):
         t = np.atleast_1d(np.asarray(t, dtype=float))
@@ -66,13 +66,13 @@ def degree(m, points=cg.lobatto_points):
 
 
 def many_intervals(m, intervals):
-    """Oscillator; exact but for the discretisation, 3e-5 h² for m = 1 and far below roundoff for m = 4."""
+    """Oscillator; exact but for the discretization, 3e-5 h² for m = 1 and far below roundoff for m = 4."""
     path = cg.solve(oscillator(2.0), cg.Galerkin(m), intervals)
     return relative(path, lambda t: np.sin(t)[None, :], np.linspace(0, 2, 1001))
 
 
 def ring(d, intervals=10, m=4):
-    """A ring of d masses and stiffening springs, neighbours moving oppositely; d even.
+    """A ring of d masses and stiffening springs, neighbors moving oppositely; d even.
 
     Each mass then moves as one alone on two doubly stretched springs: the difference to that solve, and seconds.
     """
@@ -146,7 +146,7 @@ def graded(decades):
 
 
 def collision(distance, factor=1.1):
-    """A Kepler orbit of pericentre 1 - e = distance, solved from the orbit of a pericentre `factor` times as large."""
+    """A Kepler orbit of pericenter 1 - e = distance, solved from the orbit of a pericenter `factor` times as large."""
     problem, exact = kepler(1 - distance, -np.pi / 2, np.pi / 2)
     side, method = np.geomspace(0.3 * distance**1.5, np.pi / 2, 40), cg.Galerkin(10)
     mesh = np.concatenate((-side[::-1], [0.0], side))

@@ -2,7 +2,7 @@
 
 An iteration is ∇S, ∇²S and the solution with ∇²S for two right-hand sides, with the measures that Newton's method needs
 of it.  Its limit is the evaluation of both derivatives at all points by a loop compiled in C, and LAPACK's banded
-factorisation and solution of the same matrix for one right-hand side (Cholesky where it is definite, else LU), with the
+factorization and solution of the same matrix for one right-hand side (Cholesky where it is definite, else LU), with the
 matrix in LAPACK's own form already: assembling it is not counted.
 
 Run it alone on a quiet machine; it takes a minute or two, and it needs a C compiler, gcc or cc.
@@ -73,7 +73,7 @@ def iteration(transcription, unknowns, data):
 
 
 def banded(transcription, unknowns, data):
-    """A callable: LAPACK's factorisation and solution; and one that copies the inputs, which the first overwrites."""
+    """A callable: LAPACK's factorization and solution; and one that copies the inputs, which the first overwrites."""
     matrix = transcription.hessian.call([unknowns, *data])[0]
     columns, rows = (np.array(index) for index in reversed(matrix.sparsity().get_triplet()))
     entries, n = np.array(matrix.nonzeros()), matrix.size1()

@@ -1,12 +1,12 @@
 """Where the package stands: the time of a solve alone, to the same true error, beside what its users use today.
 
-Peers, each at its own best discretisation for each error:
+Peers, each at its own best discretization for each error:
 
 * this package: `Transcription.solve`, verification and momenta included;
 * hand-written CasADi: Gauss collocation of the first-order system y = (x, v) with all stage values as unknowns, as a
   skilled user writes it: a pointwise map, or its expansion to scalars; sparse exact Jacobian; Newton's rootfinder with
   a sparse linear solver, stopped at a tenth of the error asked for.  The best of its variants counts;
-* SciPy's `solve_bvp` with vectorised right-hand side and analytic Jacobian, at its loosest tolerance that does.
+* SciPy's `solve_bvp` with vectorized right-hand side and analytic Jacobian, at its loosest tolerance that does.
 
 All start from the same guess, and the first two from the same family of meshes.  An error is the largest of x between
 and at the joints (the collocation's from its polynomials), relative to the largest component, against a closed form or
@@ -36,8 +36,8 @@ ERRORS = (1e-6, 1e-9, 1e-12)
 DEGREES = (4, 5, 6, 8, 10, 12, 15, 20)
 COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64, 96, 128, 192, 256)
 WITHIN = np.linspace(0, 1, 12)  # parts of an interval at which errors are taken
-CANDIDATES = 3  # discretisations with the fewest unknowns that are timed
-FEW, TRIALS, REPEATS = 3, 31, 15  # runs of every discretisation, of those that may be the best, and of the best
+CANDIDATES = 3  # discretizations with the fewest unknowns that are timed
+FEW, TRIALS, REPEATS = 3, 31, 15  # runs of every discretization, of those that may be the best, and of the best
 NEAR = 1.5  # times the least time that may be the least in truth
 LINEAR_SOLVERS = "csparse", "qr"
 
@@ -76,7 +76,7 @@ def straight(start, end, t_span):
 
 
 def kepler(eccentricity=0.6, half=1.0):
-    """Arc through the pericentre; the guess turns evenly at the distance of the ends."""
+    """Arc through the pericenter; the guess turns evenly at the distance of the ends."""
 
     def exact(t):
         anomaly = np.array(t, dtype=float)
@@ -145,7 +145,7 @@ def layer(epsilon=1e-6):
 
 
 def troesch(parameter=20.0):
-    """Problem x'' = λ sinh λx; the guess solves the linearised equation, the mesh is graded towards the end."""
+    """Problem x'' = λ sinh λx; the guess solves the linearized equation, the mesh is graded towards the end."""
     return Case(
         "Troesch, λ = 20",
         lambda t, x, v: v[0] ** 2 / 2 + ca.cosh(parameter * x[0]),
@@ -291,7 +291,7 @@ def collocation(case, degree, intervals, abstol, expand, linear_solver):
 
 
 def numpy_function(name, function):
-    """NumPy source of an SX Function, compiled: vectorised over the last axis of its inputs; a list of its outputs."""
+    """NumPy source of an SX Function, compiled: vectorized over the last axis of its inputs; a list of its outputs."""
     names = {
         ca.OP_ADD: "({} + {})", ca.OP_SUB: "({} - {})", ca.OP_MUL: "({} * {})", ca.OP_DIV: "({} / {})",
         ca.OP_NEG: "(-{})", ca.OP_SQ: "({0} * {0})", ca.OP_SQRT: "np.sqrt({})", ca.OP_SIN: "np.sin({})",
@@ -381,7 +381,7 @@ def relative(x, exact):
 
 
 def best(case, exact, error, cells):
-    """Milliseconds of the three peers to one error, NaN where one fails, and the discretisations they took."""
+    """Milliseconds of the three peers to one error, NaN where one fails, and the discretizations they took."""
     cells = sorted(cells, key=lambda cell: cell[0] ** 1.3 * cell[1])
     mine = [ours(case, *cell) for cell in cells]
     chosen = fastest(mine)
@@ -408,7 +408,7 @@ def best(case, exact, error, cells):
 
 
 def described(mine, peer, tolerance):
-    """Discretisations in words: degree and intervals, the variant by hand, SciPy's tolerance."""
+    """Discretizations in words: degree and intervals, the variant by hand, SciPy's tolerance."""
     hand = "by hand fails" if peer is None else f"by hand {peer[0][0]} x {peer[0][1]}, {peer[1]}, {peer[2]}"
     return f"{mine[0]} x {mine[1]}; {hand}; " + ("SciPy fails" if tolerance is None else f"tol {tolerance:.0e}")
 

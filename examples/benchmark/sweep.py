@@ -1,7 +1,7 @@
 """How many boundary problems a second: the Lambert transfers of the porkchop plot, serial and by a pool of processes.
 
 On one fixed mesh, for which every transfer needs a guess of its own, and to the tolerance of the plot, where each
-starts from its neighbour.  The pool's time includes sending problems and answers, not the start of its processes.  Run
+starts from its neighbor.  The pool's time includes sending problems and answers, not the start of its processes.  Run
 it on a quiet machine.
 """
 
@@ -63,6 +63,6 @@ if __name__ == "__main__":
     seconds, transfers, apart = main()
     count = len(transfers)
     print(f"{count} Lambert transfers: {len(transfers.failures)} without an answer, {len(transfers.jumps)} on another")
-    print(f"branch than their neighbours; actions differ by {apart:.0e} from those on the fixed mesh")
+    print(f"branch than their neighbors; actions differ by {apart:.0e} from those on the fixed mesh")
     for name, spent in seconds.items():
         print(f"{name:16} {spent:6.2f} s, {1e3 * spent / count:.2f} ms each")

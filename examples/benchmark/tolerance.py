@@ -1,7 +1,7 @@
 """From a tolerance to a path: this package against `scipy.integrate.solve_bvp`, at the same true error.
 
 Both get the same boundary problem and the same initial guess (the straight line between the ends unless the problem
-has another), SciPy as a first-order system with vectorised right-hand side and analytic Jacobians.  For each
+has another), SciPy as a first-order system with vectorized right-hand side and analytic Jacobians.  For each
 tolerance this package is run first; SciPy's tolerance is then lowered by factors of 3 until its true error is no
 larger, or fails.  "Fresh" is the whole call with nothing kept from another; "first" the same after another Lagrangian
 was solved on as many intervals, of the same degrees, whose graphs are kept; "again" a solve with the graph built and
@@ -90,7 +90,7 @@ def scalar(function):
 
 
 def kepler(eccentricity):
-    """A comet through its pericentre, eccentric anomaly -2 to 2; the guess is its ellipse at the wrong times."""
+    """A comet through its pericenter, eccentric anomaly -2 to 2; the guess is its ellipse at the wrong times."""
     half, minor = 2 - eccentricity * np.sin(2), np.sqrt(1 - eccentricity**2)
 
     def place(anomaly):
@@ -251,13 +251,13 @@ def row(case, tol):
     scipy_tol = matched(case, max(error, FLOOR), tol)
     times = {key: [] for key in SHOWN}
 
-    neighbour = 0.99 * path.polynomial.values
-    built.solve(guess=neighbour)
+    neighbor = 0.99 * path.polynomial.values
+    built.solve(guess=neighbor)
     for _ in range(REPEATS):
         forget()
         times["fresh"].append(seconds(lambda: case.galerkin(tol))[0])
         times["first"].append(seconds(lambda: case.galerkin(tol))[0])
-        times["again"].append(seconds(lambda: built.solve(guess=neighbour))[0])
+        times["again"].append(seconds(lambda: built.solve(guess=neighbor))[0])
         times["scipy"].append(seconds(lambda: case.scipy(scipy_tol))[0] if scipy_tol else np.nan)
     return {"case": case.name, "tol": tol, "error": error} | {key: 1e3 * median(runs) for key, runs in times.items()}
 

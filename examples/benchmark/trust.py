@@ -86,10 +86,10 @@ def star(random, width=0.0):
     span = (float(random.uniform(-2, 0)), float(random.uniform(0.5, 4)))
 
     def component():
-        frequency, phase, centre = random.uniform(0.5, 12), random.uniform(0, 6), random.uniform(*span)
+        frequency, phase, center = random.uniform(0.5, 12), random.uniform(0, 6), random.uniform(*span)
         shapes = [ca.sin(frequency * t + phase), ca.exp(0.5 * ca.sin(frequency * t)) + t]
         if width:
-            shapes = [1 / (1 + ((t - centre) / width) ** 2), ca.tanh((t - centre) / width)]
+            shapes = [1 / (1 + ((t - center) / width) ** 2), ca.tanh((t - center) / width)]
         return random.uniform(0.5, 2) * shapes[random.integers(2)] + random.uniform(-1, 1) * t
 
     path = ca.vertcat(*(component() for _ in range(d)))

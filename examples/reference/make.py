@@ -34,9 +34,8 @@ def prose(body):
 
 def entries(body):
     """A list of names, of which each starts a line, and what is indented belongs to it."""
-    lines = re.sub(r"\n +", " ", body.strip("\n")).splitlines()
-    named = [re.sub(r"^([\w, ]+?)( : |$)", r"`\1`\2", line) for line in lines if line.strip()]
-    return "\n".join(f"- {line}" for line in named)
+    named = re.sub(r"^(\w[\w, ]*?)( : |$)", r"`\1`\2", body.strip("\n"), flags=re.MULTILINE)
+    return "\n".join(f"- {line}" for line in re.sub(r"\n +", " ", named).splitlines() if line.strip())
 
 
 def signature(thing):

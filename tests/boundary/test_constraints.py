@@ -21,7 +21,7 @@ from scenes import oscillator_problem
 
 import casadi_galerkin as cg
 
-JOINTS = 1e-11  # two discretisations of one path, both converged
+JOINTS = 1e-11  # two discretizations of one path, both converged
 HELD = 1e-13  # |g| at the joints
 METHOD = cg.Galerkin(10)
 MECHANISMS = {  # in angles; in Cartesian coordinates; positions of angles; constraint; duration, angles at the ends

@@ -79,7 +79,7 @@ def test_the_catenoid_breaks_at_its_critical_height():
     np.testing.assert_allclose(branch.folds[0].parameters, [0.66274341934918], rtol=1e-10, atol=0)
 
 
-def test_a_branch_is_summarised(round_the_fold):
+def test_a_branch_is_summarized(round_the_fold):
     lines = str(round_the_fold).splitlines()
     assert lines[0].startswith(f"Branch of {len(round_the_fold.trajectories)} paths from [1.] to [1.]")
     assert lines[1].startswith("  fold at [3.513830")
@@ -137,7 +137,7 @@ def test_the_gravity_of_a_constrained_path_is_walked():
 
 
 def test_the_attraction_of_an_orbit_of_given_energy_is_walked():
-    """The axis is μ/(-2E), the period 2π √(axis³/μ): half a turn from pericentre 0.7 takes π μ/(-2E)^(3/2)."""
+    """The axis is μ/(-2E), the period 2π √(axis³/μ): half a turn from pericenter 0.7 takes π μ/(-2E)^(3/2)."""
     problem = cg.BoundaryProblem(
         lambda t, x, v, p: ca.sumsqr(v) / 2 + p[0] / ca.norm_2(x),
         (0, 3),

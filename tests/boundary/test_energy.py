@@ -20,7 +20,7 @@ def kepler(t, x, v):
 
 
 def half_orbit(eccentricity, energy=-0.5):
-    """Problem and guess of half an orbit from the pericentre to the apocentre, whose distance is free."""
+    """Problem and guess of half an orbit from the pericenter to the apocenter, whose distance is free."""
     axis = -1 / (2 * energy)
     half = np.pi * axis**1.5
     guess = 0.9 * half  # of the duration

@@ -83,12 +83,12 @@ def random_problem(seed):
 
     def component():
         kind = random.integers(0, 4)
-        frequency, phase, centre = random.uniform(0.5, 12), random.uniform(0, 6), random.uniform(*span)
+        frequency, phase, center = random.uniform(0.5, 12), random.uniform(0, 6), random.uniform(*span)
         width = 10 ** random.uniform(-2, 0)
         shape = [
             lambda: ca.sin(frequency * t + phase),
-            lambda: 1 / (1 + ((t - centre) / width) ** 2),
-            lambda: ca.tanh((t - centre) / width),
+            lambda: 1 / (1 + ((t - center) / width) ** 2),
+            lambda: ca.tanh((t - center) / width),
             lambda: ca.exp(0.5 * ca.sin(frequency * t)) + t,
         ][kind]
         return random.uniform(0.5, 2) * shape() + random.uniform(-1, 1) * t
@@ -151,7 +151,7 @@ def test_both_of_bratus_branches_are_found(rate, upper):
 
 
 def comet(eccentricity):
-    """Problem, exact path and the ellipse at the wrong times, through the pericentre."""
+    """Problem, exact path and the ellipse at the wrong times, through the pericenter."""
     half, minor = 2 - eccentricity * np.sin(2), np.sqrt(1 - eccentricity**2)
     grid = np.linspace(-2.1, 2.1, 20_001)
 

@@ -6,7 +6,7 @@ import pytest
 
 import casadi_galerkin as cg
 
-AGREEMENT = 1e-9  # what is promised of derivatives; degree 8 on 10 intervals leaves nothing of the discretisation
+AGREEMENT = 1e-9  # what is promised of derivatives; degree 8 on 10 intervals leaves nothing of the discretization
 SAME = 1e-12  # two ways to solve the same linear system, whose condition number is about 1e3
 RATE, DURATION = 1.3, 2.0
 
@@ -250,7 +250,7 @@ def test_sensitivity_refuses_what_is_no_path():
 # one graph in another
 
 
-def test_function_survives_serialisation_with_its_derivatives(swing):
+def test_function_survives_serialization_with_its_derivatives(swing):
     f, path = swing
     again = ca.Function.deserialize(f.serialize())
     for original, copy in ((f, again), (f.jacobian(), again.jacobian())):

@@ -11,7 +11,7 @@ import casadi_galerkin as cg
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.mesh_adaptation import (
     FINEST,
-    NEIGHBOURS,
+    NEIGHBORS,
     TARGET,
     equidistributed,
     interval_maxima,
@@ -97,8 +97,8 @@ def test_new_meshes_increase_keep_their_ends_and_grade_gently(seed):
     assert new[-1] == mesh[-1]
     assert np.all(steps > 0)
     assert len(new) - 1 <= FINEST * 11 + 1
-    # densities of old neighbours differ by at most this, and a new interval may straddle two joints
-    assert np.max(np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])) <= NEIGHBOURS**2
+    # densities of old neighbors differ by at most this, and a new interval may straddle two joints
+    assert np.max(np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])) <= NEIGHBORS**2
 
 
 def test_too_fine_a_mesh_is_made_coarser():

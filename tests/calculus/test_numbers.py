@@ -51,7 +51,7 @@ def test_an_array_read_is_a_copy(given):
         ([1.0, "2"], r"'2' at \[1\]"),
         ([1.0, None], r"None at \[1\]"),
         (np.array([1.0, None]), r"None at \[1\]"),
-        ([1.0, Quantity(2.0, "metre")], r"2.0 metre at \[1\]"),
+        ([1.0, Quantity(2.0, "meter")], r"2.0 meter at \[1\]"),
         ([1.0, ca.SX.sym("a")], r"SX\(a\) at \[1\]"),
         ([1.0, ca.MX.sym("a")], r"MX\(a\) at \[1\]"),
         ([[1.0], [1.0, 2.0]], r"\[1.0\] at \[0\]"),

@@ -1,4 +1,4 @@
-"""The estimated error of a trajectory optimisation is sharp on a smooth path."""
+"""The estimated error of a trajectory optimization is sharp on a smooth path."""
 
 import pytest
 from control_problems import cart_pole, resolved, true_error

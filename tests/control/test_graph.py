@@ -1,4 +1,4 @@
-"""The graph of a trajectory optimisation: derivatives are CasADi's own, and no nonzero more."""
+"""The graph of a trajectory optimization: derivatives are CasADi's own, and no nonzero more."""
 
 import casadi as ca
 import numpy as np

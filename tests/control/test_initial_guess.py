@@ -1,4 +1,4 @@
-"""Where a trajectory optimisation begins: guesses of every kind, warm starts, what is refused."""
+"""Where a trajectory optimization begins: guesses of every kind, warm starts, what is refused."""
 
 import pickle
 

@@ -1,4 +1,4 @@
-"""Trajectory optimisation: exact and published costs, orders, constraints of every kind, what is refused."""
+"""Trajectory optimization: exact and published costs, orders, constraints of every kind, what is refused."""
 
 from dataclasses import replace
 
@@ -127,7 +127,7 @@ def test_terminal_cost_of_the_velocity():
     assert path.cost == pytest.approx(6 - 7 * 7 / 4 + 2 * (7 / 4) ** 2, abs=1e-11)
 
 
-def test_free_parameter_is_optimised_within_its_bounds():
+def test_free_parameter_is_optimized_within_its_bounds():
     def heavy(bounds):
         return double_integrator(
             lagrangian=lambda t, x, v, p: p[0] * v[0] ** 2 / 2,

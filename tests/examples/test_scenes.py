@@ -28,7 +28,7 @@ from scipy.stats import chi2
 
 import casadi_galerkin as cg
 
-ROUNDOFF = 1e-13  # relative; closed forms are reproduced to this where the discretisation is fine enough
+ROUNDOFF = 1e-13  # relative; closed forms are reproduced to this where the discretization is fine enough
 LONGEST = 80  # lines of a scene that are not empty
 PRINTED = 1e-13  # the computed reference values carry 14 digits
 PUBLISHED = 1e-8  # the initial values of the figure eight were published with 8 decimals
@@ -54,7 +54,7 @@ def keplers_invariants(module, path):
 def swing_of_index(index, velocity, action):
     def check(module, paths):
         path = paths[index]
-        # degree 6 on 60 intervals leaves 2e-12 of discretisation error in S
+        # degree 6 on 60 intervals leaves 2e-12 of discretization error in S
         np.testing.assert_allclose(path.velocity[0, 0], velocity, rtol=2 * PRINTED, atol=0)
         np.testing.assert_allclose(path.action, action, rtol=1e-12, atol=0)
 
@@ -195,7 +195,7 @@ def published_figure_eight(module, path):
 
 
 def closed_without_a_kink(module, path):
-    # no data of the problem enter these but the path itself; they are good to the error of the discretisation
+    # no data of the problem enter these but the path itself; they are good to the error of the discretization
     np.testing.assert_allclose(path.momentum[:, 0], path.momentum[:, -1], rtol=0, atol=1e-12)
     np.testing.assert_allclose(module.angular_momentum(path), 0.0, atol=1e-12)
     np.testing.assert_allclose(path.energy, path.energy[0], rtol=1e-12)
@@ -332,7 +332,7 @@ def swung_on_its_rods(module, path):
     lengths = np.hypot.reduce(path.x[:3]), np.hypot.reduce(path.x[3:] - path.x[:3])
     np.testing.assert_allclose(lengths, 1, rtol=ROUNDOFF, atol=0)
 
-    def rate(t, y):  # Baumgarte's stabilisation is not needed for so short a time
+    def rate(t, y):  # Baumgarte's stabilization is not needed for so short a time
         (first, second), v = np.split(y[:6], 2), y[6:]
         along, relative = second - first, v[3:] - v[:3]
         slope = np.block([[first, np.zeros(3)], [-along, along]])
@@ -388,7 +388,7 @@ def closed_around_the_point(module, orbits):
         np.testing.assert_allclose(end, [path.x[0, -1], 0, 0, path.velocity[1, -1]], rtol=0, atol=1e-11)
         np.testing.assert_allclose(-2 * path.energy, constant, rtol=1e-12, atol=0)
     periods = [2 * path.t[-1] for path in orbits.values()]
-    # the linearised motion around L1 has the rate 2.334386
+    # the linearized motion around L1 has the rate 2.334386
     assert 2 * np.pi / 2.334386 < periods[0] < 1.02 * 2 * np.pi / 2.334386
     assert np.all(np.diff(periods) > 0)
 
@@ -408,11 +408,11 @@ def digits_lost_by_shooting(module, measured):
         assert "the end is missed by" in row.failure
 
 
-# scenes of trajectory optimisation
+# scenes of trajectory optimization
 
 
 def flown(rates, path, start):
-    """First-order equations under the controls found, by an integrator that knows nothing of the discretisation."""
+    """First-order equations under the controls found, by an integrator that knows nothing of the discretization."""
     state = np.array(start, dtype=float)
     for begin, end in pairwise(path.t):  # the controls may jump at joints
         before = np.nextafter(end, begin)

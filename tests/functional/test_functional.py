@@ -192,7 +192,7 @@ def test_hessian_has_the_nonzeros_of_one_full_block_an_interval(degree, interval
     m, n = degree, intervals
     count = (m + 1) ** 2 * n - (n - 1)
     if ends == "fixed":
-        count -= 2 * (2 * m + 1)  # the first and the last joint have m neighbours each
+        count -= 2 * (2 * m + 1)  # the first and the last joint have m neighbors each
     elif ends == "periodic":
         count -= 1  # the diagonal of the joint that the ends share is counted twice
         if n == 2:
@@ -201,7 +201,7 @@ def test_hessian_has_the_nonzeros_of_one_full_block_an_interval(degree, interval
 
 
 def test_hessian_of_a_long_spring_chain_is_sparse_within_its_blocks():
-    """50 masses: every cell couples a mass with its two neighbours, 3 d - 2 entries of d²."""
+    """50 masses: every cell couples a mass with its two neighbors, 3 d - 2 entries of d²."""
     d, n, m = 50, 3, 3
 
     def chain(t, x, v):

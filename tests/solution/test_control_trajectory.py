@@ -1,4 +1,4 @@
-"""The answer of a trajectory optimisation: Hamiltonian, costate, replay, the problem found, summary and plot."""
+"""The answer of a trajectory optimization: Hamiltonian, costate, replay, the problem found, summary and plot."""
 
 from dataclasses import replace
 
@@ -141,7 +141,7 @@ def test_the_problem_found_may_be_changed_where_a_bound_holds_its_duration(begin
     assert replace(found, end=[2.0]).t_span == found.t_span
 
 
-def test_controls_replayed_by_another_integrator_land_where_the_optimiser_said():
+def test_controls_replayed_by_another_integrator_land_where_the_optimizer_said():
     path = cg.solve(pendulum(3.0), cg.Galerkin(6), intervals=12)
 
     def rates(t, y):

@@ -13,7 +13,7 @@ SHARP = 3.0  # estimated over true error and the inverse, on smooth paths that a
 
 
 def orbit(eccentricity):
-    """Kepler's ellipse from its pericentre."""
+    """Kepler's ellipse from its pericenter."""
     speed = np.sqrt((1 + eccentricity) / (1 - eccentricity))
     return cg.InitialProblem(
         lambda t, x, v: ca.dot(v, v) / 2 + 1 / ca.norm_2(x), (0, 3), [1 - eccentricity, 0.0], velocity=[0.0, speed]

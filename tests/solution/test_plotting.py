@@ -100,7 +100,7 @@ def test_phase_line_passes_the_joints_with_their_momenta(parameters):
     np.testing.assert_allclose(energy, path.energy[0], rtol=0, atol=1e-3)
 
 
-def test_phase_portraits_of_several_paths_share_axes_in_different_colours():
+def test_phase_portraits_of_several_paths_share_axes_in_different_colors():
     path = planar().solve()
     axes = path.plot_phase(0)
     assert path.plot_phase(1, axes, ("height in m", "momentum in kg m/s")) is axes
@@ -108,7 +108,7 @@ def test_phase_portraits_of_several_paths_share_axes_in_different_colours():
     assert [axes.get_lines()[i].get_color() for i in (0, 3)] == list(COLORS[:2])
 
 
-def test_colours_are_those_of_the_package_on_the_users_axes_too():
+def test_colors_are_those_of_the_package_on_the_users_axes_too():
     import matplotlib.pyplot as plt
 
     axes = plt.subplots()[1]

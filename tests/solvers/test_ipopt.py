@@ -17,7 +17,7 @@ def test_the_minimizer_finds_the_minimum_where_newton_finds_a_saddle():
     assert least.action == pytest.approx(-3.918564307581, abs=1e-9)
 
 
-def test_minimising_past_the_conjugate_point_fails_while_the_path_exists():
+def test_minimizing_past_the_conjugate_point_fails_while_the_path_exists():
     problem = cg.BoundaryProblem(oscillator, (0, 4.0), [0.0], [1.0])
     with pytest.raises(cg.ConvergenceError, match=r"no minimum \(Morse index 1\)|IPOPT on the action stopped with"):
         cg.solve(problem, cg.Galerkin(4), intervals=10, solver=cg.minimizer)

@@ -49,7 +49,7 @@ def test_kinetic_energy_indefinite_by_its_values_has_no_morse_index(coupling, se
 @pytest.mark.parametrize("intervals", [5, 20])
 @pytest.mark.parametrize("degree", [6, 8, 12])
 def test_conjugate_ends_are_named(degree, intervals):
-    """At T = π, to within a discretisation error that is at roundoff."""
+    """At T = π, to within a discretization error that is at roundoff."""
     with pytest.raises(cg.ConjugatePointError, match="conjugate points") as caught:
         cg.solve(cg.BoundaryProblem(oscillator, (0, np.pi), [0.0], [1.0]), cg.Galerkin(degree), intervals=intervals)
     assert caught.value.path is not None

@@ -210,7 +210,7 @@ def test_an_answer_of_the_rootfinder_that_cannot_be_verified_is_refused_and_newt
     assert cg.solve(problem, cg.Galerkin(4), 40, solver=cg.newton).residual <= 50
 
 
-def test_options_reach_the_optimiser_of_a_control_problem():
+def test_options_reach_the_optimizer_of_a_control_problem():
     solver = cg.ipopt.with_options(max_iter=1)
     with pytest.raises(cg.ConvergenceError, match="Maximum Iterations Exceeded"):
         cg.solve(pendulum_in_three(), cg.Galerkin(3), 8, solver=solver)

@@ -98,7 +98,7 @@ def test_steps_are_those_of_the_global_solve_between_the_same_ends(degree):
 
 
 def test_friction_on_a_sphere_takes_the_energy_that_it_takes_in_angles():
-    """A force -c v in space has the generalised forces -c (θ', sin² θ φ')."""
+    """A force -c v in space has the generalized forces -c (θ', sin² θ φ')."""
     angular = cg.InitialProblem(
         spherical_pendulum,
         (0, 1),

@@ -74,7 +74,7 @@ def test_shooting_finds_the_global_path(name, degree):
     assert "single shooting" in str(shot)
 
 
-def test_lamberts_problem_in_kilometres_and_seconds():
+def test_lamberts_problem_in_kilometers_and_seconds():
     # D. A. Vallado, "Fundamentals of Astrodynamics and Applications", 4th edition, example 5.7
     problem = cg.BoundaryProblem(
         lambda t, x, v: ca.dot(v, v) / 2 + 398600.4418 / ca.norm_2(x),

@@ -206,7 +206,7 @@ def lambert(count, seed=None):
 
 
 @pytest.mark.parametrize("seed", [None, 0])
-def test_with_a_tolerance_neighbours_are_on_one_branch(seed, pool):
+def test_with_a_tolerance_neighbors_are_on_one_branch(seed, pool):
     problem, ends = lambert(41, seed)
     ends[0]["guess"] = lambert_guess(ends[0]["end"])
     sweep = cg.sweep(problem, ends, tol=1e-7)
@@ -230,7 +230,7 @@ def test_variations_on_another_branch_are_told():
     assert [path.morse_index for path in sweep] == [0, 0, 0, 0, 0, 1, 0, 0, 0]
     assert sweep.jumps == {5: 4, 6: 5}
     assert str(sweep) == (
-        "Sweep of 9 variations, 9 solved\n  on another branch than their neighbours: 2, first 5 beside 4"
+        "Sweep of 9 variations, 9 solved\n  on another branch than their neighbors: 2, first 5 beside 4"
     )
 
 
@@ -305,6 +305,14 @@ def test_a_control_problem_is_swept(pool):
     assert [path.problem.end for path in sweep][:2] == [(2.0,), (1.0,)]
     identical(cg.sweep(problem, PUSHES, METHOD, INTERVALS, executor=pool), sweep)
     np.testing.assert_allclose(cg.sweep(problem, PUSHES[:2], tol=1e-6).cost, sweep.cost[:2], rtol=1e-6, atol=0)
+
+
+def test_breakpoints_of_a_control_problem_are_joints_whatever_the_time_span():
+    sweep = cg.sweep(double_integrator(breakpoints=[0.3]), [{}, {"t_span": (0.0, 2.0)}], METHOD, INTERVALS)
+    np.testing.assert_allclose(sweep.cost, [6.0, 0.75], rtol=1e-10, atol=0)
+    assert np.all(np.any(sweep.t == 0.3, axis=1))
+    with pytest.raises(ValueError, match=r"variation 0: breakpoints must increase inside of \(0.0, 0.2\)"):
+        cg.sweep(double_integrator(breakpoints=[0.3]), [{"t_span": (0.0, 0.2)}], METHOD, INTERVALS)
 
 
 def test_a_failure_of_a_control_problem_is_kept():
@@ -565,7 +573,7 @@ def test_parameters_of_a_problem_without_any_are_refused():
         cg.sweep(problem, [{"parameters": [1.0]}], METHOD, INTERVALS)
 
 
-def test_discretisation_is_asked_for():
+def test_discretization_is_asked_for():
     with pytest.raises(ValueError, match="give a method and intervals, or tol"):
         cg.sweep(bratu(), VARIATIONS, METHOD)
 

@@ -113,7 +113,7 @@ def test_a_mesh_that_a_tolerance_has_found_is_solved_on_again(every_way):
 
 
 def test_a_way_that_fails_is_a_row_that_says_why():
-    """Beyond half a period the path of an oscillator is a saddle of the action, which no minimiser finds."""
+    """Beyond half a period the path of an oscillator is a saddle of the action, which no minimizer finds."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0.0, 4.0), [0.0], [1.0])
     measured = cg.trade(problem, [cg.Galerkin(4)], [8], tolerances=[1e-6], solvers=[cg.newton, cg.minimizer])
     failed = {row.way for row in measured.rows if row.failure is not None}
@@ -209,7 +209,7 @@ def test_an_initial_problem_is_traded_step_by_step(changes, message):
 
 
 def test_a_control_problem_is_not_traded_by_solvers_of_equations():
-    with pytest.raises(ValueError, match=r"a ControlProblem is solved by ipopt, got the solver cg\.newton"):
+    with pytest.raises(ValueError, match=r"a ControlProblem is solved by ipopt or fatrop, got the solver cg\.newton"):
         cg.trade(double_integrator(), [cg.Galerkin(3)], [4], solvers=[cg.newton])
 
 
@@ -250,6 +250,15 @@ def test_control_problems_are_traded_by_their_cost_and_to_tolerances():
     assert measured.order(degree) == pytest.approx(4, abs=BAND)
     cheap = measured.cheapest(1e-4)
     assert cheap.solve(problem).cost == pytest.approx(cg.solve(problem, tol=1e-8).cost, rel=1e-4)
+
+
+def test_phases_found_to_a_tolerance_are_solved_again_on_their_mesh():
+    legs = double_integrator(
+        running_cost=lambda t, x, v, u: 1 + u[0] ** 2 / 2, duration_bounds=(0.1, 5.0), waypoints=[(0.5, [0.2])]
+    )
+    measured = cg.trade(legs, [], [], tolerances=[1e-6], solvers=[cg.ipopt, cg.fatrop])
+    assert [row.failure for row in measured.rows] == [None] * 4
+    assert max(row.error for row in measured.rows) < 1e-6
 
 
 def test_energy_error_is_relative_to_the_whole_path():
