@@ -201,11 +201,13 @@ def _neighbourhoods(
     solves them, so that the answers are, too.
     """
     count = len(variations)
+    if not count:
+        return []
     size = min(LARGEST_CHUNK, max(SMALLEST_NEIGHBOURHOOD, -(-count // CHUNKS)))
     values = np.array([values_of(solver.varied(variation)) for variation in variations])
-    scaled = values / [spread if spread > 0 else 1.0 for spread in np.ptp(values, axis=0)] if count else values
+    scaled = values / [spread if spread > 0 else 1.0 for spread in np.ptp(values, axis=0)]
     centres = np.arange(0, count, size)
-    apart = np.array([np.sum((scaled - scaled[centre]) ** 2, axis=1) for centre in centres]).reshape(-1, count)
+    apart = np.array([np.sum((scaled - scaled[centre]) ** 2, axis=1) for centre in centres])
     waiting = np.where(centres == 0, 0.0, np.inf)  # distances from what is solved; NaN for what is
     begins: dict[int, list[Known]] = {}
     for _ in centres:

@@ -246,8 +246,7 @@ def _checked(problem: BoundaryProblem | ControlProblem, number: int, variation: 
     try:
         if "t_span" in checked:
             checked["t_span"] = time_span(checked["t_span"])
-            if isinstance(problem, BoundaryProblem):
-                times_inside("breakpoints", problem.breakpoints, checked["t_span"])
+            times_inside("breakpoints", problem.breakpoints, checked["t_span"])
         given = {name: checked[name] for name in VARIED if name in checked}
         varied = problem.varied(given, checked.get("t_span", problem.t_span))
         checked |= {name: getattr(varied, name) for name in given}
