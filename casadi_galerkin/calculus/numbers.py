@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+APART = 1e-12  # least relative difference of two times; velocities between nearer ones are roundoff
+
 
 def number(value: Any) -> float | None:
     """What float() makes of a number, infinity of one beyond its range; None for what is none.
@@ -128,8 +130,9 @@ def time_span(value: Sequence[float]) -> tuple[float, float]:
 
 
 def times_inside(name: str, values: Sequence[float], span: tuple[float, float]) -> tuple[float, ...]:
-    """Check increasing times inside of a time span; there may be none."""
+    """Check times that increase by more than roundoff inside of a time span; there may be none."""
     times = numbers(name, values) if real_array(name, values, free=True).size else ()
-    if any(late <= early for early, late in zip((span[0], *times), (*times, span[1]), strict=True)):
-        raise ValueError(f"{name} must increase inside of {span}, got {times}")
+    for early, late in zip((span[0], *times), (*times, span[1]), strict=True) if times else ():
+        if late - early <= APART * max(abs(early), abs(late)):
+            raise ValueError(f"{name} must increase inside of {span}, got {times}: by more than roundoff")
     return times

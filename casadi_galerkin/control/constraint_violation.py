@@ -13,8 +13,11 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 VANISHED = 1e-13  # part of its terms along the guess below which a component's are taken for their roundoff
 
 
-def limits_of(problem: ControlProblem, chain: Chain) -> ProgramBounds:
-    """Bounds of the unknowns and of the equations; what is given is a bound on both sides."""
+def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> ProgramBounds:
+    """Bounds of the unknowns and of the equations; what is given is a bound on both sides.
+
+    Equations that the given ends meet are left out, unless `implied` ones are to be checked as well.
+    """
     sides = []
     for k, infinite in ((0, -np.inf), (1, np.inf)):
         values = {name: np.full(index.shape, infinite) for name, index in chain.fields.items()}
@@ -37,8 +40,8 @@ def limits_of(problem: ControlProblem, chain: Chain) -> ProgramBounds:
         for name, stated in (("path", problem.path_constraint), ("ends", problem.end_conditions)):
             if stated is not None:
                 equations[chain.rows[name]] = stated[1 + k]
-        for implied in _implied(problem, chain):
-            equations[implied] = infinite
+        for rows in () if implied else _implied(problem, chain):
+            equations[rows] = infinite
         sides.append((chain.pack(values)[0], equations))
     (lower, equations_lower), (upper, equations_upper) = sides
     return ProgramBounds(lower, upper, equations_lower, equations_upper)

@@ -35,7 +35,9 @@ def control_function(
     known = chain.pack(values)
     sizes = measures(chain, limits, transcription.graph.report(*known), terms)
     first, data = (ca.MX(ca.DM(part)) for part in known)
-    bounds, narrow = ([ca.MX(ca.DM(side)) for side in b.sides] for b in (limits, limits.narrowed(RELAXED[solver.name])))
+    checked_by = limits_of(problem, chain, implied=True)  # ends that are data may leave a constraint
+    programmed = limits.narrowed(RELAXED[solver.name])
+    bounds, narrow = ([ca.MX(ca.DM(side)) for side in b.sides] for b in (checked_by, programmed))
     inputs = {}
     for name, entries in _given(problem, chain).items():
         inputs[name] = ca.MX.sym(name, len(entries))

@@ -191,6 +191,7 @@ class ControlProblem:
         self._check_controls()
         self._check_absolute_values()
         self._check_parameters()
+        self._check_waypoints()
         self._check_ends()
         self._check_guesses()
 
@@ -273,12 +274,23 @@ class ControlProblem:
 
     def _check_parameters(self) -> None:
         """Refuse a free parameter that nothing depends on, for the same reason."""
-        users = [self.lagrangian, self.force, self.rates, self.running_cost, self.terminal_cost]
+        users = [self.lagrangian, self.force, self.rates, self.running_cost, self.terminal_cost, self.constraint]
         users += [*(self.path_constraint or ())[:1], *(self.end_conditions or ())[:1]]
         used = {i for f in users if f is not None for i in f.sparsity_jac(f.n_in() - 1, 0).T.row()}
         for i, (low, high) in enumerate(zip(*(self.parameter_bounds or ((), ())), strict=True)):
             if low < high and i not in used:
                 raise ValueError(f"the free parameter p[{i}] occurs in no lagrangian, force, cost or constraint")
+
+    def _check_waypoints(self) -> None:
+        """Refuse a waypoint that the path may not be at."""
+        low, high = self.position_bounds
+        for number, least, most in self.waypoints:
+            for i in range(self.dimension):
+                if least[i] > high[i] or most[i] < low[i]:
+                    raise ValueError(
+                        f"the waypoint at t = {self.breakpoints[number]:g} bounds x[{i}] by [{least[i]}, {most[i]}], "
+                        f"outside its position_bounds [{low[i]}, {high[i]}]"
+                    )
 
     def _check_ends(self) -> None:
         low, high = self.position_bounds
@@ -380,11 +392,15 @@ def _waypoints(
     given: Sequence[tuple[float, Sequence[float | tuple[float, float] | None]]], dimension: int
 ) -> dict[float, Bounds]:
     """Bounds of the positions at every waypoint, by its time."""
-    found = {}
+    if not isinstance(given, (tuple, list, np.ndarray)):
+        raise TypeError(f"waypoints must be pairs (t, positions), got {given!r}")
+    found: dict[float, Bounds] = {}
     for point in given:
         if not isinstance(point, (tuple, list)) or len(point) != 2:
             raise TypeError(f"waypoints must be pairs (t, positions), got {point!r}")
         t, positions = finite("the time of a waypoint", point[0]), point[1]
+        if t in found:
+            raise ValueError(f"waypoints must have a time each, got two at t = {t:g}")
         if not isinstance(positions, (tuple, list, np.ndarray)) or len(positions) != dimension:
             raise ValueError(
                 f"a waypoint must have {dimension} position(s), a number, a pair or None each, got {positions!r}"

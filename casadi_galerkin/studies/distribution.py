@@ -206,11 +206,13 @@ def _neighborhoods(
     solves them, so that the answers are, too.
     """
     count = len(variations)
+    if not count:
+        return []
     size = min(LARGEST_CHUNK, max(SMALLEST_NEIGHBORHOOD, -(-count // CHUNKS)))
     values = np.array([values_of(solver.varied(variation)) for variation in variations])
-    scaled = values / [spread if spread > 0 else 1.0 for spread in np.ptp(values, axis=0)] if count else values
+    scaled = values / [spread if spread > 0 else 1.0 for spread in np.ptp(values, axis=0)]
     centers = np.arange(0, count, size)
-    apart = np.array([np.sum((scaled - scaled[center]) ** 2, axis=1) for center in centers]).reshape(-1, count)
+    apart = np.array([np.sum((scaled - scaled[center]) ** 2, axis=1) for center in centers])
     waiting = np.where(centers == 0, 0.0, np.inf)  # distances from what is solved; NaN for what is
     begins: dict[int, list[Known]] = {}
     for _ in centers:

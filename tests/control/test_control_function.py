@@ -51,6 +51,26 @@ def test_what_is_no_answer_is_not_a_number(solver):
     assert all(np.isnan(np.array(far[name])).all() for name in ("x", "u", "cost", "duration"))
 
 
+def test_ends_off_the_constraint_have_no_answer():
+    rod = cg.ControlProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - x[1],
+        (0.0, 3.0),
+        [0.0, -1.0],
+        [1.0, 0.0],
+        [0.0, 0.0],
+        [0.0, 0.0],
+        force=lambda t, x, v, u: [-u[0] * x[1], u[0] * x[0]],
+        running_cost=lambda t, x, v, u: u[0] ** 2 / 2,
+        controls=1,
+        constraint=lambda t, x: ca.dot(x, x) - 1,
+    )
+    path = cg.solve(rod, cg.Galerkin(4), 8, guess=lambda t: [np.sin(np.pi * t / 6), -np.cos(np.pi * t / 6)])
+    f = cg.solution_function(rod, cg.Galerkin(4), 8, guess=path)
+    assert float(f(**arguments(rod, path))["cost"]) == pytest.approx(path.cost, rel=SOLVED)
+    for off in ({"end": [0.0, -2.0]}, {"start": [0.0, -1.1]}, {"start_velocity": [0.0, 0.3]}, {"end_velocity": [1, 0]}):
+        assert np.isnan(float(f(**arguments(rod, path, **off))["cost"]))
+
+
 def test_parameters_are_data():
     problem = double_integrator(
         lagrangian=lambda t, x, v, p: p[0] * v[0] ** 2 / 2,

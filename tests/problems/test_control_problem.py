@@ -199,11 +199,41 @@ def test_absolute_values_of_controls_of_both_signs_are_refused(cost, bounds, mes
         ([1.0], TypeError, r"waypoints must be pairs \(t, positions\), got 1.0"),
         ([("noon", [1, 2])], ValueError, "time of a waypoint must be a finite number, got 'noon'"),
         ([(1.0, [np.nan, 1])], ValueError, "lo of the waypoint at t = 1 must not be NaN"),
+        (3.0, TypeError, r"waypoints must be pairs \(t, positions\), got 3.0"),
+        ([(1.0, [0.2, 0.0]), (1.0, [0.8, 0.0])], ValueError, "a time each, got two at t = 1"),
+        (
+            [(0.3, [0.2, 0.0]), (0.1 + 0.2, [0.2, 0.0])],
+            ValueError,
+            r"must increase inside of .*: by more than roundoff",
+        ),
     ],
 )
 def test_bad_waypoints_are_refused(waypoints, kind, message):
     with pytest.raises(kind, match=message):
         plane(waypoints=waypoints)
+
+
+def test_a_waypoint_beyond_the_position_bounds_is_refused():
+    with pytest.raises(ValueError, match=r"waypoint at t = 1 bounds x\[0\] by \[3.0, 4.0\], outside .* \[-1.0, 2.0\]"):
+        plane(waypoints=[(1.0, [(3.0, 4.0), None])], position_bounds=(-1.0, 2.0))
+
+
+def test_a_free_parameter_of_the_constraint_alone_is_taken():
+    rod = cg.ControlProblem(
+        lambda t, x, v, p: ca.dot(v, v) / 2,
+        (0.0, 1.0),
+        [0.0, None],
+        [1.0, None],
+        [0.0, 0.0],
+        [None, None],
+        force=lambda t, x, v, u, p: [u[0], 0.0],
+        running_cost=lambda t, x, v, u, p: u[0] ** 2,
+        controls=1,
+        parameters=[1.5],
+        parameter_bounds=(1.2, 2.0),
+        constraint=lambda t, x, p: ca.dot(x, x) - p[0] ** 2,
+    )
+    assert rod.parameter_bounds == ((1.2,), (2.0,))
 
 
 def plane(**changes):

@@ -272,6 +272,7 @@ def test_an_interrupt_returns_what_there_is(serial):
 
 def test_nothing_to_vary_is_an_empty_sweep():
     assert len(cg.sweep(bratu(), [], METHOD, INTERVALS)) == 0
+    assert len(cg.sweep(bratu(), [], tol=1e-6)) == 0
 
 
 def test_without_any_answer_there_are_no_arrays():
@@ -565,6 +566,12 @@ def test_a_variation_that_does_not_fit_is_named_before_any_solve(variation, erro
     monkeypatch.setattr(module, "transcribe", lambda *given: pytest.fail("built before the input was checked"))
     with pytest.raises(error, match=message):
         cg.sweep(bratu(), [{}, variation], METHOD, INTERVALS)
+
+
+def test_a_time_span_without_the_breakpoints_of_a_control_problem_is_refused():
+    problem = double_integrator(breakpoints=[0.5])
+    with pytest.raises(ValueError, match=r"variation 0: breakpoints must increase inside of \(0.0, 0.4\)"):
+        cg.sweep(problem, [{"t_span": (0.0, 0.4)}], tol=1e-6)
 
 
 def test_parameters_of_a_problem_without_any_are_refused():
