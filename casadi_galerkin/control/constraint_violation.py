@@ -34,8 +34,8 @@ def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
             (problem.end_velocity[: chain.mechanical], values["end_velocity"]),
         ):
             bound[:] = [old if value is None else value for old, value in zip(bound, given, strict=True)]
-        for number, *bounds in problem.waypoints:
-            values["x"][chain.breaks[number]] = bounds[k]
+        for t, pairs in problem.waypoints:
+            values["x"][chain.breaks[problem.breakpoints.index(t)]] = [pair[k] for pair in pairs]
         equations = np.zeros(chain.equations)
         for name, stated in (("path", problem.path_constraint), ("ends", problem.end_conditions)):
             if stated is not None:
@@ -58,14 +58,14 @@ def _implied(problem: ControlProblem, chain: Chain) -> list[np.ndarray]:
     return [rows for given, rows in stated if None not in given]
 
 
-def measures(chain: Chain, limits: ProgramBounds, report: Report, terms_before: np.ndarray) -> np.ndarray:
+def measures(chain: Chain, limits: ProgramBounds, report: Report, before: np.ndarray) -> np.ndarray:
     """Sizes that the equations are measured by.
 
     Those of a component by the largest sum of terms that one of them has along the path, or along the guess
-    (`terms_before`) where it has vanished and its terms are what rounding left of those; a path constraint or a
+    (`before`, by kind) where it has vanished and its terms are what rounding left of those; a path constraint or a
     condition on the ends by the sizes of what its value is made of, |∇g||z|, or its finite bound.
     """
-    now, before = (chain.largest(terms) for terms in (report.terms, terms_before))
+    now = chain.largest(report.terms)
     sizes = np.where(now <= VANISHED * before, before, now)
     bounded = np.concatenate([chain.rows[name].ravel() for name in ("path", "ends")])
     for side in (limits.equations_lower, limits.equations_upper):
@@ -75,12 +75,12 @@ def measures(chain: Chain, limits: ProgramBounds, report: Report, terms_before: 
 
 
 def violations(
-    chain: Chain, limits: ProgramBounds, unknowns: np.ndarray, report: Report, terms_before: np.ndarray
+    chain: Chain, limits: ProgramBounds, unknowns: np.ndarray, report: Report, before: np.ndarray
 ) -> np.ndarray:
     """Violation of every equation, then of every unknown's bounds, relative to what is compared; a bound to itself."""
     excess = _excess(report.equations, limits.equations_lower, limits.equations_upper)
     beyond = _excess(unknowns, limits.lower, limits.upper)
-    return np.concatenate((excess / measures(chain, limits, report, terms_before), beyond / _or_one(np.abs(unknowns))))
+    return np.concatenate((excess / measures(chain, limits, report, before), beyond / _or_one(np.abs(unknowns))))
 
 
 def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -31,21 +31,24 @@ def control_function(
     transcription = transcribed_control(problem, method, intervals, mesh)
     path = transcription.solve(guess=guess, solver=solver)
     chain, limits = transcription.chain, limits_of(problem, transcription.chain)
-    values, _, terms = transcription.start(problem, transcription.calculus, path)
+    values, _, before = transcription.start(problem, transcription.calculus, path)
     known = chain.pack(values)
-    sizes = measures(chain, limits, transcription.graph.report(*known), terms)
+    sizes = measures(chain, limits, transcription.graph.report(*known), before)
     first, data = (ca.MX(ca.DM(part)) for part in known)
     checked_by = limits_of(problem, chain, implied=True)  # ends that are data may leave a constraint
     programmed = limits.narrowed(RELAXED[solver.name])
     bounds, narrow = ([ca.MX(ca.DM(side)) for side in b.sides] for b in (checked_by, programmed))
-    inputs = {}
+    inputs, finite = {}, ca.MX(1)
     for name, entries in _given(problem, chain).items():
         inputs[name] = ca.MX.sym(name, len(entries))
+        number = ca.fabs(inputs[name]) < np.inf
+        finite = ca.logic_and(finite, ca.mmin(number))
+        value = ca.if_else(number, inputs[name], 0.0)  # the solver refuses what is not a number
         if name == "parameters":
-            data[(entries - chain.unknowns).tolist()] = inputs[name]
+            data[(entries - chain.unknowns).tolist()] = value
         else:
             for side in (*bounds[:2], *narrow[:2]):
-                side[entries.tolist()] = inputs[name]
+                side[entries.tolist()] = value
     f, degree = chain.fields, method.degree
     inputs["guess"] = ca.MX.sym("guess", chain.dimension, chain.intervals * degree + 1)
     inputs["controls"] = ca.MX.sym("controls", chain.controls, chain.intervals * len(chain.control_times))
@@ -56,7 +59,7 @@ def control_function(
     found = program(x0=first, p=data, **dict(zip(sides, narrow, strict=True)))
     multipliers = found["lam_g"], found["lam_x"]
     violation, slope = _violation(transcription.graph, sizes)(found["x"], data, *multipliers, *bounds)
-    verified = ca.logic_and(violation <= FEASIBLE, slope <= STATIONARY)
+    verified = ca.logic_and(finite, ca.logic_and(violation <= FEASIBLE, slope <= STATIONARY))
     everything = ca.vertcat(found["x"], data)
     outputs = {
         "x": ca.reshape(everything[f["x"].ravel().tolist()], chain.dimension, -1),

@@ -40,6 +40,8 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 
 FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
+WILD = 10.0  # terms along a guess over those on the straight line; noise has more, a way round has less
+SHORTEST = 1e-10  # interval over the duration; at 1e-9 to 1e-12 IPOPT was seen to fail, and at 1e-13 to be wrong
 INVALID = "Invalid Number Detected"
 HINTS = {
     "Diverging Iterates": "The cost may have no lower bound: bound the controls, the positions or the duration",
@@ -86,6 +88,7 @@ class ControlTranscription:
         self.problem, self.method, self.mesh = problem, method, mesh
         if problem.constraint is not None:
             refuse_points(method)
+        _check_steps(mesh)
         self.chain = Chain(problem, method, mesh)
         self.calculus = DiscreteCalculus(method, mesh)
         self.graph = ControlGraph(problem, self.chain)
@@ -181,19 +184,20 @@ class ControlTranscription:
             raise ValueError(
                 f"the breakpoints {self.problem.breakpoints} must be the joints {self.chain.breaks} of the mesh"
             )
+        _check_steps(calculus.mesh)
         check_breakpoints(calculus.mesh, self.problem.breakpoints)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         changes = {name: value for name, value in {**ends, "parameters": parameters}.items() if value is not None}
         problem = self.problem.varied(changes, (float(calculus.mesh[0]), float(calculus.mesh[-1])))
         chain, limits = self.chain, limits_of(problem, self.chain)
-        values, duals, terms = self.start(problem, calculus, guess)
+        values, duals, before = self.start(problem, calculus, guess)
         unknowns, data = chain.pack(values)
         program, relaxed = self.program(solver, bool(duals), verbose), RELAXED[solver.name]
         optimum = optimize(program, relaxed, unknowns, data, limits, *duals)
         if optimum.status == INVALID:
             self._check_derivatives(unknowns, data, calculus.mesh)
         report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
-        relative = violations(chain, limits, optimum.unknowns, report, terms)
+        relative = violations(chain, limits, optimum.unknowns, report, before)
         values = chain.unpack(optimum.unknowns, data)
         joints = self._joints(values, calculus.mesh)
         if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
@@ -206,33 +210,31 @@ class ControlTranscription:
     def start(
         self, problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None
     ) -> tuple[dict[str, np.ndarray], tuple[np.ndarray, ...], np.ndarray]:
-        """Values at a guess, multipliers of the bounds and of the equations where it has them, and sizes of the terms.
+        """Values at a guess; multipliers of the bounds and of the equations where it has them; sizes of terms by kind.
 
-        The equations of motion are measured by their terms on the straight line between the ends, or along the guess
-        where those are smaller, so that the solver's tolerance, which is absolute, does not depend on units: the terms
-        of a noisy guess are far too large.  With momenta of zero the equations of the joints are the momenta.
+        The equations of motion are measured by their terms along the guess, but by no more than `WILD` times those on
+        the straight line between the ends, so that the solver's tolerance, which is absolute, does not depend on units.
+        The terms of a wild guess are far too large.  With momenta of zero the equations of the joints are the momenta.
         """
         chain, near = self.chain, near_answer(guess, self.chain, calculus)
         values = first_values(problem, chain, calculus, guess)
         report = self.graph.report(*chain.pack(values))
         if not np.isfinite(report.cost + report.action + np.sum(report.equations)):
             check_finite(problem, self.graph.embedding, values)
-        values["sizes"] = self._sizes(report)
-        if guess is not None and near is None:  # it may be noisy; the straight line is not
-            line = self.graph.report(*chain.pack(first_values(problem, chain, calculus, None)))
-            values["sizes"] = np.fmin(values["sizes"], self._sizes(line))
+        largest = chain.largest(report.terms)
+        if guess is not None and near is None:  # it may be noisy or wild; the straight line is not
+            line = chain.largest(self.graph.report(*chain.pack(first_values(problem, chain, calculus, None))).terms)
+            largest = np.where((line > 0) & np.isfinite(line), np.fmin(WILD * line, largest), largest)
+        motion = slice(chain.dimension, chain.dimension + chain.mechanical)
+        sizes = largest[motion]
+        values["sizes"] = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
+        largest[motion] /= values["sizes"]
         rows = report.equations[np.vstack((chain.rows["motion"][:, 0], chain.rows["momentum"][-1:]))]
         momentum = -rows if near is None else near.momentum[: chain.mechanical].T
         values["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0) / values["sizes"]
         units = chain.units(values["sizes"])
         duals = () if near is None else (near.duals[1], near.duals[0] * units)
-        return values, duals, report.terms / units
-
-    def _sizes(self, report: Report) -> np.ndarray:
-        """Largest sum of terms of an equation of motion, by component; 1 where that says nothing."""
-        chain = self.chain
-        sizes = chain.largest(report.terms)[chain.dimension : chain.dimension + chain.mechanical]
-        return np.asarray(np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0))
+        return values, duals, largest
 
     def program(self, solver: Solver, warm: bool, verbose: int) -> ca.Function:
         """The solver for this program, built when it is first needed."""
@@ -348,6 +350,17 @@ class ControlTranscription:
             f"ControlTranscription of a control problem of {self.problem.dimension} component(s) and "
             f"{self.problem.controls} control(s), {self.method}, on {len(self.mesh) - 1} intervals: "
             f"{self.chain.unknowns} unknowns, built in {self.build_seconds:.4f} s"
+        )
+
+
+def _check_steps(mesh: np.ndarray) -> None:
+    """Refuse intervals so short that rounding of their terms, |x|/h, would hide what others miss."""
+    steps = np.diff(mesh)
+    i = int(np.argmin(steps))
+    if steps[i] < SHORTEST * (mesh[-1] - mesh[0]):
+        raise ValueError(
+            f"the interval from t = {mesh[i]} to {mesh[i + 1]} is shorter than {SHORTEST:g} of the duration: "
+            "leave out one of these joints"
         )
 
 

@@ -118,7 +118,7 @@ class ControlProblem:
     rates: ca.Function
     end_conditions: tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None
     breakpoints: tuple[float, ...]
-    waypoints: tuple[tuple[int, tuple[float, ...], tuple[float, ...]], ...]
+    waypoints: tuple[tuple[float, tuple[tuple[float, float], ...]], ...]
     hold: bool
     constraint: ca.Function | None
 
@@ -181,7 +181,7 @@ class ControlProblem:
             "rates": own,
             "end_conditions": _limited("end_conditions", end_conditions, both),
             "breakpoints": inner,
-            "waypoints": tuple((inner.index(t), *sides) for t, sides in passed.items()),
+            "waypoints": tuple((t, tuple(zip(*sides, strict=True))) for t, sides in passed.items()),
             "hold": _flag("hold", hold),
             "constraint": None if constraint is None else trace_constraint(constraint, d, given),
         }
@@ -228,7 +228,10 @@ class ControlProblem:
     ) -> ControlProblem:
         """Copy with the times and parameters that an optimization found, still free if they were; checks nothing."""
         other = object.__new__(type(self))  # copy.copy takes 50 µs
-        other.__dict__.update(vars(self), t_span=t_span, parameters=parameters, breakpoints=breakpoints)
+        moved = dict(zip(self.breakpoints, breakpoints, strict=True))
+        waypoints = tuple((moved[t], pairs) for t, pairs in self.waypoints)
+        found = {"t_span": t_span, "parameters": parameters, "breakpoints": breakpoints, "waypoints": waypoints}
+        other.__dict__.update(vars(self), **found)
         return other
 
     def varied(self, changes: Mapping[str, Any], t_span: tuple[float, float]) -> ControlProblem:
@@ -284,12 +287,12 @@ class ControlProblem:
     def _check_waypoints(self) -> None:
         """Refuse a waypoint that the path may not be at."""
         low, high = self.position_bounds
-        for number, least, most in self.waypoints:
-            for i in range(self.dimension):
-                if least[i] > high[i] or most[i] < low[i]:
+        for t, pairs in self.waypoints:
+            for i, (least, most) in enumerate(pairs):
+                if least > high[i] or most < low[i]:
                     raise ValueError(
-                        f"the waypoint at t = {self.breakpoints[number]:g} bounds x[{i}] by [{least[i]}, {most[i]}], "
-                        f"outside its position_bounds [{low[i]}, {high[i]}]"
+                        f"the waypoint at t = {t:g} bounds x[{i}] by [{least}, {most}], outside its position_bounds "
+                        f"[{low[i]}, {high[i]}]"
                     )
 
     def _check_ends(self) -> None:

@@ -120,5 +120,6 @@ def _values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndar
         return np.stack([np.interp(times, calculus.mesh, row) for row in array])
     raise ValueError(
         f"the guess must have the shape ({d}, {len(calculus.mesh)}) for values at the joints or "
-        f"({d}, {len(times)}) at all nodes, got {array.shape}; a pair (times, values) fits any mesh"
+        f"({d}, {len(times)}) at all nodes, got {array.shape}; a pair (times, values) fits any mesh, for a "
+        "control problem ((times, values), None)"
     )

@@ -49,6 +49,8 @@ def test_what_is_no_answer_is_not_a_number(solver):
     near, far = (f(**arguments(problem, path, end=[end])) for end in (0.5, 50.0))
     assert float(near["cost"]) == pytest.approx(1.5, rel=SOLVED)
     assert all(np.isnan(np.array(far[name])).all() for name in ("x", "u", "cost", "duration"))
+    for value in (np.nan, np.inf):
+        assert np.isnan(float(f(**arguments(problem, path, end=[value]))["cost"]))
 
 
 def test_ends_off_the_constraint_have_no_answer():

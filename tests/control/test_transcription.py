@@ -451,3 +451,20 @@ def test_waypoints_are_passed_at_their_cost(height, cost):
     assert path.cost == pytest.approx(cost, abs=SOLVED)
     assert path(1.0)[1] == pytest.approx(np.atleast_1d(height)[0], abs=SOLVED)
     assert 1.0 in path.t
+
+
+def test_an_interval_too_short_to_judge_is_refused():
+    """The rounding of its terms, |x|/h, passed for the size of all others: a cost of zero was called an optimum."""
+    for mesh in ([0, 0.3, 0.3 + 1e-13, 1.0], [0, 0.3, 0.3 + 1e-11, 1.0]):
+        with pytest.raises(ValueError, match=r"interval from t = 0.3 to 0.3\d+ is shorter than 1e-10 of the duration"):
+            cg.solve(double_integrator(), cg.Galerkin(3), mesh=mesh)
+    program = cg.transcribe(double_integrator(), cg.Galerkin(3), 3)
+    with pytest.raises(ValueError, match="is shorter than 1e-10"):
+        program.solve(mesh=[0, 0.3, 0.3 + 1e-13, 1.0])
+
+
+def test_a_problem_with_waypoints_may_be_replaced():
+    problem = double_integrator(t_span=(0.0, 2.0), waypoints=[(1.0, [0.3])])
+    other = replace(problem, end=(2.0,))
+    assert other.waypoints == problem.waypoints
+    assert cg.solve(other, cg.Galerkin(3), 4)(1.0)[0] == pytest.approx(0.3, abs=1e-12)
