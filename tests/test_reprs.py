@@ -76,6 +76,7 @@ CASES = {
     "ControlTrajectory of all at once": lambda: cg.solve(everything(), cg.Galerkin(3), 6),
     "ControlTrajectory to a tolerance": lambda: cg.solve(cart_pole(), tol=1e-3),
     "Transcription": lambda: cg.transcribe(SHORT, METHOD, 100),
+    "AdaptiveTranscription": lambda: cg.transcribe(SHORT, tol=1e-9),
     "Transcription of many components": lambda: cg.transcribe(chain(), METHOD, 100),
     "ControlTranscription": lambda: cg.transcribe(cart_pole(), METHOD, 100),
     "Sweep": lambda: cg.sweep(family(), rates(3.0), METHOD, 6),

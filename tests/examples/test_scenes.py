@@ -579,7 +579,7 @@ def cable_as_integrated(module, path):
 
 def cheapest_landing(module, path):
     """Against the closed form, and the path integrated with the controls found."""
-    fall, burn = fsolve(lambda parts: module.landed(*parts), [0.2, 1.2], xtol=1e-14)
+    fall, burn = fsolve(lambda parts: module.landed(*parts), [0.2, 1.2], xtol=1e-12)
     np.testing.assert_allclose(path.t[1:], [fall, fall + burn], rtol=0, atol=1e-8)
     assert path.cost == pytest.approx(module.THRUST * burn, abs=1e-8)
     np.testing.assert_allclose(path.control.values, [[0.0, module.THRUST]], rtol=0, atol=1e-8)
