@@ -16,6 +16,7 @@ import numpy as np
 
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.solvers.buffers import Evaluator
+from casadi_galerkin.solvers.deadline import limited
 from casadi_galerkin.solvers.threads import fork_waits
 
 ITERATION_LIMIT = 500  # the scenes take 5 to 100; a problem without a bound from below walks on for ever
@@ -106,7 +107,7 @@ def with_ipopt(graph: ControlGraph, warm: bool, verbose: int, given: Mapping[str
         "mu_init": FIRST_BARRIER,
         "max_iter": ITERATION_LIMIT,
         **(WARM if warm else {}),
-        **given,
+        **limited(given),
     }
     derivatives = {"grad_f": graph.gradient, "jac_g": graph.jacobian, "hess_lag": graph.hessian}
     return _built(graph, "ipopt", {**derivatives, "calc_lam_p": False, "no_nlp_grad": True, "ipopt": options})

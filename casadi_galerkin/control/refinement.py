@@ -43,11 +43,11 @@ from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.refinement import Estimate, Refinement
-from casadi_galerkin.solvers.solver import Solver, ipopt
+from casadi_galerkin.solvers.deadline import until
+from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
 DOUBLINGS = 2  # of a mesh, while the solver finds nothing on it
-LEAST_SECONDS = 1e-3  # that IPOPT is given
 HIGHER = 2  # degrees added for the error estimate; two, because of parity
 
 
@@ -106,16 +106,6 @@ class ControlRefinement(Refinement[ControlTrajectory, ControlTrajectory | None])
         """The optimum of a level, which solves its own mesh."""
         return replace(level, error_estimate=error)
 
-    @property
-    def timed(self) -> Solver:
-        """The solver with the seconds that are left; fatrop takes no such limit."""
-        if self.solver.name != ipopt.name:
-            return self.solver
-        left = max(self.limits.seconds - (time.perf_counter() - self.began), LEAST_SECONDS)
-        given = self.solver.options.get("max_wall_time", np.inf)
-        seconds = min(left, given)
-        return self.solver if seconds == np.inf else self.solver.with_options(max_wall_time=seconds)
-
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Solve with one degree on one mesh; joints are scaled to the phases of the problem, whatever was found."""
         problem = self.problem
@@ -126,7 +116,8 @@ class ControlRefinement(Refinement[ControlTrajectory, ControlTrajectory | None])
         )
         transcription = transcribed_control(self.problem, method, None, joints)
         try:
-            path = transcription.solve(guess=guess, solver=self.timed, verbose=max(self.verbose - 1, 0))
+            with until(self.deadline):
+                path = transcription.solve(guess=guess, solver=self.solver, verbose=max(self.verbose - 1, 0))
         except ConvergenceError as failure:
             self._iterations += failure.iterations
             raise

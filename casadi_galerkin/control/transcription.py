@@ -7,6 +7,7 @@ Legendre transform).  See `graph` for the derivatives.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 
@@ -37,6 +38,7 @@ from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 
 FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
@@ -237,17 +239,20 @@ class ControlTranscription:
         return values, duals, largest
 
     def program(self, solver: Solver, warm: bool, verbose: int) -> ca.Function:
-        """The solver for this program, built when it is first needed."""
-        key = f"{warm} {verbose > 1} {solver!r}"
-        if key not in self._solvers:
-            began = time.perf_counter()
-            if solver.name == fatrop.name:
-                self._check_stages(limits_of(self.problem, self.chain))
-                self._solvers[key] = with_fatrop(self.graph, verbose, solver.options)
-            else:
-                self._solvers[key] = with_ipopt(self.graph, warm, verbose, solver.options)
-            self.build_seconds += time.perf_counter() - began
-        return self._solvers[key]
+        """The solver for this program, built when it is first needed; with limited time, for this solve only."""
+        key, kept = f"{warm} {verbose > 1} {solver!r}", math.isinf(seconds_left())
+        if kept and key in self._solvers:
+            return self._solvers[key]
+        began = time.perf_counter()
+        if solver.name == fatrop.name:
+            self._check_stages(limits_of(self.problem, self.chain))
+            program = with_fatrop(self.graph, verbose, solver.options)
+        else:
+            program = with_ipopt(self.graph, warm, verbose, solver.options)
+        if kept:
+            self._solvers[key] = program
+        self.build_seconds += time.perf_counter() - began
+        return program
 
     def _check_derivatives(self, unknowns: np.ndarray, data: np.ndarray, mesh: np.ndarray) -> None:
         """Name a first derivative that is not finite at the guess."""

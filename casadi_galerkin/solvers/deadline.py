@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import Any
+
+LEAST_SECONDS = 1e-3  # that IPOPT is given
 
 _deadline: ContextVar[float] = ContextVar("deadline", default=math.inf)
 
@@ -24,3 +27,11 @@ def until(deadline: float) -> Iterator[None]:
 def seconds_left() -> float:
     """Seconds until the deadline; infinite where nothing limits the solve."""
     return _deadline.get() - time.perf_counter()
+
+
+def limited(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of IPOPT with the seconds that are left, if anything limits the solve; built with them it serves once."""
+    if math.isinf(seconds_left()):
+        return dict(options)
+    seconds = min(seconds_left(), options.get("max_wall_time", math.inf))
+    return {**options, "max_wall_time": max(seconds, LEAST_SECONDS)}

@@ -13,7 +13,7 @@ import numpy as np
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import Data
-from casadi_galerkin.solvers.deadline import seconds_left
+from casadi_galerkin.solvers.deadline import limited, seconds_left
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 from casadi_galerkin.solvers.stationarity import Stationarity
@@ -60,16 +60,18 @@ def _interior_point(
     options: Mapping[str, Any],
 ) -> Solution:
     name = "IPOPT on the action" if minimize else "IPOPT"
-    seconds = seconds_left()
-    if seconds <= 0:
+    if seconds_left() <= 0:
         raise SolveFailure(f"the time was up before {name} began", guess, 0)
-    limited = options if math.isinf(seconds) else {"max_wall_time": seconds, **options}
     sizes, unit = _units(stationarity, guess, data)
     positions, held = stationarity.functional.numbering.positions, stationarity.functional.numbering.multipliers
     bounds = {"lbg": 0.0, "ubg": 0.0} if held or not minimize else {}
     with stationarity.linearization() as at:
         key = f"ipopt {minimize} {verbose > 1} {sorted(options.items())}"
-        solver = at.keep(key, lambda: _nlpsol(stationarity.functional, minimize, verbose, limited))
+
+        def build() -> ca.Function:
+            return _nlpsol(stationarity.functional, minimize, verbose, limited(options))
+
+        solver = at.keep(key, build) if math.isinf(seconds_left()) else build()
         with fork_waits:
             first = {"x0": guess / sizes}
             if minimize and held:
