@@ -12,46 +12,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import components, numbers, real_array, time_span, times_inside, whole
+from casadi_galerkin.calculus.numbers import components, numbers, time_span, times_inside, whole
 from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.problems.bounds import (
+    Bounds,
+    Limit,
+    bounds,
+    duration_bounds_of,
+    limited_values,
+    parameter_bounds_of,
+    waypoint_bounds,
+)
 from casadi_galerkin.problems.callables import Traceable, in_absolute_values, trace, trace_constraint, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
-from casadi_galerkin.problems.problem import finite, shown, varied_values
+from casadi_galerkin.problems.problem import shown, varied_values
 
-Limit: TypeAlias = float | Sequence[float]
 ROUNDED = 1e-8  # of a condition that the ends given meet, as much as a solve may leave
-Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
-
-
-def bounds(name: str, value: Any, size: int) -> Bounds:
-    """Check a pair (lo, hi), each a scalar or `size` numbers; infinite where there is none."""
-    if value is None:
-        return (-np.inf,) * size, (np.inf,) * size
-    pair = np.atleast_1d(real_array(name, value)) if hasattr(value, "__array__") else value
-    if not isinstance(pair, (tuple, list, np.ndarray)) or len(pair) != 2:
-        raise TypeError(f"{name} must be a pair (lo, hi), got {value!r}")
-    sides = []
-    for side, given, never in zip(("lo", "hi"), pair, (np.inf, -np.inf), strict=True):
-        expected = f"the {side} of {name} must be a number or {size} numbers, {-never} where there is none"
-        try:
-            array = real_array(name, given)
-        except TypeError as error:
-            raise TypeError(f"{expected}, got {given!r}") from error
-        if array.shape not in ((), (size,)):
-            raise ValueError(f"{expected}, got shape {array.shape}")
-        if np.any(np.isnan(array) | (array == never)):
-            raise ValueError(f"the {side} of {name} must not be NaN, nor {never}, got {given!r}")
-        sides.append(np.broadcast_to(array, (size,)))
-    low, high = sides
-    if np.any(low > high):
-        i = int(np.argmax(low > high))
-        raise ValueError(f"{name} contradict each other in component {i}: lo {low[i]} is above hi {high[i]}")
-    return tuple(low.tolist()), tuple(high.tolist())
 
 
 @dataclass(frozen=True, repr=False)
@@ -160,7 +141,7 @@ class ControlProblem:
         if mechanical < 0:
             raise ValueError(f"rates must be those of at most all {d} component(s), got {d - mechanical} values")
         _check_mechanics(mechanical, lagrangian, force)
-        passed, inner = _waypoints(waypoints, d), times_inside("breakpoints", breakpoints, time_span(t_span))
+        passed, inner = waypoint_bounds(waypoints, d), times_inside("breakpoints", breakpoints, time_span(t_span))
         inner = times_inside("breakpoints and waypoints", sorted({*inner, *passed}), time_span(t_span))
         values: dict[str, Any] = {
             "lagrangian": trace_lagrangian(lagrangian or _nothing, d, given, mechanical),
@@ -174,12 +155,12 @@ class ControlProblem:
             else trace("terminal_cost", terminal_cost, at_the_end, "scalar"),
             "control_bounds": bounds("control_bounds", control_bounds, count),
             "position_bounds": bounds("position_bounds", position_bounds, d),
-            "path_constraint": _limited("path_constraint", path_constraint, sizes),
-            "duration_bounds": _duration_bounds(duration_bounds, len(inner) + 1),
+            "path_constraint": limited_values("path_constraint", path_constraint, sizes),
+            "duration_bounds": duration_bounds_of(duration_bounds, len(inner) + 1),
             "parameters": given,
-            "parameter_bounds": _parameter_bounds(parameter_bounds, given),
+            "parameter_bounds": parameter_bounds_of(parameter_bounds, given),
             "rates": own,
-            "end_conditions": _limited("end_conditions", end_conditions, both),
+            "end_conditions": limited_values("end_conditions", end_conditions, both),
             "breakpoints": inner,
             "waypoints": tuple((t, tuple(zip(*sides, strict=True))) for t, sides in passed.items()),
             "hold": _flag("hold", hold),
@@ -391,38 +372,6 @@ def _flag(name: str, value: object) -> bool:
     return value
 
 
-def _waypoints(
-    given: Sequence[tuple[float, Sequence[float | tuple[float, float] | None]]], dimension: int
-) -> dict[float, Bounds]:
-    """Bounds of the positions at every waypoint, by its time."""
-    if not isinstance(given, (tuple, list, np.ndarray)):
-        raise TypeError(f"waypoints must be pairs (t, positions), got {given!r}")
-    found: dict[float, Bounds] = {}
-    for point in given:
-        if not isinstance(point, (tuple, list)) or len(point) != 2:
-            raise TypeError(f"waypoints must be pairs (t, positions), got {point!r}")
-        t, positions = finite("the time of a waypoint", point[0]), point[1]
-        if t in found:
-            raise ValueError(f"waypoints must have a time each, got two at t = {t:g}")
-        if not isinstance(positions, (tuple, list, np.ndarray)) or len(positions) != dimension:
-            raise ValueError(
-                f"a waypoint must have {dimension} position(s), a number, a pair or None each, got {positions!r}"
-            )
-        pairs = [x if x is None or isinstance(x, (tuple, list)) else (x, x) for x in positions]
-        sides = [bounds(f"the waypoint at t = {t:g}", pair, 1) for pair in pairs]
-        found[t] = (tuple(low for (low,), _ in sides), tuple(high for _, (high,) in sides))
-    return found
-
-
-def _duration_bounds(given: tuple[Limit, Limit] | None, phases: int) -> Bounds | None:
-    if given is None:
-        return None
-    low, high = bounds("duration_bounds", given, phases)
-    if min(low) <= 0:
-        raise ValueError(f"duration_bounds must be positive, got {given}")
-    return low, high
-
-
 def _nothing(*_: ca.SX) -> float:
     """The Lagrangian where all components follow rates."""
     return 0.0
@@ -446,22 +395,3 @@ def _check_mechanics(mechanical: int, lagrangian: object, force: object) -> None
             raise ValueError(f"{name} is None, but {mechanical} component(s) follow no rates")
         if given is not None and not mechanical:
             raise ValueError(f"all components follow rates: {name} must be None, got {given!r}")
-
-
-def _parameter_bounds(given: tuple[Limit, Limit] | None, parameters: tuple[float, ...] | None) -> Bounds | None:
-    if given is None:
-        return None
-    if parameters is None:
-        raise ValueError("parameter_bounds need parameters, which are the guess")
-    return bounds("parameter_bounds", given, len(parameters))
-
-
-def _limited(
-    name: str, given: tuple[Traceable, Limit, Limit] | None, sizes: dict[str, int]
-) -> tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None:
-    if given is None:
-        return None
-    if not isinstance(given, (tuple, list)) or len(given) != 3:
-        raise TypeError(f"{name} must be (g, lo, hi), got {given!r}")
-    traced = trace(name, given[0], sizes, "any")
-    return (traced, *bounds(name, (given[1], given[2]), traced.numel_out(0)))

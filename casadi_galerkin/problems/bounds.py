@@ -1,0 +1,96 @@
+"""What a control problem bounds: positions, controls, durations, parameters, places on the way, values of functions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.numbers import real_array
+from casadi_galerkin.problems.callables import Traceable, trace
+from casadi_galerkin.problems.problem import finite
+
+Limit: TypeAlias = float | Sequence[float]
+Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
+
+
+def bounds(name: str, value: Any, size: int) -> Bounds:
+    """Check a pair (lo, hi), each a scalar or `size` numbers; infinite where there is none."""
+    if value is None:
+        return (-np.inf,) * size, (np.inf,) * size
+    pair = np.atleast_1d(real_array(name, value)) if hasattr(value, "__array__") else value
+    if not isinstance(pair, (tuple, list, np.ndarray)) or len(pair) != 2:
+        raise TypeError(f"{name} must be a pair (lo, hi), got {value!r}")
+    sides = []
+    for side, given, never in zip(("lo", "hi"), pair, (np.inf, -np.inf), strict=True):
+        expected = f"the {side} of {name} must be a number or {size} numbers, {-never} where there is none"
+        try:
+            array = real_array(name, given)
+        except TypeError as error:
+            raise TypeError(f"{expected}, got {given!r}") from error
+        if array.shape not in ((), (size,)):
+            raise ValueError(f"{expected}, got shape {array.shape}")
+        if np.any(np.isnan(array) | (array == never)):
+            raise ValueError(f"the {side} of {name} must not be NaN, nor {never}, got {given!r}")
+        sides.append(np.broadcast_to(array, (size,)))
+    low, high = sides
+    if np.any(low > high):
+        i = int(np.argmax(low > high))
+        raise ValueError(f"{name} contradict each other in component {i}: lo {low[i]} is above hi {high[i]}")
+    return tuple(low.tolist()), tuple(high.tolist())
+
+
+def waypoint_bounds(
+    given: Sequence[tuple[float, Sequence[float | tuple[float, float] | None]]], dimension: int
+) -> dict[float, Bounds]:
+    """Bounds of the positions at every waypoint, by its time."""
+    if not isinstance(given, (tuple, list, np.ndarray)):
+        raise TypeError(f"waypoints must be pairs (t, positions), got {given!r}")
+    found: dict[float, Bounds] = {}
+    for point in given:
+        if not isinstance(point, (tuple, list)) or len(point) != 2:
+            raise TypeError(f"waypoints must be pairs (t, positions), got {point!r}")
+        t, positions = finite("the time of a waypoint", point[0]), point[1]
+        if t in found:
+            raise ValueError(f"waypoints must have a time each, got two at t = {t:g}")
+        if not isinstance(positions, (tuple, list, np.ndarray)) or len(positions) != dimension:
+            raise ValueError(
+                f"a waypoint must have {dimension} position(s), a number, a pair or None each, got {positions!r}"
+            )
+        pairs = [x if x is None or isinstance(x, (tuple, list)) else (x, x) for x in positions]
+        sides = [bounds(f"the waypoint at t = {t:g}", pair, 1) for pair in pairs]
+        found[t] = (tuple(low for (low,), _ in sides), tuple(high for _, (high,) in sides))
+    return found
+
+
+def duration_bounds_of(given: tuple[Limit, Limit] | None, phases: int) -> Bounds | None:
+    """Check bounds of the durations of all phases; None where they are given."""
+    if given is None:
+        return None
+    low, high = bounds("duration_bounds", given, phases)
+    if min(low) <= 0:
+        raise ValueError(f"duration_bounds must be positive, got {given}")
+    return low, high
+
+
+def parameter_bounds_of(given: tuple[Limit, Limit] | None, parameters: tuple[float, ...] | None) -> Bounds | None:
+    """Check bounds of the parameters; None where they are given."""
+    if given is None:
+        return None
+    if parameters is None:
+        raise ValueError("parameter_bounds need parameters, which are the guess")
+    return bounds("parameter_bounds", given, len(parameters))
+
+
+def limited_values(
+    name: str, given: tuple[Traceable, Limit, Limit] | None, sizes: dict[str, int]
+) -> tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None:
+    """Trace a function and check the bounds of its values, (g, lo, hi)."""
+    if given is None:
+        return None
+    if not isinstance(given, (tuple, list)) or len(given) != 3:
+        raise TypeError(f"{name} must be (g, lo, hi), got {given!r}")
+    traced = trace(name, given[0], sizes, "any")
+    return (traced, *bounds(name, (given[1], given[2]), traced.numel_out(0)))
