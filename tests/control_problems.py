@@ -107,6 +107,22 @@ def everything():
     )
 
 
+def plane(**changes):
+    """Unit mass in a plane from rest at (0, 0) to rest at (1, 0) in two units of time, least ∫u²/2."""
+    fields = {"running_cost": lambda t, x, v, u: ca.dot(u, u) / 2, **changes}
+    return cg.ControlProblem(
+        lambda t, x, v: ca.dot(v, v) / 2,
+        (0.0, 2.0),
+        [0.0, 0.0],
+        [1.0, 0.0],
+        [0.0, 0.0],
+        [0.0, 0.0],
+        force=lambda t, x, v, u: u,
+        controls=2,
+        **fields,
+    )
+
+
 def cartesian_pendulum(**changes):
     """The pendulum of three seconds on its circle, x = (across, up)."""
     fields = {

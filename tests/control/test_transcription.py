@@ -11,6 +11,7 @@ from control_problems import (
     minimum_time,
     pendulum,
     pendulum_in_three,
+    plane,
     varying_mass,
 )
 from scipy.integrate import solve_ivp
@@ -435,18 +436,7 @@ def test_a_component_that_was_built_at_rest_is_solved_in_motion():
 @pytest.mark.parametrize(("height", "cost"), [(1.0, 12.75), ((0.5, 2.0), 3.75)])
 def test_waypoints_are_passed_at_their_cost(height, cost):
     """Up and down again from rest to rest, u = 12 h (1 - 2 t) on the way up: 12 h² in all, beside 6/8 for the way."""
-    problem = cg.ControlProblem(
-        lambda t, x, v: (v[0] ** 2 + v[1] ** 2) / 2,
-        (0.0, 2.0),
-        [0.0, 0.0],
-        [1.0, 0.0],
-        [0.0, 0.0],
-        [0.0, 0.0],
-        force=lambda t, x, v, u: u,
-        running_cost=lambda t, x, v, u: (u[0] ** 2 + u[1] ** 2) / 2,
-        controls=2,
-        waypoints=[(1.0, [None, height])],
-    )
+    problem = plane(waypoints=[(1.0, [None, height])])
     path = cg.solve(problem, cg.Galerkin(3), 5)
     assert path.cost == pytest.approx(cost, abs=SOLVED)
     assert path(1.0)[1] == pytest.approx(np.atleast_1d(height)[0], abs=SOLVED)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import double_integrator
+from control_problems import double_integrator, plane
 
 import casadi_galerkin as cg
 
@@ -234,21 +234,6 @@ def test_a_free_parameter_of_the_constraint_alone_is_taken():
         constraint=lambda t, x, p: ca.dot(x, x) - p[0] ** 2,
     )
     assert rod.parameter_bounds == ((1.2,), (2.0,))
-
-
-def plane(**changes):
-    fields = {"running_cost": lambda t, x, v, u: ca.dot(u, u) / 2, **changes}
-    return cg.ControlProblem(
-        lambda t, x, v: ca.dot(v, v) / 2,
-        (0.0, 2.0),
-        [0.0, 0.0],
-        [1.0, 0.0],
-        [0.0, 0.0],
-        [0.0, 0.0],
-        force=lambda t, x, v, u: u,
-        controls=2,
-        **fields,
-    )
 
 
 FIRST_ORDER = {
