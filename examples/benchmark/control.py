@@ -22,6 +22,7 @@ from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_valu
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import cart_pole
+import literature
 import low_thrust
 import moon_landing
 import two_link_arm
@@ -67,27 +68,6 @@ def rocket_rates(x, v, u):
     return [-u[0] / moon_landing.EXHAUST, u[0] / x[1] - moon_landing.GRAVITY]
 
 
-def cart(**changes):
-    """Unit mass from rest to rest a unit length away, with the least effort."""
-    fields = {
-        "lagrangian": lambda t, x, v: v[0] ** 2 / 2,
-        "t_span": (0.0, 1.0),
-        "start": [0.0],
-        "end": [1.0],
-        "start_velocity": [0.0],
-        "end_velocity": [0.0],
-        "force": lambda t, x, v, u: u,
-        "running_cost": lambda t, x, v, u: u[0] ** 2 / 2,
-        "controls": 1,
-    }
-    return cg.ControlProblem(**(fields | changes))
-
-
-def bryson_denham():
-    """Back to where it began with the opposite velocity, never further away than 1/9: cost 4."""
-    return cart(end=[0.0], start_velocity=[1.0], end_velocity=[-1.0], position_bounds=(-np.inf, 1 / 9))
-
-
 def acrobot():
     """The two-link arm with a motor in its elbow only."""
     return replace(
@@ -120,8 +100,8 @@ def rocket():
 PROBLEMS = {
     "cart-pole": (cart_pole.problem, pole_rates, 4, None, None),
     "orbit raising": (low_thrust.problem, orbit_rates, 5, low_thrust.guess, None),
-    "double integrator": (cart, free_rates, 3, None, 6.0),
-    "Bryson-Denham": (bryson_denham, free_rates, 3, None, 4.0),
+    "double integrator": (literature.mass, free_rates, 3, None, 6.0),
+    "Bryson-Denham": (lambda: literature.bryson_denham().problem, free_rates, 3, None, 4.0),
     "two-link arm": (two_link_arm.problem, arm_rates, 4, None, None),
     "acrobot": (acrobot, arm_rates, 5, swinging, None),
     "crane": (crane, pole_rates, 4, None, None),

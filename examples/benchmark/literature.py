@@ -7,8 +7,10 @@ have singular arcs, along which the path is not found to the tolerance: printed 
 """
 
 import argparse
+import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -18,6 +20,12 @@ from scipy.linalg import expm
 from scipy.optimize import brentq, fsolve
 
 import casadi_galerkin as cg
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import cart_pole as swing_up
+import hypersensitive as layers
+import low_thrust as spiral
 
 INF = np.inf
 
@@ -34,12 +42,6 @@ class Case:
     published: float
     exact: float
     guess: Any = None
-
-
-def boundary_layers():
-    """Cost of a long duration: down from 1.5 to rest and up to 1, with the Hamiltonian zero on both ways."""
-    down = quad(lambda x: -(x**3) + np.sqrt(x**6 + x**2), 0, 1.5, epsabs=1e-14)[0]
-    return down + quad(lambda x: x**3 + np.sqrt(x**6 + x**2), 0, 1, epsabs=1e-14)[0]
 
 
 def riccati():
@@ -104,32 +106,12 @@ def shortest(t, x, v, u):
 
 def cart_pole():
     """M. Kelly, SIAM Review 59 (2017)."""
-
-    def lagrangian(t, x, v):
-        kinetic = 1.3 * v[0] ** 2 / 2 + 0.15 * v[0] * v[1] * ca.cos(x[1]) + 0.3 * (0.5 * v[1]) ** 2 / 2
-        return kinetic + 0.3 * 9.81 * 0.5 * ca.cos(x[1])
-
-    problem = cg.ControlProblem(
-        lagrangian, (0.0, 2.0), [0.0, 0.0], [1.0, np.pi], [0.0, 0.0], [0.0, 0.0],
-        force=lambda t, x, v, u: [u[0], 0],
-        running_cost=lambda t, x, v, u: u[0] ** 2,
-        controls=1,
-        control_bounds=(-20.0, 20.0),
-        position_bounds=([-2.0, -INF], [2.0, INF]),
-    )  # fmt: skip
-    return Case(problem, 58.8077, 58.807667459)
+    return Case(swing_up.problem(), 58.8077, 58.807667459)
 
 
 def low_thrust():
     """From a circular orbit to one of twice the radius with the least squared thrust; the angle of arrival is free."""
-    problem = cg.ControlProblem(
-        lambda t, x, v: (v[0] ** 2 + (x[0] * v[1]) ** 2) / 2 + 1 / x[0],
-        (0.0, 20.0), [1.0, 0.0], [2.0, None], [0.0, 1.0], [0.0, 2.0**-1.5],
-        force=lambda t, x, v, u: [u[0], x[0] * u[1]],
-        running_cost=lambda t, x, v, u: (u[0] ** 2 + u[1] ** 2) / 2,
-        controls=2,
-    )  # fmt: skip
-    return Case(problem, np.nan, 0.00221872638555, lambda t: [1 + t / 20, t * (1 + 2.0**-1.5) / 2])
+    return Case(spiral.problem(), np.nan, 0.00221872638555, spiral.guess)
 
 
 def bryson_denham():
@@ -170,16 +152,9 @@ def goddard():
     return Case(problem, -1.01284, -1.012836934)
 
 
-def hypersensitive(duration=10000.0):
+def hypersensitive():
     """A. V. Rao, K. D. Mease, Automatica 35 (1999)."""
-    problem = cg.ControlProblem(
-        None, (0.0, duration), [1.5], [1.0], [None], [None],
-        force=None,
-        running_cost=lambda t, x, v, u: (x[0] ** 2 + u[0] ** 2) / 2,
-        controls=1,
-        rates=lambda t, x, v, u: -(x[0] ** 3) + u[0],
-    )  # fmt: skip
-    return Case(problem, 1.33081, boundary_layers())
+    return Case(layers.problem(), 1.33081, layers.EXACT)
 
 
 def moon_lander():
