@@ -17,10 +17,13 @@ them, and knows it some ten times better.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, truncation
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
@@ -42,31 +45,6 @@ def sampled(path: ControlTrajectory, degree: int) -> tuple[np.ndarray, np.ndarra
     """Times (N, K) at and between the joints, and positions there (d, N, K)."""
     times = times_at(path.t, np.linspace(0, 1, 4 * degree + 1)).reshape(len(path.t) - 1, -1)
     return times, path(times)
-
-
-def cost_change(path: ControlTrajectory, higher: ControlTrajectory) -> float:
-    """Relative change of cost and duration."""
-    cost = abs(higher.cost - path.cost) / (abs(higher.cost) or 1.0)
-    return float(max(cost, abs(np.ptp(higher.t) / np.ptp(path.t) - 1)))
-
-
-def change_of_degree(path: ControlTrajectory, higher: ControlTrajectory) -> float:
-    """Relative error of cost, duration and positions, D / (1 - q)."""
-    degree = path.method.degree
-    change = (
-        np.abs(sampled(higher, degree)[1] - sampled(path, degree)[1])
-        / component_sizes(path.polynomial.values)[:, None, None]
-    )
-    coarse, fine = (float(np.max(truncation(p.polynomial))) for p in (path, higher))
-    at_points = path.problem.path_constraint is not None or len(switches(higher)) > 0
-    ratio = SLOWEST if at_points else min(fine / max(coarse, fine, 1e-300), SLOWEST)
-    return float(max(cost_change(path, higher), np.max(change)) / (1 - ratio))
-
-
-def estimated_error(path: ControlTrajectory, higher: ControlTrajectory) -> float:
-    """Relative error of cost, duration and positions from the same mesh with degree m + 2."""
-    late = [abs(s.due - s.joint) / np.ptp(higher.t) for s in switches(higher)]
-    return float(max(change_of_degree(path, higher), *late, np.sqrt(np.max(excess(path))), 0.0))
 
 
 def excess(path: ControlTrajectory) -> np.ndarray:
@@ -93,18 +71,66 @@ def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
     return np.asarray(np.max(np.abs(change) / component_sizes(path.polynomial.values)[:, None, None], axis=(0, 2)))
 
 
-def better_mesh(path: ControlTrajectory, higher: ControlTrajectory, tol: float) -> np.ndarray:
-    """Joints, in the time of the higher path, on which the error should be below the tolerance."""
-    order, target, found = path.method.degree + 1, TARGET * tol, switches(higher)
-    error = beyond_degree(higher, path.method.degree)
-    error *= change_of_degree(path, higher) / max(np.max(error), 1e-300)
-    kinked = (truncation(higher.polynomial) > STUBBORN * truncation(path.polynomial)) & (error > target)
-    error[kinked] = target * (error[kinked] / target) ** (order / KINK_ORDER)
-    outside = np.sqrt(excess(path))  # of the order of the distance to the nearest node, so of order 1
-    error = np.maximum(error, target * (outside / target) ** order)
-    mesh, error = widened(higher.t, error, found, target)
-    mesh = equidistributed(mesh, error, order, tol, FINEST)
-    return with_jumps(mesh, found, tol)
+@dataclass(frozen=True)
+class HigherDegree:
+    """A path, and the one on its mesh of degree m + 2, which tells how wrong it is.
+
+    Attributes
+    ----------
+    path, higher : ControlTrajectory
+    """
+
+    path: ControlTrajectory
+    higher: ControlTrajectory
+
+    @lazy
+    def found(self) -> list[Switch]:
+        """Switches of the higher path."""
+        return switches(self.higher)
+
+    @lazy
+    def cost_change(self) -> float:
+        """Relative change of cost and duration."""
+        path, higher = self.path, self.higher
+        cost = abs(higher.cost - path.cost) / (abs(higher.cost) or 1.0)
+        return float(max(cost, abs(np.ptp(higher.t) / np.ptp(path.t) - 1)))
+
+    @lazy
+    def change(self) -> float:
+        """Relative error of cost, duration and positions, D / (1 - q)."""
+        path, higher, degree = self.path, self.higher, self.path.method.degree
+        change = (
+            np.abs(sampled(higher, degree)[1] - sampled(path, degree)[1])
+            / component_sizes(path.polynomial.values)[:, None, None]
+        )
+        coarse, fine = (float(np.max(truncation(p.polynomial))) for p in (path, higher))
+        at_points = path.problem.path_constraint is not None or len(self.found) > 0
+        ratio = SLOWEST if at_points else min(fine / max(coarse, fine, 1e-300), SLOWEST)
+        return float(max(self.cost_change, np.max(change)) / (1 - ratio))
+
+    @lazy
+    def outside(self) -> np.ndarray:
+        """Distances √ε by which positions that leave their bounds by ε move the path, (N,)."""
+        return np.asarray(np.sqrt(excess(self.path)))
+
+    @property
+    def error(self) -> float:
+        """Relative error of cost, duration and positions, with what both degrees miss alike."""
+        late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.found]
+        return float(max(self.change, *late, np.max(self.outside), 0.0))
+
+    def better_mesh(self, tol: float) -> np.ndarray:
+        """Joints, in the time of the higher path, on which the error should be below the tolerance."""
+        path, higher = self.path, self.higher
+        order, target = path.method.degree + 1, TARGET * tol
+        error = beyond_degree(higher, path.method.degree)
+        error *= self.change / max(np.max(error), 1e-300)
+        kinked = (truncation(higher.polynomial) > STUBBORN * truncation(path.polynomial)) & (error > target)
+        error[kinked] = target * (error[kinked] / target) ** (order / KINK_ORDER)
+        error = np.maximum(error, target * (self.outside / target) ** order)  # of the order of a distance: of order 1
+        mesh, error = widened(higher.t, error, self.found, target)
+        mesh = equidistributed(mesh, error, order, tol, FINEST)
+        return with_jumps(mesh, self.found, tol)
 
 
 def widened(mesh: np.ndarray, error: np.ndarray, jumps: list[Switch], target: float) -> tuple[np.ndarray, np.ndarray]:

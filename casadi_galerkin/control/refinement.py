@@ -34,10 +34,10 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.discrete_calculus import mesh_of, with_breakpoints
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
-from casadi_galerkin.control.error_estimate import better_mesh, cost_change, estimated_error
+from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.transcription import transcribed_control
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import check_types
+from casadi_galerkin.problems.problem import check_types, marks
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
@@ -73,7 +73,7 @@ def fits_any_mesh(guess: Guess | None) -> bool:
     return all(part is None or callable(part) for part in parts)
 
 
-class ControlRefinement(Refinement[ControlTrajectory, ControlTrajectory | None]):
+class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     """One refinement of a trajectory optimization under way; arguments as for `solve`."""
 
     roundoff_level, stalls = 1e-8, 1  # what the solvers leave
@@ -108,12 +108,9 @@ class ControlRefinement(Refinement[ControlTrajectory, ControlTrajectory | None])
 
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Solve with one degree on one mesh; joints are scaled to the phases of the problem, whatever was found."""
-        problem = self.problem
-        found = guess.problem.breakpoints if isinstance(guess, ControlTrajectory) else problem.breakpoints
-        begin, end = problem.t_span
-        joints = np.interp(
-            with_breakpoints(mesh, found), [mesh[0], *found, mesh[-1]], [begin, *problem.breakpoints, end]
-        )
+        known = guess.problem if isinstance(guess, ControlTrajectory) else self.problem
+        times = [mesh[0], *known.breakpoints, mesh[-1]]
+        joints = np.interp(with_breakpoints(mesh, known.breakpoints), times, marks(self.problem))
         transcription = transcribed_control(self.problem, method, None, joints)
         try:
             with until(self.deadline):
@@ -137,7 +134,7 @@ class ControlRefinement(Refinement[ControlTrajectory, ControlTrajectory | None])
                     raise
         return self.solve(self.method, mesh, guess)
 
-    def estimate(self, level: ControlTrajectory) -> Estimate[ControlTrajectory | None]:
+    def estimate(self, level: ControlTrajectory) -> Estimate[HigherDegree | None]:
         """The error from the same mesh with a higher degree, where that is solved."""
         degree = raised(self.method).degree
         self.check_time(level)
@@ -146,17 +143,17 @@ class ControlRefinement(Refinement[ControlTrajectory, ControlTrajectory | None])
         except ConvergenceError:
             self.check_time(level)
             return Estimate(np.inf, False, f"no answer of degree {degree}", None)
-        error = estimated_error(level, higher)
-        self.cost_error = cost_change(level, higher)
-        return Estimate(error, True, f"degree {degree}", higher)
+        detail = HigherDegree(level, higher)
+        self.cost_error = detail.cost_change
+        return Estimate(detail.error, True, f"degree {degree}", detail)
 
-    def improve(self, level: ControlTrajectory, estimate: Estimate[ControlTrajectory | None]) -> ControlTrajectory:
+    def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:
         """Solve on the better mesh, from the path of higher degree; without that, on a mesh twice as fine."""
-        higher = estimate.detail
-        mesh = halved(level.t) if higher is None else better_mesh(level, higher, self.tol)
+        detail = estimate.detail
+        mesh = halved(level.t) if detail is None else detail.better_mesh(self.tol)
         self.check_intervals(len(mesh) - 1, level, estimate.error)
         try:
-            return self.solve_finer(mesh, higher or level)
+            return self.solve_finer(mesh, level if detail is None else detail.higher)
         except ConvergenceError as failure:
             self.check_time(level, estimate.error)
             raise self.stopped(str(failure), level, estimate.error) from failure

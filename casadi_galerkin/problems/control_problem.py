@@ -30,7 +30,7 @@ from casadi_galerkin.problems.bounds import (
 )
 from casadi_galerkin.problems.callables import Traceable, in_absolute_values, trace, trace_constraint, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
-from casadi_galerkin.problems.problem import shown, varied_values
+from casadi_galerkin.problems.problem import marks, shown, varied_values
 
 ROUNDED = 1e-8  # of a condition that the ends given meet, as much as a solve may leave
 
@@ -344,12 +344,12 @@ class ControlProblem:
 
     def _check_guesses(self) -> None:
         if self.duration_bounds is not None:
-            marks = (self.t_span[0], *self.breakpoints, self.t_span[1])
+            times = marks(self)
             rounded = 2 * EPS * max(map(abs, self.t_span))  # of t_N = t_0 + T, and of the difference
             for k, (low, high) in enumerate(zip(*self.duration_bounds, strict=True)):
-                lasts = marks[k + 1] - marks[k]
+                lasts = times[k + 1] - times[k]
                 if not low - rounded <= lasts <= high + rounded:
-                    what = "t_span" if len(marks) == 2 else f"the phase from {marks[k]} to {marks[k + 1]}"
+                    what = "t_span" if len(times) == 2 else f"the phase from {times[k]} to {times[k + 1]}"
                     raise ValueError(f"duration_bounds ({low}, {high}) must hold the guess, {what} lasts {lasts}")
         sides = self.parameter_bounds or ((), ())
         for i, (low, value, high) in enumerate(zip(sides[0], self.parameters or (), sides[1], strict=False)):

@@ -32,6 +32,23 @@ class Problem(Protocol):
         """Values of p."""
 
 
+class Spanned(Protocol):
+    """A problem whose path is solved at once, between two times."""
+
+    @property
+    def t_span(self) -> tuple[float, float]:
+        """Times of the ends."""
+
+    @property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Times of joints that every mesh has."""
+
+
+def marks(problem: Spanned) -> list[float]:
+    """Times of both ends and, between them, of the breakpoints: what joints keep their numbers between."""
+    return [problem.t_span[0], *problem.breakpoints, problem.t_span[1]]
+
+
 def check_types(problem: object, method: object, *kinds: type) -> None:
     """Refuse what is no problem of these kinds, or no method."""
     if not isinstance(problem, kinds):

@@ -31,6 +31,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.control.refinement import first_control_mesh
 from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.problem import marks
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.trajectory import Trajectory
 
@@ -109,8 +110,7 @@ def solver_of(
     def joints(start: float, end: float) -> np.ndarray:
         if isinstance(problem, BoundaryProblem):
             return mesh_of((start, end), intervals, None, problem.breakpoints)
-        (first, last), inner = problem.t_span, problem.breakpoints  # breakpoints keep their numbers among the joints
-        return np.asarray(np.interp(transcription.mesh, [first, *inner, last], [start, *inner, end]))
+        return np.asarray(np.interp(transcription.mesh, marks(problem), [start, *problem.breakpoints, end]))
 
     def solved(variation: Variation) -> Trajectory:
         given = dict(variation)

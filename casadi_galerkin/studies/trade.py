@@ -24,7 +24,7 @@ from casadi_galerkin.control.transcription import check_solver
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import check_types
+from casadi_galerkin.problems.problem import check_types, marks
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, guess_values
 from casadi_galerkin.solution.limits import check_tolerance
@@ -103,17 +103,13 @@ def _repeated(problem: Problem, row: Row, guess: Guess | None) -> Callable[[], T
 def _on_its_mesh(problem: Problem, cell: _Cell) -> Row:
     """The way on a fixed mesh that a tolerance has found; where durations are free, over those guessed."""
     assert cell.path is not None
-    joints, row = cell.path.t, cell.row
-    found, guessed = _marks(cell.path.problem), _marks(problem)
+    solved, joints, row = cell.path.problem, cell.path.t, cell.row
+    assert isinstance(solved, (BoundaryProblem, ControlProblem)), "no other is solved to a tolerance"
+    assert isinstance(problem, (BoundaryProblem, ControlProblem))
+    found, guessed = marks(solved), marks(problem)
     if found != guessed:
         joints = np.interp(joints, found, guessed)
     return Row(row.method, row.intervals, row.solver, row.tol, mesh=tuple(joints.tolist()))
-
-
-def _marks(problem: object) -> list[float]:
-    """Times of the ends and of the breakpoints."""
-    assert isinstance(problem, (BoundaryProblem, ControlProblem)), "no other is solved to a tolerance"
-    return [problem.t_span[0], *problem.breakpoints, problem.t_span[1]]
 
 
 def _unknowns(problem: Problem, path: Trajectory) -> int:
