@@ -15,6 +15,7 @@ from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.control.control_function import control_function
 from casadi_galerkin.control.refinement import solve_control_to_tolerance
+from casadi_galerkin.control.several_starts import best_of
 from casadi_galerkin.control.transcription import ControlTranscription, check_solver, transcribed_control
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -40,6 +41,7 @@ def solve(
     guess: Guess | None = None,
     solver: Solver | None = None,
     limits: Limits | None = None,
+    starts: int = 1,
     verbose: int = 0,
 ) -> ControlTrajectory: ...
 
@@ -69,6 +71,7 @@ def solve(
     guess: Guess | None = None,
     solver: Solver | None = None,
     limits: Limits | None = None,
+    starts: int = 1,
     verbose: int = 0,
 ) -> Trajectory:
     """Solve a problem: with a fixed discretization, or to a tolerance.
@@ -93,6 +96,9 @@ def solve(
     solver : newton (the default), rootfinder, ipopt or minimizer for a BoundaryProblem, ipopt (the default) or
         fatrop for a ControlProblem; each also ``.with_options(...)``
     limits : Limits that stop a refinement; only with `tol`
+    starts : how often to solve a ControlProblem, from `guess` first and then from random paths, always the same ones;
+        the cheapest optimum is returned, and its `solver` says how many were met.  Limits hold for every start.
+        (`paths` finds several paths of a BoundaryProblem.)
     verbose : 1 prints a summary and, with `tol`, a line per level; 2 also the solver's lines
 
     Returns
@@ -115,6 +121,8 @@ def solve(
     >>> float(path(0.5)[0].round(6))
     0.569747
     """
+    if not isinstance(problem, ControlProblem) and starts != 1:
+        raise ValueError(f"starts is for a ControlProblem; paths finds several of a BoundaryProblem, got {starts!r}")
     if isinstance(problem, InitialProblem):
         if guess is not None or tol is not None or limits is not None or solver is not None:
             raise ValueError("an initial problem takes no tol, limits, guess or solver: it is solved step by step")
@@ -124,7 +132,7 @@ def solve(
     _check_limits(limits, tol)
     if tol is not None:
         path = _to_tolerance(
-            problem, method, intervals, check_tolerance(tol), mesh, guess, solver, limits or Limits(), verbose
+            problem, method, intervals, check_tolerance(tol), mesh, guess, solver, limits or Limits(), starts, verbose
         )
         if verbose:
             print(path)
@@ -133,7 +141,11 @@ def solve(
         raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
     if isinstance(problem, ControlProblem):
         program = transcribed_control(problem, method, intervals, mesh)
-        return program.solve(guess=guess, solver=solver or ipopt, verbose=verbose)
+
+        def solved(start: Guess | None) -> ControlTrajectory:
+            return program.solve(guess=start, solver=solver or ipopt, verbose=verbose)
+
+        return best_of(starts, problem, guess, solved)
     transcription = transcribed(problem, method, intervals, mesh, one_by_one)
     return transcription.solve(guess=guess, solver=solver or newton, verbose=verbose)
 
@@ -147,13 +159,13 @@ def _to_tolerance(
     guess: Guess | None,
     solver: Solver | None,
     limits: Limits,
+    starts: int,
     verbose: int,
 ) -> Trajectory:
     if isinstance(problem, ControlProblem):
         check_solver(solver or ipopt)
-        return solve_control_to_tolerance(
-            problem, tol, method, intervals, mesh, guess, limits, solver or ipopt, verbose
-        )
+        given, how = (tol, method, intervals, mesh), (limits, solver or ipopt, verbose)
+        return best_of(starts, problem, guess, lambda start: solve_control_to_tolerance(problem, *given, start, *how))
     return solve_to_tolerance(problem, tol, method, intervals, mesh, guess, solver or newton, limits, verbose)
 
 

@@ -39,6 +39,7 @@ from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.statement import has_phase
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
+from casadi_galerkin.solution.guess import waves
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.paths import FINER, Paths
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -55,7 +56,7 @@ SOFT, ERRORS = 1e-3, 10.0  # relative second variation that is zero up to so man
 NEAR = 0.1  # ordinary step, over the distance to what is known and to the path's own size, from which it leads on
 LONGEST = 1.0  # deflated step in sizes of the path; where ∇log M · y is near one, it would be of any length
 DEFLATED, POLISHING = 40, 20  # iterations of the deflated and of the ordinary Newton method
-MODES, SMALLEST, LARGEST = 6, -2.0, 5.0  # of a random guess; powers of two between which its amplitude lies
+SMALLEST, LARGEST = -2.0, 5.0  # powers of two between which the amplitude of a random guess lies
 STIFFEST = 1e8  # largest entry of the Hessian over that at the paths; from there on roundoff rules
 
 
@@ -199,12 +200,8 @@ class Search:
 
     def smooth(self) -> np.ndarray:
         """Random smooth function at the nodes, of the size of each component; (d, N m + 1)."""
-        modes = np.arange(1, MODES + 1)[:, None]
-        d, parts = len(self.component_sizes), self.parts
-        factors = self.random.normal(size=(d, MODES)) / modes.T
-        phases = self.random.uniform(0, 2 * np.pi, size=(d, MODES, 1))
-        waves = np.cos((2 if self.transcription.problem.periodic else 1) * np.pi * modes * parts + phases)
-        return np.asarray(self.component_sizes[:, None] * np.einsum("dk,dkj->dj", factors, waves))
+        period = 1.0 if self.transcription.problem.periodic else 2.0
+        return waves(self.random, self.component_sizes, period)(self.parts)
 
     def from_a_guess(self) -> Solution:
         """Deflated Newton's method from a random guess."""

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -53,7 +54,6 @@ HINTS = {
     "Restoration Failed": "There may be no path within these ends and bounds; else try a guess nearer to it",
 }
 OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"
-FATROP_HINT = "Try cg.ipopt, which stalls less easily"
 NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
 
 
@@ -191,23 +191,36 @@ class ControlTranscription:
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         changes = {name: value for name, value in {**ends, "parameters": parameters}.items() if value is not None}
         problem = self.problem.varied(changes, (float(calculus.mesh[0]), float(calculus.mesh[-1])))
+        begun = self.start(problem, calculus, guess)
+        path = _or_with_ipopt(solver, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began))
+        if verbose:
+            print(path)
+        return path
+
+    def _solved(
+        self,
+        solver: Solver,
+        problem: ControlProblem,
+        mesh: np.ndarray,
+        start: tuple[dict[str, np.ndarray], tuple[np.ndarray, ...], np.ndarray],
+        verbose: int,
+        began: float,
+    ) -> ControlTrajectory:
+        """What one solver finds from a `start`, verified."""
         chain, limits = self.chain, limits_of(problem, self.chain)
-        values, duals, before = self.start(problem, calculus, guess)
+        values, duals, before = start
         unknowns, data = chain.pack(values)
         program, relaxed = self.program(solver, bool(duals), verbose), RELAXED[solver.name]
         optimum = optimize(program, relaxed, unknowns, data, limits, *duals)
         if optimum.status == INVALID:
-            self._check_derivatives(unknowns, data, calculus.mesh)
+            self._check_derivatives(unknowns, data, mesh)
         report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
         relative = violations(chain, limits, optimum.unknowns, report, before)
-        values = chain.unpack(optimum.unknowns, data)
-        joints = self._joints(values, calculus.mesh)
+        found = chain.unpack(optimum.unknowns, data)
+        joints = self._joints(found, mesh)
         if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
-            raise self._error(solver, optimum, limits, report.cost, relative, values, joints)
-        path = self._trajectory(solver, optimum, report, problem, values, joints, float(np.max(relative)), began)
-        if verbose:
-            print(path)
-        return path
+            raise self._error(solver, optimum, limits, report.cost, relative, found, joints)
+        return self._trajectory(solver, optimum, report, problem, found, joints, float(np.max(relative)), began)
 
     def start(
         self, problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None
@@ -298,7 +311,7 @@ class ControlTranscription:
             state = f"all constraints hold, with a cost of {cost:.6g}"
         else:
             state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
-        hint = FATROP_HINT if solver.name == fatrop.name else HINTS.get(optimum.status, OTHER_HINT)
+        hint = HINTS.get(optimum.status, OTHER_HINT)
         stopped = f"{NAMES[solver.name]} stopped with '{optimum.status}' after {optimum.iterations} iterations"
         message = f"{stopped}; {state}. {hint}"
         path = Path(PiecewisePolynomial(joints, self.method.element.nodes, self.chain.path(values)))
@@ -373,6 +386,22 @@ def check_solver(solver: object) -> None:
     """Refuse a solver that does not optimize."""
     if not isinstance(solver, Solver) or solver.name not in NAMES:
         raise ValueError(f"a ControlProblem is solved by ipopt or fatrop, got the solver {solver!r}")
+
+
+def _or_with_ipopt(solver: Solver, solved: Callable[[Solver], ControlTrajectory]) -> ControlTrajectory:
+    """What a solver finds; where fatrop fails, which stalls more easily, what IPOPT finds.  Both are then named."""
+    try:
+        return solved(solver)
+    except ConvergenceError as failure:
+        if solver.name != fatrop.name or seconds_left() < 0:
+            raise
+        stopped = str(failure).split(";")[0]
+        try:
+            path = solved(ipopt)
+        except ConvergenceError as another:
+            iterations = failure.iterations + another.iterations
+            raise ConvergenceError(f"{stopped}; {another}", another.path, another.residual, iterations) from None
+        return replace(path, solver=f"{path.solver}, after {stopped}", iterations=failure.iterations + path.iterations)
 
 
 def transcribed_control(

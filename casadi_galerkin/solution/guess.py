@@ -13,6 +13,8 @@ from casadi_galerkin.calculus.numbers import real_array
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.solution.path import Path
 
+MODES = 6  # of a random path
+
 Values = Callable[[float], ArrayLike] | ArrayLike
 Guess = Values | Path | PiecewisePolynomial | tuple[Values | Path | PiecewisePolynomial, Values]  # times, or controls
 
@@ -82,6 +84,27 @@ def guess_values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np
         i = int(np.argmin(finite.all(axis=0)))
         raise ValueError(f"the guess must be finite, got {values[:, i]} at t = {calculus.node_times[i]}")
     return values
+
+
+def waves(random: np.random.Generator, sizes: np.ndarray, period: float = 2.0) -> Callable[[ArrayLike], np.ndarray]:
+    """A random smooth path, cosines of falling amplitude: a function of parts of the whole time, (d,) + their shape.
+
+    Parameters
+    ----------
+    random : from which amplitudes and phases are drawn
+    sizes : (d,), of the components
+    period : of the longest wave, over the whole time
+    """
+    shape, modes = (len(sizes), MODES), np.arange(1, MODES + 1)
+    factors = sizes[:, None] * random.normal(size=shape) / modes
+    phases = random.uniform(0, 2 * np.pi, size=shape)
+
+    def path(parts: ArrayLike) -> np.ndarray:
+        angles = np.multiply.outer(2 * np.pi / period * modes, parts)
+        shifts = phases.reshape(*shape, *[1] * np.ndim(parts))
+        return np.asarray(np.einsum("dk,dk...->d...", factors, np.cos(angles + shifts)))
+
+    return path
 
 
 def joined_by_lines(times: Any, values: Any, dimension: int) -> PiecewisePolynomial:

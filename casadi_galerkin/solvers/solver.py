@@ -34,7 +34,7 @@ class Solver:
     It does not start warm, from multipliers; takes no `end_conditions` on the start; stalls where `ipopt` does not, as
     where a position touches its bound in a point, or where equations depend on one another; and needs units in which
     positions and controls are of order one, 1e-5 to 1e4: far from these it may run for ever, without an iteration that
-    a limit could stop.
+    a limit could stop.  Where it stops without an answer, `ipopt` solves, and the report says so.
 
     Attributes
     ----------

@@ -1,0 +1,79 @@
+"""Several starts of an optimization: which optimum is returned, and what is told of the others."""
+
+import re
+
+import numpy as np
+import pytest
+
+import casadi_galerkin as cg
+
+CENTER, RADIUS = 0.05, 0.25  # of a disc beside the straight line, which is cheaper to pass below
+
+
+def round_a_disc(**changes):
+    stated = {
+        "start": [0.0, 0.0],
+        "end": [1.0, 0.0],
+        "start_velocity": [0.0, 0.0],
+        "end_velocity": [0.0, 0.0],
+        "force": lambda t, x, v, u: u,
+        "running_cost": lambda t, x, v, u: (u[0] ** 2 + u[1] ** 2) / 2,
+        "controls": 2,
+        "path_constraint": (lambda t, x, v, u: (x[0] - 0.5) ** 2 + (x[1] - CENTER) ** 2, RADIUS**2, np.inf),
+    }
+    return cg.ControlProblem(lambda t, x, v: (v[0] ** 2 + v[1] ** 2) / 2, (0, 1), **{**stated, **changes})
+
+
+METHOD = cg.Galerkin(4, quadrature=cg.lobatto(5))
+BELOW, ABOVE = (6 + 96 * (RADIUS + side * CENTER) ** 2 for side in (-1, 1))
+
+
+def above(t):
+    """Guess."""
+    return [t, 0.4 * np.sin(np.pi * t)]
+
+
+def test_the_cheapest_optimum_is_returned_and_the_others_are_told():
+    one, several = (cg.solve(round_a_disc(), METHOD, 20, guess=above, starts=starts) for starts in (1, 6))
+    assert one.cost == pytest.approx(ABOVE, rel=1e-5)  # the disc holds at points only
+    assert several.cost == pytest.approx(BELOW, rel=1e-9)
+    assert f"best of 6 starts, which met 2 optima, with costs up to {ABOVE:g}" in several.solver
+    assert several.iterations > one.iterations
+
+
+def test_the_first_start_is_the_guess_and_the_others_are_always_the_same():
+    first, second = (cg.solve(round_a_disc(), METHOD, 10, guess=above, starts=3) for _ in range(2))
+    assert first.iterations == second.iterations
+    np.testing.assert_array_equal(first.polynomial.values, second.polynomial.values)
+
+
+def test_every_start_is_refined_to_the_tolerance():
+    path = cg.solve(round_a_disc(), METHOD, 4, tol=1e-4, guess=above, starts=6)
+    assert path.cost == pytest.approx(BELOW, rel=1e-4)
+    assert path.error_estimate <= 1e-4
+
+
+def test_starts_that_fail_are_counted_and_where_all_do_the_first_tells_why():
+    few = cg.ipopt.with_options(max_iter=14)  # enough from the straight line
+    path = cg.solve(round_a_disc(), METHOD, 20, starts=6, solver=few)
+    assert path.cost == pytest.approx(BELOW, rel=1e-9)
+    assert re.search(
+        r"best of 6 starts, which met one optimum, with costs up to 9.84, and failed [1-5] times", path.solver
+    )
+    with pytest.raises(cg.ConvergenceError, match="IPOPT stopped with 'Maximum Iterations Exceeded' after 3 iterat"):
+        cg.solve(round_a_disc(), METHOD, 20, starts=3, solver=cg.ipopt.with_options(max_iter=3))
+
+
+@pytest.mark.parametrize(
+    ("starts", "kind", "message"),
+    [(0, ValueError, "starts must be at least 1, got 0"), (1.5, TypeError, "starts must")],
+)
+def test_a_wrong_number_of_starts_is_refused(starts, kind, message):
+    with pytest.raises(kind, match=message):
+        cg.solve(round_a_disc(), METHOD, 10, starts=starts)
+
+
+def test_starts_are_for_control_problems():
+    swing = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2, (0, 1), [0], [1])
+    with pytest.raises(ValueError, match="starts is for a ControlProblem; paths finds several"):
+        cg.solve(swing, cg.Galerkin(3), 4, starts=3)
