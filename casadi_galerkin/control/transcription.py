@@ -355,12 +355,21 @@ class ControlTranscription:
             cost=report.cost,
             control=ControlPath(joints, chain.control_times, values["controls"].reshape(-1, chain.controls).T),
             costate=PiecewisePolynomial(joints, nodes, chain.costate(multipliers)),
+            path_multipliers=self._path_multipliers(multipliers, joints),
             duals=(multipliers, optimum.bound_multipliers),
             hamiltonian=report.hamiltonian,
             violation=violation,
             start_velocity=np.append(values["start_velocity"], rates[0]),
             end_velocity=np.append(values["end_velocity"], rates[1]),
         )
+
+    def _path_multipliers(self, multipliers: np.ndarray, joints: np.ndarray) -> ControlPath | None:
+        """Those of the path constraints over time: the constraint of a point stands for the point's share of time."""
+        if not self.chain.constraints:
+            return None
+        shares = np.multiply.outer(np.diff(joints), self.method.element.weights)
+        values = multipliers[self.chain.rows["path"]] / shares[:, :, None]
+        return ControlPath(joints, self.method.element.points, values.reshape(-1, self.chain.constraints).T)
 
     def __repr__(self) -> str:
         """Say what was built."""

@@ -19,7 +19,7 @@ from casadi_galerkin.problems.constrained_motion import constrained_motion
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.export import by_component
-from casadi_galerkin.solution.plotting import SIZE, panels, plot_controls, plot_path
+from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_controls, plot_path
 from casadi_galerkin.solution.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 CONTINUOUS = 1e-8  # of the largest control: what the solver leaves between two values that should agree
 SHOWN_OVERSHOOT = 1e-3  # of the bounds' width; less is no reason for another mesh
+SHOWN_EXCESS = 1e-8  # of the constraints' size; at the points as much is accepted
+SMOOTH = np.linspace(0.0, 1.0, 40)  # parts of an interval at which a line is drawn
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -40,6 +42,8 @@ class ControlTrajectory(Trajectory):
     control : callable, ``control(t)`` -> (number of controls,) + t.shape
     costate : multipliers λ of the equations of motion, and of the rates, as a path: ``costate(t)`` -> (d,) + t.shape.
         The cost of a small extra force (or rate) δF(t) is ∫ λ·δF dt to first order
+    path_multipliers : callable like `control`, of the path constraints, or None where there is none: positive where an
+        upper bound acts, negative where a lower one does.  Raising the bounds by δ(t) changes the cost by -∫ μ·δ dt
     duals : (equations,) and (unknowns,), Lagrange multipliers of the discrete equations and of the bounds: with this
         trajectory as its guess, a solve with the same method on the same intervals starts warm
     hamiltonian : (N,), mean of I - v·∂I/∂v - dλ/dt·∂I/∂(dλ/dt) over each interval, where
@@ -71,6 +75,7 @@ class ControlTrajectory(Trajectory):
     cost: float
     control: ControlPath
     costate: PiecewisePolynomial
+    path_multipliers: ControlPath | None
     duals: tuple[np.ndarray, np.ndarray]
     hamiltonian: np.ndarray
     violation: float
@@ -149,6 +154,30 @@ class ControlTrajectory(Trajectory):
         excess = np.maximum(np.maximum(low - u, u - high), 0.0) / width
         return np.asarray(excess.max(axis=0).reshape(len(self.t) - 1, -1).max(axis=1))
 
+    def _path_constraints(self, parts: np.ndarray) -> np.ndarray:
+        """Values of the path constraints at fractions (K,) of every interval, joints included; (k, N, K)."""
+        assert self.problem.path_constraint is not None
+        constraint, steps = with_parameters(self.problem.path_constraint[0], self.parameters), np.diff(self.t)
+        x, v = (a.reshape(len(a), -1) for a in self.polynomial.at_parts(parts))
+        times = (self.t[:-1, None] + steps[:, None] * parts).reshape(1, -1)
+        values = np.array(constraint.map(times.size)(times, x, v, self.control.at(parts)))
+        return values.reshape(len(values), len(steps), len(parts))
+
+    @lazy
+    def constraint_excess(self) -> np.ndarray:
+        """Largest excess of the path constraints over their bounds between the points; (N,).
+
+        It is relative to the largest value of each constraint on the path, or to its finite bound where that is larger.
+        """
+        if self.problem.path_constraint is None or self.path_multipliers is None:
+            return np.zeros(len(self.t) - 1)
+        low, high = (np.array(side)[:, None, None] for side in self.problem.path_constraint[1:])
+        values = self._path_constraints(np.linspace(0.0, 1.0, 4 * len(self.method.quadrature) + 1))
+        excess = np.maximum(np.maximum(low - values, values - high), 0.0)
+        sizes = [np.max(np.abs(np.where(np.isfinite(a), a, 0.0)), axis=(1, 2)) for a in (values, low, high)]
+        size = np.max(sizes, axis=0)
+        return np.asarray((excess / np.where(size > 0, size, 1.0)[:, None, None]).max(axis=(0, 2)))
+
     def _motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """∂L/∂v and ∂L/∂x + F along the path, and what follows rates with these; (d, K) each."""
         problem = self.problem
@@ -193,16 +222,20 @@ class ControlTrajectory(Trajectory):
         time: str = "t",
         control_labels: Sequence[str] | None = None,
         costate_labels: Sequence[str] | None = None,
+        constraint_labels: Sequence[str] | None = None,
     ) -> Axes:
-        """Draw positions, controls with their bounds, and the costate, one above the other.
+        """Draw positions, controls, path constraints and the costate, one above the other.
+
+        Bounds are dashed lines, and breakpoints, such as the switching times of phases, gray ones.
 
         Parameters
         ----------
-        axes : Matplotlib axes for the positions; controls and costate are then left out
+        axes : Matplotlib axes for the positions; all else is then left out
         labels : d names of the positions with units
         time : name of the time with its unit
         control_labels : n names of the controls with units
         costate_labels : d names of the costate with units: those of the cost over those of the momenta
+        constraint_labels : names of the path constraints with units
 
         Returns
         -------
@@ -210,13 +243,19 @@ class ControlTrajectory(Trajectory):
         """
         if axes is not None:
             return super().plot(axes, labels, time)
-        top: Axes
-        top, middle, bottom = panels(3, size=(SIZE[0], 1.6 * SIZE[1]), sharex=True)
-        super().plot(top, labels, time)
-        self.plot_controls(middle, control_labels, "")
+        limited = self.path_multipliers is not None
+        drawn = panels(3 + limited, size=(SIZE[0], (1.6 + 0.5 * limited) * SIZE[1]), sharex=True)
+        top: Axes = drawn[0]
+        super().plot(top, labels, "")
+        draw_bounds(top, np.array(self.problem.position_bounds))
+        self.plot_controls(drawn[1], control_labels, "")
+        if limited:
+            self.plot_constraints(drawn[2], constraint_labels, "")
         times = self._fine()
-        plot_path(times, self.costate(times), self.t, self.costate(self.t), bottom, costate_labels, time, "λ")
-        top.set_xlabel("")
+        plot_path(times, self.costate(times), self.t, self.costate(self.t), drawn[-1], costate_labels, time, "λ")
+        for panel in drawn:
+            for when in self.problem.breakpoints:
+                panel.axvline(when, color="0.6", linewidth=0.8)
         top.set_title(f"Degree {self.method.degree} on {len(self.t) - 1} intervals: cost {self.cost:.6g}")
         return top
 
@@ -229,14 +268,41 @@ class ControlTrajectory(Trajectory):
         labels : n names of the controls with units
         time : name of the time with its unit
         """
-        parts, steps = np.linspace(0.0, 1.0, 40), np.diff(self.t)[:, None]
-        times = np.append(self.t[:-1, None] + steps * parts, np.full_like(steps, np.nan), axis=1).ravel()
-        lines = np.full((len(self.control.values), len(times)), np.nan)
-        lines[:, np.isfinite(times)] = self.control.at(parts)
-        limits = np.array(self.problem.control_bounds)
-        drawn = plot_controls(times, lines, self.control.times, self.control.values, limits, axes, labels)
+        lines = self.control.at(SMOOTH).reshape(len(self.control.values), -1, len(SMOOTH))
+        points, bounds = (self.control.times, self.control.values), np.array(self.problem.control_bounds)
+        drawn = plot_controls(*self._broken(lines), *points, bounds, axes, labels)
         drawn.set_xlabel(time)
         return drawn
+
+    def plot_constraints(self, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t") -> Axes:
+        """Draw the path constraints with their bounds, and their multipliers dotted; returns the Matplotlib axes.
+
+        Parameters
+        ----------
+        axes : Matplotlib axes to draw into; default a new figure
+        labels : names of the path constraints with units
+        time : name of the time with its unit
+
+        Raises
+        ------
+        ValueError
+            where there is no path constraint
+        """
+        if self.problem.path_constraint is None or self.path_multipliers is None:
+            raise ValueError("there is no path constraint to draw")
+        times, lines = self._broken(self._path_constraints(SMOOTH))
+        values = self._path_constraints(self.path_multipliers.points)
+        points, bounds = self.path_multipliers.times, np.array(self.problem.path_constraint[1:])
+        drawn = plot_controls(times, lines, points, values.reshape(len(values), -1), bounds, axes, labels, "g")
+        draw_multipliers(drawn, points, self.path_multipliers.values)
+        drawn.set_xlabel(time)
+        return drawn
+
+    def _broken(self, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Times (K,) and values (n, K) of lines (n, N, ...) at `SMOOTH`, broken at the joints, where they may jump."""
+        times = self.t[:-1, None] + np.diff(self.t)[:, None] * SMOOTH
+        parted = [np.append(a, np.full_like(a[..., :1], np.nan), axis=-1) for a in (times, lines)]
+        return parted[0].ravel(), parted[1].reshape(len(lines), -1)
 
     def __repr__(self) -> str:
         """Summarize path and solve in a few lines."""
@@ -255,10 +321,12 @@ class ControlTrajectory(Trajectory):
         )
 
     def _between_points(self) -> list[str]:
-        """Lines on what the points do not see: the defect, and an overshoot of the controls if there is one."""
+        """Lines on what the points do not see: the defect, and what leaves its bounds there."""
         lines = [f"  defect      {self._worst(self.dynamics_defect)}, of the largest momentum"]
         if np.max(self.control_overshoot) > SHOWN_OVERSHOOT:
             lines.append(f"  overshoot   {self._worst(self.control_overshoot)}, of the bounds' width")
+        if np.max(self.constraint_excess) > SHOWN_EXCESS:
+            lines.append(f"  excess      {self._worst(self.constraint_excess)}, of the path constraints' size")
         return lines
 
     def _worst(self, values: np.ndarray) -> str:

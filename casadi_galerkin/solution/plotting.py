@@ -179,31 +179,47 @@ def plot_controls(
     bounds: np.ndarray,
     axes: Axes | None = None,
     labels: Sequence[str] | None = None,
+    name: str = "u",
 ) -> Axes:
-    """Draw controls over time, quadrature points as dots where there are at most `DOTS`, finite bounds as dashed lines.
+    """Draw values at points over time, as dots where there are at most `DOTS`, and their finite bounds as dashed lines.
 
     Parameters
     ----------
-    times, values : (K,) and (n, K), lines; NaN breaks them where the controls may jump
+    times, values : (K,) and (n, K), lines; NaN breaks them where the values may jump
     points, point_values : (M,) and (n, M)
     bounds : (2, n), lower and upper
     axes : Matplotlib axes to draw into; default a new figure
-    labels : n names with units, such as "force in N"; default u with an index
+    labels : n names with units, such as "force in N"; default the name with an index
+    name : of what has no labels
     """
-    names, heading = _named("u", len(values), labels)
+    names, heading = _named(name, len(values), labels)
     axes = axes_or_new(axes)
     for i, (line, dots) in enumerate(zip(values, point_values, strict=True)):
         color = COLORS[i % len(COLORS)]
         axes.plot(times, line, color=color, label=names[i])
         if len(points) <= DOTS:
             axes.plot(points, dots, ".", markersize=3, color=color)
-        for bound in bounds[:, i]:
-            if np.isfinite(bound):
-                axes.axhline(bound, color=color, linestyle="--", linewidth=0.8)
+    draw_bounds(axes, bounds)
     axes.set_ylabel(heading)
     if 1 < len(values) <= len(COLORS):
         axes.legend(fontsize="small")
     return axes
+
+
+def draw_bounds(axes: Axes, bounds: np.ndarray) -> None:
+    """Add the finite ones of bounds (2, n) as dashed lines, in the colors of the lines they are for."""
+    for i, pair in enumerate(bounds.T):
+        for bound in pair[np.isfinite(pair)]:
+            axes.axhline(bound, color=COLORS[i % len(COLORS)], linestyle="--", linewidth=0.8)
+
+
+def draw_multipliers(axes: Axes, times: np.ndarray, values: np.ndarray) -> None:
+    """Add multipliers (n, K) over times as dotted lines, with an axis of their own on the right."""
+    right = axes.twinx()
+    for i, line in enumerate(values):
+        right.plot(times, line, ":", color=COLORS[i % len(COLORS)])
+    right.set_ylabel("multiplier μ")
+    right.grid(False)
 
 
 def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None = None, time: str = "t") -> Axes:

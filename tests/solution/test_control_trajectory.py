@@ -184,3 +184,51 @@ def test_summary_and_plot(capsys):
 @pytest.mark.parametrize("problem", [pendulum_in_three, minimum_time, varying_mass])
 def test_controls_stepped_forward_with_the_same_method_meet_every_joint(problem):
     assert max(replayed(cg.solve(problem(), cg.Galerkin(4), intervals=12))) < 1e-10
+
+
+# path constraints
+
+
+def speed_limited(limit):
+    return double_integrator(t_span=(0.0, 2.0), path_constraint=(lambda t, x, v, u: v, -np.inf, limit))
+
+
+def test_multipliers_of_a_path_constraint_are_what_its_bound_is_worth():
+    path, step = cg.solve(speed_limited(0.6), cg.Galerkin(4), 20), 1e-4
+    costs = [cg.solve(speed_limited(0.6 + change), cg.Galerkin(4), 20).cost for change in (-step, step)]
+    weights = np.outer(np.diff(path.t), path.method.quadrature.weights).ravel()
+    worth = path.path_multipliers.values[0] @ weights
+    assert worth == pytest.approx(-(costs[1] - costs[0]) / (2 * step), rel=1e-6)
+    assert path.path_multipliers(1.0)[0] > 1 > 1e-6 > path.path_multipliers(0.25)[0] >= 0  # held, not reached
+
+
+def test_excess_between_the_points_is_told():
+    coarse, fine = (
+        cg.solve(speed_limited(0.6), cg.Galerkin(4), count) for count in (3, 20)
+    )  # 20 have joints where it bends
+    assert coarse.constraint_excess.max() == pytest.approx(
+        (coarse(np.linspace(0, 2, 4001), 1).max() - 0.6) / 0.6, rel=0.1
+    )
+    assert "excess" in repr(coarse)
+    assert fine.constraint_excess.max() < 1e-8
+    assert "excess" not in repr(fine)
+    assert not np.any(cg.solve(double_integrator(), cg.Galerkin(4), 3).constraint_excess)
+
+
+def test_a_picture_shows_path_constraints_bounds_and_breakpoints():
+    problem = double_integrator(
+        t_span=(0.0, 2.0),
+        path_constraint=(lambda t, x, v, u: v, -1, 0.6),
+        position_bounds=(-np.inf, 1.5),
+        breakpoints=[0.5],
+    )
+    path = cg.solve(problem, cg.Galerkin(4), 4)
+    figure = path.plot(constraint_labels=["speed in m/s"]).figure
+    top, _, limited, _, multipliers = figure.axes
+    assert (limited.get_ylabel(), multipliers.get_ylabel()) == ("speed in m/s", "multiplier μ")
+    dashed = [line.get_ydata()[0] for line in limited.lines if line.get_linestyle() == "--"]
+    assert dashed == [-1, 0.6]
+    assert [line.get_ydata()[0] for line in top.lines if line.get_linestyle() == "--"] == [1.5]
+    assert [line.get_xdata()[0] for line in top.lines if line.get_color() == "0.6"] == [0.5]
+    with pytest.raises(ValueError, match="there is no path constraint to draw"):
+        cg.solve(double_integrator(), cg.Galerkin(4), 3).plot_constraints()
