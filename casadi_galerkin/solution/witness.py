@@ -123,7 +123,7 @@ def _between_breakpoints(
     def evaluate(function: ca.Function) -> list[np.ndarray]:
         """One value at every part of every interval, (..., N, 2m + 3)."""
         found = one_by_one(function, len(h), () if parameters is None else (4,)).call(given)
-        return [np.array(value).reshape(-1, len(steps), len(parts)) for value in found]
+        return [value.full().reshape(-1, len(steps), len(parts)) for value in found]
 
     def at_joints(values: np.ndarray) -> np.ndarray:
         """Values at the start of every interval and at the end of the last, (..., N + 1)."""
