@@ -2,7 +2,8 @@
 
 The Lagrangian of a damped motion carries the factor e^{ct}.  The boundary problem is one CasADi Function of ends and
 parameters, so the least-squares problem is a graph around it, with exact derivatives of first and second order.  Both
-ends of the path are unknown too: they are measured no better than the rest.
+ends of the path are unknown too: they are measured no better than the rest.  How sure the fit is follows from the
+sensitivities of the fitted path.
 """
 
 import casadi as ca
@@ -52,10 +53,10 @@ def main(seed=SEED):
     if not fit.stats()["success"]:
         raise RuntimeError(f"IPOPT stopped with {fit.stats()['return_status']}")
     estimate = np.array(answer["x"]).ravel()
-    slope = np.array(ca.Function("slope", [z], [ca.jacobian(residual, z)])(estimate))
-    covariance = np.linalg.inv(slope.T @ slope)
     fitted = cg.solve(swing(estimate), method, INTERVALS, guess=first)
-    return estimate, covariance, angles, fitted
+    by = cg.sensitivity(fitted)
+    slope = np.hstack((by.start[0], by.end[0], by.parameters[0])) / NOISE
+    return estimate, np.linalg.inv(slope.T @ slope), angles, fitted
 
 
 def draw(answer):

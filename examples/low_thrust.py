@@ -42,8 +42,8 @@ def guess(t):
 
 
 def main():
-    """Solve from an even spiral."""
-    return cg.solve(problem(), cg.Galerkin(degree=5), intervals=20, guess=guess)
+    """Solve from an even spiral, interval by interval."""
+    return cg.solve(problem(), cg.Galerkin(degree=5), intervals=20, guess=guess, solver=cg.fatrop)
 
 
 def draw(path):
