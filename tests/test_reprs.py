@@ -80,7 +80,7 @@ CASES = {
     "Transcription of many components": lambda: cg.transcribe(chain(), METHOD, 100),
     "ControlTranscription": lambda: cg.transcribe(cart_pole(), METHOD, 100),
     "Sweep": lambda: cg.sweep(family(), rates(3.0), METHOD, 6),
-    "Sweep with failures": lambda: cg.sweep(family(), rates(4.0), METHOD, 6),
+    "Sweep with failures": lambda: cg.sweep(family(), rates(9.0), METHOD, 6),
     "Branch": lambda: cg.continuation(family(), [4.0], intervals=10),
     "Fold": lambda: cg.continuation(family(), [4.0], intervals=10).folds[0],
     "Paths": lambda: cg.paths(cg.BoundaryProblem(pendulum, (0, 5), [None], [None]), cg.Galerkin(6), 8, count=8),
