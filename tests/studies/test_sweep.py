@@ -12,8 +12,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from control_problems import double_integrator
-from guesses import Unbuildable, Unpicklable, arched, deadly, dividing, pushed, unbuildable, unpicklable
 from scenes import DAMPED
+from sent_guesses import Unbuildable, Unpicklable, arched, deadly, dividing, pushed, unbuildable, unpicklable
 
 import casadi_galerkin as cg
 from casadi_galerkin.studies.distribution import CutShort, _sendable
