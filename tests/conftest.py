@@ -1,6 +1,18 @@
 """What tests of several folders need."""
 
+from importlib import import_module
+
 import pytest
+
+
+@pytest.fixture(scope="session", autouse=True)
+def brief_trades():
+    """Every way of a trade is solved once for the first time, and repeated twice: nothing here tests seconds."""
+    with pytest.MonkeyPatch.context() as patch:
+        module = import_module("casadi_galerkin.studies.trade")
+        patch.setattr(module, "LONG", 0.0)
+        patch.setattr(module, "SLOW", 1e-9)
+        yield
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 from types import ModuleType
@@ -40,12 +41,17 @@ SOURCES = {dotted(path): path.read_text(encoding="utf-8") for path in sorted(PAC
 MODULES = [module for module in SOURCES if module != NAME]
 
 
+@cache
+def nodes_of(source: str) -> list[ast.AST]:
+    return list(ast.walk(ast.parse(source)))
+
+
 def statements(module: str, source: str) -> Iterator[str]:
     """Dotted names that a source imports, anywhere in it, by any form of import."""
     package = (
         module if (PACKAGE.parent / Path(*module.split(".")) / "__init__.py").exists() else module.rpartition(".")[0]
     )
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes_of(source):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -156,8 +162,7 @@ def test_numpy_modules_know_nothing_of_casadi(module):
 
 @pytest.mark.parametrize("module", SOURCES)
 def test_only_solvers_and_control_call_casadis_solvers(module):
-    nodes = list(ast.walk(ast.parse(SOURCES[module])))
-    called = {node.attr for node in nodes if isinstance(node, ast.Attribute)}
+    called = {node.attr for node in nodes_of(SOURCES[module]) if isinstance(node, ast.Attribute)}
     called |= {name.rpartition(".")[2] for name in statements(module, SOURCES[module]) if name.startswith("casadi.")}
     folder = folder_of(module) if module != NAME else ""
     assert folder in ("solvers", "control") or not called & {"nlpsol", "rootfinder"}

@@ -8,7 +8,7 @@ scatter by 2 around 12 between 1e-8 and 1e-13, whatever the problem).  There the
 roundoff.
 """
 
-from functools import lru_cache
+from functools import cache
 
 import casadi as ca
 import mpmath
@@ -91,50 +91,49 @@ def driven(lagrangian, force):
     return lambda t, x, v: lagrangian(t, x, v) + f(t) * x[0], ca.Function("exact", [t], [path, velocity, p])
 
 
-@pytest.fixture(scope="module")
-def problems():
-    answer = {}
-    for name, (force, lagrangian, T) in MOTIONS.items():
-        full, exact = driven(lagrangian, force)
-        start, end = float(exact(0)[0]), float(exact(T)[0])
-        answer[name] = cg.BoundaryProblem(full, (0, T), [start], [end], force=force), exact
-    return answer
+@cache
+def motion(name):
+    """The problem of a motion, its exact path, and a thousand times with that path there."""
+    force, lagrangian, T = MOTIONS[name]
+    full, exact = driven(lagrangian, force)
+    start, end = float(exact(0)[0]), float(exact(T)[0])
+    t = np.linspace(0, T, 1001)
+    return cg.BoundaryProblem(full, (0, T), [start], [end], force=force), exact, t, np.array(exact(t[None, :])[:2])
 
 
-def errors(problem, exact, method, intervals):
+@cache  # joints and the times between them are looked at in two tests, on meshes that are mostly the same
+def errors(name, m, rule, intervals):
     """Root mean squares at the joints (x and p together), of x and of v between them."""
-    path = cg.solve(problem, method, intervals=intervals, guess=lambda t: np.array(exact(t)[0])[0])
+    problem, exact, t, (xs, vs) = motion(name)
+    path = cg.solve(problem, cg.Galerkin(m, quadrature=RULES[rule](m)), intervals, guess=(t, xs))
     x, _, p = (np.array(values) for values in exact(path.t[None, :]))
-    t = np.linspace(*problem.t_span, 1001)
-    xs, vs, _ = (np.array(values) for values in exact(t[None, :]))
     mean = lambda *parts: np.sqrt(sum(np.mean(part**2) for part in parts))  # noqa: E731
     return mean(path.x - x, path.momentum - p), mean(path(t) - xs), mean(path(t, 1) - vs)
 
 
-def slopes(problem, exact, method, densities):
+def slopes(name, m, rule, densities):
     """Slopes of the three errors over three meshes, NaN for an error that reaches the plateau."""
-    steps = [round(density * problem.t_span[1]) for density in densities]
-    table = np.array([errors(problem, exact, method, n) for n in steps])
+    steps = [round(density * MOTIONS[name][2]) for density in densities]
+    table = np.array([errors(name, m, rule, n) for n in steps])
     table[:, np.any(table < PLATEAU, axis=0)] = np.nan
     return -np.polyfit(np.log(steps), np.log(table), 1)[0]
 
 
 @pytest.mark.parametrize(("m", "rule"), CASES)
 @pytest.mark.parametrize("name", list(MOTIONS))
-def test_order_at_the_joints_is_the_smaller_of_twice_the_degree_and_the_rules(problems, name, m, rule):
-    method = cg.Galerkin(m, quadrature=RULES[rule](m))
-    assert method.order == expected(m, rule)[0]
-    assert abs(slopes(*problems[name], method, JOINTS[m])[0] - method.order) <= BAND
+def test_order_at_the_joints_is_the_smaller_of_twice_the_degree_and_the_rules(name, m, rule):
+    order = expected(m, rule)[0]
+    assert cg.Galerkin(m, quadrature=RULES[rule](m)).order == order
+    assert abs(slopes(name, m, rule, JOINTS[m])[0] - order) <= BAND
 
 
 @pytest.mark.parametrize(("m", "rule"), CASES)
 @pytest.mark.parametrize("name", list(CONSERVATIVE))
-def test_order_between_the_joints(problems, name, m, rule):
-    method = cg.Galerkin(m, quadrature=RULES[rule](m))
+def test_order_between_the_joints(name, m, rule):
     _, order, order_of_velocity = expected(m, rule)
     if order == 1 and name != "varying mass":
         order = 2  # where L is a sum of functions of x and of v, one-sided rules give the trapezoid's path
-    _, position, velocity = slopes(*problems[name], method, BETWEEN[m])
+    _, position, velocity = slopes(name, m, rule, BETWEEN[m])
     assert abs(position - order) <= BAND
     assert abs(velocity - order_of_velocity) <= BAND
 
@@ -143,6 +142,7 @@ def test_order_between_the_joints(problems, name, m, rule):
 
 DIGITS = 60
 SPAN, FIRST, LAST = 0.02, 0.5, 0.513  # so short that the leading error term is all there is
+HALVES = 2  # intervals of the reference
 INSIDE = (0.13, 0.38, 0.61, 0.9)  # where errors between the joints are measured, as parts of an interval
 PARTIALS = {  # x, v -> F + L_x and L_v, by hand, v > 0
     "pendulum": lambda x, v: (-mpmath.sin(x), v),
@@ -154,7 +154,7 @@ PARTIALS = {  # x, v -> F + L_x and L_v, by hand, v > 0
 TURNS, CONVERGED = 4, 1e-40  # of iterative refinement with the package's Hessian, each by twelve digits; the last step
 
 
-@lru_cache
+@cache
 def exact_rule(family, n):
     """Points and weights of `family`(n) on [0, 1] in `DIGITS` digits, which every caller works in."""
     function, weight = polynomial(family, n)
@@ -171,9 +171,15 @@ def exact_rule(family, n):
     return answer
 
 
-def basis(nodes, s):
+@cache
+def nodes_of(m):
+    return [mpmath.mpf(c) for c in (0, *cg.Galerkin(m).control_points, 1)]
+
+
+@cache
+def basis(m, s):
     """l_j(s) and l_j'(s) by the product formula."""
-    values, derivatives = [], []
+    nodes, values, derivatives = nodes_of(m), [], []
     for j, node in enumerate(nodes):
         others = [o for k, o in enumerate(nodes) if k != j]
         scale = mpmath.fprod(node - o for o in others)
@@ -194,9 +200,8 @@ class Polished:
         path = graph.solve()
         values = path.polynomial.values[0]
         hessian = np.array(graph.hessian(values[1:-1], [FIRST], [LAST], path.t))
-        self.m, self.h, self.partials, self.known = m, mpmath.mpf(SPAN) / intervals, PARTIALS[name], {}
-        self.nodes = [mpmath.mpf(c) for c in (0, *method.control_points, 1)]
-        self.points = [(w, *basis(self.nodes, q)) for q, w in exact_rule(family, n)]
+        self.m, self.h, self.partials = m, mpmath.mpf(SPAN) / intervals, PARTIALS[name]
+        self.points = [(w, *basis(m, q)) for q, w in exact_rule(family, n)]
         self.x = [mpmath.mpf(value) for value in values]
         for turn in range(TURNS):
             gradient = self.equations()
@@ -221,20 +226,17 @@ class Polished:
                     gradient[i + a] += w * (h * fx * value[a] + Lv * derivative[a])
         return gradient
 
-    def at(self, t):
-        """x and v at a time; kept, because all cases look at their reference at the same times."""
-        if t not in self.known:
-            i = min(int(t / self.h), (len(self.x) - 1) // self.m - 1)
-            values, derivatives = basis(self.nodes, t / self.h - i)
-            local = self.x[i * self.m : (i + 1) * self.m + 1]
-            self.known[t] = mpmath.fdot(values, local), mpmath.fdot(derivatives, local) / self.h
-        return self.known[t]
+    def at(self, interval, part):
+        """x and v at a part of an interval."""
+        values, derivatives = basis(self.m, part)
+        local = self.x[interval * self.m : (interval + 1) * self.m + 1]
+        return mpmath.fdot(values, local), mpmath.fdot(derivatives, local) / self.h
 
 
 @pytest.fixture(scope="module")
 def references():
     with mpmath.workdps(DIGITS):
-        return {name: Polished(name, 12, "gauss", 12, 2) for name in MOTIONS}
+        return {name: Polished(name, 12, "gauss", 12, HALVES) for name in MOTIONS}
 
 
 HIGH = [
@@ -262,8 +264,10 @@ def test_orders_of_high_degree(references, name, m, rule, family, n):
             path = Polished(name, m, family, n, intervals)
             assert path.first_correction < POLISH
             assert path.momentum_error < POLISH
-            times = [(k + part) * path.h for k in range(intervals) for part in INSIDE]
-            off = [(path.at(t), reference.at(t)) for t in times]
+            places = [
+                (k, part, (k + part) / intervals * HALVES) for k in range(intervals) for part in map(mpmath.mpf, INSIDE)
+            ]
+            off = [(path.at(k, part), reference.at(int(half), half % 1)) for k, part, half in places]
             between = [max(abs(a[k] - b[k]) for a, b in off) for k in (0, 1)]
             rows.append([float(mpmath.log(e)) for e in (abs(path.momentum - reference.momentum), *between)])
     got = -np.polyfit(np.log(steps), rows, 1)[0]

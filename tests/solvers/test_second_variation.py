@@ -70,10 +70,11 @@ def test_nearly_conjugate_ends_are_solved(degree, intervals, offset):
 def test_coarse_methods_are_singular_at_a_conjugate_point_of_their_own(degree, intervals):
     """It is found by bisection of the Morse index, and lies as far from π as the method's order says."""
 
+    tr = cg.transcribe(cg.BoundaryProblem(oscillator, (0, 1), [0.0], [1.0]), cg.Galerkin(degree), intervals)
+    unknowns = np.zeros(tr.hessian.size1_in(0))
+
     def index(T):
-        tr = cg.transcribe(cg.BoundaryProblem(oscillator, (0, T), [0.0], [1.0]), cg.Galerkin(degree), intervals)
-        size = tr.hessian.size1_in(0)
-        hessian = np.array(ca.DM(tr.hessian(np.zeros(size), [0.0], [1.0], tr.mesh)))
+        hessian = np.array(ca.DM(tr.hessian(unknowns, [0.0], [1.0], np.linspace(0, T, intervals + 1))))
         return np.count_nonzero(np.linalg.eigvalsh(hessian) < 0)
 
     low, high = 2.8, 3.6

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from control_problems import double_integrator
 from scenes import DAMPED
+from sent_guesses import Unbuildable, Unpicklable, arched, deadly, dividing, pushed, unbuildable, unpicklable
 
 import casadi_galerkin as cg
 from casadi_galerkin.studies.distribution import CutShort, _sendable
@@ -27,44 +28,6 @@ def bratu():
         return v[0] ** 2 / 2 - p[0] * ca.exp(x[0])
 
     return cg.BoundaryProblem(lagrangian, (0.0, 1.0), [0.0], [0.0], parameters=[1.0])
-
-
-def arched(t):
-    """A guess that a process pool can pickle."""
-    return [16 * t * (1 - t)]
-
-
-class Unpicklable(Exception):
-    """Holds what cannot be sent."""
-
-    def __init__(self, message):
-        super().__init__(message)
-        self.held = lambda: None
-
-
-class Unbuildable(Exception):
-    """Can be sent, but not received."""
-
-    def __init__(self, message, number):
-        super().__init__(message)
-        self.number = number
-
-
-def dividing(t):
-    return [1 / 0]
-
-
-def unpicklable(t):
-    raise Unpicklable("the table is open")
-
-
-def unbuildable(t):
-    raise Unbuildable("the table is closed", 3)
-
-
-def deadly(t):
-    """A guess that ends its process, as the system does when memory is short."""
-    os._exit(1)
 
 
 def interrupted(t):
@@ -282,11 +245,6 @@ def test_without_any_answer_there_are_no_arrays():
 
 
 # control problems
-
-
-def pushed(t):
-    """A guess of a control that a process pool can pickle."""
-    return [6 - 12 * t]
 
 
 PUSHES = [
