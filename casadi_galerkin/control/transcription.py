@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_breakpoints, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import (
@@ -204,7 +203,7 @@ class ControlTranscription:
         joints = self._joints(values, calculus.mesh)
         if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
             raise self._error(solver, optimum, limits, report.cost, relative, values, joints)
-        path = self._trajectory(solver, optimum, report, problem, values, joints, float(np.max(relative)), began)
+        path = self._trajectory(solver, optimum, report, problem, data, joints, float(np.max(relative)), began)
         if verbose:
             print(path)
         return path
@@ -301,7 +300,7 @@ class ControlTranscription:
         hint = FATROP_HINT if solver.name == fatrop.name else HINTS.get(optimum.status, OTHER_HINT)
         stopped = f"{NAMES[solver.name]} stopped with '{optimum.status}' after {optimum.iterations} iterations"
         message = f"{stopped}; {state}. {hint}"
-        path = Path(PiecewisePolynomial(joints, self.method.element.nodes, self.chain.path(values)))
+        path = Path(self.chain.path(values, joints))
         return ConvergenceError(message, path, float(relative[worst] / EPS), optimum.iterations)
 
     def _trajectory(
@@ -310,18 +309,18 @@ class ControlTranscription:
         optimum: Optimum,
         report: Report,
         problem: ControlProblem,
-        values: dict[str, np.ndarray],
+        data: np.ndarray,
         joints: np.ndarray,
         violation: float,
         began: float,
     ) -> ControlTrajectory:
-        chain = self.chain
+        chain, values = self.chain, self.chain.unpack(optimum.unknowns, data)
         multipliers = optimum.multipliers / chain.units(values["sizes"])
         parameters = None if problem.parameters is None else tuple(values["parameters"].tolist())
         breakpoints = tuple(joints[chain.breaks].tolist())
         others = np.zeros((chain.dimension - chain.mechanical, len(joints)))
-        nodes = self.method.element.nodes
-        polynomial = PiecewisePolynomial(joints, nodes, chain.path(values))
+        polynomial = chain.path(values, joints)
+        arriving = self.graph.arriving(optimum.unknowns, data, optimum.multipliers)
         problem = problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints)
         momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
         if problem.constraint is not None:  # which pushes at the joints, too
@@ -341,12 +340,13 @@ class ControlTranscription:
             problem=problem,
             cost=report.cost,
             control=ControlPath(joints, chain.control_times, values["controls"].reshape(-1, chain.controls).T),
-            costate=PiecewisePolynomial(joints, nodes, chain.costate(multipliers)),
+            costate=chain.costate(multipliers, optimum.bound_multipliers, arriving, joints),
             duals=(multipliers, optimum.bound_multipliers),
             hamiltonian=report.hamiltonian,
             violation=violation,
             start_velocity=np.append(values["start_velocity"], rates[0]),
             end_velocity=np.append(values["end_velocity"], rates[1]),
+            arrival_velocity=values["velocity"],
         )
 
     def __repr__(self) -> str:

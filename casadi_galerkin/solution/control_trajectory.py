@@ -50,6 +50,10 @@ class ControlTrajectory(Trajectory):
     residual : the same in units of the relative precision of a double, 2.2e-16; at most 4.5e7
     start_velocity, end_velocity : (d,), the velocities given or found at the ends; of a component that follows a rate,
         the derivative of its polynomial
+    arrival_velocity : (K, mechanical), the velocities before jumps, and at waypoints that are functions
+
+    At the time of a jump ``path(t)``, `x`, `momentum` and `velocity` are those after it; ``path.before(t)`` is the
+    position before.  The costate jumps as well, there and at waypoints: ``costate(t)`` and ``costate.before(t)``.
 
     `action` is that of the Lagrangian alone, `morse_index` is None, and `parameters` are the optimized ones.
 
@@ -76,6 +80,7 @@ class ControlTrajectory(Trajectory):
     violation: float
     start_velocity: np.ndarray
     end_velocity: np.ndarray
+    arrival_velocity: np.ndarray
 
     def replay(self) -> ca.Function:
         """Return the force (t, x, v[, p]) -> (d,) of the optimized controls, for an `InitialProblem`.
@@ -86,10 +91,13 @@ class ControlTrajectory(Trajectory):
         ------
         ValueError
             where the rule has points at both ends of an interval (Lobatto) and a control jumps at a joint: a function
-            of time has one value there, and the path was found with two; and where a component follows a rate
+            of time has one value there, and the path was found with two; and where a component follows a rate, or the
+            path jumps
         """
         if self.problem.mechanical < len(self.x):
             raise ValueError(f"an InitialProblem has no rates, which x[{self.problem.mechanical}] follows")
+        if self.problem.jumps:
+            raise ValueError(f"an InitialProblem has no jumps, as the path at t = {self.problem.jumps[0][0]:.6g}")
         self._refuse_two_values()
         d = len(self.x)
         symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d)]
@@ -179,7 +187,7 @@ class ControlTrajectory(Trajectory):
         return constrained_motion(self._lagrangian, held, force)
 
     def table(self) -> dict[str, np.ndarray]:
-        """What a Trajectory has, controls and costate at the joints, by name."""
+        """What a Trajectory has, controls and costate at the joints, after a jump there, by name."""
         return {
             **super().table(),
             **by_component("control", self.control(self.t)),
@@ -214,8 +222,8 @@ class ControlTrajectory(Trajectory):
         top, middle, bottom = panels(3, size=(SIZE[0], 1.6 * SIZE[1]), sharex=True)
         super().plot(top, labels, time)
         self.plot_controls(middle, control_labels, "")
-        times = self._fine()
-        plot_path(times, self.costate(times), self.t, self.costate(self.t), bottom, costate_labels, time, "λ")
+        line, at_joints = self.costate.line(self._fine()), self.costate(self.t)
+        plot_path(*line, self.t, at_joints, bottom, costate_labels, time, "λ")
         top.set_xlabel("")
         top.set_title(f"Degree {self.method.degree} on {len(self.t) - 1} intervals: cost {self.cost:.6g}")
         return top
