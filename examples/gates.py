@@ -60,5 +60,6 @@ if __name__ == "__main__":
     print(answer)
     for when in answer.problem.breakpoints:
         joint = np.argmin(np.abs(answer.t - when))
-        print(f"  gate        at {when:.4f} s, {answer(when)[1]:.4f} m up, rising at {answer.velocity[1, joint]:.4f} m/s")
+        print(f"  gate        at {when:.4f} s, {answer.x[1, joint]:.4f} m up", end=", ")
+        print(f"rising at {answer.velocity[1, joint]:.4f} m/s")
     draw(answer).savefig("gates.png")
