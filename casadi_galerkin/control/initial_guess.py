@@ -194,13 +194,10 @@ def check_finite(problem: ControlProblem, embedding: ChainEmbedding, values: dic
     )
     if problem.terminal_cost is not None:
         _report("terminal_cost", np.array(problem.terminal_cost(when, *last, *p)), when)
-    for k, crossing in enumerate(problem.crossings):
-        joint = chain.crossed[k]
-        v = np.append(values["velocity"][k], rest)
-        state = [values["nodes"][joint - 1, -1], v, *p]
-        for name, function in (("waypoint", (crossing.condition or (None,))[0]), ("jump", crossing.jump)):
-            if function is not None:
-                _report(name, np.array(ca.vertcat(*function.call(state))), np.array([crossing.time]))
+    for k, (crossing, joint) in enumerate(zip(problem.crossings, chain.crossed, strict=True)):
+        state = [values["nodes"][joint - 1, -1], np.append(values["velocity"][k], rest), *p]
+        for name, function in crossing.functions:
+            _report(name, np.array(ca.vertcat(*function.call(state))), np.array([crossing.time]))
     if problem.end_conditions is not None:
         _report("end_conditions", np.array(problem.end_conditions[0](*first, *last, *p)), when)
 

@@ -28,7 +28,7 @@ from casadi_galerkin.problems.bounds import (
     limited_values,
     parameter_bounds_of,
 )
-from casadi_galerkin.problems.callables import Traceable, in_absolute_values, trace, trace_constraint, trace_lagrangian
+from casadi_galerkin.problems.callables import Traceable, trace, trace_constraint, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
 from casadi_galerkin.problems.crossings import (
     Crossing,
@@ -37,9 +37,9 @@ from casadi_galerkin.problems.crossings import (
     Waypoint,
     crossings_of,
     jumps_of,
-    refuse_rates,
     waypoints_of,
 )
+from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
 from casadi_galerkin.problems.problem import marks, shown, varied_values
 
 ROUNDED = 1e-8  # of a condition that the ends given meet, as much as a solve may leave
@@ -77,8 +77,8 @@ class ControlProblem:
     waypoints : (t, positions) each: a breakpoint at t, where the path has these d positions; each is a number, a pair
         (lo, hi) that it lies within, or None.  Or (t, (g, lo, hi)) with g(x, v) -> scalar or vector within bounds there
     jumps : (t, law) each: a breakpoint at t, where law(x, v) -> (x, v) says how the path goes on, as where a stage is
-        dropped or a ball bounces; waypoints at that time are passed before.  The path keeps its velocity unless the law
-        changes it, and what it returns for the velocity of a component that follows a rate is passed over
+        dropped or a ball bounces; waypoints at that time are passed before.  What it returns for the velocity of a
+        component that follows a rate is passed over.  A constant of a phase is a component of rate zero that jumps
     hold : True for controls that are constant on every interval, as hardware holds them
 
     Raises
@@ -91,6 +91,11 @@ class ControlProblem:
     >>> ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0], [0.0], [0.0],
     ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1).dimension
     1
+    >>> ball = ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 2), [1.0], [1.0], [0.0], [0.0],
+    ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1,
+    ...     waypoints=[(1.0, [0.0])], jumps=[(1.0, lambda x, v: (x, -0.8 * v))])  # a wall
+    >>> ball.breakpoints
+    (1.0,)
     """
 
     lagrangian: ca.Function
@@ -139,9 +144,9 @@ class ControlProblem:
         end_conditions: tuple[Traceable, Limit, Limit] | None = None,
         breakpoints: Sequence[float] = (),
         waypoints: Sequence[Waypoint] = (),
+        jumps: Sequence[tuple[float, Traceable]] = (),
         hold: bool = False,
         constraint: Traceable | None = None,
-        jumps: Sequence[tuple[float, Traceable]] = (),
     ) -> None:
         d, count = len(components("start", start)), _control_count(controls)
         given = None if parameters is None else numbers("parameters", parameters)
@@ -158,7 +163,7 @@ class ControlProblem:
         _check_mechanics(mechanical, lagrangian, force)
         here = {name: size for name, size in sizes.items() if name in ("x", "v", "p")}
         within = bounds("position_bounds", position_bounds, d)
-        passed, laws = waypoints_of(waypoints, here, within), jumps_of(jumps, here)
+        passed, laws = waypoints_of(waypoints, here, within), jumps_of(jumps, here, mechanical)
         inner = times_inside("breakpoints", breakpoints, time_span(t_span))
         inner = tuple(sorted({*inner, *dict(passed), *dict(laws)}))
         inner = times_inside("breakpoints, waypoints and jumps", inner, time_span(t_span))
@@ -188,10 +193,7 @@ class ControlProblem:
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
-        self._check_rates()
-        self._check_controls()
-        self._check_absolute_values()
-        self._check_parameters()
+        self._check_dependence()
         self._check_ends()
         self._check_guesses()
 
@@ -247,50 +249,24 @@ class ControlProblem:
         other._check_guesses()
         return other
 
-    def _check_rates(self) -> None:
-        """Refuse what depends on the velocity of a component that follows a rate, which is that rate."""
-        own = set(range(self.mechanical, self.dimension))
-        for name, where in (("force", [2]), ("rates", [2]), ("terminal_cost", [2]), ("end_conditions", [1, 3])):
-            given = getattr(self, name)
-            function = given[0] if isinstance(given, tuple) else given
-            used = {i for k in where if function for i in function.sparsity_jac(k, 0).T.row()}
-            if used & own:
-                i = min(used & own)
-                raise ValueError(f"{name} must not depend on v[{i}], the rate of x[{i}]: write that rate instead")
-        refuse_rates(self.crossings, self.mechanical)
+    def _check_dependence(self) -> None:
+        along = [self.force, self.rates, self.running_cost, *(self.path_constraint or ())[:1]]
+        at_ends = [self.terminal_cost, *(self.end_conditions or (None,))[:1]]
+        there = [
+            (f"the {name} at t = {c.time:g}", function, [1]) for c in self.crossings for name, function in c.functions
+        ]
+        own = range(self.mechanical, self.dimension)
+        names = ("force", [2]), ("rates", [2]), ("terminal_cost", [2]), ("end_conditions", [1, 3])
+        functions = self.force, self.rates, *at_ends
+        check_rates([*((name, f, where) for (name, where), f in zip(names, functions, strict=True)), *there], own)
         for name in ("start_velocity", "end_velocity"):
             for i in own:
                 if getattr(self, name)[i] is not None:
                     raise ValueError(f"x[{i}] follows a rate: {name}[{i}] must be None, got {getattr(self, name)[i]}")
-
-    def _check_controls(self) -> None:
-        """Refuse a control that nothing depends on: its value would be arbitrary."""
-        users = [self.force, self.rates, self.running_cost, *(self.path_constraint or ())[:1]]
-        used = {i for f in users for i in f.sparsity_jac(3, 0).T.row()}
-        unused = set(range(self.controls)) - used
-        if unused:
-            raise ValueError(f"the control u[{min(unused)}] occurs in no force, cost or constraint")
-
-    def _check_absolute_values(self) -> None:
-        """Refuse |u| in the cost where u may change its sign, since a solver that takes derivatives stalls there."""
-        low, high = self.control_bounds
-        for i in sorted(in_absolute_values(self.running_cost, 3)):
-            if low[i] < 0 < high[i]:
-                raise ValueError(
-                    f"running_cost holds the absolute value of u[{i}], whose derivative jumps at zero: replace u[{i}] "
-                    "by a - b with two controls a, b >= 0 (control_bounds), and its absolute value by a + b"
-                )
-
-    def _check_parameters(self) -> None:
-        """Refuse a free parameter that nothing depends on, for the same reason."""
-        users = [self.lagrangian, self.force, self.rates, self.running_cost, self.terminal_cost, self.constraint]
-        users += [*(self.path_constraint or ())[:1], *(self.end_conditions or ())[:1]]
-        users += [f for crossing in self.crossings for f in (crossing.jump, *(crossing.condition or ())[:1])]
-        functions = [f for f in users if f is not None]
-        used = {i for f in functions for k in range(f.n_out()) for i in f.sparsity_jac(f.n_in() - 1, k).T.row()}
-        for i, (low, high) in enumerate(zip(*(self.parameter_bounds or ((), ())), strict=True)):
-            if low < high and i not in used:
-                raise ValueError(f"the free parameter p[{i}] occurs in no lagrangian, force, cost or constraint")
+        check_controls(along, self.controls)
+        check_absolute_values(self.running_cost, self.control_bounds)
+        functions_there = [function for _, function, _ in there]
+        check_parameters([*along, *at_ends, self.lagrangian, self.constraint, *functions_there], self.parameter_bounds)
 
     def _check_ends(self) -> None:
         low, high = self.position_bounds

@@ -35,6 +35,12 @@ class Crossing:
     condition: Limited | None
     jump: ca.Function | None
 
+    @property
+    def functions(self) -> list[tuple[str, ca.Function]]:
+        """What is stated there, by name."""
+        both = ("waypoint", (self.condition or (None,))[0]), ("jump", self.jump)
+        return [(name, function) for name, function in both if function is not None]
+
 
 def crossings_of(
     waypoints: tuple[tuple[float, Pairs | Limited], ...], jumps: tuple[tuple[float, ca.Function], ...]
@@ -97,13 +103,13 @@ def _positions(t: float, positions: Any, within: Bounds) -> Pairs:
 
 
 def jumps_of(
-    given: Sequence[tuple[float, Traceable]], sizes: Mapping[str, int]
+    given: Sequence[tuple[float, Traceable]], sizes: Mapping[str, int], mechanical: int
 ) -> tuple[tuple[float, ca.Function], ...]:
-    """Check jumps, and trace each into a Function (x, v[, p]) -> x after, v after."""
-    return tuple((t, _law(t, law, sizes)) for t, law in _timed("jumps", "(t, law)", given))
+    """Check jumps, and trace each into a Function (x, v[, p]) -> x after, v after; zero where x follows a rate."""
+    return tuple((t, _law(t, law, sizes, mechanical)) for t, law in _timed("jumps", "(t, law)", given))
 
 
-def _law(t: float, law: Any, sizes: Mapping[str, int]) -> ca.Function:
+def _law(t: float, law: Any, sizes: Mapping[str, int], mechanical: int) -> ca.Function:
     if not callable(law):
         raise TypeError(f"the jump at t = {t:g} must be a callable of ({', '.join(sizes)}), got {law!r}")
 
@@ -118,25 +124,7 @@ def _law(t: float, law: Any, sizes: Mapping[str, int]) -> ca.Function:
         return trace("jump", taken, sizes, sizes["x"])
 
     symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
-    after = [half(k)(*symbols) for k in (0, 1)]
-    return ca.Function("jump", symbols, after, list(sizes), ["x_after", "v_after"])
-
-
-def refuse_rates(crossings: tuple[Crossing, ...], mechanical: int) -> None:
-    """Refuse what depends on the velocity of a component that follows a rate, which is that rate."""
-    for crossing in crossings:
-        g, law = (crossing.condition or (None,))[0], crossing.jump
-        stated: list[tuple[str, list[ca.Sparsity]]] = []
-        if g is not None:
-            stated.append(("waypoint", [g.sparsity_jac(1, 0)]))
-        if law is not None:  # what it returns for the velocities of such components is passed over
-            first = list(range(mechanical))
-            of_velocities = law.sparsity_jac(1, 1).sub(first, list(range(law.numel_in(1))))[0]
-            stated.append(("jump", [law.sparsity_jac(1, 0), of_velocities]))
-        for name, patterns in stated:
-            wrong = {int(j) for pattern in patterns for j in pattern.T.row() if j >= mechanical}
-            if wrong:
-                raise ValueError(
-                    f"the {name} at t = {crossing.time:g} must not depend on v[{min(wrong)}], the rate of "
-                    f"x[{min(wrong)}]: write that rate instead"
-                )
+    position, velocity = (half(k)(*symbols) for k in (0, 1))
+    for i in range(mechanical, sizes["x"]):
+        velocity[i] = 0.0
+    return ca.Function("jump", symbols, [position, velocity], list(sizes), ["x_after", "v_after"])
