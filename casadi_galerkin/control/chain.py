@@ -227,8 +227,10 @@ class Chain:
         ends = -multipliers[self.rows["x"]][:, own]
         rates[1:, 0] = ends[:-1]
         rates[self.breaks, 0] -= bounds[self.fields["x"][self.breaks, own]]
-        others = np.vstack((rates.reshape(self.intervals * m, ends.shape[1]), ends[-1]))
+        values = np.hstack((motion, np.vstack((rates.reshape(self.intervals * m, ends.shape[1]), ends[-1])))).T
+        if len(self.breaks) == 0:
+            return PiecewisePolynomial(mesh, self.method.element.nodes, values)
         before = np.hstack((motion[m * self.breaks], ends[self.breaks - 1]))
         arrived = arriving[own].T + bounds[self.fields["nodes"][self.crossed - 1, -1, own]]
         before[np.isin(self.breaks, self.crossed)] = np.hstack((-multipliers[self.rows["arrival"]], arrived))
-        return self._jumping(mesh, np.hstack((motion, others)).T, self.breaks, before)
+        return self._jumping(mesh, values, self.breaks, before)

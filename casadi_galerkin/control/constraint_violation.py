@@ -19,7 +19,7 @@ def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
 
     Equations that the given ends meet are left out, unless `implied` ones are to be checked as well.
     """
-    sides = []
+    sides, crossings = [], problem.crossings
     for k, infinite in ((0, -np.inf), (1, np.inf)):
         values = {name: np.full(index.shape, infinite) for name, index in chain.fields.items()}
         values["x"][:] = values["nodes"][:, :-1] = problem.position_bounds[k]
@@ -43,7 +43,7 @@ def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
                 where = values["nodes"][joint - 1, -1] if joint in chain.crossed else values["x"][joint]
                 where[:] = narrower(where, [pair[k] for pair in place])
         equations = np.zeros(chain.equations)
-        there = [(f"waypoint {i}", crossing.condition) for i, crossing in enumerate(problem.crossings)]
+        there = [(f"waypoint {i}", crossing.condition) for i, crossing in enumerate(crossings)]
         for name, stated in (("path", problem.path_constraint), ("ends", problem.end_conditions), *there):
             if stated is not None:
                 equations[chain.rows[name]] = stated[1 + k]

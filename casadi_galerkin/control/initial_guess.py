@@ -98,7 +98,7 @@ def _arrivals(
     nodes, times = chain.crossed * chain.method.degree, calculus.node_times
     found, dm = path[nodes], chain.mechanical
     velocities = ((found - path[nodes - 1]) / (times[nodes] - times[nodes - 1])[:, None])[:, :dm]
-    if isinstance(guess, ControlTrajectory):
+    if len(nodes) and isinstance(guess, ControlTrajectory):
         after, before = (_earlier(guess, along, marks, times[nodes]) for along in (guess, guess.polynomial.before))
         found = found + (before - after).T
         velocities = guess.arrival_velocity if guess.arrival_velocity.shape == velocities.shape else velocities

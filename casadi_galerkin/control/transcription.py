@@ -203,7 +203,9 @@ class ControlTranscription:
         joints = self._joints(values, calculus.mesh)
         if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
             raise self._error(solver, optimum, limits, report.cost, relative, values, joints)
-        path = self._trajectory(solver, optimum, report, problem, data, joints, float(np.max(relative)), began)
+        arriving = self.graph.arriving(optimum.unknowns, data, optimum.multipliers)
+        violation = float(np.max(relative))
+        path = self._trajectory(solver, optimum, report, problem, values, arriving, joints, violation, began)
         if verbose:
             print(path)
         return path
@@ -309,18 +311,18 @@ class ControlTranscription:
         optimum: Optimum,
         report: Report,
         problem: ControlProblem,
-        data: np.ndarray,
+        values: dict[str, np.ndarray],
+        arriving: np.ndarray,
         joints: np.ndarray,
         violation: float,
         began: float,
     ) -> ControlTrajectory:
-        chain, values = self.chain, self.chain.unpack(optimum.unknowns, data)
+        chain = self.chain
         multipliers = optimum.multipliers / chain.units(values["sizes"])
         parameters = None if problem.parameters is None else tuple(values["parameters"].tolist())
         breakpoints = tuple(joints[chain.breaks].tolist())
         others = np.zeros((chain.dimension - chain.mechanical, len(joints)))
         polynomial = chain.path(values, joints)
-        arriving = self.graph.arriving(optimum.unknowns, data, optimum.multipliers)
         problem = problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints)
         momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
         if problem.constraint is not None:  # which pushes at the joints, too

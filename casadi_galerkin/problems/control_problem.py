@@ -251,22 +251,23 @@ class ControlProblem:
 
     def _check_dependence(self) -> None:
         along = [self.force, self.rates, self.running_cost, *(self.path_constraint or ())[:1]]
-        at_ends = [self.terminal_cost, *(self.end_conditions or (None,))[:1]]
-        there = [
-            (f"the {name} at t = {c.time:g}", function, [1]) for c in self.crossings for name, function in c.functions
+        of_velocities = [
+            ("force", self.force, [2]),
+            ("rates", self.rates, [2]),
+            ("terminal_cost", self.terminal_cost, [2]),
+            ("end_conditions", (self.end_conditions or (None,))[0], [1, 3]),
+            *((f"the {name} at t = {c.time:g}", f, [1]) for c in self.crossings for name, f in c.functions),
         ]
         own = range(self.mechanical, self.dimension)
-        names = ("force", [2]), ("rates", [2]), ("terminal_cost", [2]), ("end_conditions", [1, 3])
-        functions = self.force, self.rates, *at_ends
-        check_rates([*((name, f, where) for (name, where), f in zip(names, functions, strict=True)), *there], own)
+        check_rates(of_velocities, own)
         for name in ("start_velocity", "end_velocity"):
             for i in own:
                 if getattr(self, name)[i] is not None:
                     raise ValueError(f"x[{i}] follows a rate: {name}[{i}] must be None, got {getattr(self, name)[i]}")
         check_controls(along, self.controls)
         check_absolute_values(self.running_cost, self.control_bounds)
-        functions_there = [function for _, function, _ in there]
-        check_parameters([*along, *at_ends, self.lagrangian, self.constraint, *functions_there], self.parameter_bounds)
+        functions = [function for _, function, _ in of_velocities]
+        check_parameters([*along, *functions, self.lagrangian, self.constraint], self.parameter_bounds)
 
     def _check_ends(self) -> None:
         low, high = self.position_bounds

@@ -43,9 +43,10 @@ class ControlTrajectory(Trajectory):
     duals : (equations,) and (unknowns,), Lagrange multipliers of the discrete equations and of the bounds: with this
         trajectory as its guess, a solve with the same method on the same intervals starts warm
     hamiltonian : (N,), mean of I - v·∂I/∂v - dλ/dt·∂I/∂(dλ/dt) over each interval, where
-        I = ℓ + λ·(∂L/∂x + F) + dλ/dt·∂L/∂v; of order 2m.  The same on all intervals where nothing depends on t; zero
-        as well where the duration is free, was found strictly inside `duration_bounds`, and no terminal cost depends
-        on t.  With `hold` neither is so on an interval, but the mean over a phase of free duration is that
+        I = ℓ + λ·(∂L/∂x + F) + dλ/dt·∂L/∂v; of order 2m.  The same on all intervals where nothing depends on t, but for
+        waypoints and jumps at given times; zero as well where the duration is free, was found strictly inside
+        `duration_bounds`, and no terminal cost depends on t.  With `hold` neither is so on an interval, but the mean
+        over a phase of free duration is that
     violation : largest violation of an equation or bound, relative to the sizes of the terms it compares; at most 1e-8
     residual : the same in units of the relative precision of a double, 2.2e-16; at most 4.5e7
     start_velocity, end_velocity : (d,), the velocities given or found at the ends; of a component that follows a rate,

@@ -248,6 +248,22 @@ def test_a_condition_holds_before_a_jump_at_its_time():
     assert path.cost == pytest.approx(effort(-1, 0, -speed, 1) + effort(1, 0.8 * speed, 0, 1), rel=1e-8)
 
 
+def test_the_costate_of_a_rate_jumps_at_a_place_to_pass():
+    """x' = u - x from 0 over 0.2 to 1: u = A e^s on each half, s since its start, and the costate is -u."""
+    problem = double_integrator(
+        lagrangian=None,
+        force=None,
+        rates=lambda t, x, v, u: u[0] - x[0],
+        start_velocity=[None],
+        end_velocity=[None],
+        waypoints=[(0.5, [0.2])],
+    )
+    path = cg.solve(problem, cg.Galerkin(6), 4)
+    half, left = np.sinh(0.5), np.exp(-0.5)
+    assert path.costate.before(0.5)[0] == pytest.approx(-0.2 / half / left, rel=1e-8)
+    assert path.costate(0.5)[0] == pytest.approx(-(1 - 0.2 * left) / half, rel=1e-8)
+
+
 def test_a_failure_names_the_condition():
     problem = double_integrator(waypoints=[(0.5, (lambda x, v: x[0] ** 2 + v[0] ** 2, -2.0, -1.0))])
     with pytest.raises(cg.ConvergenceError, match=r"constraint is condition 0 at t = 0\.5"):
