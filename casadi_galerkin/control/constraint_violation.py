@@ -11,6 +11,7 @@ from casadi_galerkin.control.optimizer import ProgramBounds
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import is_limited
 
+NOTHING = 1e-20  # terms that are what rounding leaves of a component that is zero; the solvers' tolerances are absolute
 VANISHED = 1e-13  # part of its terms along the guess below which a component's are taken for their roundoff
 
 
@@ -79,7 +80,7 @@ def measures(chain: Chain, limits: ProgramBounds, report: Report, before: np.nda
     for side in (limits.equations_lower, limits.equations_upper):
         finite = np.where(np.isfinite(side), np.abs(side), 0.0)[bounded]
         np.fmax.at(sizes, chain.kinds[bounded], finite)
-    return np.asarray(_or_one(sizes)[chain.kinds])
+    return np.asarray(np.where(sizes > NOTHING, sizes, 1.0)[chain.kinds])
 
 
 def violations(

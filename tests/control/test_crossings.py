@@ -163,6 +163,21 @@ def test_a_tolerance_is_met_with_jumps(make):
     assert np.max(np.abs(found - known)) <= 1e-6 * np.max(np.abs(known))
 
 
+def test_a_constant_of_a_phase_may_be_zero_all_along():
+    """What rounding leaves of it, 1e-24, was compared with itself, and called a violation."""
+    problem = burning(
+        start=[0.0, 1.0, 0.0],
+        end=[1.0, None, None],
+        start_velocity=[0.0, None, None],
+        end_velocity=[0.0, None, None],
+        force=lambda t, x, v, u: u[0] * (1 + ca.sin(x[2] + v[0])),
+        rates=lambda t, x, v, u: [-(u[0] ** 2) / 50, 0],
+        jumps=[(0.5, lambda x, v: ([x[0], 2 * x[1], x[2]], v))],
+    )
+    path = cg.solve(problem, cg.Galerkin(6), 8)
+    np.testing.assert_allclose(path.x[2], 0, atol=1e-15)
+
+
 def test_an_answer_is_a_guess_with_its_jumps():
     cold = cg.transcribe(staged(), cg.Galerkin(4), 8)
     known = cold.solve()
