@@ -1,8 +1,9 @@
 """A drone flies through three gates: waypoints part its flight into legs, each with a free duration.
 
 The drone is a point mass with a thrust in any direction of its vertical plane.  It starts and stops at rest and pays
-for time and for the effort of its thrust beyond hovering.  A gate is a waypoint: a place across, and heights between
-two bars.  Since every duration is free and nothing depends on time, the Hamiltonian is zero all along.
+for time and for the effort of its thrust beyond hovering.  A gate is a waypoint that is a function of position and
+velocity: a place across, heights between two bars, and nearly level flight.  Since every duration is free and nothing
+depends on time, the Hamiltonian is zero all along.
 """
 
 import numpy as np
@@ -11,7 +12,13 @@ import casadi_galerkin as cg
 
 MASS, GRAVITY, EFFORT = 0.5, 9.81, 0.05  # kg, m/s², 1/(N² s) of a second's price
 GATES = ((3.0, (2.0, 2.6)), (6.0, (0.4, 1.0)), (9.0, (2.5, 3.1)))  # m: place, and heights of the bars
+LEVEL = 0.5  # m/s, largest velocity up or down in a gate
 LAST = (12.0, 1.0)  # m
+
+
+def gate(place, low, high):
+    """State where and how fast upward the drone is in a gate, with the bounds of these."""
+    return lambda x, v: [x[0], x[1], v[1]], [place, low, -LEVEL], [place, high, LEVEL]
 
 
 def problem():
@@ -27,7 +34,7 @@ def problem():
         running_cost=lambda t, x, v, u: 1 + EFFORT * (u[0] ** 2 + (u[1] - MASS * GRAVITY) ** 2),
         controls=2,
         duration_bounds=(0.2, 3.0),
-        waypoints=[(1.0 + i, [place, bars]) for i, (place, bars) in enumerate(GATES)],
+        waypoints=[(1.0 + i, gate(place, *bars)) for i, (place, bars) in enumerate(GATES)],
     )
 
 
@@ -52,5 +59,7 @@ if __name__ == "__main__":
     answer = main()
     print(answer)
     for when in answer.problem.breakpoints:
-        print(f"  gate        at {when:.4f} s, {answer(when)[1]:.4f} m up")
+        joint = np.argmin(np.abs(answer.t - when))
+        print(f"  gate        at {when:.4f} s, {answer.x[1, joint]:.4f} m up", end=", ")
+        print(f"rising at {answer.velocity[1, joint]:.4f} m/s")
     draw(answer).savefig("gates.png")

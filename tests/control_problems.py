@@ -160,6 +160,34 @@ def two_phases():
     )
 
 
+def staged(**changes):
+    """A mass with a lag of its force in two phases of free durations, and a law at the joint that mixes everything."""
+    fields = {
+        "lagrangian": lambda t, x, v, p: (1 + x[1] ** 2 + t / 5) * v[0] ** 2 / 2 - p[0] * x[0] ** 2 * x[1] / 2,
+        "t_span": (0.0, 2.0),
+        "start": [0.2, 0.5],
+        "end": [1.0, None],
+        "start_velocity": [0.1, None],
+        "end_velocity": [None, None],
+        "force": lambda t, x, v, u, p: u[0] - v[0] / 10,
+        "rates": lambda t, x, v, u, p: u[0] * x[0] - x[1],
+        "running_cost": lambda t, x, v, u, p: u[0] ** 2 + x[1] ** 2 + 1,
+        "terminal_cost": lambda t, x, v, p: x[1] ** 2 + v[0] ** 2 + (p[0] - 1) ** 2,
+        "duration_bounds": (0.2, 3.0),
+        "parameters": [1.1],
+        "parameter_bounds": (0.5, 2.0),
+        "waypoints": [(0.8, (lambda x, v, p: [x[0] * v[0] + p[0] * x[1], v[0] ** 2], [-1.0, 0.1], [2.0, 4.0]))],
+        "jumps": [
+            (
+                0.8,
+                lambda x, v, p: ([x[0] + x[1] ** 2 / 20, p[0] * x[1] / 2 + v[0] / 10], [0.8 * v[0] + x[1] / 5, v[1]]),
+            ),
+            (1.5, lambda x, v, p: (x, -v / 2)),
+        ],
+    }
+    return double_integrator(**(fields | changes))
+
+
 FRACTIONS = np.linspace(0, 1, 1001)
 
 

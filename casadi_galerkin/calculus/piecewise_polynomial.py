@@ -1,8 +1,9 @@
-"""A continuous piecewise polynomial, evaluated and differentiated."""
+"""A piecewise polynomial, continuous but for jumps at joints, evaluated and differentiated."""
 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,13 +34,14 @@ def _basis(nodes: tuple[float, ...], parts: tuple[float, ...]) -> tuple[np.ndarr
 
 
 class PiecewisePolynomial:
-    """A continuous path x̄ in P^m_T given by its values X̄ at all nodes.
+    """A path x̄ in P^m_T given by its values X̄ at all nodes; it is continuous unless it has other values before joints.
 
     Parameters
     ----------
     mesh : (N + 1,), the joints
     nodes : (m + 1,), nodes of the reference interval, 0 and 1 among them
     values : (d, N m + 1), values at joints and control points in the order of time
+    arrivals : (d, N), values that the intervals end with, where the path jumps at joints
 
     Examples
     --------
@@ -48,8 +50,10 @@ class PiecewisePolynomial:
     ([1.0], [-1.0])
     """
 
-    def __init__(self, mesh: np.ndarray, nodes: np.ndarray, values: np.ndarray) -> None:
-        self.mesh, self.nodes, self.values = mesh, nodes, values
+    def __init__(
+        self, mesh: np.ndarray, nodes: np.ndarray, values: np.ndarray, arrivals: np.ndarray | None = None
+    ) -> None:
+        self.mesh, self.nodes, self.values, self.arrivals = mesh, nodes, values, arrivals
 
     @property
     def degree(self) -> int:
@@ -63,13 +67,29 @@ class PiecewisePolynomial:
     @property
     def local(self) -> np.ndarray:
         """Values at the nodes of every interval, (d, N, m + 1)."""
+        return self._local(np.arange(len(self.mesh) - 1))
+
+    def _local(self, i: np.ndarray) -> np.ndarray:
+        """Values at the nodes of intervals given by their numbers (K,); (d, K, m + 1)."""
         m = self.degree
-        return np.asarray(self.values[:, m * np.arange(len(self.mesh) - 1)[:, None] + np.arange(m + 1)])
+        local = self.values[:, i[:, None] * m + np.arange(m + 1)]
+        if self.arrivals is not None:
+            local[:, :, -1] = self.arrivals[:, i]
+        return np.asarray(local)
+
+    @property
+    def jumps(self) -> np.ndarray:
+        """Numbers of the joints where the path has another value before; (K,)."""
+        if self.arrivals is None:
+            return np.empty(0, dtype=int)
+        return 1 + np.flatnonzero(np.any(self.arrivals != self.values[:, self.degree :: self.degree], axis=0))
 
     def between(self, first: int, last: int) -> PiecewisePolynomial:
         """The path between two joints, given by their numbers."""
-        m = self.degree
-        return PiecewisePolynomial(self.mesh[first : last + 1], self.nodes, self.values[:, m * first : m * last + 1])
+        m, arrivals = self.degree, self.arrivals
+        values = self.values[:, m * first : m * last + 1]
+        kept = None if arrivals is None else arrivals[:, first:last]
+        return PiecewisePolynomial(self.mesh[first : last + 1], self.nodes, values, kept)
 
     def at_parts(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values and derivatives (d, N, K) at the same parts (K,) of every interval, by its own polynomial."""
@@ -86,21 +106,33 @@ class PiecewisePolynomial:
     def __call__(self, t: ArrayLike, nu: int = 0) -> np.ndarray:
         """Value, or derivative of order `nu`, at times t within the mesh; shape (d,) + t.shape.
 
-        At a joint the derivative is the right one, at the last joint the left one.
+        At a joint the derivative is the right one, at the last joint the left one; so is the value where it jumps.
         """
+        return self._evaluated(t, nu, "right")
+
+    def before(self, t: ArrayLike, nu: int = 0) -> np.ndarray:
+        """The same just before times t, which differs at a joint where the path has a jump or a kink."""
+        return self._evaluated(t, nu, "left")
+
+    def line(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Increasing times (K,), all joints among them, and values there; at jumps the value before, and that after."""
+        joints = self.mesh[self.jumps]
+        k = np.searchsorted(times, joints)
+        return np.insert(times, k, joints), np.insert(self(times), k, self.before(joints), axis=1)
+
+    def _evaluated(self, t: ArrayLike, nu: int, side: Literal["left", "right"]) -> np.ndarray:
         order = whole(nu)
         if order is None or order < 0:
             raise ValueError(f"nu must be a whole number from 0 on, got {nu!r}")
         times = times_within(self.mesh, t)
         flat = times.ravel()
-        m = self.degree
         steps = np.diff(self.mesh)
-        i = np.clip(np.searchsorted(self.mesh, flat, side="right") - 1, 0, len(steps) - 1)
+        i = np.clip(np.searchsorted(self.mesh, flat, side=side) - 1, 0, len(steps) - 1)
         basis = lagrange_values(self.nodes, np.clip((flat - self.mesh[i]) / steps[i], 0.0, 1.0))
         if order:
             slopes = np.linalg.matrix_power(differentiation_matrix(self.nodes), order)
             basis = basis @ slopes / steps[i, None] ** order
-        local = self.values[:, i[:, None] * m + np.arange(m + 1)]
+        local = self._local(i)
         if order:  # a derivative does not see a constant; without it the roundoff is that of the differences
             local = local - local[:, :, :1]
         return np.asarray(np.einsum("dkj,kj->dk", local, basis).reshape((len(self.values), *times.shape)))

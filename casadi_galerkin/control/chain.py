@@ -5,6 +5,10 @@ of N + 1 stages: at every joint the state (x, p and the free constants: duration
 after it what is chosen there, the path's values at the other nodes, the controls and the impulses of a constraint.  The
 velocities at the two ends are chosen beside the first state and the last.  The equations of a stage are those that tie
 the next state to it, and then the others.
+
+The values of the path at the end of an interval and the state after it are different unknowns.  Where the path jumps,
+the law of the jump ties them instead of their equality: the velocity just before is chosen on the interval, too, which
+has the momentum that arrives, and with which the law, and a waypoint that is a function, say what comes after.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.nodes import lagrange_values
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.problems.control_problem import ControlProblem
 
@@ -51,15 +56,20 @@ class Chain:
     dimension, mechanical, controls, parameters, constraints, conditions, held : numbers of components, of those with an
         equation of motion, of controls, parameters, path constraints, end conditions and holonomic constraints
     breaks : numbers of the joints at the breakpoints
+    crossed : (K,), those of them where the velocity counts, see `ControlProblem.crossings`
+    jumped : (K,), which of these have a jump
     phases : (N,), number of the phase with a duration of its own that every interval lies in
     unknowns, equations, size : numbers of unknowns, of equations, and of entries of ξ
     fields : name -> entries of ξ: "x" (N + 1, d), "momentum" (N + 1, mechanical), "nodes" (N, m, d), the values at the
         nodes after the first, "controls" (N, points, n), "impulses" (N, m, held) of a constraint at these nodes and
-        "start_impulse" (held,), "start_velocity", "end_velocity" (mechanical,), "durations" (N + 1, phases) and
-        "parameters" (N + 1, count), alike at all joints, and "begin", "left", "part", "sizes"
+        "start_impulse" (held,), "start_velocity", "end_velocity" (mechanical,), "velocity" (K, mechanical) before the
+        joints crossed, "durations" (N + 1, phases) and "parameters" (N + 1, count), alike at all joints, and "begin",
+        "left", "part", "sizes"
     rows : name -> equations: "x", "momentum", "constants" tie (N, ...) states; "motion" (N, m, mechanical) are those of
         the nodes before the last, "rates" (N, m, others); "path" (N, r, count); "held" (N, m, held) and "start_held"
-        are a constraint, "start_tangent" and "end_tangent" its rate; "start", "end" (mechanical,); "ends"
+        are a constraint, "start_tangent" and "end_tangent" its rate; "start", "end" (mechanical,); "ends"; "arrival"
+        (K, mechanical) are the momenta that arrive at the joints crossed, "waypoint 0" and so on the functions there
+    arrivals : (N, mechanical), equations of the momenta that the intervals end with
     kinds : (equations,), equal where equations compare the same quantities
     stages : for every stage the numbers of its states, of what else is unknown there, and of its other equations
     control_times : where the controls of an interval stand, in parts of it; one value in the middle where they are held
@@ -72,6 +82,9 @@ class Chain:
         limited = problem.path_constraint, problem.end_conditions
         self.constraints, self.conditions = (0 if given is None else len(given[1]) for given in limited)
         self.breaks = np.searchsorted(mesh, problem.breakpoints)
+        self.crossed = np.searchsorted(mesh, [crossing.time for crossing in problem.crossings])
+        self.jumped = np.array([crossing.jump is not None for crossing in problem.crossings], dtype=bool)
+        self.conditions_there = [len((crossing.condition or ((), ()))[1]) for crossing in problem.crossings]
         parted = self.breaks if problem.duration_bounds is not None else ()
         self.phases = np.searchsorted(parted, np.arange(self.intervals), side="right")
         self.control_times = np.array([0.5]) if problem.hold else method.element.points
@@ -93,11 +106,14 @@ class Chain:
         at_end: Layout = {"end_velocity": (mechanical,)}
         given = {name: shape for name, shape in constants.items() if name not in free}
         data: Layout = {**given, "begin": (1,), "left": (n,), "part": (n,), "sizes": (mechanical,)}
-        others = [{**(chosen if i < n else {}), **{0: at_start, n: at_end}.get(i, {})} for i in range(n + 1)]
+        crossing: Layout = {"velocity": (mechanical,)}
+        others: list[Layout] = [{**chosen, **(crossing if i + 1 in self.crossed else {})} for i in range(n)]
+        others = [{**others[0], **at_start}, *others[1:], at_end]
         self._widths = [(length(state), length(other)) for other in others]
         self.unknowns = sum(map(sum, self._widths))
         self.size = self.unknowns + length(data)
         fields = numbered([{**state, **other} for other in others]) | numbered([data], self.unknowns)
+        fields.setdefault("velocity", np.zeros((0, mechanical), dtype=np.int64))
         once = {name: fields[name][0] for name in (*at_start, *at_end, "begin", "left", "part", "sizes")}
         alike = {name: np.broadcast_to(fields[name], (n + 1, *shape)) for name, shape in constants.items()}
         self.fields = {**fields, **once, **alike}
@@ -115,12 +131,22 @@ class Chain:
         }
         at_start: Layout = {"start": motion, "start_held": held, "start_tangent": held}
         at_end: Layout = {"end": motion, "end_tangent": held, "ends": (self.conditions,)}
-        further = [{**(inner if i < n else {}), **{0: at_start, n: at_end}.get(i, {})} for i in range(n + 1)]
+        passed: dict[int, Layout] = {
+            joint - 1: {"arrival": motion, f"waypoint {k}": (self.conditions_there[k],)}
+            for k, joint in enumerate(self.crossed.tolist())
+        }
+        waypoints = [f"waypoint {k}" for k in range(len(self.crossed))]
+        further: list[Layout] = [{**inner, **passed.get(i, {})} for i in range(n)]
+        further = [{**further[0], **at_start}, *further[1:], at_end]
         rows = numbered([{**(tied if i < n else {}), **other} for i, other in enumerate(further)])
-        self.rows = rows | {name: rows[name][0] for name in (*at_start, *at_end)}
+        rows.setdefault("arrival", np.zeros((0, *motion), dtype=np.int64))
+        self.rows = rows | {name: rows[name][0] for name in (*at_start, *at_end, *waypoints)}
+        self.arrivals = rows["momentum"].copy()
+        self.arrivals[self.crossed - 1] = rows["arrival"]
         self.equations = n * length(tied) + sum(map(length, further))
         self.stages = [(*width, length(other)) for width, other in zip(self._widths, further, strict=True)]
-        alike = [["x"], ["momentum", "motion", "start", "end"], ["constants"], ["rates"], ["path"], ["ends"]]
+        motions = ["momentum", "motion", "start", "end", "arrival"]
+        alike = [["x"], motions, ["constants"], ["rates"], ["path"], ["ends"], *([name] for name in waypoints)]
         offset, self.kinds = 0, np.empty(self.equations, dtype=np.int64)
         for names in (*alike, ["held", "start_held"], ["start_tangent", "end_tangent"]):
             for name in names:
@@ -158,26 +184,53 @@ class Chain:
     def units(self, sizes: np.ndarray) -> np.ndarray:
         """What each equation is divided by: those of motion by S."""
         units = np.ones(self.equations)
-        for name in ("motion", "momentum", "start", "end"):
+        for name in ("motion", "momentum", "start", "end", "arrival"):
             units[self.rows[name]] = sizes
         return units
 
-    def path(self, values: dict[str, np.ndarray]) -> np.ndarray:
-        """Node values (d, N m + 1) of the path."""
+    def path(self, values: dict[str, np.ndarray], mesh: np.ndarray) -> PiecewisePolynomial:
+        """The path, with other values before the joints where it jumps."""
         local = np.concatenate((values["x"][:-1, None], values["nodes"][:, :-1]), axis=1)
-        return np.vstack((local.reshape(-1, self.dimension), values["x"][-1])).T
+        everything = np.vstack((local.reshape(-1, self.dimension), values["x"][-1])).T
+        jumped = self.crossed[self.jumped]
+        return self._jumping(mesh, everything, jumped, values["nodes"][jumped - 1, -1])
 
-    def costate(self, multipliers: np.ndarray) -> np.ndarray:
-        """Node values (d, N m + 1) of the multipliers of the equations of motion, and of the rates.
+    def _jumping(
+        self, mesh: np.ndarray, values: np.ndarray, joints: np.ndarray, before: np.ndarray
+    ) -> PiecewisePolynomial:
+        """Node values (d, N m + 1) as a path, with other values (K, d) before some joints."""
+        m, arrivals = self.method.degree, None
+        if len(joints):
+            arrivals = values[:, m::m].copy()
+            arrivals[:, joints - 1] = before.T
+        return PiecewisePolynomial(mesh, self.method.element.nodes, values, arrivals)
 
-        The latter are polynomials of degree m - 1 between the joints; at the joints they are those of the continuity.
+    def costate(
+        self, multipliers: np.ndarray, bounds: np.ndarray, arriving: np.ndarray, mesh: np.ndarray
+    ) -> PiecewisePolynomial:
+        """The multipliers of the equations of motion, and of the rates, as a path.
+
+        The latter are polynomials of degree m - 1 between the joints; at the joints they are those of the continuity,
+        and of the bounds where a breakpoint is passed.
+
+        Parameters
+        ----------
+        multipliers, bounds : of the equations, and of the bounds of the unknowns
+        arriving : (d, K), derivatives of the Lagrangian by the values before the joints crossed
+        mesh : (N + 1,)
         """
-        m, inner = self.method.degree, self.method.element.nodes[:-1]
+        m, inner, own = self.method.degree, self.method.element.nodes[:-1], slice(self.mechanical, None)
         motion = multipliers[self.rows["motion"]].reshape(self.intervals * m, self.mechanical)
         motion = np.vstack((motion, -multipliers[self.rows["momentum"][-1]]))
         basis = lagrange_values(np.array(gauss(m).points), inner)
         rates = -np.einsum("aj,ijz->iaz", basis, multipliers[self.rows["rates"]])
-        ends = -multipliers[self.rows["x"]][:, self.mechanical :]
+        ends = -multipliers[self.rows["x"]][:, own]
         rates[1:, 0] = ends[:-1]
-        others = np.vstack((rates.reshape(self.intervals * m, ends.shape[1]), ends[-1]))
-        return np.hstack((motion, others)).T
+        rates[self.breaks, 0] -= bounds[self.fields["x"][self.breaks, own]]
+        values = np.hstack((motion, np.vstack((rates.reshape(self.intervals * m, ends.shape[1]), ends[-1])))).T
+        if len(self.breaks) == 0:
+            return PiecewisePolynomial(mesh, self.method.element.nodes, values)
+        before = np.hstack((motion[m * self.breaks], ends[self.breaks - 1]))
+        arrived = arriving[own].T + bounds[self.fields["nodes"][self.crossed - 1, -1, own]]
+        before[np.isin(self.breaks, self.crossed)] = np.hstack((-multipliers[self.rows["arrival"]], arrived))
+        return self._jumping(mesh, values, self.breaks, before)

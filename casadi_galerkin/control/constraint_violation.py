@@ -9,7 +9,9 @@ from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.graph import Report
 from casadi_galerkin.control.optimizer import ProgramBounds
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.crossings import is_limited
 
+NOTHING = 1e-20  # terms that are what rounding leaves of a component that is zero; the solvers' tolerances are absolute
 VANISHED = 1e-13  # part of its terms along the guess below which a component's are taken for their roundoff
 
 
@@ -18,10 +20,11 @@ def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
 
     Equations that the given ends meet are left out, unless `implied` ones are to be checked as well.
     """
-    sides = []
+    sides, crossings = [], problem.crossings
     for k, infinite in ((0, -np.inf), (1, np.inf)):
         values = {name: np.full(index.shape, infinite) for name, index in chain.fields.items()}
         values["x"][:] = values["nodes"][:, :-1] = problem.position_bounds[k]
+        values["nodes"][chain.crossed - 1, -1] = problem.position_bounds[k]
         values["controls"][:] = problem.control_bounds[k]
         if problem.duration_bounds is not None:
             values["durations"][:] = problem.duration_bounds[k]
@@ -34,10 +37,15 @@ def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
             (problem.end_velocity[: chain.mechanical], values["end_velocity"]),
         ):
             bound[:] = [old if value is None else value for old, value in zip(bound, given, strict=True)]
-        for t, pairs in problem.waypoints:
-            values["x"][chain.breaks[problem.breakpoints.index(t)]] = [pair[k] for pair in pairs]
+        narrower = np.minimum if k else np.maximum
+        for t, place in problem.waypoints:
+            if not is_limited(place):
+                joint = chain.breaks[problem.breakpoints.index(t)]
+                where = values["nodes"][joint - 1, -1] if joint in chain.crossed else values["x"][joint]
+                where[:] = narrower(where, [pair[k] for pair in place])
         equations = np.zeros(chain.equations)
-        for name, stated in (("path", problem.path_constraint), ("ends", problem.end_conditions)):
+        there = [(f"waypoint {i}", crossing.condition) for i, crossing in enumerate(crossings)]
+        for name, stated in (("path", problem.path_constraint), ("ends", problem.end_conditions), *there):
             if stated is not None:
                 equations[chain.rows[name]] = stated[1 + k]
         for rows in () if implied else _implied(problem, chain):
@@ -67,11 +75,12 @@ def measures(chain: Chain, limits: ProgramBounds, report: Report, before: np.nda
     """
     now = chain.largest(report.terms)
     sizes = np.where(now <= VANISHED * before, before, now)
-    bounded = np.concatenate([chain.rows[name].ravel() for name in ("path", "ends")])
+    names = "path", "ends", *(f"waypoint {k}" for k in range(len(chain.crossed)))
+    bounded = np.concatenate([chain.rows[name].ravel() for name in names])
     for side in (limits.equations_lower, limits.equations_upper):
         finite = np.where(np.isfinite(side), np.abs(side), 0.0)[bounded]
         np.fmax.at(sizes, chain.kinds[bounded], finite)
-    return np.asarray(_or_one(sizes)[chain.kinds])
+    return np.asarray(np.where(sizes > NOTHING, sizes, 1.0)[chain.kinds])
 
 
 def violations(
@@ -110,17 +119,27 @@ def name_equation(chain: Chain, row: int) -> tuple[str, float]:
         "start_held": "constraint",
         "start_tangent": "the rate of constraint",
         "end_tangent": "the rate of constraint",
+        "arrival": "the equation of motion of x",
+        "waypoint": "condition",
     }
     name, found = _found(chain.rows, row)
     shift = chain.mechanical if name == "rates" else 0
-    counted = names[name].endswith(("constraint", "condition"))
-    label = f"{names[name]} {found[-1]}" if counted else f"{names[name]}[{shift + found[-1]}]"
+    words = names[name.split()[0]]
+    counted = words.endswith(("constraint", "condition"))
+    label = f"{words} {found[-1]}" if counted else f"{words}[{shift + found[-1]}]"
     return label, _place(chain, name, found)
 
 
 def name_unknown(chain: Chain, index: int) -> tuple[str, float]:
     """What an unknown is called, and where it stands, in intervals since the start."""
-    names = {"nodes": "x", "controls": "u", "durations": "the duration", "parameters": "p", "momentum": "the momentum"}
+    names = {
+        "nodes": "x",
+        "controls": "u",
+        "durations": "the duration",
+        "parameters": "p",
+        "momentum": "the momentum",
+        "velocity": "the velocity",
+    }
     name, found = _found(chain.fields, index)
     single = name == "durations" and chain.fields[name].shape[1] == 1
     return names.get(name, name) + ("" if single else f"[{found[-1]}]"), _place(chain, name, found)
@@ -146,6 +165,10 @@ def _place(chain: Chain, name: str, found: tuple[int, ...]) -> float:
         "path": method.element.points,
         "controls": chain.control_times,
     }
+    if name in ("velocity", "arrival"):
+        return float(chain.crossed[found[0]])
+    if name.startswith("waypoint"):
+        return float(chain.crossed[int(name.split()[1])])
     if name.startswith(("start", "end")):
         return float(chain.intervals if name.startswith("end") else 0)
     return float(found[0] + (parts[name][found[1]] if name in parts else 0.0))

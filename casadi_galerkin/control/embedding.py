@@ -20,6 +20,9 @@ these equations, and the equations are divided by them.  A component that follow
 there Θ tests its defect z' - h ρ with the polynomials of degree m - 1.  Λ also ties every state to the value that the
 interval before ends with, x_{i+1} - X_m = 0.  A constraint adds its impulse GᵀΛ_a to the equation of every node but the
 first, and there to that of the velocity at the start.
+
+Before a joint that is crossed with a law, Θ and Λ hold the law's values, x_{i+1} - X_+ = 0 and p_{i+1} - p_+ = 0, and
+p_- - Σ ( l_m f + l_m' g ) = 0, which says which velocity the law takes.
 """
 
 from __future__ import annotations
@@ -87,6 +90,7 @@ class ChainEmbedding:
     Attributes
     ----------
     points, start, end, ends, nodes : Place of each kind
+    crossings : list of Place, one for each joint crossed
     """
 
     def __init__(self, chain: Chain) -> None:
@@ -103,11 +107,15 @@ class ChainEmbedding:
         self.end = Place(1, at_end, self.start.last)
         self.ends = Place(int(chain.conditions > 0), {**both, **common}, self.end.last)
         self.nodes = Place((chain.intervals * m + 1) * (chain.held > 0), held, self.ends.last)
+        crossing, first = {"x": d, "velocity": mechanical, **when, "sizes": mechanical}, self.nodes.last
+        width = sum(crossing.values())
+        self.crossings = [Place(1, crossing, first + k * width) for k in range(len(chain.crossed))]
 
     @property
     def places(self) -> list[Place]:
         """Kinds of places that there are."""
-        return [place for place in (self.points, self.start, self.end, self.ends, self.nodes) if place.count]
+        kinds = (self.points, self.start, self.end, self.ends, self.nodes, *self.crossings)
+        return [place for place in kinds if place.count]
 
     @lazy
     def matrix(self) -> ca.DM:
@@ -142,6 +150,7 @@ class ChainEmbedding:
             triplets += [(self.ends.row(name), index, one) for name, index in entries.items()]
         if self.chain.held:
             triplets += self._node_triplets()
+        triplets += self._crossing_triplets()
         return sparse(triplets, (sum(place.count * place.width for place in self.places), self.chain.size))
 
     def _node_triplets(self) -> list[Triplet]:
@@ -161,6 +170,25 @@ class ChainEmbedding:
             (place.row("share"), f["part"][interval][:, None], share[:, None]),
             (place.row("sizes"), f["sizes"], 1.0),
         ]
+
+    def _crossing_triplets(self) -> list[Triplet]:
+        """Entries of A at the joints crossed: all are those of the interval before, but where the joint stands."""
+        f = self.chain.fields
+        triplets: list[Triplet] = []
+        for k, (place, joint) in enumerate(zip(self.crossings, self.chain.crossed.tolist(), strict=True)):
+            phase, before = self.chain.phases[joint], joint - 1
+            entries = {
+                "x": f["nodes"][before, -1],
+                "velocity": f["velocity"][k],
+                "duration": f["durations"][before, [phase]],
+                "parameters": f["parameters"][before],
+                "begin": f["begin"],
+                "share": f["left"][[joint]],
+                "sizes": f["sizes"],
+            }
+            triplets += [(place.row(name), index, 1.0) for name, index in entries.items()]
+            triplets.append((place.row("begin"), f["durations"][before, :phase], 1.0))
+        return triplets
 
     @lazy
     def active(self) -> list[np.ndarray]:
@@ -193,14 +221,14 @@ class ChainEmbedding:
 
         At a quadrature point these are f and g of the mechanical components, the defects of the others, and the path
         constraints; at the start and at the end ∂L/∂v and the rate of what is held; the conditions on both; at the
-        nodes what is held, and its impulse.
+        nodes what is held, and its impulse; at the joints crossed x after, ∂L/∂v before and after, and the condition.
         """
         chain, rows = self.chain, self.chain.rows
         dm, z, c = chain.mechanical, chain.dimension - chain.mechanical, chain.constraints
         element, r = chain.method.element, len(chain.method.quadrature)
         width, k = 2 * dm + z + c, np.arange(self.points.count).reshape(chain.intervals, r, 1, 1)
         weights, height = element.weights[:, None], width * self.points.count
-        nodes = np.concatenate((rows["motion"], rows["momentum"][:, None]), axis=1)[:, None]  # (N, 1, m + 1, dm)
+        nodes = np.concatenate((rows["motion"], chain.arrivals[:, None]), axis=1)[:, None]  # (N, 1, m + 1, dm)
         sign = np.append(np.ones(chain.method.degree), -1.0)
         f, g = (((weights * a) * sign)[None, :, :, None] for a in (element.values, element.slopes))
         degree = chain.method.degree
@@ -227,7 +255,12 @@ class ChainEmbedding:
             pushed = np.vstack((rows["start"], later))
             signs = np.append(-1.0, np.tile(sign[1:], chain.intervals))[:, None]
             triplets += [(at + held, of_held, 1.0), (at + k_held + component, pushed, signs)]
-        total = ends + chain.conditions + (k_held + dm) * self.nodes.count
+        total = int(ends + chain.conditions + (k_held + dm) * self.nodes.count)
+        for i, joint in enumerate(chain.crossed.tolist()):
+            after = [rows["x"][joint - 1], rows["arrival"][i], rows["momentum"][joint - 1], rows[f"waypoint {i}"]]
+            signs = np.repeat([-1.0, 1.0, -1.0, 1.0], [len(part) for part in after])
+            triplets.append((total + np.arange(len(signs)), np.concatenate(after), signs))
+            total += len(signs)
         return sparse(triplets, (total, chain.equations))
 
     @lazy
@@ -237,9 +270,10 @@ class ChainEmbedding:
         f, rows = chain.fields, chain.rows
         free = [f[name] for name in ("durations", "parameters") if chain.is_free(name)]
         constants = np.concatenate(free, axis=1) if free else np.zeros((chain.intervals + 1, 0), dtype=np.int64)
+        smooth = np.delete(np.arange(chain.intervals), chain.crossed - 1)
         triplets: list[Triplet] = [
             (rows["x"], f["x"][1:], 1.0),
-            (rows["x"], f["nodes"][:, -1], -1.0),
+            (rows["x"][smooth], f["nodes"][smooth, -1], -1.0),
             (rows["momentum"], f["momentum"][1:], 1.0),
             (rows["motion"][:, 0], f["momentum"][:-1], 1.0),
             (rows["constants"], constants[1:], 1.0),

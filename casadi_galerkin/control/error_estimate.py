@@ -21,10 +21,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, truncation
+from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.control.switching import Switch, switches
@@ -43,15 +43,16 @@ ROUNDOFF = 1e-15  # of positions relative to their size
 
 def sampled(path: ControlTrajectory, degree: int) -> tuple[np.ndarray, np.ndarray]:
     """Times (N, K) at and between the joints, and positions there (d, N, K)."""
-    times = times_at(path.t, np.linspace(0, 1, 4 * degree + 1)).reshape(len(path.t) - 1, -1)
-    return times, path(times)
+    parts = np.linspace(0, 1, 4 * degree + 1)
+    times = times_at(path.t, parts).reshape(len(path.t) - 1, -1)
+    return times, path.polynomial.at_parts(parts)[0]
 
 
 def excess(path: ControlTrajectory) -> np.ndarray:
     """By how much positions leave their bounds between the nodes, relative to the components' sizes; (N,)."""
     low, high = (np.array(side)[:, None, None] for side in path.problem.position_bounds)
     times, _ = sampled(path, path.method.degree)
-    slopes = path(times, 1)
+    slopes = path.polynomial.at_parts(np.linspace(0, 1, times.shape[1]))[1]
     change = slopes[:, :, :-1] - slopes[:, :, 1:]
     part = np.clip(slopes[:, :, :-1] / np.where(change != 0, change, 1.0), 0.0, 1.0)
     turning = times[:, :-1] + part * np.diff(times)  # where a component turns, or one end of the sample
@@ -65,9 +66,9 @@ def excess(path: ControlTrajectory) -> np.ndarray:
 
 def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
     """What a path has on each interval that a lower degree has not, relative to the components' sizes; (N,)."""
-    calculus = DiscreteCalculus(Galerkin(degree), path.t)
-    times, positions = sampled(path, degree)
-    change = positions - calculus.emb(path(calculus.node_times))(times)
+    nodes = Galerkin(degree).element.nodes
+    lower = path.polynomial.at_parts(nodes)[0] @ lagrange_values(nodes, np.linspace(0, 1, 4 * degree + 1)).T
+    change = sampled(path, degree)[1] - lower
     return np.asarray(np.max(np.abs(change) / component_sizes(path.polynomial.values)[:, None, None], axis=(0, 2)))
 
 

@@ -174,6 +174,21 @@ class ControlGraph:
         ]
         return self._name("verification", [ca.densify(ca.veccat(*told))], multipliers)
 
+    @lazy
+    def _arriving(self) -> ca.Function:
+        """(unknowns, data, λ) -> derivatives of the equations by the values before the joints crossed, (K d,)."""
+        multipliers, first = ca.MX.sym("multipliers", self.chain.equations), len(self.places) - len(self.chain.crossed)
+        given = zip(self.places, self.at, self.weights, self._along(multipliers), strict=True)
+        slopes = [place.lagrangian_gradient(*z)[: self.chain.dimension] for place, *z in list(given)[first:]]
+        return self._name("arriving", [ca.densify(ca.vertcat(*slopes))], multipliers)
+
+    def arriving(self, unknowns: np.ndarray, data: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
+        """What the cost changes by with the values before the joints crossed, (d, K)."""
+        if len(self.chain.crossed) == 0:
+            return np.zeros((self.chain.dimension, 0))
+        (slopes,) = Evaluator(self._arriving)(unknowns, data, multipliers)
+        return np.asarray(slopes.reshape(-1, self.chain.dimension).T)
+
     def report(self, unknowns: np.ndarray, data: np.ndarray, multipliers: np.ndarray | None = None) -> Report:
         """Evaluate all that is told of a point."""
         count, chain = self.chain.equations, self.chain

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
@@ -29,14 +30,18 @@ def first_values(
     path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     near = near_answer(guess, chain, calculus)
     mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical
-    marks = chain.marks(problem, mesh)
+    marks, degree = chain.marks(problem, mesh), chain.method.degree
+    everywhere = np.array([mesh[0], *problem.breakpoints, mesh[-1]])
     if isinstance(guess, ControlTrajectory):
-        path_guess = near.polynomial.values if near else _earlier(guess, guess, marks, times)
+        path_guess = near.polynomial.values if near else _earlier(guess, guess, everywhere, times)
     path = _path(problem, calculus, path_guess)
+    nodes = path[1:].reshape(n, degree, -1).copy()
+    arrived, arriving = _arrivals(chain, calculus, everywhere, guess, path)
+    nodes[chain.crossed - 1, -1] = np.clip(arrived, *problem.position_bounds)
     slopes = (path[1] - path[0]) / (times[1] - times[0]), (path[-1] - path[-2]) / (times[-1] - times[-2])
     durations, parameters = np.diff(marks), np.array(problem.parameters or ())
     if isinstance(guess, ControlTrajectory):
-        controls = near.control.values.T if near else _earlier_controls(guess, chain, marks, calculus)
+        controls = near.control.values.T if near else _earlier_controls(guess, chain, everywhere, calculus)
         slopes = guess.start_velocity, guess.end_velocity
         if problem.duration_bounds is not None:
             durations = np.clip(np.diff(_marks_before(guess, marks)), *problem.duration_bounds)
@@ -49,14 +54,14 @@ def first_values(
         controls = _given_controls(control_guess, chain, calculus)
     given = np.array([problem.start_velocity, problem.end_velocity], dtype=float)  # NaN for None
     velocities = np.where(np.isnan(given), slopes, given)[:, :dm]
-    degree = chain.method.degree
     left = (mesh[:-1] - marks[chain.phases]) / np.diff(marks)[chain.phases]
     return {
         "x": path[::degree],
-        "nodes": path[1:].reshape(n, degree, -1),
+        "nodes": nodes,
         "controls": np.clip(controls, *problem.control_bounds).reshape(n, -1, chain.controls),
         "start_velocity": velocities[0],
         "end_velocity": velocities[1],
+        "velocity": arriving,
         "durations": durations,
         "parameters": parameters,
         "begin": mesh[:1],
@@ -80,10 +85,24 @@ def _marks_before(guess: ControlTrajectory, marks: np.ndarray) -> np.ndarray:
 def _earlier(
     guess: ControlTrajectory, path: Callable[[np.ndarray], np.ndarray], marks: np.ndarray, times: np.ndarray
 ) -> np.ndarray:
-    """Values of an earlier answer, or of its controls, at the same fractions of the durations of its phases."""
+    """Values of an earlier answer, or of its controls, at the same fractions of the durations between marks."""
     before = _marks_before(guess, marks)
     same = np.array_equal(before, marks)
     return np.asarray(path(times if same else np.clip(np.interp(times, marks, before), before[0], before[-1])))
+
+
+def _arrivals(
+    chain: Chain, calculus: DiscreteCalculus, marks: np.ndarray, guess: Guess | None, path: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities before the joints crossed: those of an earlier answer, else as if it did not jump."""
+    nodes, times = chain.crossed * chain.method.degree, calculus.node_times
+    found, dm = path[nodes], chain.mechanical
+    velocities = ((found - path[nodes - 1]) / (times[nodes] - times[nodes - 1])[:, None])[:, :dm]
+    if len(nodes) and isinstance(guess, ControlTrajectory):
+        after, before = (_earlier(guess, along, marks, times[nodes]) for along in (guess, guess.polynomial.before))
+        found = found + (before - after).T
+        velocities = guess.arrival_velocity if guess.arrival_velocity.shape == velocities.shape else velocities
+    return found, velocities
 
 
 def near_answer(guess: Guess | None, chain: Chain, calculus: DiscreteCalculus) -> ControlTrajectory | None:
@@ -175,6 +194,10 @@ def check_finite(problem: ControlProblem, embedding: ChainEmbedding, values: dic
     )
     if problem.terminal_cost is not None:
         _report("terminal_cost", np.array(problem.terminal_cost(when, *last, *p)), when)
+    for k, (crossing, joint) in enumerate(zip(problem.crossings, chain.crossed, strict=True)):
+        state = [values["nodes"][joint - 1, -1], np.append(values["velocity"][k], rest), *p]
+        for name, function in crossing.functions:
+            _report(name, np.array(ca.vertcat(*function.call(state))), np.array([crossing.time]))
     if problem.end_conditions is not None:
         _report("end_conditions", np.array(problem.end_conditions[0](*first, *last, *p)), when)
 

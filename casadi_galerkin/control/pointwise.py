@@ -7,11 +7,15 @@ At a quadrature point, with L̂(t, h, x, x') = h L(t, x, x'/h), the cost and the
 with z the components that follow the rates ρ; at the start and at the end e = ∂L/∂v(t, x, v) / S, and at the end
 c = τ, the terminal cost.  Conditions on both ends are rows of their own.  A holonomic constraint is held at the nodes
 by impulses Λ, with e = [ g,  GᵀΛ / S ] there and G = ∂g/∂x; at both ends e = G v + ∂g/∂t, where velocities are tangent.
+At a joint crossed with a law, (x, v) -> (x_+, v_+), the rows are e = [ x_+,  p / S,  p_+ / S,  w ] with p = ∂L/∂v on
+either side, and w the function that is bounded there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -19,6 +23,7 @@ import numpy as np
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.control.embedding import ChainEmbedding, Place
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.crossings import Crossing
 
 Terms = tuple[ca.SX, ca.SX, ca.SX]  # cost, action, rows
 
@@ -121,12 +126,16 @@ class PointwiseTerms:
 
 def places(problem: ControlProblem, embedding: ChainEmbedding) -> list[PointwiseTerms]:
     """The terms at all kinds of places that there are."""
-    make = {
+    make: dict[Place, Callable[..., Terms]] = {
         embedding.points: _at_points,
         embedding.start: _at_start,
         embedding.end: _at_end,
         embedding.ends: _at_ends,
         embedding.nodes: _at_nodes,
+        **{
+            place: partial(_at_crossing, crossing=crossing)
+            for place, crossing in zip(embedding.crossings, problem.crossings, strict=True)
+        },
     }
     found = []
     for place, active in zip(embedding.places, embedding.active, strict=True):
@@ -187,6 +196,24 @@ def _at_nodes(problem: ControlProblem, *at: ca.SX) -> Terms:
     assert problem.constraint is not None, "this place is where there is one"
     held = problem.constraint(begin + duration * share, x, *_given(problem, p))
     return ca.SX(1, 1), ca.SX(1, 1), ca.vertcat(held, ca.mtimes(ca.jacobian(held, x).T, impulse) / sizes)
+
+
+def _at_crossing(problem: ControlProblem, *at: ca.SX, crossing: Crossing) -> Terms:
+    x, v, duration, p, begin, share, sizes = at
+    t, given, before = begin + duration * share, _given(problem, p), (x, _filled(v, x))
+    after = before if crossing.jump is None else crossing.jump(*before, *given)
+    rows = [after[0], *(_momentum(problem, t, state, given) / sizes for state in (before, after))]
+    if crossing.condition is not None:
+        rows.append(crossing.condition[0](*before, *given))
+    return ca.SX(1, 1), ca.SX(1, 1), ca.vertcat(*rows)
+
+
+def _momentum(problem: ControlProblem, t: ca.SX, state: tuple[ca.SX, ca.SX], given: list[ca.SX]) -> ca.SX:
+    """∂L/∂v of the mechanical components where the state (x, v) holds expressions."""
+    symbols = [ca.SX.sym(name, problem.dimension) for name in ("x", "v")]
+    momentum = ca.gradient(problem.lagrangian(t, *symbols, *given), symbols[1])
+    mechanical = ca.vertsplit(momentum, [0, problem.mechanical, problem.dimension])[0]
+    return ca.substitute(mechanical, ca.vertcat(*symbols), ca.densify(ca.vertcat(*state)))
 
 
 def _filled(v: ca.SX, x: ca.SX) -> ca.SX:

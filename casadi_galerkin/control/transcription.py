@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_breakpoints, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import (
@@ -220,7 +219,9 @@ class ControlTranscription:
         joints = self._joints(found, mesh)
         if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
             raise self._error(solver, optimum, limits, report.cost, relative, found, joints)
-        return self._trajectory(solver, optimum, report, problem, found, joints, float(np.max(relative)), began)
+        arriving = self.graph.arriving(optimum.unknowns, data, optimum.multipliers)
+        violation = float(np.max(relative))
+        return self._trajectory(solver, optimum, report, problem, found, arriving, joints, violation, began)
 
     def start(
         self, problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None
@@ -314,7 +315,7 @@ class ControlTranscription:
         hint = HINTS.get(optimum.status, OTHER_HINT)
         stopped = f"{NAMES[solver.name]} stopped with '{optimum.status}' after {optimum.iterations} iterations"
         message = f"{stopped}; {state}. {hint}"
-        path = Path(PiecewisePolynomial(joints, self.method.element.nodes, self.chain.path(values)))
+        path = Path(self.chain.path(values, joints))
         return ConvergenceError(message, path, float(relative[worst] / EPS), optimum.iterations)
 
     def _trajectory(
@@ -324,6 +325,7 @@ class ControlTranscription:
         report: Report,
         problem: ControlProblem,
         values: dict[str, np.ndarray],
+        arriving: np.ndarray,
         joints: np.ndarray,
         violation: float,
         began: float,
@@ -333,8 +335,7 @@ class ControlTranscription:
         parameters = None if problem.parameters is None else tuple(values["parameters"].tolist())
         breakpoints = tuple(joints[chain.breaks].tolist())
         others = np.zeros((chain.dimension - chain.mechanical, len(joints)))
-        nodes = self.method.element.nodes
-        polynomial = PiecewisePolynomial(joints, nodes, chain.path(values))
+        polynomial = chain.path(values, joints)
         problem = problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints)
         momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
         if problem.constraint is not None:  # which pushes at the joints, too
@@ -354,13 +355,14 @@ class ControlTranscription:
             problem=problem,
             cost=report.cost,
             control=ControlPath(joints, chain.control_times, values["controls"].reshape(-1, chain.controls).T),
-            costate=PiecewisePolynomial(joints, nodes, chain.costate(multipliers)),
+            costate=chain.costate(multipliers, optimum.bound_multipliers, arriving, joints),
             path_multipliers=self._path_multipliers(multipliers, joints),
             duals=(multipliers, optimum.bound_multipliers),
             hamiltonian=report.hamiltonian,
             violation=violation,
             start_velocity=np.append(values["start_velocity"], rates[0]),
             end_velocity=np.append(values["end_velocity"], rates[1]),
+            arrival_velocity=values["velocity"],
         )
 
     def _path_multipliers(self, multipliers: np.ndarray, joints: np.ndarray) -> ControlPath | None:

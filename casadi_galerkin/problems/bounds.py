@@ -1,8 +1,8 @@
-"""What a control problem bounds: positions, controls, durations, parameters, places on the way, values of functions."""
+"""What a control problem bounds: positions, controls, durations, parameters and values of functions."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -10,7 +10,6 @@ import numpy as np
 
 from casadi_galerkin.calculus.numbers import real_array
 from casadi_galerkin.problems.callables import Traceable, trace
-from casadi_galerkin.problems.problem import finite
 
 Limit: TypeAlias = float | Sequence[float]
 Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
@@ -42,29 +41,6 @@ def bounds(name: str, value: Any, size: int) -> Bounds:
     return tuple(low.tolist()), tuple(high.tolist())
 
 
-def waypoint_bounds(
-    given: Sequence[tuple[float, Sequence[float | tuple[float, float] | None]]], dimension: int
-) -> dict[float, Bounds]:
-    """Bounds of the positions at every waypoint, by its time."""
-    if not isinstance(given, (tuple, list, np.ndarray)):
-        raise TypeError(f"waypoints must be pairs (t, positions), got {given!r}")
-    found: dict[float, Bounds] = {}
-    for point in given:
-        if not isinstance(point, (tuple, list)) or len(point) != 2:
-            raise TypeError(f"waypoints must be pairs (t, positions), got {point!r}")
-        t, positions = finite("the time of a waypoint", point[0]), point[1]
-        if t in found:
-            raise ValueError(f"waypoints must have a time each, got two at t = {t:g}")
-        if not isinstance(positions, (tuple, list, np.ndarray)) or len(positions) != dimension:
-            raise ValueError(
-                f"a waypoint must have {dimension} position(s), a number, a pair or None each, got {positions!r}"
-            )
-        pairs = [x if x is None or isinstance(x, (tuple, list)) else (x, x) for x in positions]
-        sides = [bounds(f"the waypoint at t = {t:g}", pair, 1) for pair in pairs]
-        found[t] = (tuple(low for (low,), _ in sides), tuple(high for _, (high,) in sides))
-    return found
-
-
 def duration_bounds_of(given: tuple[Limit, Limit] | None, phases: int) -> Bounds | None:
     """Check bounds of the durations of all phases; None where they are given."""
     if given is None:
@@ -85,7 +61,7 @@ def parameter_bounds_of(given: tuple[Limit, Limit] | None, parameters: tuple[flo
 
 
 def limited_values(
-    name: str, given: tuple[Traceable, Limit, Limit] | None, sizes: dict[str, int]
+    name: str, given: tuple[Traceable, Limit, Limit] | None, sizes: Mapping[str, int]
 ) -> tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None:
     """Trace a function and check the bounds of its values, (g, lo, hi)."""
     if given is None:

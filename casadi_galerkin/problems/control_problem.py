@@ -3,6 +3,7 @@
 minimize    ∫ ℓ(t, x, v, u) dt + τ(t_N, x_N, v_N)
 subject to  d/dt ∂L/∂v - ∂L/∂x = F(t, x, v, u) + (∂c/∂x)ᵀ λ,     c(t, x) = 0,     dz/dt = ρ(t, x, v, u),
             lo <= g(t, x, v, u) <= hi,     lo <= e(x_0, v_0, x_N, v_N) <= hi,
+            (x, v) = j(x, v) across breakpoints,
             ends, waypoints, and bounds on x, u, the durations of the phases and the parameters,
 
 where z are the components of x that follow rates, and c is a holonomic constraint.
@@ -26,10 +27,19 @@ from casadi_galerkin.problems.bounds import (
     duration_bounds_of,
     limited_values,
     parameter_bounds_of,
-    waypoint_bounds,
 )
-from casadi_galerkin.problems.callables import Traceable, in_absolute_values, trace, trace_constraint, trace_lagrangian
+from casadi_galerkin.problems.callables import Traceable, trace, trace_constraint, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
+from casadi_galerkin.problems.crossings import (
+    Crossing,
+    Limited,
+    Pairs,
+    Waypoint,
+    crossings_of,
+    jumps_of,
+    waypoints_of,
+)
+from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
 from casadi_galerkin.problems.problem import marks, shown, varied_values
 
 ROUNDED = 1e-8  # of a condition that the ends given meet, as much as a solve may leave
@@ -65,7 +75,10 @@ class ControlProblem:
         in time; with `duration_bounds` they part phases, each with a free duration of its own, as between the switching
         times of a bang-bang control
     waypoints : (t, positions) each: a breakpoint at t, where the path has these d positions; each is a number, a pair
-        (lo, hi) that it lies within, or None
+        (lo, hi) that it lies within, or None.  Or (t, (g, lo, hi)) with g(x, v) -> scalar or vector within bounds there
+    jumps : (t, law) each: a breakpoint at t, where law(x, v) -> (x, v) says how the path goes on, as where a stage is
+        dropped or a ball bounces; waypoints at that time are passed before.  What it returns for the velocity of a
+        component that follows a rate is passed over.  A constant of a phase is a component of rate zero that jumps
     hold : True for controls that are constant on every interval, as hardware holds them
 
     Raises
@@ -78,6 +91,11 @@ class ControlProblem:
     >>> ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0], [0.0], [0.0],
     ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1).dimension
     1
+    >>> ball = ControlProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 2), [1.0], [1.0], [0.0], [0.0],
+    ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1,
+    ...     waypoints=[(1.0, [0.0])], jumps=[(1.0, lambda x, v: (x, -0.8 * v))])  # a wall
+    >>> ball.breakpoints
+    (1.0,)
     """
 
     lagrangian: ca.Function
@@ -99,7 +117,8 @@ class ControlProblem:
     rates: ca.Function
     end_conditions: tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None
     breakpoints: tuple[float, ...]
-    waypoints: tuple[tuple[float, tuple[tuple[float, float], ...]], ...]
+    waypoints: tuple[tuple[float, Pairs | Limited], ...]
+    jumps: tuple[tuple[float, ca.Function], ...]
     hold: bool
     constraint: ca.Function | None
 
@@ -124,7 +143,8 @@ class ControlProblem:
         rates: Traceable | None = None,
         end_conditions: tuple[Traceable, Limit, Limit] | None = None,
         breakpoints: Sequence[float] = (),
-        waypoints: Sequence[tuple[float, Sequence[float | tuple[float, float] | None]]] = (),
+        waypoints: Sequence[Waypoint] = (),
+        jumps: Sequence[tuple[float, Traceable]] = (),
         hold: bool = False,
         constraint: Traceable | None = None,
     ) -> None:
@@ -141,8 +161,12 @@ class ControlProblem:
         if mechanical < 0:
             raise ValueError(f"rates must be those of at most all {d} component(s), got {d - mechanical} values")
         _check_mechanics(mechanical, lagrangian, force)
-        passed, inner = waypoint_bounds(waypoints, d), times_inside("breakpoints", breakpoints, time_span(t_span))
-        inner = times_inside("breakpoints and waypoints", sorted({*inner, *passed}), time_span(t_span))
+        here = {name: size for name, size in sizes.items() if name in ("x", "v", "p")}
+        within = bounds("position_bounds", position_bounds, d)
+        passed, laws = waypoints_of(waypoints, here, within), jumps_of(jumps, here, mechanical)
+        inner = times_inside("breakpoints", breakpoints, time_span(t_span))
+        inner = tuple(sorted({*inner, *dict(passed), *dict(laws)}))
+        inner = times_inside("breakpoints, waypoints and jumps", inner, time_span(t_span))
         values: dict[str, Any] = {
             "lagrangian": trace_lagrangian(lagrangian or _nothing, d, given, mechanical),
             "t_span": time_span(t_span),
@@ -154,7 +178,7 @@ class ControlProblem:
             if terminal_cost is None
             else trace("terminal_cost", terminal_cost, at_the_end, "scalar"),
             "control_bounds": bounds("control_bounds", control_bounds, count),
-            "position_bounds": bounds("position_bounds", position_bounds, d),
+            "position_bounds": within,
             "path_constraint": limited_values("path_constraint", path_constraint, sizes),
             "duration_bounds": duration_bounds_of(duration_bounds, len(inner) + 1),
             "parameters": given,
@@ -162,17 +186,14 @@ class ControlProblem:
             "rates": own,
             "end_conditions": limited_values("end_conditions", end_conditions, both),
             "breakpoints": inner,
-            "waypoints": tuple((t, tuple(zip(*sides, strict=True))) for t, sides in passed.items()),
+            "waypoints": passed,
+            "jumps": laws,
             "hold": _flag("hold", hold),
             "constraint": None if constraint is None else trace_constraint(constraint, d, given),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
-        self._check_rates()
-        self._check_controls()
-        self._check_absolute_values()
-        self._check_parameters()
-        self._check_waypoints()
+        self._check_dependence()
         self._check_ends()
         self._check_guesses()
 
@@ -204,15 +225,20 @@ class ControlProblem:
         """Number of components that have an equation of motion; the others follow rates."""
         return int(self.force.numel_out(0))
 
+    @property
+    def crossings(self) -> tuple[Crossing, ...]:
+        """Breakpoints where the velocity counts: those of jumps, and of waypoints that are functions."""
+        return crossings_of(self.waypoints, self.jumps)
+
     def found(
         self, t_span: tuple[float, float], parameters: tuple[float, ...] | None, breakpoints: tuple[float, ...]
     ) -> ControlProblem:
         """Copy with the times and parameters that an optimization found, still free if they were; checks nothing."""
         other = object.__new__(type(self))  # copy.copy takes 50 µs
         moved = dict(zip(self.breakpoints, breakpoints, strict=True))
-        waypoints = tuple((moved[t], pairs) for t, pairs in self.waypoints)
-        found = {"t_span": t_span, "parameters": parameters, "breakpoints": breakpoints, "waypoints": waypoints}
-        other.__dict__.update(vars(self), **found)
+        timed = {name: tuple((moved[t], what) for t, what in getattr(self, name)) for name in ("waypoints", "jumps")}
+        found = {"t_span": t_span, "parameters": parameters, "breakpoints": breakpoints}
+        other.__dict__.update(vars(self), **found, **timed)
         return other
 
     def varied(self, changes: Mapping[str, Any], t_span: tuple[float, float]) -> ControlProblem:
@@ -223,58 +249,25 @@ class ControlProblem:
         other._check_guesses()
         return other
 
-    def _check_rates(self) -> None:
-        """Refuse what depends on the velocity of a component that follows a rate, which is that rate."""
-        own = set(range(self.mechanical, self.dimension))
-        for name, where in (("force", [2]), ("rates", [2]), ("terminal_cost", [2]), ("end_conditions", [1, 3])):
-            given = getattr(self, name)
-            function = given[0] if isinstance(given, tuple) else given
-            used = {i for k in where if function for i in function.sparsity_jac(k, 0).T.row()}
-            if used & own:
-                i = min(used & own)
-                raise ValueError(f"{name} must not depend on v[{i}], the rate of x[{i}]: write that rate instead")
+    def _check_dependence(self) -> None:
+        along = [self.force, self.rates, self.running_cost, *(self.path_constraint or ())[:1]]
+        of_velocities = [
+            ("force", self.force, [2]),
+            ("rates", self.rates, [2]),
+            ("terminal_cost", self.terminal_cost, [2]),
+            ("end_conditions", (self.end_conditions or (None,))[0], [1, 3]),
+            *((f"the {name} at t = {c.time:g}", f, [1]) for c in self.crossings for name, f in c.functions),
+        ]
+        own = range(self.mechanical, self.dimension)
+        check_rates(of_velocities, own)
         for name in ("start_velocity", "end_velocity"):
             for i in own:
                 if getattr(self, name)[i] is not None:
                     raise ValueError(f"x[{i}] follows a rate: {name}[{i}] must be None, got {getattr(self, name)[i]}")
-
-    def _check_controls(self) -> None:
-        """Refuse a control that nothing depends on: its value would be arbitrary."""
-        users = [self.force, self.rates, self.running_cost, *(self.path_constraint or ())[:1]]
-        used = {i for f in users for i in f.sparsity_jac(3, 0).T.row()}
-        unused = set(range(self.controls)) - used
-        if unused:
-            raise ValueError(f"the control u[{min(unused)}] occurs in no force, cost or constraint")
-
-    def _check_absolute_values(self) -> None:
-        """Refuse |u| in the cost where u may change its sign, since a solver that takes derivatives stalls there."""
-        low, high = self.control_bounds
-        for i in sorted(in_absolute_values(self.running_cost, 3)):
-            if low[i] < 0 < high[i]:
-                raise ValueError(
-                    f"running_cost holds the absolute value of u[{i}], whose derivative jumps at zero: replace u[{i}] "
-                    "by a - b with two controls a, b >= 0 (control_bounds), and its absolute value by a + b"
-                )
-
-    def _check_parameters(self) -> None:
-        """Refuse a free parameter that nothing depends on, for the same reason."""
-        users = [self.lagrangian, self.force, self.rates, self.running_cost, self.terminal_cost, self.constraint]
-        users += [*(self.path_constraint or ())[:1], *(self.end_conditions or ())[:1]]
-        used = {i for f in users if f is not None for i in f.sparsity_jac(f.n_in() - 1, 0).T.row()}
-        for i, (low, high) in enumerate(zip(*(self.parameter_bounds or ((), ())), strict=True)):
-            if low < high and i not in used:
-                raise ValueError(f"the free parameter p[{i}] occurs in no lagrangian, force, cost or constraint")
-
-    def _check_waypoints(self) -> None:
-        """Refuse a waypoint that the path may not be at."""
-        low, high = self.position_bounds
-        for t, pairs in self.waypoints:
-            for i, (least, most) in enumerate(pairs):
-                if least > high[i] or most < low[i]:
-                    raise ValueError(
-                        f"the waypoint at t = {t:g} bounds x[{i}] by [{least}, {most}], outside its position_bounds "
-                        f"[{low[i]}, {high[i]}]"
-                    )
+        check_controls(along, self.controls)
+        check_absolute_values(self.running_cost, self.control_bounds)
+        functions = [function for _, function, _ in of_velocities]
+        check_parameters([*along, *functions, self.lagrangian, self.constraint], self.parameter_bounds)
 
     def _check_ends(self) -> None:
         low, high = self.position_bounds
@@ -293,6 +286,8 @@ class ControlProblem:
                     )
         if self.constraints and self.mechanical < self.dimension:
             raise ValueError("a constraint has no place beside rates: write it as a path_constraint (g, 0, 0)")
+        if self.constraints and self.crossings:
+            raise ValueError("a constraint has no place beside jumps, and waypoints that are functions")
         if self.duration_bounds is None and self.parameter_bounds is None:
             check_constraint(self, self._whole_ends())
             self._check_constraint("start", self.t_span[0])

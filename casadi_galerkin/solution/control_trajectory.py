@@ -47,13 +47,18 @@ class ControlTrajectory(Trajectory):
     duals : (equations,) and (unknowns,), Lagrange multipliers of the discrete equations and of the bounds: with this
         trajectory as its guess, a solve with the same method on the same intervals starts warm
     hamiltonian : (N,), mean of I - v·∂I/∂v - dλ/dt·∂I/∂(dλ/dt) over each interval, where
-        I = ℓ + λ·(∂L/∂x + F) + dλ/dt·∂L/∂v; of order 2m.  The same on all intervals where nothing depends on t; zero
-        as well where the duration is free, was found strictly inside `duration_bounds`, and no terminal cost depends
-        on t.  With `hold` neither is so on an interval, but the mean over a phase of free duration is that
+        I = ℓ + λ·(∂L/∂x + F) + dλ/dt·∂L/∂v; of order 2m.  The same on all intervals where nothing depends on t, but for
+        waypoints and jumps at given times; zero as well where the duration is free, was found strictly inside
+        `duration_bounds`, and no terminal cost depends on t.  With `hold` neither is so on an interval, but the mean
+        over a phase of free duration is that
     violation : largest violation of an equation or bound, relative to the sizes of the terms it compares; at most 1e-8
     residual : the same in units of the relative precision of a double, 2.2e-16; at most 4.5e7
     start_velocity, end_velocity : (d,), the velocities given or found at the ends; of a component that follows a rate,
         the derivative of its polynomial
+    arrival_velocity : (K, mechanical), the velocities before jumps, and at waypoints that are functions
+
+    At the time of a jump ``path(t)``, `x`, `momentum` and `velocity` are those after it; ``path.before(t)`` is the
+    position before.  The costate jumps as well, there and at waypoints: ``costate(t)`` and ``costate.before(t)``.
 
     `action` is that of the Lagrangian alone, `morse_index` is None, and `parameters` are the optimized ones.
 
@@ -81,6 +86,7 @@ class ControlTrajectory(Trajectory):
     violation: float
     start_velocity: np.ndarray
     end_velocity: np.ndarray
+    arrival_velocity: np.ndarray
 
     def replay(self) -> ca.Function:
         """Return the force (t, x, v[, p]) -> (d,) of the optimized controls, for an `InitialProblem`.
@@ -91,10 +97,13 @@ class ControlTrajectory(Trajectory):
         ------
         ValueError
             where the rule has points at both ends of an interval (Lobatto) and a control jumps at a joint: a function
-            of time has one value there, and the path was found with two; and where a component follows a rate
+            of time has one value there, and the path was found with two; and where a component follows a rate, or the
+            path jumps
         """
         if self.problem.mechanical < len(self.x):
             raise ValueError(f"an InitialProblem has no rates, which x[{self.problem.mechanical}] follows")
+        if self.problem.jumps:
+            raise ValueError(f"an InitialProblem has no jumps, as the path at t = {self.problem.jumps[0][0]:.6g}")
         self._refuse_two_values()
         d = len(self.x)
         symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d)]
@@ -208,7 +217,7 @@ class ControlTrajectory(Trajectory):
         return constrained_motion(self._lagrangian, held, force)
 
     def table(self) -> dict[str, np.ndarray]:
-        """What a Trajectory has, controls and costate at the joints, by name."""
+        """What a Trajectory has, controls and costate at the joints, after a jump there, by name."""
         return {
             **super().table(),
             **by_component("control", self.control(self.t)),
@@ -251,8 +260,8 @@ class ControlTrajectory(Trajectory):
         self.plot_controls(drawn[1], control_labels, "")
         if limited:
             self.plot_constraints(drawn[2], constraint_labels, "")
-        times = self._fine()
-        plot_path(times, self.costate(times), self.t, self.costate(self.t), drawn[-1], costate_labels, time, "λ")
+        line, at_joints = self.costate.line(self._fine()), self.costate(self.t)
+        plot_path(*line, self.t, at_joints, drawn[-1], costate_labels, time, "λ")
         for panel in drawn:
             for when in self.problem.breakpoints:
                 panel.axvline(when, color="0.6", linewidth=0.8)

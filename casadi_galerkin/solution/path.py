@@ -45,15 +45,19 @@ class Path(Table, Pictured):
         return self.polynomial.values[:, :: self.polynomial.degree].copy()
 
     def table(self) -> dict[str, np.ndarray]:
-        """Times and positions at the joints, by name."""
+        """Times and positions at the joints, after a jump there, by name."""
         return {"t": self.t, **by_component("x", self.x)}
 
     def __call__(self, t: ArrayLike, nu: int = 0) -> np.ndarray:
         """Position, or derivative of order `nu`, at times t; shape (d,) + t.shape.
 
-        At a joint the derivative is the right one, at the last joint the left one.
+        At a joint the derivative is the right one, at the last joint the left one; so is the position where it jumps.
         """
         return self.polynomial(t, nu)
+
+    def before(self, t: ArrayLike, nu: int = 0) -> np.ndarray:
+        """The same just before times t, which differs at a joint where the path has a jump or a kink."""
+        return self.polynomial.before(t, nu)
 
     def plot(self, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t") -> Axes:
         """Draw the components over time, joints as dots; returns the Matplotlib axes.
@@ -64,8 +68,7 @@ class Path(Table, Pictured):
         labels : d names with units, such as "angle in rad"
         time : name of the time with its unit
         """
-        times = self._fine()
-        drawn = plot_path(times, self(times), self.t, self.x, axes, labels, time)
+        drawn = plot_path(*self.polynomial.line(self._fine()), self.t, self.x, axes, labels, time)
         if axes is None:
             drawn.set_title(self._title())
         return drawn
@@ -85,8 +88,9 @@ class Path(Table, Pictured):
         if len(given) != 2 or any(i is None or not 0 <= i < len(self.x) for i in given):
             raise ValueError(f"components must be two numbers from 0 to {len(self.x) - 1}, got {components!r}")
         chosen = list(components)
-        line = self(self.polynomial.times(np.linspace(0, 1, max(20, SMOOTH // (len(self.t) - 1)), endpoint=False)))
-        return plot_plane(line[chosen], self.x[chosen], axes, labels or [f"x[{i}]" for i in chosen])
+        times = self.polynomial.times(np.linspace(0, 1, max(20, SMOOTH // (len(self.t) - 1)), endpoint=False))
+        line = self.polynomial.line(times)[1][chosen]
+        return plot_plane(line, self.x[chosen], axes, labels or [f"x[{i}]" for i in chosen])
 
     def plot_poses(
         self, points: Callable[[np.ndarray], ArrayLike], axes: Axes | None = None, count: int = 8, apart: float = 0.0

@@ -60,10 +60,16 @@ def check_reference(problem: Problem, given: Reference) -> None:
         raise ValueError(f"the reference must run from {span[0]} to {span[1]}, got {given.t[0]} to {given.t[-1]}")
 
 
+def _marks_of(problem: object, joints: np.ndarray) -> np.ndarray:
+    """Ends of the time scale and, between them, the breakpoints."""
+    return np.array([joints[0], *getattr(problem, "breakpoints", ()), joints[-1]])
+
+
 class ReferenceSolution:
     """What errors are differences to: path, action and energy by parts of the time span, and their sizes.
 
-    Parts, because a control problem may leave the duration free.  A quantity that the user names is measured, too.
+    Parts, and those between breakpoints, because a control problem may leave the durations free, and its path may jump
+    at breakpoints.  A quantity that the user names is measured, too.
     """
 
     def __init__(
@@ -75,6 +81,7 @@ class ReferenceSolution:
             calculus = DiscreteCalculus(Galerkin(LEAST_DEGREE), np.linspace(*problem.t_span, SAMPLES // 4 + 1))
             self._exact, self._dimension = given, problem.dimension
             self._path = calculus.emb(self._sampled(calculus.node_times))
+        self._marks = _marks_of(given.problem if isinstance(given, Trajectory) else problem, self._path.mesh)
         self._lagrangian = with_parameters(problem.lagrangian, parameters)
         times = times_at(self._path.mesh, np.array(gauss(LEAST_DEGREE).points))
         weights = np.outer(np.diff(self._path.mesh), gauss(LEAST_DEGREE).weights).ravel()
@@ -96,13 +103,15 @@ class ReferenceSolution:
         assert self._exact is not None
         return sampled("the reference", self._exact, times, self._dimension)
 
-    def _times(self, part: np.ndarray) -> np.ndarray:
-        first, last = self._path.mesh[[0, -1]]
-        return np.asarray(np.clip(first + part * (last - first), first, last))
+    def _matching(self, path: Trajectory, times: np.ndarray) -> np.ndarray:
+        """Times of the reference at the same parts of the durations between breakpoints."""
+        own, its = self._marks, _marks_of(path.problem, path.t)
+        if len(own) != len(its):
+            own, its = own[[0, -1]], its[[0, -1]]
+        return times if np.array_equal(own, its) else np.interp(times, its, own)
 
-    def at(self, part: np.ndarray) -> np.ndarray:
+    def _at(self, times: np.ndarray) -> np.ndarray:
         """Positions (d, K)."""
-        times = self._times(part)
         return self._path(times) if self._exact is None else self._sampled(times)
 
     def _terms(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -115,13 +124,12 @@ class ReferenceSolution:
 
     def errors(self, path: Trajectory) -> dict[str, Any]:
         """Errors of a path by their names in a `Row`, all relative."""
-        joints = (path.t - path.t[0]) / (path.t[-1] - path.t[0])
-        inside = np.linspace(0.0, 1.0, max(4, SAMPLES // len(joints)) + 1)[1:-1]
-        between = times_at(joints, inside)
-        times = np.clip(path.t[0] + between * (path.t[-1] - path.t[0]), path.t[0], path.t[-1])
-        joint_error = float(np.max(np.abs(path.x - self.at(joints)) / self.sizes))
-        path_error = max(float(np.max(np.abs(path(times) - self.at(between)) / self.sizes)), joint_error)
-        lagrangian, kinetic = self._terms(self._times(joints))
+        inside = np.linspace(0.0, 1.0, max(4, SAMPLES // len(path.t)) + 1)[1:-1]
+        joints, times = self._matching(path, path.t), times_at(path.t, inside)
+        joint_error = float(np.max(np.abs(path.x - self._at(joints)) / self.sizes))
+        between = self._at(self._matching(path, times))
+        path_error = max(float(np.max(np.abs(path(times) - between) / self.sizes)), joint_error)
+        lagrangian, kinetic = self._terms(joints)
         energy_error = float(np.max(np.abs(path.energy - (kinetic - lagrangian))))
         functional = path.cost if isinstance(path, ControlTrajectory) else path.action
         return {

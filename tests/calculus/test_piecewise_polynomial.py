@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import casadi_galerkin as cg
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 
 
 def test_derivative_at_a_joint_is_the_right_one_and_at_the_last_the_left_one():
@@ -34,3 +35,25 @@ def test_an_order_of_derivative_that_is_none_is_refused(nu):
     path = cg.DiscreteCalculus(cg.Galerkin(1), [0.0, 2.0]).emb([[0.0, 1.0]])
     with pytest.raises(ValueError, match="nu must be a whole number from 0 on, got"):
         path(1.0, nu)
+
+
+def test_a_jump_has_a_value_on_either_side():
+    """t² up to 1, then t - 3 up to 3."""
+    mesh, nodes = np.array([0.0, 1.0, 3.0]), np.array([0.0, 0.5, 1.0])
+    path = PiecewisePolynomial(mesh, nodes, np.array([[0.0, 0.25, -2.0, -1.0, 0.0]]), np.array([[1.0, 0.0]]))
+    assert (path(1.0)[0], path.before(1.0)[0], path(3.0)[0], path.before(0.0)[0]) == (-2.0, 1.0, 0.0, 0.0)
+    assert (path(1.0, 1)[0], path.before(1.0, 1)[0]) == pytest.approx((1.0, 2.0), abs=1e-14)
+    np.testing.assert_allclose(path([0.5, 0.999, 2.0])[0], [0.25, 0.999**2, -1.0], rtol=1e-14)
+    assert path.jumps.tolist() == [1]
+    times, values = path.line(np.array([0.0, 0.5, 1.0, 3.0]))
+    assert times.tolist() == [0.0, 0.5, 1.0, 1.0, 3.0]
+    assert values.tolist() == [[0.0, 0.25, 1.0, -2.0, 0.0]]
+    assert path.at_parts(np.array([0.0, 1.0]))[0].tolist() == [[[0.0, 1.0], [-2.0, 0.0]]]
+    first = path.between(0, 1)
+    assert (first(0.5)[0], first(1.0)[0]) == (0.25, 1.0)
+
+
+def test_a_continuous_path_has_no_jumps():
+    path = PiecewisePolynomial(np.array([0.0, 1.0, 3.0]), np.array([0.0, 1.0]), np.array([[0.0, 2.0, 0.0]]))
+    assert path.jumps.size == 0
+    assert path.before(1.0).tolist() == path(1.0).tolist() == [2.0]

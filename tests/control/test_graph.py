@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import cart_pole, cartesian_pendulum, everything, minimum_time, two_phases
+from control_problems import cart_pole, cartesian_pendulum, everything, minimum_time, staged, two_phases
 
 import casadi_galerkin as cg
 
@@ -21,7 +21,7 @@ def method(request):
     return request.param
 
 
-@pytest.fixture(params=[everything, cart_pole, minimum_time, cartesian_pendulum, two_phases])
+@pytest.fixture(params=[everything, cart_pole, minimum_time, cartesian_pendulum, two_phases, staged])
 def graph(request, method):
     return cg.transcribe(request.param(), method, 4).graph
 

@@ -94,7 +94,9 @@ def test_controls_of_a_pair_are_where_the_solve_starts():
     values = first_values(program.problem, program.chain, calculus, (known, known.control))
     controls = known.control.values.reshape(1, 10, 4).transpose(1, 2, 0)
     np.testing.assert_allclose(values["controls"], controls, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(program.chain.path(values), known.polynomial.values, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        program.chain.path(values, program.mesh).values, known.polynomial.values, rtol=0, atol=1e-12
+    )
     bounded = cg.transcribe(pendulum(3.0, control_bounds=(-1, 1)), cg.Galerkin(4), 10)
     values = first_values(bounded.problem, bounded.chain, calculus, (known, known.control))
     np.testing.assert_allclose(values["controls"], np.clip(controls, -1, 1), rtol=0, atol=1e-12)

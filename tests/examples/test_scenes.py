@@ -22,7 +22,6 @@ import pytest
 from paths import EXAMPLES
 from scenes import TROESCH
 from scipy.integrate import solve_ivp
-from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq, fsolve, minimize
 from scipy.stats import chi2
 
@@ -620,20 +619,57 @@ def over_and_over(module, path):
     np.testing.assert_allclose([later.cost, three.cost / 3], path.cost, rtol=1e-8, atol=0)
 
 
-def cubic_spline_through_the_gates(module, path):
-    """The least ∫ x''² between places given is a cubic spline; its times are found by SciPy's minimizer."""
+def cubics_through_the_gates(module, path):
+    """The least ∫ x''² between places and velocities given is a cubic; times and free velocities are SciPy's.
+
+    The drone passes at the bars on the inside, the first gate as steeply downward as it may, the last upward.
+    """
     places = np.array([[0.0, 3.0, 6.0, 9.0, module.LAST[0]], [1.0, 2.0, 1.0, 2.5, module.LAST[1]]])
 
-    def price(legs):
-        times = np.append(0.0, np.cumsum(legs))
-        bends = [CubicSpline(times, row, bc_type="clamped").derivative(2)(times) for row in places]
-        squared = sum(np.sum(legs * (b[1:] ** 2 + b[1:] * b[:-1] + b[:-1] ** 2) / 3) for b in bends)
-        return times[-1] + module.EFFORT * module.MASS**2 * squared
+    def price(free):
+        legs, level, middle = free[:4], free[4:7], free[7]
+        speeds = np.array([[0.0, *level, 0.0], [0.0, -module.LEVEL, middle, module.LEVEL, 0.0]])
+        way, a, b = np.diff(places), speeds[:, :-1], speeds[:, 1:]
+        squared = 12 * way**2 / legs**3 - 12 * way * (a + b) / legs**2 + 4 * (a**2 + a * b + b**2) / legs
+        return np.sum(legs) + module.EFFORT * module.MASS**2 * np.sum(squared)
 
-    best = minimize(price, np.ones(4), method="BFGS", options={"gtol": 1e-9})
+    best = minimize(price, np.append(np.ones(4), [3.0, 3.0, 3.0, 0.0]), method="BFGS", options={"gtol": 1e-9})
     assert path.cost == pytest.approx(best.fun, abs=1e-9)
-    np.testing.assert_allclose(np.diff([0.0, *path.problem.breakpoints, path.t[-1]]), best.x, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(np.diff([0.0, *path.problem.breakpoints, path.t[-1]]), best.x[:4], rtol=0, atol=1e-5)
+    np.testing.assert_allclose(path.arrival_velocity[:, 0], best.x[4:7], rtol=0, atol=1e-5)
     assert np.max(np.abs(path.hamiltonian)) < 1e-9
+
+
+def steered_by_a_linear_tangent(module, path):
+    """The separation is when the fuel is spent; then two numbers of the law and the time meet height and velocity."""
+    spent = module.FUEL * module.EXHAUST[0] / module.THRUST[0]
+    after = module.MASS - module.FUEL - module.EMPTY
+
+    def flown(level, slope, end):
+        def motion(t, y, mass, begin, stage):
+            along = np.array([1.0, level - slope * t])
+            push = module.THRUST[stage] / (mass - module.THRUST[stage] / module.EXHAUST[stage] * (t - begin))
+            across, up = push * along / np.hypot(*along)
+            return [y[2], across, up - module.GRAVITY]
+
+        state = np.zeros(3)  # height, velocity across and up
+        for stage, span, mass in ((0, (0.0, spent), module.MASS), (1, (spent, end), after)):
+            run = solve_ivp(motion, span, state, "DOP853", rtol=1e-12, atol=1e-13, args=(mass, span[0], stage))
+            state = run.y[:, -1]
+        return state
+
+    goal = [module.HEIGHT, module.SPEED, 0.0]
+    *_, duration = fsolve(lambda p: flown(*p) - goal, [1.0, 0.2, 4.8], xtol=1e-13)
+    assert path.problem.breakpoints[0] == pytest.approx(spent, rel=1e-10)
+    assert path.before(path.problem.breakpoints[0])[2] == pytest.approx(module.MASS - module.FUEL, rel=1e-10)
+    assert path(path.problem.breakpoints[0])[2] == pytest.approx(after, rel=1e-10)
+    assert path.cost == pytest.approx(duration, rel=1e-9)
+
+
+def both_solvers_drop_the_stage(module, path):
+    other = cg.solve(module.problem(), path.method, intervals=len(path.t) - 1, solver=cg.fatrop)
+    assert other.cost == pytest.approx(path.cost, rel=1e-8)
+    np.testing.assert_allclose(other.x, path.x, rtol=1e-6, atol=1e-8)
 
 
 TABLE = [
@@ -703,12 +739,14 @@ TABLE = [
     ("low_thrust", wider_circle, "the spacecraft arrives on the wider circle"),
     ("low_thrust", cheapest_angle, "the angle of arrival is the cheapest"),
     ("crane", crane_in_balance, "the crane's load arrives at rest, and its rope's force is that of the load's motion"),
-    ("gates", cubic_spline_through_the_gates, "the flight through the gates is the best of all cubic splines"),
+    ("gates", cubics_through_the_gates, "the flight through the gates is the best of all cubics"),
     ("elastic_support", cable_as_integrated, "the cable is that integrated by hand, in balance with its spring"),
     ("obstacle", passed_below, "the vehicle passes below at the exact cost"),
     ("swing_up_loop", upright_in_the_loop, "planned anew from noisy states the pole stands upright, knocked or not"),
     ("moon_landing", cheapest_landing, "the landing falls and brakes as the closed form says"),
     ("moon_landing", landed_by_both_solvers, "fatrop lands as IPOPT does"),
+    ("two_stage_rocket", steered_by_a_linear_tangent, "the rocket of two stages steers by a linear tangent"),
+    ("two_stage_rocket", both_solvers_drop_the_stage, "fatrop drops the stage as IPOPT does"),
     ("hypersensitive", layers_at_both_ends, "the hypersensitive problem has its two layers at the exact cost"),
     ("rolling_hills", over_and_over, "the car goes over the hills for ever, from wherever it begins"),
     ("swing_up_loop", a_sample_of_the_plant, "the plant of the loop moves as its Lagrangian says"),

@@ -273,6 +273,22 @@ def test_phases_found_to_a_tolerance_are_solved_again_on_their_mesh():
     assert max(row.error for row in measured.rows) < 1e-6
 
 
+def test_errors_of_paths_that_jump_at_free_times_have_the_order_of_the_method():
+    """Joints of one path match those of the other, whichever comes first."""
+    problem = double_integrator(
+        lagrangian=lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]),
+        start=[1.0],
+        running_cost=lambda t, x, v, u: 1 + u[0] ** 2,
+        duration_bounds=(0.1, 3.0),
+        waypoints=[(0.45, [0.0])],
+        jumps=[(0.45, lambda x, v: (x - 0.3, -0.8 * v))],
+    )
+    degree = cg.Galerkin(2)
+    measured = cg.trade(problem, [degree], (16, 32, 64))
+    assert measured.order(degree) == pytest.approx(3, abs=BAND)
+    assert max(row.joint_error for row in measured.rows) < 1e-4
+
+
 def test_energy_error_is_relative_to_the_whole_path():
     """A path at rest at both ends has no energy at the joints to compare with."""
     exact = cg.trade(double_integrator(), [cg.Galerkin(3)], (1,), reference=lambda t: [3 * t**2 - 2 * t**3])

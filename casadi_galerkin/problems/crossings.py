@@ -1,0 +1,130 @@
+"""What a control problem states of breakpoints: places and conditions to pass, and jumps of what passes them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import wraps
+from typing import Any, TypeAlias, TypeGuard
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.problems.bounds import Bounds, Limit, bounds, limited_values
+from casadi_galerkin.problems.callables import Traceable, trace
+from casadi_galerkin.problems.problem import finite
+
+Positions: TypeAlias = Sequence[float | tuple[float, float] | None]
+Waypoint: TypeAlias = tuple[float, Positions | tuple[Traceable, Limit, Limit]]
+Limited: TypeAlias = tuple[ca.Function, tuple[float, ...], tuple[float, ...]]
+Pairs: TypeAlias = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """A breakpoint where the velocity counts.
+
+    Attributes
+    ----------
+    time : float
+    condition : (g, lo, hi) of position and velocity before a jump, or None
+    jump : Function of both -> both after it, or None
+    """
+
+    time: float
+    condition: Limited | None
+    jump: ca.Function | None
+
+    @property
+    def functions(self) -> list[tuple[str, ca.Function]]:
+        """What is stated there, by name."""
+        both = ("waypoint", (self.condition or (None,))[0]), ("jump", self.jump)
+        return [(name, function) for name, function in both if function is not None]
+
+
+def crossings_of(
+    waypoints: tuple[tuple[float, Pairs | Limited], ...], jumps: tuple[tuple[float, ca.Function], ...]
+) -> tuple[Crossing, ...]:
+    """Breakpoints where the velocity counts, in the order of time."""
+    conditions = {t: place for t, place in waypoints if is_limited(place)}
+    laws = dict(jumps)
+    return tuple(Crossing(t, conditions.get(t), laws.get(t)) for t in sorted({*conditions, *laws}))
+
+
+def is_limited(place: Any) -> TypeGuard[Limited]:
+    """Whether a waypoint is a function with bounds, not positions."""
+    return callable(place) or (isinstance(place, (tuple, list)) and len(place) > 0 and callable(place[0]))
+
+
+def waypoints_of(
+    given: Sequence[Waypoint], sizes: Mapping[str, int], within: Bounds
+) -> tuple[tuple[float, Pairs | Limited], ...]:
+    """Check waypoints: pairs of bounds (lo, hi) of all positions, which may be `within` these, or (g, lo, hi)."""
+    found: list[tuple[float, Pairs | Limited]] = []
+    for t, place in _timed("waypoints", "(t, positions) or (t, (g, lo, hi))", given):
+        limited = limited_values("waypoint", place, dict(sizes)) if is_limited(place) else None
+        found.append((t, _positions(t, place, within) if limited is None else limited))
+    return tuple(found)
+
+
+def _timed(name: str, kind: str, given: Any) -> list[tuple[float, Any]]:
+    """Check a sequence of pairs that begin with a time of their own."""
+    if not isinstance(given, (tuple, list, np.ndarray)):
+        raise TypeError(f"{name} must be pairs {kind}, got {given!r}")
+    found: dict[float, Any] = {}
+    for pair in given:
+        if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+            raise TypeError(f"{name} must be pairs {kind}, got {pair!r}")
+        t = finite(f"the time of a {name[:-1]}", pair[0])
+        if t in found:
+            raise ValueError(f"{name} must have a time each, got two at t = {t:g}")
+        found[t] = pair[1]
+    return list(found.items())
+
+
+def _positions(t: float, positions: Any, within: Bounds) -> Pairs:
+    """Bounds of the positions at a waypoint."""
+    dimension = len(within[0])
+    if not isinstance(positions, (tuple, list, np.ndarray)) or len(positions) != dimension:
+        raise ValueError(
+            f"a waypoint must have {dimension} position(s), a number, a pair or None each, or be (g, lo, hi), "
+            f"got {positions!r}"
+        )
+    pairs = [x if x is None or isinstance(x, (tuple, list)) else (x, x) for x in positions]
+    sides = [bounds(f"the waypoint at t = {t:g}", pair, 1) for pair in pairs]
+    for i, ((least,), (most,)) in enumerate(sides):
+        low, high = (side[i] for side in within)
+        if least > high or most < low:
+            raise ValueError(
+                f"the waypoint at t = {t:g} bounds x[{i}] by [{least}, {most}], outside its position_bounds "
+                f"[{low}, {high}]"
+            )
+    return tuple((least, most) for (least,), (most,) in sides)
+
+
+def jumps_of(
+    given: Sequence[tuple[float, Traceable]], sizes: Mapping[str, int], mechanical: int
+) -> tuple[tuple[float, ca.Function], ...]:
+    """Check jumps, and trace each into a Function (x, v[, p]) -> x after, v after; zero where x follows a rate."""
+    return tuple((t, _law(t, law, sizes, mechanical)) for t, law in _timed("jumps", "(t, law)", given))
+
+
+def _law(t: float, law: Any, sizes: Mapping[str, int], mechanical: int) -> ca.Function:
+    if not callable(law):
+        raise TypeError(f"the jump at t = {t:g} must be a callable of ({', '.join(sizes)}), got {law!r}")
+
+    def half(k: int) -> ca.Function:
+        @wraps(law)
+        def taken(*arguments: ca.SX) -> Any:
+            after = law(*arguments)
+            if not isinstance(after, (tuple, list)) or len(after) != 2:
+                raise TypeError(f"it must return a pair, x and v after it, got {after!r}")
+            return after[k]
+
+        return trace("jump", taken, sizes, sizes["x"])
+
+    symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
+    position, velocity = (half(k)(*symbols) for k in (0, 1))
+    for i in range(mechanical, sizes["x"]):
+        velocity[i] = 0.0
+    return ca.Function("jump", symbols, [position, velocity], list(sizes), ["x_after", "v_after"])

@@ -1,0 +1,55 @@
+"""What the callables of a control problem depend on: refusals of what is arbitrary, ambiguous, or stalls a solver."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import casadi as ca
+
+from casadi_galerkin.problems.bounds import Bounds
+from casadi_galerkin.problems.callables import in_absolute_values
+
+Used = tuple[str, ca.Function | None, Sequence[int]]  # its name, and which of its arguments are velocities
+
+
+def _entries(function: ca.Function, argument: int) -> set[int]:
+    """Which entries of an argument the values of a Function depend on."""
+    return {i for k in range(function.n_out()) for i in function.sparsity_jac(argument, k).T.row()}
+
+
+def check_rates(users: Iterable[Used], own: range) -> None:
+    """Refuse what depends on the velocity of a component that follows a rate, which is that rate."""
+    for name, function, velocities in users:
+        used = {i for k in velocities if function is not None for i in _entries(function, k) if i in own}
+        if used:
+            i = min(used)
+            raise ValueError(f"{name} must not depend on v[{i}], the rate of x[{i}]: write that rate instead")
+
+
+def check_controls(users: Iterable[ca.Function], count: int) -> None:
+    """Refuse a control that nothing depends on: its value would be arbitrary."""
+    unused = set(range(count)).difference(*(_entries(function, 3) for function in users))
+    if unused:
+        raise ValueError(f"the control u[{min(unused)}] occurs in no force, cost or constraint")
+
+
+def check_absolute_values(running_cost: ca.Function, bounds: Bounds) -> None:
+    """Refuse |u| in the cost where u may change its sign, since a solver that takes derivatives stalls there."""
+    low, high = bounds
+    for i in sorted(in_absolute_values(running_cost, 3)):
+        if low[i] < 0 < high[i]:
+            raise ValueError(
+                f"running_cost holds the absolute value of u[{i}], whose derivative jumps at zero: replace u[{i}] "
+                "by a - b with two controls a, b >= 0 (control_bounds), and its absolute value by a + b"
+            )
+
+
+def check_parameters(users: Iterable[ca.Function | None], bounds: Bounds | None) -> None:
+    """Refuse a free parameter that nothing depends on, for the same reason as a control."""
+    if bounds is None:
+        return
+    given = [function for function in users if function is not None]
+    used = set().union(*(_entries(function, function.n_in() - 1) for function in given))
+    for i, (low, high) in enumerate(zip(*bounds, strict=True)):
+        if low < high and i not in used:
+            raise ValueError(f"the free parameter p[{i}] occurs in no lagrangian, force, cost or constraint")
