@@ -94,8 +94,8 @@ class _Statement:
         multipliers = self.constraints * len(self.constrained) + has_phase(problem)
         multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d - sum(map(len, self.held))
         stretched = problem.energy is not None
-        held = map(tuple, self.held)
-        self.numbering = Numbering(method, intervals, d, start, end, *held, problem.periodic, multipliers, stretched)
+        ends = start, end, tuple(self.held[0]), tuple(self.held[1])
+        self.numbering = Numbering(method, intervals, d, *ends, problem.periodic, multipliers, stretched)
 
     @lazy
     def parameters(self) -> ca.SX:
@@ -189,7 +189,8 @@ class _Statement:
             multipliers = ca.SX.sym("multipliers", further.numel())
             unknowns.append(multipliers)
             rows += ca.jtimes(further, positions, multipliers, True)
-        symmetric, places = True, []
+        symmetric = True
+        places: list[ca.SX] = []
         for k, name in enumerate(RATES[:2]):
             chosen, unknown, held = np.flatnonzero(rates[name]).tolist(), self.unknown[k], self.held[k]
             velocities, place, v = ca.SX.sym("v", len(unknown)), ca.SX.sym("x", len(held)), ca.SX.zeros(d)

@@ -298,7 +298,7 @@ def test_a_given_velocity_beside_a_natural_condition_is_met_with_zero_momentum_o
 
 
 def held_at_the_start():
-    """The swing of `test_given_velocities_...` from one angle and the velocity of the other, whose momentum holds both."""
+    """The swing from one angle and the velocity of the other, whose momentum holds both velocities."""
     return cg.BoundaryProblem(double_pendulum, (0, 0.5), [1.0, None], SWUNG, start_velocity=[None, 0.0])
 
 
@@ -333,7 +333,10 @@ def test_a_velocity_given_beside_a_given_position_keeps_the_order(problem, degre
 def test_a_given_position_beside_a_given_velocity_may_be_another_and_has_derivatives():
     transcription = cg.transcribe(held_at_the_start(), METHOD, 10)
     path = transcription.solve()
-    moved, faster = transcription.solve(start=[1.001, None]), transcription.solve(start_velocity=[None, 0.01], guess=path)
+    moved, faster = (
+        transcription.solve(start=[1.001, None]),
+        transcription.solve(start_velocity=[None, 0.01], guess=path),
+    )
     assert moved.x[0, 0] == pytest.approx(1.001, abs=1e-15)
     assert moved.velocity[1, 0] == pytest.approx(0, abs=CLOSED_FORM)
     assert faster.velocity[1, 0] == pytest.approx(0.01, abs=CLOSED_FORM)
