@@ -167,12 +167,6 @@ class BoundaryGraph:
     def _guess(self, guess: Guess | None, calculus: DiscreteCalculus, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) of a guess, bent to meet the fixed ends."""
         d, parts = self.problem.dimension, calculus.node_parts
-        ends = np.append(joined(np.zeros(self.numbering.free), data), np.nan)[self._given_ends]
+        ends = np.append(joined(np.zeros(self.numbering.free), data), np.nan)[self.numbering.of_ends]
         values = np.zeros((len(parts), d)) if guess is None else guess_values(guess, calculus, d).T
         return meeting_ends(values, parts, ends)
-
-    @lazy
-    def _given_ends(self) -> np.ndarray:
-        """Entries (2, d) of (u, NaN) that are given at the ends, NaN's where none is."""
-        ends = self.numbering.of_nodes[[0, -1]]
-        return np.where(ends >= self.numbering.free, ends, self.numbering.size)

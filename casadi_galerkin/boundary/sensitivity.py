@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.transcription import transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.roundoff import EPS, NO_CUTOFF
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -132,7 +132,10 @@ def sensitivity(path: Trajectory) -> Sensitivity:
     numbering, symbols = transcription.numbering, dict(_named(transcription.gradient))
     data = ca.vertcat(*(symbols[name] for name in ("start", "end", "parameters") if name in symbols))
     matrix, gradient = transcription.functional.function("derivatives").call(list(symbols.values()))
-    change = -ca.solve(matrix, ca.densify(ca.jacobian(gradient, data)), "qr", NO_CUTOFF)
+    solutions = transcription.stationarity.linear_solver.solutions("qr", data.numel(), transposed=False)
+    by_data = ca.densify(ca.jacobian(gradient, data))
+    change = solutions(matrix, by_data)[0]
+    change += solutions(matrix, ca.mac(matrix, change, by_data))[0]  # where rows differ in their units
     given = transcription.data(path.t)
     unknowns = transcription.unknowns(path.polynomial.values.T, given)
     derivative = np.array(ca.Function("sensitivity", list(symbols.values()), [change]).call([unknowns, *given])[0])

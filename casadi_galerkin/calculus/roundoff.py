@@ -5,8 +5,6 @@ import numpy as np
 EPS = float(np.finfo(float).eps)
 TINY = float(np.finfo(float).tiny)
 ZERO = 1e-150  # size below which a component counts as zero everywhere: its square, an energy, underflows
-# CasADi's QR calls a matrix with a pivot below an absolute 1e-12 singular, whatever its units, and gives up
-NO_CUTOFF = {"eps": 0.0}
 
 
 def component_sizes(values: np.ndarray) -> np.ndarray:

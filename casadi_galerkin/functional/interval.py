@@ -31,8 +31,9 @@ import numpy as np
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.calculus.quadrature import gauss
-from casadi_galerkin.calculus.roundoff import EPS, NO_CUTOFF, TINY
+from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.pointwise import pulled_back
+from casadi_galerkin.problems.linear_equations import NO_CUTOFF, solve_scaled
 
 DOUBLINGS = 4  # of Newton's iterations, to at most 16; 1 to 8 were measured, the most at the largest steps
 # a relative Newton step that is not worth taking; the estimate of the next one was measured up to 60 times too small
@@ -130,7 +131,7 @@ class Interval:
         along = ca.Function("along", [*symbols, direction], [ca.jtimes(ends, column, direction)])
         at = [ca.MX.sym(name, *self.system.size_in(i)) for i, name in enumerate("sxpth")]
         by_s, by_start, direct = partial(ca.vec(at[0]), *at[1:])
-        response = -ca.solve(by_s, by_start, "qr", NO_CUTOFF)
+        response = -_solved(by_s, by_start, shape, d)
         return ca.Function("step_jacobian", at, [direct + along(ca.vec(at[0]), *at[1:], response)])
 
 
@@ -246,6 +247,17 @@ def _spread(by_x: np.ndarray, by_slope: np.ndarray, d: int) -> ca.DM:
     return ca.sparsify(ca.DM(np.kron(pairs, np.eye(d))))
 
 
+def _solved(matrix: ca.MX, rhs: ca.MX, shape: tuple[int, int], dimension: int) -> ca.MX:
+    """Solution of the linear equations of an interval; without a constraint its rows are alike.
+
+    All unknowns, counted column by column, move the path but the impulses.
+    """
+    rows, columns = shape
+    if rows == dimension:
+        return ca.solve(matrix, rhs, "qr", NO_CUTOFF)
+    return solve_scaled(matrix, rhs, [rows * j + i for j in range(columns) for i in range(dimension)])
+
+
 def newton_iteration(system: ca.Function) -> ca.Function:
     """(s, x, p, t, h) -> s where R = 0, number of iterations: Newton's method, at most 2^`DOUBLINGS` iterations.
 
@@ -265,7 +277,7 @@ def newton_iteration(system: ca.Function) -> ca.Function:
     unfinished = ca.logic_and(large, ca.logic_not(stalled))
     update = ca.Function("update", [s, ds, x, before], [s + ds, relative, unfinished, 1])
     residual, by_s = system(*inputs)
-    last, step = ca.MX.sym("last"), ca.reshape(-ca.solve(by_s, residual, "qr", NO_CUTOFF), rows, m)
+    last, step = ca.MX.sym("last"), ca.reshape(-_solved(by_s, residual, (rows, m), d), rows, m)
     state = [inputs[0], last, *inputs[1:]]
     newton = ca.Function("newton", state, update.call([inputs[0], step, inputs[1], last]))
     done = ca.Function("done", state, [*state[:2], 0, 0])

@@ -28,6 +28,7 @@ class Numbering:
     intervals : int, N
     dimension : int, d
     fixed_start, fixed_end : indices of the components that are given at the ends
+    held_start, held_end : those of them that are unknowns all the same, as a term holds them where they are given
     periodic : bool, whether the last joint is the first one; `fixed_start` then holds for both
     multipliers : int, unknowns beside the path
     stretched : bool, whether the duration is unknown; the last of ξ is the logarithm of its ratio to that of the mesh
@@ -38,27 +39,34 @@ class Numbering:
     dimension: int
     fixed_start: tuple[int, ...] = ()
     fixed_end: tuple[int, ...] = ()
+    held_start: tuple[int, ...] = ()
+    held_end: tuple[int, ...] = ()
     periodic: bool = False
     multipliers: int = 0
     stretched: bool = False
+
+    @lazy
+    def of_ends(self) -> np.ndarray:
+        """Entry of u of every position that is given at the ends, -1 where none is; (2, d)."""
+        ends, starts = np.full((2, self.dimension), -1), len(self.fixed_start)
+        ends[0, list(self.fixed_start)] = self.free + np.arange(starts)
+        ends[1, list(self.fixed_end)] = self.free + starts + np.arange(len(self.fixed_end))
+        if self.periodic:
+            ends[1] = ends[0]
+        return ends
 
     @lazy
     def of_nodes(self) -> np.ndarray:
         """Entry of u at every node in the order of time; (N m + 1, d)."""
         nodes = np.zeros((self.intervals * self.method.degree + 1, self.dimension), dtype=np.int64)
         given = np.zeros(nodes.shape, dtype=bool)
-        given[0, list(self.fixed_start)] = True
-        if self.periodic:
-            given[-1] = True  # numbered with the first joint, below
-        else:
-            given[-1, list(self.fixed_end)] = True
-        nodes[~given] = np.arange(self.positions)
-        starts = self.free + np.arange(len(self.fixed_start))
-        nodes[0, list(self.fixed_start)] = starts
-        if self.periodic:
+        given[[0, -1]] = self.of_ends >= 0
+        given[0, list(self.held_start)] = given[-1, list(self.held_end)] = False
+        free = ~given[: self.distinct]
+        nodes[: self.distinct][free] = np.arange(self.positions)
+        nodes[[0, -1]] = np.where(given[[0, -1]], self.of_ends, nodes[[0, -1]])
+        if self.periodic:  # numbered with the first joint
             nodes[-1] = nodes[0]
-        else:
-            nodes[-1, list(self.fixed_end)] = self.free + len(starts) + np.arange(len(self.fixed_end))
         return nodes
 
     @lazy
@@ -81,7 +89,8 @@ class Numbering:
     @lazy
     def positions(self) -> int:
         """Number of free values of the path."""
-        return self.distinct * self.dimension - len(self.fixed_start) - len(self.fixed_end)
+        held = len(self.held_start) + len(self.held_end)
+        return self.distinct * self.dimension - len(self.fixed_start) - len(self.fixed_end) + held
 
     @lazy
     def free(self) -> int:

@@ -1,7 +1,9 @@
 """What a boundary problem states, as one functional: its Lagrangian and force, and the terms that its ends add.
 
 ends          φ(x_0, x_N) + p_0·x_0 - p_N·x_N + μ·ψ(x_0, x_N), with given momenta p_0 and p_N
-velocities    where v is given at an end, its momentum is ∂L/∂v, which is added to the rows of that end
+velocities    where v is given at an end, ∂L/∂v is the momentum there.  It may hold velocities that are not given: these
+              are unknowns, found where ∂L/∂v is the momentum of their components, which a natural condition gives or,
+              at a given position, the path; that position is then an unknown, too, which an equation holds
 constraints   Λ_a·g(t_a, x_a) at every node whose position is not given; Λ is an impulse, λ times its share of time
 phase         σ n·(x_0 - c), for a periodic path of given energy: x_0 stays in the plane through c across n
 """
@@ -84,13 +86,16 @@ class _Statement:
             tuple(i for i, value in enumerate(side) if value is not None) for side in (problem.start, problem.end)
         )
         d, last = problem.dimension, intervals * method.degree
+        self.unknown = [self._unknown_velocities(name) for name in RATES[:2]]
+        self.held = [[i for i in found if i in given] for found, given in zip(self.unknown, (start, end), strict=True)]
         self.constrained = np.arange(len(start) == d, last + (not problem.periodic and len(end) < d))
         self.constraints = 0 if problem.constraint is None else problem.constraint.size1_out(0)
         self.at_ends = self._ends()
         multipliers = self.constraints * len(self.constrained) + has_phase(problem)
-        multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d
+        multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d - sum(map(len, self.held))
         stretched = problem.energy is not None
-        self.numbering = Numbering(method, intervals, d, start, end, problem.periodic, multipliers, stretched)
+        ends = start, end, tuple(self.held[0]), tuple(self.held[1])
+        self.numbering = Numbering(method, intervals, d, *ends, problem.periodic, multipliers, stretched)
 
     @lazy
     def parameters(self) -> ca.SX:
@@ -118,7 +123,8 @@ class _Statement:
             terms.append(LocalTerm(self._phase(), entries, ca.DM(0, self.intervals + 1), True))
         if self.at_ends is not None:
             function, symmetric = self.at_ends
-            entries = np.concatenate((numbering.of_nodes[0], numbering.of_nodes[-1], multipliers))[:, None]
+            given = [ends[held] for ends, held in zip(numbering.of_ends, self.held, strict=True)]
+            entries = np.concatenate((*numbering.of_nodes[[0, -1]], multipliers, *given))[:, None]
             ends = ca.DM(ca.Sparsity.triplet(2, self.intervals + 1, [0, 1], [0, self.intervals]), 1.0)
             terms.append(LocalTerm(function, entries, ends, symmetric))
         return tuple(terms)
@@ -184,47 +190,34 @@ class _Statement:
             unknowns.append(multipliers)
             rows += ca.jtimes(further, positions, multipliers, True)
         symmetric = True
-        for k, (name, sign) in enumerate((("start_velocity", 1), ("end_velocity", -1))):
-            own = slice(k * d, (k + 1) * d)
-            momenta, equations, velocities = self._from_velocities(
-                name, rates[name], values[name], t[k], x[k], sign * rows[own]
-            )
-            rows[own] += sign * momenta
-            further, unknowns = ca.vertcat(further, equations), [*unknowns, velocities]
-            symmetric = symmetric and not (velocities.numel() or ca.jacobian(momenta, positions).nnz())
-        y = ca.vertcat(positions, *unknowns)
-        return self._function("ends", y, t, action, ca.vertcat(rows, further)), symmetric
+        places: list[ca.SX] = []
+        for k, name in enumerate(RATES[:2]):
+            chosen, unknown, held = np.flatnonzero(rates[name]).tolist(), self.unknown[k], self.held[k]
+            velocities, place, v = ca.SX.sym("v", len(unknown)), ca.SX.sym("x", len(held)), ca.SX.zeros(d)
+            v[chosen], v[unknown] = values[name], velocities
+            momentum = (-1) ** k * self._momentum(t[k], x[k], v)
+            natural = [momentum[i] - rows[k * d + i] for i in unknown if i not in held]
+            further = ca.vertcat(further, *natural, *(x[k][i] - place[j] for j, i in enumerate(held)))
+            for i in (*chosen, *held):
+                rows[k * d + i] = momentum[i]
+            unknowns, places = [*unknowns, velocities], [*places, place]
+            symmetric = symmetric and not (unknown or ca.jacobian(momentum[chosen], positions).nnz())
+        rows = ca.vertcat(rows, further, ca.SX.zeros(sum(map(len, self.held))))
+        return self._function("ends", ca.vertcat(positions, *unknowns, *places), t, action, rows), symmetric
 
-    def _from_velocities(
-        self, name: str, chosen: np.ndarray, given: ca.SX, t: ca.SX, x: ca.SX, natural: ca.SX
-    ) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Momenta ∂L/∂v at an end (d,), zero but where the velocity is given; equations for unknown velocities; these.
+    def _momentum(self, t: ca.SX, x: ca.SX, v: ca.SX) -> ca.SX:
+        """∂L/∂v, (d,)."""
+        symbol = ca.SX.sym("v", self.problem.dimension)
+        return ca.substitute(ca.gradient(self._called(self.problem.lagrangian, t, x, symbol), symbol), symbol, v)
 
-        A momentum of a given velocity may hold others.  Where the momentum of such another component follows from the
-        natural condition, ∂L/∂v of it has to equal that.
-        """
-        d, problem = self.problem.dimension, self.problem
-        v = ca.SX.sym("v", d)
-        momentum = ca.gradient(self._called(problem.lagrangian, t, x, v), v)
-        coupled = np.array(ca.DM(ca.jacobian(momentum, v).sparsity(), 1.0).full(), dtype=bool)
-        found = chosen.copy()
-        while True:  # whose momentum is needed, and whose velocity that needs
-            wider = found | coupled[found].any(axis=0)
-            if np.array_equal(wider, found):
-                break
-            found = wider
-        position = problem.start if name.startswith("start") else problem.end
-        for i in np.flatnonzero(found & ~chosen):
-            if position[i] is not None:
-                j = int(np.flatnonzero(chosen)[0])
-                raise ValueError(
-                    f"{name}[{j}] has a momentum that depends on the velocity of component {i}, whose position is "
-                    f"given: give the momentum of component {j} instead, or free the position of component {i}"
-                )
-        unknown = np.flatnonzero(found & ~chosen).tolist()
-        other = ca.SX.sym("v", len(unknown))
-        velocities = ca.SX.zeros(d)
-        velocities[np.flatnonzero(chosen).tolist()], velocities[unknown] = given, other
-        momentum = ca.substitute(momentum, v, velocities)
-        equations = [momentum[i] - natural[i] for i in unknown]
-        return momentum * ca.DM(chosen.astype(float)), ca.SX(ca.vertcat(*equations, ca.SX(0, 1))), other
+    def _unknown_velocities(self, name: str) -> list[int]:
+        """Components whose velocity is not given, but has a part in a momentum that given ones ask for."""
+        chosen = found = np.array([value is not None for value in getattr(self.problem, name)])
+        if not found.any():
+            return []
+        v = ca.SX.sym("v", len(found))
+        mass = ca.jacobian(self._momentum(ca.SX.sym("t"), ca.SX.sym("x", len(found)), v), v)
+        coupled = np.array(ca.DM(mass.sparsity(), 1.0).full(), dtype=bool)
+        for _ in found:
+            found = found | coupled[found].any(axis=0)
+        return np.flatnonzero(found & ~chosen).tolist()

@@ -16,8 +16,9 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.roundoff import EPS, NO_CUTOFF
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.problems.problem import Problem
 
 ITERATIONS = 20
@@ -59,7 +60,7 @@ def _solver(motion: ca.Function) -> ca.Function:
     symbols = motion.mx_in()
     matrix, rhs, *_ = motion.call(symbols)
     rhs = ca.MX.sym("rhs", rhs.numel())
-    return ca.Function("solve", [*symbols, rhs], [ca.solve(matrix, rhs, "qr", NO_CUTOFF)])
+    return ca.Function("solve", [*symbols, rhs], [solve_scaled(matrix, rhs, slice(motion.size1_in(1)))])
 
 
 def motion_of(problem: Problem) -> ca.Function | None:

@@ -82,12 +82,13 @@ def velocities(
     if undefined.any():
         v = np.where(undefined, 0.0, guess)
         found, masses = at(v)
-    last = np.full(x.shape[1], np.inf)
+    last, nothing = np.full(x.shape[1], np.inf), 4 * EPS * np.max(np.abs(v), axis=0)  # what rounding leaves of a guess
     for _ in range(ITERATIONS):
         inverse = _inverse(masses)
         whole = np.einsum("kij,jk->ik", inverse, momentum - found)
         length, size = np.max(np.abs(whole), axis=0), np.max(np.abs(v), axis=0)
-        settled = (length <= 4 * EPS * size) | ((length <= FOUND * size) & (length >= last / 2))
+        at_rest = (length <= nothing) & (size <= nothing)
+        settled = at_rest | (length <= 4 * EPS * size) | ((length <= FOUND * size) & (length >= last / 2))
         if (settled | np.isnan(length)).all():
             break
         damping = np.where(settled, 0.0, 1.0)
@@ -103,7 +104,7 @@ def velocities(
     rounded = np.abs(v) + EPS / FOUND * np.max(np.abs(v), axis=0)  # a component near zero is as good as the others
     sizes = np.abs(momentum) + np.abs(found) + 4 * np.einsum("kij,jk->ik", np.abs(masses), rounded)
     missed = (np.abs(momentum - found) > FOUND * sizes).any(axis=0)  # where ∂²L/∂v² vanishes, there are no steps
-    return np.where(settled & ~missed, v, np.nan)
+    return np.where(at_rest | (settled & ~missed), v, np.nan)
 
 
 def _inverse(masses: np.ndarray) -> np.ndarray:

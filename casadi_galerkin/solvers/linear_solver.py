@@ -16,6 +16,7 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY, ZERO
 from casadi_galerkin.functional.embedding import hessian_pattern
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import KEPT, Numbering
+from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.solvers.threads import without_zero_pivots
 
 SHIFTED = 1e-8  # part of its row that is added to a diagonal where a pivot is zero: half of all digits
@@ -70,17 +71,17 @@ class LinearSolver:
     def _solution(self, method: str, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
         """Solution of ∇²S Y = -B; with softened conditions, it is refined once."""
         if method != "ldl":
-            solve = self._bordered if self.numbering.stretched else ca.solve
-            return -self._reached(matrix, rhs) * solve(matrix, rhs, method)
+            solve = self._bordered if self.numbering.stretched else solve_scaled
+            return -self._reached(matrix, rhs) * solve(matrix, rhs, slice(self.numbering.positions), method)
         softened = self.softened(matrix)
         y = -self._ldl.solve(softened, rhs)
         return y - self._ldl.solve(softened, ca.mac(matrix, y, rhs)) if self.numbering.multipliers else y
 
-    def _bordered(self, matrix: ca.MX, rhs: ca.MX, method: str) -> ca.MX:
+    def _bordered(self, matrix: ca.MX, rhs: ca.MX, moving: slice, method: str) -> ca.MX:
         """Solution of ∇²S Y = B by elimination of a free duration, whose full row would make all factors of QR full."""
         n = self.numbering.free - 1
         column, row = ca.densify(matrix[:n, n]), matrix[n, :n]
-        solved = ca.solve(matrix[:n, :n], ca.horzcat(ca.densify(rhs[:n, :]), column), method)
+        solved = solve_scaled(matrix[:n, :n], ca.horzcat(ca.densify(rhs[:n, :]), column), moving, method)
         y, response = solved[:, :-1], solved[:, -1]
         last = (rhs[n, :] - ca.mtimes(row, y)) / (matrix[n, n] - ca.mtimes(row, response))
         return ca.vertcat(y - ca.mtimes(response, last), last)

@@ -38,3 +38,17 @@ def test_a_velocity_that_passes_through_zero_in_one_component_is_found():
     )
     path = cg.solve(swing, cg.Galerkin(4), 10, guess=lambda t: [np.sin(2 * t - 0.5), -np.cos(2 * t - 0.5)])
     np.testing.assert_allclose(path.velocity, path.momentum, rtol=0, atol=1e-15)
+
+
+def test_rest_is_found_from_any_slow_guess():
+    """Nothing is small beside a velocity of zero: what is left of a guess is measured by the guess."""
+    problem = cg.InitialProblem(
+        lambda t, x, v: 0.65 * v[0] ** 2 + 0.15 * v[0] * v[1] * ca.cos(x[1]) + 0.0375 * v[1] ** 2,
+        (0, 1),
+        [0.0, 0.0],
+        velocity=[0.0, 0.0],
+    )
+    transform, count = legendre_transform(problem.lagrangian), 500
+    guess, zero = 1e-4 * np.random.default_rng(1).normal(size=(2, count)), np.zeros((2, count))
+    velocities = velocities_of_momenta(transform, zero[0], zero, zero, guess)
+    np.testing.assert_allclose(velocities, 0, rtol=0, atol=1e-18)
