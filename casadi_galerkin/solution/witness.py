@@ -140,7 +140,8 @@ def _between_breakpoints(
     values, vectors = np.linalg.eigh(mass)
     regular = np.abs(values) > EPS * np.max(np.abs(values), axis=1, keepdims=True)
     inverse = np.divide(1.0, values, out=np.zeros_like(values), where=regular)
-    correction = np.sum(np.einsum("it,tij->tj", missing, vectors) ** 2 * inverse, axis=1) / 2
+    roots = np.einsum("it,tij->tj", missing, vectors) * np.sqrt(np.abs(inverse))  # squares of momenta may overflow
+    correction = np.sum(np.sign(values) * roots**2, axis=1) / 2
     kinetic = np.sum(momentum * velocity, axis=0)
     energy = kinetic - at_joints(lagrangian)[0] / of_steps + correction
     supplied = 0 * steps if pointwise.supplied is None else integral(evaluate(pointwise.supplied)[0])
