@@ -26,6 +26,7 @@ from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceErro
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import plot_branch
+from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import Solution, verified
 
@@ -226,11 +227,13 @@ class Walk(Curve[Solution]):
         forward = np.append(np.zeros(len(z) - 1), 1.0)
         points = [Point(z, self.tangent(z, forward), self.transcription.trajectory(start, 0.0))]
         folds = []
-        for point in self.steps(points[0]):
-            before = points[-1]
-            if point.tangent[-1] * before.tangent[-1] < 0:
-                folds.append(self.fold(before, point, len(points)))
-            points.append(point)
+        with progress("continuation", unit="path") as advance:
+            for point in self.steps(points[0]):
+                before = points[-1]
+                if point.tangent[-1] * before.tangent[-1] < 0:
+                    folds.append(self.fold(before, point, len(points)))
+                points.append(point)
+                advance(1)
         parameters = np.array([self.parameters(point.z) for point in points])
         return Branch(
             parameters, tuple(point.trajectory for point in points), tuple(folds), bool(points[-1].z[-1] == 1)

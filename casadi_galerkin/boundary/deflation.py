@@ -42,6 +42,7 @@ from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceErro
 from casadi_galerkin.solution.guess import waves
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.paths import FINER, Paths
+from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import smallest_second_variation
@@ -168,16 +169,18 @@ class Search:
     def run(self, count: int, patience: int) -> Paths:
         """Search until there are so many paths, or so many solves without a new one."""
         last = 0
-        while len(self.found) < count and self.solves - last < patience:
-            self.solves += 1
-            known, began = len(self.found), time.perf_counter()
-            with suppress(SolveFailure):
-                for solution in self.attempt():
-                    self.consider(solution, time.perf_counter() - began)
-                    if len(self.found) == count:
-                        break
-            if len(self.found) > known:
-                last = self.solves
+        with progress("paths", count, "path") as advance:
+            while len(self.found) < count and self.solves - last < patience:
+                self.solves += 1
+                known, began = len(self.found), time.perf_counter()
+                with suppress(SolveFailure):
+                    for solution in self.attempt():
+                        self.consider(solution, time.perf_counter() - began)
+                        if len(self.found) == count:
+                            break
+                if len(self.found) > known:
+                    last = self.solves
+                advance(len(self.found) - known)
         if not self.found:
             raise self.nothing()
         reached = len(self.found) == count

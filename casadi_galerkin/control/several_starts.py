@@ -13,6 +13,7 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, waves
+from casadi_galerkin.solution.progress import progress
 
 SMALLEST, LARGEST = -2.0, 1.0  # powers of two between which the amplitude of a random start lies
 SAME = 1e-6  # relative difference of costs up to which two optima count as one
@@ -51,11 +52,13 @@ def best_of(
         path = waves(random, amplitude * np.where(sizes > 0, sizes, 1.0))
         return lambda times: path((np.asarray(times) - begin) / (end - begin))
 
-    for k in range(starts):
-        try:
-            optima.append(solved(guess if k == 0 else another()))
-        except ConvergenceError as failure:
-            failures.append(failure)
+    with progress("starts", starts) as advance:
+        for k in range(starts):
+            try:
+                optima.append(solved(guess if k == 0 else another()))
+            except ConvergenceError as failure:
+                failures.append(failure)
+            advance(1)
     if not optima:
         raise failures[0]
     best = min(optima, key=lambda optimum: optimum.cost)

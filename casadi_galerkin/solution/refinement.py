@@ -15,6 +15,7 @@ import numpy as np
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solution.progress import progress
 
 Level = TypeVar("Level")
 Detail = TypeVar("Detail")
@@ -96,26 +97,28 @@ class Refinement(ABC, Generic[Level, Detail]):
         """
         best, smallest, stalled = level, np.inf, 0
         number = 0
-        while True:
-            estimate = self.estimate(level)
-            self._report(number, level, estimate)
-            if estimate.trusted and estimate.error <= self.tol:
-                return level, estimate.error
-            stalled += estimate.trusted and smallest / 2 < estimate.error < self.roundoff_level
-            if stalled == self.stalls:
-                floor = min(estimate.error, smallest)
-                raise self.stopped(f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here", best, floor)
-            self.check_time(level, estimate.error)
-            if number + 1 >= self.limits.levels:
-                words = "level was" if self.limits.levels == 1 else "levels were"
-                raise self.stopped(f"{self.limits.levels:g} {words} not enough", level, estimate.error)
-            if estimate.trusted and estimate.error < smallest:
-                best, smallest = level, estimate.error
-            try:
-                level, number = self.improve(level, estimate), number + 1
-            except ConvergenceError:
+        with progress("refinement", unit="level") as advance:
+            while True:
+                estimate = self.estimate(level)
+                self._report(number, level, estimate)
+                if estimate.trusted and estimate.error <= self.tol:
+                    return level, estimate.error
+                stalled += estimate.trusted and smallest / 2 < estimate.error < self.roundoff_level
+                if stalled == self.stalls:
+                    floor = min(estimate.error, smallest)
+                    raise self.stopped(f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here", best, floor)
                 self.check_time(level, estimate.error)
-                raise
+                if number + 1 >= self.limits.levels:
+                    words = "level was" if self.limits.levels == 1 else "levels were"
+                    raise self.stopped(f"{self.limits.levels:g} {words} not enough", level, estimate.error)
+                if estimate.trusted and estimate.error < smallest:
+                    best, smallest = level, estimate.error
+                try:
+                    level, number = self.improve(level, estimate), number + 1
+                    advance(1)
+                except ConvergenceError:
+                    self.check_time(level, estimate.error)
+                    raise
 
     def check_time(self, level: Level, error: float) -> None:
         """Stop where the time is up."""

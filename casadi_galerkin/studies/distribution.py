@@ -22,7 +22,6 @@ from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from casadi_galerkin._solve import solve, transcribe
 from casadi_galerkin.boundary.variations import nearest, values_of
@@ -33,6 +32,7 @@ from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import marks
 from casadi_galerkin.solution.errors import ConvergenceError
+from casadi_galerkin.solution.progress import Advance
 from casadi_galerkin.solution.trajectory import Trajectory
 
 CHUNKS, LARGEST_CHUNK = 64, 50  # enough chunks to keep workers equally busy; few enough that sending costs little
@@ -197,7 +197,7 @@ def _neighborhoods(
     solver: Neighbors,
     variations: Sequence[Variation],
     answers: Answers,
-    bar: tqdm[Any],
+    advance: Advance,
     solved: Callable[[Sequence[Variation], Sequence[Known]], list[Answer]],
 ) -> list[Chunk]:
     """Chunks of variations that are near one another, each about one that is solved first, those farther off later.
@@ -225,7 +225,7 @@ def _neighborhoods(
         begins[i] = _known(answers.get(first))
         waiting = np.minimum(waiting, apart[i, centers])
         waiting[i] = np.nan
-        bar.update()
+        advance(1)
     belongs = np.argmin(apart, axis=0)
     chunks = []
     for i, begin in begins.items():
@@ -235,16 +235,16 @@ def _neighborhoods(
     return chunks
 
 
-def solve_here(solver: Solve | Neighbors, variations: Sequence[Variation], answers: Answers, bar: tqdm[Any]) -> None:
+def solve_here(solver: Solve | Neighbors, variations: Sequence[Variation], answers: Answers, advance: Advance) -> None:
     """Solve all in this process."""
     chunks = [Chunk(range(len(variations)))]
     if isinstance(solver, Neighbors):
-        chunks = _neighborhoods(solver, variations, answers, bar, lambda *given: list(_answers(solver, *given)))
+        chunks = _neighborhoods(solver, variations, answers, advance, lambda *given: list(_answers(solver, *given)))
     for chunk in chunks:
         some = [variations[i] for i in chunk.numbers]
         for i, answer in zip(chunk.numbers, _answers(solver, some, chunk.known), strict=True):
             answers[i] = answer
-            bar.update()
+            advance(1)
 
 
 def solve_chunks(
@@ -253,7 +253,7 @@ def solve_chunks(
     pickled: bytes,
     variations: Sequence[Variation],
     answers: Answers,
-    bar: tqdm[Any],
+    advance: Advance,
 ) -> None:
     """Solve all chunks; those of a worker that fails are left out."""
 
@@ -262,7 +262,7 @@ def solve_chunks(
 
     chunks = _chunks(len(variations))
     if isinstance(solver, Neighbors):
-        chunks = _neighborhoods(solver, variations, answers, bar, lambda *given: submitted(*given).result())
+        chunks = _neighborhoods(solver, variations, answers, advance, lambda *given: submitted(*given).result())
     futures: dict[Future[list[Answer]], Sequence[int]] = {}
     try:
         for chunk in chunks:
@@ -274,7 +274,7 @@ def solve_chunks(
                 break  # a worker has failed meanwhile
         for future in as_completed(futures):
             with suppress(Exception):
-                bar.update(len(future.result()))
+                advance(len(future.result()))
     finally:  # also after an interrupt, be it here or in a worker
         for future, numbers in futures.items():
             if not future.cancel() and future.done() and future.exception() is None:
@@ -282,7 +282,7 @@ def solve_chunks(
 
 
 def solve_lost(
-    executor: Executor, pickled: bytes, variations: Sequence[Variation], answers: Answers, bar: tqdm[Any]
+    executor: Executor, pickled: bytes, variations: Sequence[Variation], answers: Answers, advance: Advance
 ) -> None:
     """Solve what has no answer yet, each alone, so that a worker that fails tells which variation it fails of."""
     lost = [i for i in range(len(variations)) if i not in answers]
@@ -297,7 +297,7 @@ def solve_lost(
                 (answers[i],) = executor.submit(_alone, pickled, [variations[i]], i).result()
             except Exception as error:
                 answers[i] = CutShort(f"the worker that solved this variation failed, {named(error)}")
-            bar.update()
+            advance(1)
 
 
 def _working(executor: Executor, pickled: bytes, own: ExitStack) -> Executor:

@@ -9,7 +9,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from tqdm import tqdm
 
 from casadi_galerkin.boundary.branches import jumps
 from casadi_galerkin.calculus.galerkin import Galerkin
@@ -19,6 +18,7 @@ from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table, by_component
+from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.studies.distribution import (
     Answer,
@@ -171,7 +171,7 @@ def sweep(
     tol: float | None = None,
     executor: Executor | None = None,
 ) -> Sweep:
-    """Solve many variations of one problem; a progress bar is shown in a terminal.
+    """Solve many variations of one problem; in a terminal a progress bar appears where it lasts.
 
     Whatever becomes of one variation, the answers of the others are kept.  An interrupt (Ctrl-C) ends the sweep, which
     returns what it has.
@@ -224,13 +224,13 @@ def sweep(
     arguments = (problem, method, intervals, tol)
     solver = solver_of(*arguments)  # refuses here what would fail in every worker
     answers: Answers = {}
-    with tqdm(total=len(checked), unit="solve", disable=None) as bar, suppress(KeyboardInterrupt):
+    with progress("sweep", len(checked)) as advance, suppress(KeyboardInterrupt):
         if executor is None:
-            solve_here(solver, checked, answers, bar)
+            solve_here(solver, checked, answers, advance)
         else:
             pickled = pickle.dumps(arguments)
-            solve_chunks(solver, executor, pickled, checked, answers, bar)
-            solve_lost(executor, pickled, checked, answers, bar)
+            solve_chunks(solver, executor, pickled, checked, answers, advance)
+            solve_lost(executor, pickled, checked, answers, advance)
     interrupted = "the sweep was interrupted before this variation was solved"
     return Sweep(tuple(answers[i] if i in answers else CutShort(interrupted) for i in range(len(checked))))
 

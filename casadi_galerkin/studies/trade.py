@@ -15,7 +15,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from casadi_galerkin._solve import transcribe
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
@@ -28,6 +27,7 @@ from casadi_galerkin.problems.problem import check_types, marks
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, guess_values
 from casadi_galerkin.solution.limits import check_tolerance
+from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
 from casadi_galerkin.studies.reference import (
@@ -254,17 +254,17 @@ def trade(
         if measure is not None:
             ReferenceSolution(problem, reference, problem.parameters, measure)
     count = len(ways) + len([way for way in ways if way.adaptive])
-    with tqdm(total=(1 + REPEATS) * count, desc="trade", disable=None, leave=False) as bar:
+    with progress("trade", (1 + REPEATS) * count) as advance:
         cells: list[_Cell] = []
         while ways:
             cells.append(_cell(problem, ways.pop(0), guess, measure))
             if cells[-1].row.adaptive and cells[-1].path is not None:
                 ways.append(_on_its_mesh(problem, cells[-1]))
-            bar.update()
+            advance(1)
         for _ in range(REPEATS):  # in turns, so that a busy spell of the machine does not fall on one way alone
             for cell in cells:
                 cell.repeat()
-                bar.update()
+                advance(1)
     paths = [cell.path for cell in cells if cell.path is not None]
     if not paths:
         raise ConvergenceError(f"no way led to a path; the first failure: {cells[0].row.failure}")

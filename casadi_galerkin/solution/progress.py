@@ -1,0 +1,24 @@
+"""Bars that show how far a long calculation is: on ``sys.stderr``, in a terminal, and only where it lasts."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TypeAlias
+
+from tqdm import tqdm
+
+PATIENT = 2.0  # seconds after which a bar appears
+
+Advance: TypeAlias = Callable[[int], object]  # by how many
+
+
+@contextmanager
+def progress(what: str, total: int | None = None, unit: str = "solve") -> Iterator[Advance]:
+    """A bar, as what moves it; without a total it counts."""
+    if sys.stderr is None or not sys.stderr.isatty():  # a hidden bar, too, takes a lock, that a fork may find taken
+        yield lambda _: None
+        return
+    with tqdm(total=total, desc=what, unit=unit, leave=False, delay=PATIENT) as bar:
+        yield bar.update
