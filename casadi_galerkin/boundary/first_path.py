@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.polynomial.legendre import legfit, legval
 
 from casadi_galerkin.boundary.action_descent import descend
 from casadi_galerkin.boundary.graph import CriticalPoint
@@ -15,7 +16,9 @@ from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import equidistributed, of_degree, truncation
+from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.mapping import by_rows
+from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, guess_values
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.ipopt import rescue
@@ -28,6 +31,7 @@ DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
 LEAPS = 0.02, 0.1  # of a descent: short ones stay on their side of a singularity, long ones arrive
 GUESS_LEVELS, GUESS_INTERVALS = 10, 200
 ROUGHLY, WELL = 0.1, 1e-4  # part of a guess that a first mesh may leave out: a corner or noise may, a layer may not
+FAR = 0.5  # of the guess's size: farther from it, a path is another one
 MORE = 4  # times as many intervals as the coarse mesh has: where that is too coarse for any path, this was enough
 
 
@@ -60,6 +64,24 @@ def mesh_for_guess(levels: Levels, method: Galerkin, guess: Guess, mesh: np.ndar
     return mesh
 
 
+def _from_smoothed(
+    levels: Levels, method: Galerkin, mesh: np.ndarray, guess: Guess, solver: SolverLike
+) -> CriticalPoint:
+    """Begin with the cubic that is nearest to a guess, which has none of its corners and noise.
+
+    It has little of its shape either: a path that is far from the guess is not the one that was meant.
+    """
+    given = levels.transcription(method, mesh).guess_on_mesh(guess, mesh)
+    parts = 2 * DiscreteCalculus(method, mesh).node_parts - 1
+    cubic = legval(parts, legfit(parts, given.values.T, 3))
+    point = levels.solve(method, mesh, cubic, solver)
+    apart = np.abs(point.polynomial.values - given.values) / component_sizes(given.values)[:, None]
+    if np.max(apart) > FAR:
+        found = f"a path up to {np.max(apart):.2g} of the guess's size away from the guess"
+        raise ConvergenceError(f"the guess smoothed leads to {found}", Path(point.polynomial))
+    return point
+
+
 def first_path_strategies(
     levels: Levels,
     method: Galerkin,
@@ -71,8 +93,9 @@ def first_path_strategies(
 ) -> Iterator[Strategy]:
     """Ways to a first path.
 
-    Newton's method on the coarse mesh, and on a finer one that resolves the guess; without a guess a minimum of the
-    action on the coarse mesh; a descent of the action with moving joints; whatever `solver` tries.
+    Newton's method on the coarse mesh, there from the guess smoothed, and on a finer one that resolves the guess;
+    without a guess a minimum of the action on the coarse mesh; a descent of the action with moving joints; whatever
+    `solver` tries.
     """
     if guess is not None:
         mesh = mesh_for_guess(levels, method, guess, mesh, ROUGHLY)
@@ -80,6 +103,9 @@ def first_path_strategies(
     if isinstance(solver, Solver) and solver.name == newton.name:
         plain = partial(damped_newton, **solver.options)
         yield Strategy("Newton's method", partial(solved, mesh, guess, plain), PATIENCE)
+        if guess is not None:
+            found = partial(_from_smoothed, levels, method, mesh, guess, plain)
+            yield Strategy("Newton's method from the guess smoothed", found, PATIENCE)
         fine = mesh if guess is None else mesh_for_guess(levels, method, guess, mesh, WELL)
         fine = _with_more(fine, MORE * (len(mesh) - 1))
         found = partial(solved, fine, guess, partial(plain, max_iter=ITERATIONS))

@@ -1,0 +1,64 @@
+"""First paths from guesses with corners and noise: the path that was meant, and by which way it was found."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import casadi_galerkin as cg
+
+TOL = 1e-6
+
+
+def great_circle():
+    """New York to London on a sphere, in latitude and longitude."""
+    return cg.BoundaryProblem(
+        lambda t, x, v: (v[0] ** 2 + ca.cos(x[0]) ** 2 * v[1] ** 2) / 2,
+        (0, 1),
+        [0.70933, -1.28762],
+        [0.89832, -0.00793],
+    )
+
+
+def kepler(eccentricity):
+    """A path around the sun, from a quarter of a period before the perihelion to one after it; and that path."""
+
+    def exact(t):
+        t = np.atleast_1d(t)
+        angle = np.array(t, dtype=float)
+        for _ in range(50):
+            angle -= (angle - eccentricity * np.sin(angle) - t) / (1 - eccentricity * np.cos(angle))
+        return np.stack((np.cos(angle) - eccentricity, np.sqrt(1 - eccentricity**2) * np.sin(angle)))
+
+    quarter = np.pi / 2
+    ends = [exact(t)[:, 0] for t in (-quarter, quarter)]
+    return cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2 + 1 / ca.norm_2(x), (-quarter, quarter), *ends), exact
+
+
+def joined(exact, span, count, noise=0.0, seed=0):
+    """A path at some times, with noise of its size, joined by lines."""
+    times = np.linspace(*span, count)
+    values = exact(times)
+    values += noise * np.max(np.abs(values), axis=1)[:, None] * np.random.default_rng(seed).normal(size=values.shape)
+    return times, values
+
+
+def off(path, exact):
+    times = np.linspace(*path.problem.t_span, 101)
+    return np.max(np.abs(path(times) - exact(times))) / np.max(np.abs(exact(times)))
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_noise_does_not_hide_a_great_circle(seed):
+    problem = great_circle()
+    exact = cg.solve(problem, tol=1e-9)
+    path = cg.solve(problem, tol=TOL, guess=joined(exact, problem.t_span, 25, 0.05, seed))
+    assert off(path, exact) < 10 * TOL
+    assert "first path by Newton's method from the guess smoothed" in path.solver
+
+
+def test_a_path_on_the_other_side_of_the_sun_is_not_taken_for_the_one_meant():
+    """The cubic nearest to this guess leads to the path on the other side."""
+    problem, exact = kepler(0.9)
+    path = cg.solve(problem, tol=TOL, guess=joined(exact, problem.t_span, 25, 0.05, seed=2))
+    assert off(path, exact) < 10 * TOL
+    assert "smoothed" not in path.solver
