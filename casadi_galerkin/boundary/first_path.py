@@ -102,13 +102,14 @@ def first_path_strategies(
     solved = partial(levels.solve, method)
     if isinstance(solver, Solver) and solver.name == newton.name:
         plain = partial(damped_newton, **solver.options)
+        brief = partial(plain, max_iter=ITERATIONS)
         yield Strategy("Newton's method", partial(solved, mesh, guess, plain), PATIENCE)
         if guess is not None:
-            found = partial(_from_smoothed, levels, method, mesh, guess, plain)
+            found = partial(_from_smoothed, levels, method, mesh, guess, brief)
             yield Strategy("Newton's method from the guess smoothed", found, PATIENCE)
         fine = mesh if guess is None else mesh_for_guess(levels, method, guess, mesh, WELL)
         fine = _with_more(fine, MORE * (len(mesh) - 1))
-        found = partial(solved, fine, guess, partial(plain, max_iter=ITERATIONS))
+        found = partial(solved, fine, guess, brief)
         yield Strategy(f"Newton's method on {len(fine) - 1} intervals", found, PATIENCE)
         graph = levels.transcription(method, mesh)
         if graph.stationarity.variational and guess is None:  # its long steps do not keep to a side that a guess tells
