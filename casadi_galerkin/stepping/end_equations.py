@@ -46,14 +46,14 @@ def end_equations(problem: BoundaryProblem, method: Galerkin) -> EndEquations:
     """Write the equations of a problem (see the module)."""
     d, times, constraint = problem.dimension, problem.t_span, problem.constraint
     rows, held = rows_of_ends(problem, method)
-    x, p, own = ([ca.SX.sym(name, d) for name in names] for names in (("x0", "x1"), ("p0", "p1"), ()))
+    x, p = ([ca.SX.sym(f"{name}{k}", d) for k in (0, 1)] for name in "xp")
+    own = [ca.SX.sym("own", rows.size1_in(2))]
     given = [
         [None if i in components else value for i, value in enumerate(values)]
         for components, values in zip(held, (problem.start, problem.end), strict=True)
     ]
-    own.append(ca.SX.sym("own", rows.size1_in(2)))
-    asked, natural, further = ca.vertsplit(rows(*x, own[0]), [0, d, 2 * d, rows.size1_out(0)])
-    momenta = [asked, -natural]
+    first, last, further = ca.vertsplit(rows(*x, *own), [0, d, 2 * d, rows.size1_out(0)])
+    momenta = [first, -last]
     if problem.periodic:
         momenta[0], given[1] = p[1], ca.vertsplit(x[0])
     equations = []

@@ -215,8 +215,9 @@ def shoot(
         raise TypeError(f"guess must be a Trajectory of {problem.dimension} component(s), got {guess!r}")
     began = time.perf_counter()
     shooting = Shooting(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints))
+    equations = time.perf_counter() - began - shooting.stepper.build_seconds
     shot, iterations = _newton(shooting, *_guess(problem, guess))
-    build = shooting.stepper.build_seconds
+    build = equations + shooting.stepper.build_seconds
     seconds = time.perf_counter() - began - build
     solver = f"single shooting, misses the end by {np.max(np.abs(shot.miss), initial=0.0):.1e}"
     roll = _with_tangent_start(problem, shot.roll, shooting.velocity(shot.roll))
