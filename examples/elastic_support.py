@@ -54,4 +54,5 @@ if __name__ == "__main__":
     first, last = answer.x[0, [0, -1]]
     print(f"  height      {first:.6f} m at the guide, {last:.6f} m at the spring, error {error:.1e} m")
     print(f"  forces      {answer.momentum[0, -1]:.6f} N on the spring, {-SPRING * last:.6f} N from it")
+    print(cg.compare(problem(), answer.method, mesh=answer.t))  # shooting meets the same ends
     draw(answer).savefig("elastic_support.png")

@@ -75,6 +75,22 @@ def refuse_points(method: Galerkin) -> None:
         )
 
 
+def rows_of_ends(problem: BoundaryProblem, method: Galerkin) -> tuple[ca.Function, list[list[int]]]:
+    """(x_0, x_N, η) -> rows (2d + k,) of the term of the ends, with all that is given put in; k of them are η's own.
+
+    Also the components at the start and at the end whose given positions it holds by such rows.
+    """
+    statement, d = _Statement(problem, method, 1), problem.dimension
+    x, held = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], statement.held
+    if statement.at_ends is None:
+        return ca.Function("rows", [*x, ca.SX(0, 1)], [ca.SX.zeros(2 * d)]), held
+    term = statement.at_ends[0]
+    places = [problem.start[i] for i in held[0]] + [problem.end[i] for i in held[1]]
+    own = ca.SX.sym("own", term.size1_in(0) - 2 * d - len(places))
+    rows = term(ca.vertcat(*x, own, *places), problem.t_span, problem.parameters or [], given_values(problem))[1]
+    return ca.Function("rows", [*x, own], [rows[: 2 * d + own.numel()]]), held
+
+
 class _Statement:
     """The terms of a problem, and the numbering that holds their multipliers."""
 

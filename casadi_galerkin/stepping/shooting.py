@@ -1,8 +1,9 @@
 """Boundary problems solved stepwise: single shooting on the start of the path.
 
-Unknown z are the start momenta and, where the start is left free, the start positions; wanted is that the path meets
-its end.  The derivative of the joint values by z is the product of the steps' Jacobians, exact by the implicit function
-theorem.  Newton's method has the line search of the global solve, the natural monotonicity test.
+Unknown z is what of the start (x_0, p_0, η) the problem does not tell: the start momenta or, where the start is left
+free, the start positions, and multipliers; wanted are the equations between the ends that are left (`end_equations`).
+The derivative of the joint values by z is the product of the steps' Jacobians, exact by the implicit function theorem.
+Newton's method has the line search of the global solve, the natural monotonicity test.
 
 Shooting can be no better than that product: it magnifies the rounding of z.  Where the growth comes near 1/eps, no z
 that a computer holds meets the end, and `shoot` says so.
@@ -20,17 +21,19 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem, says
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.constrained_motion import motion_of, tangents
+from casadi_galerkin.problems.constrained_motion import motion_of, tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.guess import guess_values
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solvers.buffers import Evaluator
 from casadi_galerkin.solvers.newton import SMALLEST_DAMPING
 from casadi_galerkin.solvers.stationarity import ROUNDOFF
+from casadi_galerkin.stepping.end_equations import end_equations
 from casadi_galerkin.stepping.initial_value import path_of, stepper_of, trajectory
 from casadi_galerkin.stepping.stepper import Roll, Stepper
 
@@ -47,17 +50,21 @@ class Shot:
     Attributes
     ----------
     roll : Roll
+    sizes : (4d + k,), of the ends as `EndEquations` has them
+    scale : (n,), sizes of z
     miss : (n,), what is wanted to vanish
     floor : (n,), what the rounding of the start and of the end do to it; nearer Newton's method need not come
     stepper : Stepper that went the path
     steps : (N, 2d, 2d), Jacobians of the steps
-    wanted : (n, 2d), what of (x_N, p_N) has to meet the end
+    wanted : (n, 4d + k), derivatives of the miss by the ends
     by_z : (n, n), its derivative
     terms : (n, n), sizes of the terms that the derivative sums
     growth : (N + 1, 2d, 2d), derivatives of (x_i, p_i) by (x_0, p_0)
     """
 
     roll: Roll
+    sizes: np.ndarray
+    scale: np.ndarray
     miss: np.ndarray
     floor: np.ndarray
     stepper: Stepper
@@ -81,47 +88,36 @@ class Shot:
         states = np.abs(np.concatenate((self.roll.x, self.roll.p)))
         onward = chain(self.steps[::-1].transpose(0, 2, 1))[::-1].transpose(0, 2, 1)  # ∂(x_N, p_N)/∂(x_i, p_i)
         with np.errstate(over="ignore", invalid="ignore"):
-            floor = EPS * np.einsum("iab,bi->a", np.abs(onward), states) + np.finfo(float).tiny
-        ratios = np.abs(self.miss) / (np.abs(self.wanted) @ floor)
+            floor = self.sizes.copy()
+            floor[-len(states) :] = np.einsum("iab,bi->a", np.abs(onward), states)
+            ratios = np.abs(self.miss) / (np.abs(self.wanted) @ (EPS * floor + np.finfo(float).tiny))
         return float(max(np.max(self.roll.residual), np.max(ratios, initial=0.0)))
 
 
 class Shooting:
     """The boundary problem as equations in the start.
 
-    Free are all start momenta of components that are given, and all start positions of those that are not; a periodic
-    path has all momenta free, and no condition on a momentum of a component that is given.  Under a constraint the
-    tangent momenta are free, and wanted is the end along the tangents there.
+    Free are those entries of (x_0, p_0, η) that no equation tells by itself, and wanted are the other equations.
 
     Attributes
     ----------
-    free : (2d, n), columns by which (x_0, p_0) varies
-    wanted : (n, 2d), rows by which (x_N, p_N) is compared with the end
+    told : (2d + k,), as of `EndEquations`
+    free : (n,), which entries of (x_0, p_0, η) are z
     """
 
     def __init__(self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray) -> None:
-        _refuse_ends(problem)
         self.problem, self.mesh = problem, mesh
         self.stepper = stepper_of(problem, method)
-        start, end, *momenta = (
-            np.array([np.nan if value is None else value for value in side])
-            for side in (problem.start, problem.end, problem.start_momentum, problem.end_momentum)
-        )
-        free, wanted, identity = np.isnan(start), np.isnan(end), np.eye(2 * problem.dimension)
-        self.free = identity[:, np.concatenate((free, ~free | problem.periodic))]
-        self.wanted = identity[np.concatenate((~wanted | problem.periodic, free if problem.periodic else wanted))]
-        motion = motion_of(problem)
-        if motion is not None:
-            d = problem.dimension
-            first, last = (tangents(motion, *at) for at in zip(mesh[[0, -1]], (start, end), strict=True))
-            self.free, self.wanted = identity[:, d:] @ first, last.T @ identity[:d]
-        self.base, self.end = (
-            np.nan_to_num(np.concatenate(state)) for state in zip((start, end), momenta, strict=True)
-        )
+        equations = end_equations(problem, method)
+        self._equations, self.told = Evaluator(equations.function), equations.told
+        self.free = np.flatnonzero(np.isnan(self.told))
+        self._open = np.delete(np.arange(len(self.told)), equations.plain)
 
     def start(self, z: np.ndarray) -> np.ndarray:
-        """(x_0, p_0), (2d,)."""
-        return np.asarray(self.base + self.free @ z)
+        """(x_0, p_0, η), (2d + k,)."""
+        start = self.told.copy()
+        start[self.free] = z
+        return start
 
     def velocity(self, roll: Roll) -> np.ndarray:
         """Velocity of a path at its start, (d,)."""
@@ -131,31 +127,37 @@ class Shooting:
     def shoot(self, z: np.ndarray, velocity: np.ndarray) -> Shot | None:
         """The path from z, or None if one of its steps fails; `velocity` predicts the first step."""
         d, start = self.problem.dimension, self.start(z)
-        roll = self.stepper.roll(start[:d], start[d:], velocity, self.mesh)
+        roll = self.stepper.roll(start[:d], start[d : 2 * d], velocity, self.mesh)
         if roll.verified < len(roll.mesh) - 1:
             return None
         steps = self.stepper.jacobians(self.mesh, roll.x, roll.p, roll.unknowns)
         growth = chain(steps)
-        states = np.concatenate((roll.x, roll.p))
-        shift = np.eye(2 * d) * self.problem.periodic
-        aim = start if self.problem.periodic else self.end
-        floor = EPS * (np.abs(growth[-1]) @ np.abs(start) + np.max(np.abs(states), axis=1))
-        terms = np.abs(steps[-1]) @ np.abs(growth[-2]) + shift
-        wanted, sizes = self.wanted, np.abs(self.wanted)
-        judged = wanted @ (states[:, -1] - aim), sizes @ floor, self.stepper, steps, wanted
+        ends = np.concatenate((start, roll.x[:, -1], roll.p[:, -1]))
+        miss, wanted = self._equations(ends)
+        miss, wanted = miss[self._open], wanted.reshape(len(ends), -1).T[self._open]
         with np.errstate(over="ignore", invalid="ignore"):
-            by_z = wanted @ (growth[-1] - shift) @ self.free
-        return Shot(roll, *judged, by_z, sizes @ terms @ np.abs(self.free), growth)
+            sizes = self._sizes(roll, start[2 * d :], np.abs(wanted))
+            moved = np.append(np.zeros(len(start)), np.abs(growth[-1]) @ np.abs(start[: 2 * d]))
+            floor = EPS * (np.abs(wanted) @ (sizes + moved))
+            by_z = wanted @ self._by_z(growth[-1])
+            terms = np.abs(wanted) @ self._by_z(np.abs(steps[-1]) @ np.abs(growth[-2]))
+        return Shot(roll, sizes, sizes[self.free], miss, floor, self.stepper, steps, wanted, by_z, terms, growth)
 
+    def _by_z(self, growth: np.ndarray) -> np.ndarray:
+        """Derivatives of the ends by z, (4d + k, n), where `growth` is that of (x_N, p_N) by (x_0, p_0)."""
+        start = np.eye(len(self.told))
+        return np.concatenate((start, growth @ start[: len(growth)]))[:, self.free]
 
-def _refuse_ends(problem: BoundaryProblem) -> None:
-    """Refuse what a start and an end of the state do not say."""
-    names = ("start_velocity", "end_velocity", "end_action", "end_conditions", "energy")
-    stated = [name for name in names if says(getattr(problem, name))]
-    if stated:
-        raise ValueError(f"shoot takes ends that give positions or momenta, got {stated[0]}: solve it with `solve`")
-    if problem.constraint is not None and None in (*problem.start, *problem.end):
-        raise ValueError("shoot under a constraint takes ends that give all positions: solve it with `solve`")
+    def _sizes(self, roll: Roll, own: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+        """Sizes of the ends, (4d + k,): of (x, p) the largest at the joints, of η what is as large in an equation."""
+        states = np.max(np.abs(np.concatenate((roll.x, roll.p))), axis=1)
+        sizes = np.concatenate((states, np.zeros(len(own)), states))
+        asked = wanted @ sizes
+        for i, column in enumerate(wanted[:, len(states) : -len(states)].T):
+            found = (column > 0) & (asked > 0)
+            alike = np.min(asked[found] / column[found]) if found.any() else 0.0
+            sizes[len(states) + i] = max(abs(own[i]), alike)
+        return sizes
 
 
 def chain(jacobians: np.ndarray) -> np.ndarray:
@@ -188,7 +190,7 @@ def shoot(
 
     Parameters
     ----------
-    problem : BoundaryProblem whose ends give positions or momenta; under a constraint, all positions
+    problem : BoundaryProblem of a given duration: with any ends, forces and constraints, but without `energy`
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
@@ -197,7 +199,7 @@ def shoot(
     Raises
     ------
     ValueError
-        for ends of other kinds
+        for a given energy, and other input that does not fit
     ConvergenceError
         with the measured growth and the last path, if Newton's method fails or no start meets the end
 
@@ -208,17 +210,45 @@ def shoot(
     >>> cg.shoot(fall, cg.Galerkin(degree=2), intervals=4).momentum[0, 0].round(9).tolist()
     6.0
     """
-    check_types(problem, method, BoundaryProblem)
+    check_shot(problem, method)
     if guess is not None and (not isinstance(guess, Trajectory) or len(guess.x) != problem.dimension):
         raise TypeError(f"guess must be a Trajectory of {problem.dimension} component(s), got {guess!r}")
     began = time.perf_counter()
     shooting = Shooting(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints))
+    equations = time.perf_counter() - began - shooting.stepper.build_seconds
     shot, iterations = _newton(shooting, *_guess(problem, guess))
-    build = shooting.stepper.build_seconds
+    build = equations + shooting.stepper.build_seconds
     seconds = time.perf_counter() - began - build
     solver = f"single shooting, misses the end by {np.max(np.abs(shot.miss), initial=0.0):.1e}"
-    path = trajectory(problem, shooting.stepper, shot.roll, iterations, solver, build, seconds)
-    return replace(path, residual=shot.residual, solver=solver + _far(guess, path))
+    roll = _with_tangent_start(problem, shot.roll, shooting.velocity(shot.roll))
+    path = trajectory(problem, shooting.stepper, roll, iterations, solver, build, seconds)
+    action = path.action + _end_action(problem, shot.roll)
+    return replace(path, action=action, residual=shot.residual, solver=solver + _far(guess, path))
+
+
+def check_shot(problem: object, method: object) -> None:
+    """Refuse what is not solved by shooting."""
+    check_types(problem, method, BoundaryProblem)
+    if isinstance(problem, BoundaryProblem) and problem.energy is not None:
+        raise ValueError(
+            f"shooting takes a given duration, which energy frees, got energy={problem.energy:g}: solve it with `solve`"
+        )
+
+
+def _with_tangent_start(problem: BoundaryProblem, roll: Roll, velocity: np.ndarray) -> Roll:
+    """The steps with that momentum at the start which a tangent velocity has; they do not depend on its normal part."""
+    motion = motion_of(problem)
+    if motion is None:
+        return roll
+    momentum = tangent_momenta(motion, roll.mesh[:1], roll.x[:, :1], roll.p[:, :1], velocity[:, None])
+    return replace(roll, p=np.column_stack((momentum, roll.p[:, 1:])))
+
+
+def _end_action(problem: BoundaryProblem, roll: Roll) -> float:
+    """What the end action adds."""
+    if problem.end_action is None:
+        return 0.0
+    return float(with_parameters(problem.end_action, problem.parameters)(roll.x[:, 0], roll.x[:, -1]))
 
 
 def _far(guess: Trajectory | None, path: Trajectory) -> str:
@@ -244,25 +274,24 @@ def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarr
 
 def _newton(shooting: Shooting, state: np.ndarray, velocity: np.ndarray) -> tuple[Shot, int]:
     """Newton's method with natural monotonicity line search: the shot that meets the end, and its iterations."""
-    z = shooting.free.T @ (state - shooting.base)
+    z = np.append(state, np.zeros(len(shooting.told) - len(state)))[shooting.free]
     shot = shooting.shoot(z, velocity)
     if shot is None:
         raise ConvergenceError("shooting failed: the steps of the first path, a straight line at its start, failed")
     for iteration in range(ITERATIONS):
         if np.all(np.abs(shot.miss) <= shot.floor):
-            return _met(shooting, shot, iteration), iteration
+            return _met(shot, iteration), iteration
         step = _direction(shot, shot.miss, iteration)
         trial, damping = _line_search(shooting, shot, z, step)
         if trial is None:
-            return _met(shooting, shot, iteration), iteration
+            return _met(shot, iteration), iteration
         z, shot = z + damping * step, trial
     raise _failure(f"no convergence in {ITERATIONS} iterations", shot, ITERATIONS)
 
 
 def _line_search(shooting: Shooting, shot: Shot, z: np.ndarray, step: np.ndarray) -> tuple[Shot | None, float]:
     """Halve the step until the next one, with the same derivative, is shorter; no shot if none is."""
-    sizes = np.abs(shooting.free).T @ np.max(np.abs(np.concatenate((shot.roll.x, shot.roll.p))), axis=1)
-    scale = np.maximum(np.maximum(np.abs(z), np.abs(step)), MISS * sizes + np.finfo(float).tiny)
+    scale = np.maximum(np.maximum(np.abs(z), np.abs(step)), MISS * shot.scale + np.finfo(float).tiny)
     velocity, damping = shooting.velocity(shot.roll), 1.0
     smallest = 1.0 if np.all(np.abs(shot.miss) <= ROUNDOFF * shot.floor) else SMALLEST_DAMPING
     while damping >= smallest:
@@ -277,21 +306,22 @@ def _line_search(shooting: Shooting, shot: Shot, z: np.ndarray, step: np.ndarray
 
 def _direction(shot: Shot, miss: np.ndarray, iteration: int = 0) -> np.ndarray:
     """Newton step by z; rows and columns are scaled first, as their units differ."""
-    rows = np.max(shot.terms, axis=1)
-    scaled = shot.by_z / np.where(rows > 0, rows, 1.0)[:, None]
-    columns = np.max(np.abs(shot.terms) / np.where(rows > 0, rows, 1.0)[:, None], axis=0)
-    scaled = scaled / np.where(columns > 0, columns, 1.0)
+    scale = np.where(shot.scale > 0, shot.scale, 1.0)
+    rows = np.max(shot.terms * (scale / np.max(scale)), axis=1, keepdims=True)  # which would overflow with the growth
+    rows[rows == 0] = 1.0
+    columns = np.max(shot.terms / rows, axis=0)
+    scaled = shot.by_z / rows / np.where(columns > 0, columns, 1.0)
     if not np.all(np.isfinite(scaled)) or np.linalg.svd(scaled, compute_uv=False)[-1] <= SINGULAR:
         if np.max(np.abs(shot.growth)) < 1 / MISS:
             reason = "the end does not depend on the start: the ends are conjugate points"
             raise ConjugatePointError(reason, Path(shot.path), shot.residual, iteration)
         raise _failure("the end does not depend on the start to the last digit", shot, iteration)
-    return np.asarray(np.linalg.solve(scaled, -miss / rows) / columns)
+    return np.asarray(np.linalg.solve(scaled, -miss / rows[:, 0]) / columns)
 
 
-def _met(shooting: Shooting, shot: Shot, iteration: int) -> Shot:
+def _met(shot: Shot, iteration: int) -> Shot:
     """Return the shot, one that cannot be bettered, if it meets the end to its roundoff and in half of the digits."""
-    sizes = np.abs(shooting.wanted) @ np.max(np.abs(np.concatenate((shot.roll.x, shot.roll.p))), axis=1)
+    sizes = np.abs(shot.wanted) @ shot.sizes
     sizes = np.where(sizes > 0, sizes, 1.0)
     missed, moved = (float(np.max(np.abs(a) / sizes, initial=0.0)) for a in (shot.miss, shot.floor))
     if missed <= MISS and shot.residual <= ROUNDOFF:

@@ -33,7 +33,7 @@ from casadi_galerkin.solution.export import Table
 from casadi_galerkin.solution.plotting import Pictured, plot_gaps
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.geometry import jacobians
-from casadi_galerkin.stepping.shooting import chain, shoot
+from casadi_galerkin.stepping.shooting import chain, check_shot, shoot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -164,7 +164,7 @@ def compare(
 
     Parameters
     ----------
-    problem : BoundaryProblem
+    problem : BoundaryProblem of a given duration, without `energy`
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
@@ -172,6 +172,8 @@ def compare(
 
     Raises
     ------
+    ValueError
+        for a given energy, and other input that does not fit
     ConvergenceError
         if the global solve fails; failures of the stepwise ways are part of the answer
 
@@ -183,6 +185,7 @@ def compare(
     >>> compared.condition_global < 2, compared.condition_stepwise > 1e16
     (True, True)
     """
+    check_shot(problem, method)
     path = solve(problem, method, intervals, mesh=mesh, guess=guess)
     start = InitialProblem(
         problem.lagrangian,

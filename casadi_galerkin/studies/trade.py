@@ -30,6 +30,7 @@ from casadi_galerkin.solution.limits import check_tolerance
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
+from casadi_galerkin.stepping.shooting import check_shot
 from casadi_galerkin.studies.reference import (
     Measure,
     Problem,
@@ -129,6 +130,8 @@ def _check_given(problem: Problem, guess: Guess | None, shooting: bool, measure:
         raise TypeError(f"shooting must be True or False, got {shooting!r}")
     if shooting and not isinstance(problem, BoundaryProblem):
         raise ValueError(f"only a BoundaryProblem is solved by shooting, got a {type(problem).__name__}")
+    if shooting:
+        check_shot(problem, Galerkin(1))
     if guess is None:
         return
     if isinstance(problem, InitialProblem):
@@ -217,6 +220,7 @@ def trade(
     tolerances : several numbers, as `solve` takes them; not for an InitialProblem
     solvers : several Solvers, as `solve` takes them; default the usual one.  Not for an InitialProblem
     shooting : whether to `shoot` as well, by every method on every number of intervals; for a BoundaryProblem
+        without `energy`
     measure : a callable path -> number, the quantity whose error counts: a position at some time, a momentum, the cost.
         The path is a Trajectory, unless `reference` is a callable, which can only be called; default the path itself,
         everywhere.  Its error is relative to its value on the reference where that is not zero

@@ -158,7 +158,7 @@ def test_a_miss_above_its_roundoff_floor_is_refused():
     with pytest.raises(
         cg.ConvergenceError, match=r"the end is missed by .* of the path's size, the rounding"
     ) as caught:
-        _met(shooting, shot, 3)
+        _met(shot, 3)
     assert caught.value.residual == shot.residual > 1e4
 
 

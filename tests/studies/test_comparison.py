@@ -181,6 +181,32 @@ def test_every_kind_of_end_is_compared(problem):
     assert comparison.condition_global == pytest.approx(1.0 if given else 0.0, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    "problem",
+    [
+        cg.BoundaryProblem(saddle, (0, 2), [None], [None], end_action=lambda x0, x1: ca.sumsqr(x0 - 1) + ca.sumsqr(x1)),
+        cg.BoundaryProblem(saddle, (0, 2), [None], [1.0], start_velocity=[0.3]),
+        cg.BoundaryProblem(
+            lambda t, x, v: ca.sumsqr(v) / 2 - x[1],
+            (0, 1),
+            [0.6, -0.8],
+            [None, None],
+            end_conditions=lambda x0, x1: x1[0] + x1[1] / 2,
+            constraint=lambda t, x: ca.sumsqr(x) - 1,
+        ),
+    ],
+    ids=["springs", "velocity", "circle to a line"],
+)
+def test_ends_that_are_not_given_are_compared(problem):
+    comparison = cg.compare(problem, METHOD, intervals=8)
+    assert np.max(comparison.shooting.gap) < 1e-12
+    assert comparison.another is None
+    lines = str(comparison).splitlines()
+    assert [line.split()[0] for line in lines[2:5]] == ["global", "stepped", "shooting"]
+    assert "failed" not in str(comparison)
+    assert lines[-1] == "  the gap of the steps stays at roundoff"
+
+
 def test_steps_that_fail_are_part_of_the_answer():
     def walls(t, x, v):  # x'' = x where |x| < 2, and no Lagrangian beyond: only the global path stays within
         return v[0] ** 2 / 2 + x[0] ** 2 / 2 - 1e-9 * ca.log(2 - x[0]) - 1e-9 * ca.log(2 + x[0])

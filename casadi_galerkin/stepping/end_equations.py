@@ -1,0 +1,89 @@
+"""What a boundary problem says of the ends of a path, as equations between its first state and its last.
+
+Globally, all of it is one term of the functional, whose rows are the momenta at positions that are not given
+(`functional.statement`).  Stepwise, the same rows are equations; η are the term's own multipliers and velocities:
+
+    start      x_0 = given   or   p_0 = rows of x_0         of a periodic path p_0 = p_N
+    end        x_N = given   or   p_N = -(rows of x_N)      of a periodic path x_N = x_0
+    further    rows of η = 0
+
+Under a constraint g = 0 with G = ∂g/∂x, momenta are asked for up to an impulse Gᵀμ, with μ another part of η, and a
+start that is not given as a whole is on the constraint, g(t_0, x_0) = 0.  The steps do not depend on the normal part of
+p_0, which is set to zero, G p_0 = 0.  They do stay on the constraint, so that an end of given positions, too, is asked
+for up to Gᵀμ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.functional.statement import rows_of_ends
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.callables import with_parameters
+
+
+@dataclass(frozen=True)
+class EndEquations:
+    """As many equations between the ends (x_0, p_0, η, x_N, p_N), (4d + k,), as the start (x_0, p_0, η) has entries.
+
+    Attributes
+    ----------
+    function : Function (ends) -> values (2d + k,), jacobian (2d + k, 4d + k), dense
+    plain : which of them do nothing but tell an entry of the start
+    told : (2d + k,), what these entries are; NaN where none is told
+    """
+
+    function: ca.Function
+    plain: list[int]
+    told: np.ndarray
+
+
+def end_equations(problem: BoundaryProblem, method: Galerkin) -> EndEquations:
+    """Write the equations of a problem (see the module)."""
+    d, times, constraint = problem.dimension, problem.t_span, problem.constraint
+    rows, held = rows_of_ends(problem, method)
+    x, p = ([ca.SX.sym(f"{name}{k}", d) for k in (0, 1)] for name in "xp")
+    own = [ca.SX.sym("own", rows.size1_in(2))]
+    given = [
+        [None if i in components else value for i, value in enumerate(values)]
+        for components, values in zip(held, (problem.start, problem.end), strict=True)
+    ]
+    first, last, further = ca.vertsplit(rows(*x, *own), [0, d, 2 * d, rows.size1_out(0)])
+    momenta = [first, -last]
+    if problem.periodic:
+        momenta[0], given[1] = p[1], ca.vertsplit(x[0])
+    equations = []
+    if constraint is not None:
+        constraint = with_parameters(constraint, problem.parameters)
+        further = ca.vertcat(further, ca.jtimes(constraint(times[0], x[0]), x[0], p[0]))
+    for k, values in enumerate(given):
+        free = [i for i, value in enumerate(values) if value is None]
+        pushes = ca.SX(d, 1)
+        if constraint is not None and (free or k == 1):
+            own.append(ca.SX.sym("impulse", constraint.size1_out(0)))
+            missed = constraint(times[k], x[k])
+            pushes = ca.jtimes(missed, x[k], own[-1], True)
+            further = ca.vertcat(further, missed) if k == 0 else further
+        for i, value in enumerate(values):
+            unpushed = x[k][i] - value if value is not None else p[k][i] - momenta[k][i]
+            equations.append(unpushed + pushes[i] if i in (free or range(d)) else unpushed)
+    return _with_plain(ca.vertcat(*equations, further), ca.vertcat(x[0], p[0], *own), ca.vertcat(x[1], p[1]))
+
+
+def _with_plain(values: ca.SX, start: ca.SX, end: ca.SX) -> EndEquations:
+    """Find those equations that have one entry of the start alone, times a number."""
+    ends = ca.vertcat(start, end)
+    jacobian = ca.jacobian(values, ends)
+    function = ca.Function("end_equations", [ends], [ca.densify(values), ca.densify(jacobian)])
+    at_zero, told, plain = function(0)[0], np.full(start.numel(), np.nan), []
+    for i in range(values.numel()):
+        row = jacobian[i, :]
+        entry = row.sparsity().get_col()
+        if len(entry) == 1 and entry[0] < len(told) and row.nz[0].is_constant() and np.isnan(told[entry[0]]):
+            told[entry[0]] = -float(at_zero[i]) / float(row.nz[0])
+            plain.append(i)
+    return EndEquations(function, plain, told)
