@@ -19,7 +19,7 @@ from casadi_galerkin.calculus.mesh_adaptation import equidistributed, of_degree,
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.guess import Guess, guess_values
+from casadi_galerkin.solution.guess import FAR, Guess, guess_values
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.ipopt import rescue
 from casadi_galerkin.solvers.newton import damped_newton
@@ -31,7 +31,6 @@ DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
 LEAPS = 0.02, 0.1  # of a descent: short ones stay on their side of a singularity, long ones arrive
 GUESS_LEVELS, GUESS_INTERVALS = 10, 200
 ROUGHLY, WELL = 0.1, 1e-4  # part of a guess that a first mesh may leave out: a corner or noise may, a layer may not
-FAR = 0.5  # of the guess's size: farther from it, a path is another one
 MORE = 4  # times as many intervals as the coarse mesh has: where that is too coarse for any path, this was enough
 
 

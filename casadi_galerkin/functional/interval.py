@@ -35,6 +35,7 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.pointwise import pulled_back
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF, solve_scaled
 
+RESTING = 1e5 * EPS  # of the largest component: what QR leaves of the others' last steps in one that rests
 DOUBLINGS = 4  # of Newton's iterations, to at most 16; 1 to 8 were measured, the most at the largest steps
 # a relative Newton step that is not worth taking; the estimate of the next one was measured up to 60 times too small
 SMALLEST_STEP = 0.01 * EPS
@@ -166,7 +167,9 @@ def interval(
         by_s = ca.vertcat(own, ca.SX(held.equations.numel(), own.shape[1])) + ca.jacobian(
             ca.vertcat(held.work, held.equations), ca.vec(unknowns)
         )
-        terms, end = ca.vertcat(terms + held.work_terms, held.equation_terms), held.momentum
+        largest = ca.mmax(ca.fabs(ca.horzcat(x, unknowns[:d, :])))
+        noise = RESTING * largest * ca.sum2(ca.fabs(by_s)[:, _moving(unknowns.shape, d)])
+        terms, end = ca.vertcat(terms + held.work_terms, held.equation_terms) + noise, held.momentum
 
     def function(name: str, *outputs: ca.SX) -> ca.Function:
         return ca.Function(name, [unknowns, x, p, t, h], [ca.densify(output) for output in outputs])
@@ -234,7 +237,7 @@ def _held(
         ca.vec(pushed @ ca.fabs(by_node)),
         ca.vertcat(
             *(ca.fabs(slope) @ sizes[:, a] for a, slope in enumerate(slopes) if a),
-            mass + ca.fabs(momentum) + ca.fabs(before) + ca.fabs(slopes[m]).T @ ca.fabs(mu),
+            mass + ca.fabs(momentum) + ca.fabs(unheld) + ca.sum2(pushed) + ca.fabs(slopes[m]).T @ ca.fabs(mu),
             ca.fabs(slopes[m]) @ fastest / h + ca.fabs(held[m][2]),
         ),
         momentum,
@@ -248,14 +251,16 @@ def _spread(by_x: np.ndarray, by_slope: np.ndarray, d: int) -> ca.DM:
 
 
 def _solved(matrix: ca.MX, rhs: ca.MX, shape: tuple[int, int], dimension: int) -> ca.MX:
-    """Solution of the linear equations of an interval; without a constraint its rows are alike.
-
-    All unknowns, counted column by column, move the path but the impulses.
-    """
-    rows, columns = shape
-    if rows == dimension:
+    """Solution of the linear equations of an interval; without a constraint its rows are alike."""
+    if shape[0] == dimension:
         return ca.solve(matrix, rhs, "qr", NO_CUTOFF)
-    return solve_scaled(matrix, rhs, [rows * j + i for j in range(columns) for i in range(dimension)])
+    return solve_scaled(matrix, rhs, _moving(shape, dimension))
+
+
+def _moving(shape: tuple[int, int], dimension: int) -> list[int]:
+    """Which of the unknowns, counted column by column, move the path: all but the impulses."""
+    rows, columns = shape
+    return [rows * j + i for j in range(columns) for i in range(dimension)]
 
 
 def newton_iteration(system: ca.Function) -> ca.Function:
@@ -273,6 +278,8 @@ def newton_iteration(system: ca.Function) -> ca.Function:
     size = [ca.fabs(x[i]) + ca.mmax(ca.fabs(s[i, :])) + ca.mmax(ca.fabs(ds[i, :])) + TINY for i in range(d)]
     relative = ca.mmax(ca.fabs(ds[:d, :]) / ca.repmat(ca.vertcat(*size), 1, m))  # not of impulses, which follow
     large = relative * ca.fmin(1, relative / before) ** 2 > SMALLEST_STEP  # false if it is not a number
+    if rows > d:  # at rest the first step is roundoff, and so is what it leaves of the conditions
+        large = ca.logic_or(large, before == 0)
     stalled = ca.logic_and(ca.logic_and(before > 0, before <= NEAR), relative > before / 2)
     unfinished = ca.logic_and(large, ca.logic_not(stalled))
     update = ca.Function("update", [s, ds, x, before], [s + ds, relative, unfinished, 1])

@@ -14,6 +14,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.solution.path import Path
 
 MODES = 6  # of a random path
+FAR = 0.5  # distance from a guess, over its size, from which a path is another than the one that was meant
 
 Values = Callable[[float], ArrayLike] | ArrayLike
 Guess = Values | Path | PiecewisePolynomial | tuple[Values | Path | PiecewisePolynomial, Values]  # times, or controls

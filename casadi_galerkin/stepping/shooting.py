@@ -27,7 +27,7 @@ from casadi_galerkin.problems.constrained_motion import motion_of, tangent_momen
 from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
-from casadi_galerkin.solution.guess import guess_values
+from casadi_galerkin.solution.guess import FAR, guess_values
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.buffers import Evaluator
@@ -39,7 +39,6 @@ from casadi_galerkin.stepping.stepper import Roll, Stepper
 
 ITERATIONS = 50
 MISS = EPS**0.5  # accepted miss of the end over the size of the path: half of the digits
-FAR = 0.5  # distance from the guess, over its size, from which a path is another than the guessed one, and said to be
 SINGULAR = 1e-14  # smallest singular value of the derivative, over the terms it sums, taken for dependence on the start
 
 

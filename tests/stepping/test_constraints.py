@@ -172,3 +172,26 @@ def test_control_points_that_lose_the_order_are_refused():
     problem = cg.InitialProblem(planar, (0, 1), [0.0, -1.0], velocity=[0.7, 0.0], constraint=unit_length)
     with pytest.raises(ValueError, match="a constraint is held at the control points; to keep order 2m, they must be"):
         cg.solve(problem, cg.Galerkin(3, control_points=cg.equispaced_points(4)[:2]), intervals=4)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("degree", [1, 3, 6, 10])
+@pytest.mark.parametrize(
+    ("start", "velocity"),
+    [([0.6, 0.0, -0.8], [0.0, 0.0, 0.0]), ([0.0, 0.0, -1.0], [0.0, 1.0, 0.0]), ([0.0, 0.0, -1.0], [0.0, 0.0, 0.0])],
+    ids=["from rest", "through the bottom", "at rest"],
+)
+def test_a_component_that_rests_stays_at_rest(start, velocity, degree, unit):
+    """A spherical pendulum that swings in a coordinate plane, or hangs: rounding of the others is all that moves it."""
+    problem = cg.InitialProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2 - unit * x[2],
+        (0, 1),
+        [unit * a for a in start],
+        velocity=[unit * a for a in velocity],
+        constraint=lambda t, x: ca.sumsqr(x / unit) - 1,
+    )
+    path = cg.solve(problem, cg.Galerkin(degree), 20)
+    resting = [i for i in range(2) if start[i] == velocity[i] == 0]
+    assert np.max(np.abs(path.x[resting])) < 1e-24 * unit
+    np.testing.assert_allclose(np.sum(path.x**2, axis=0), unit**2, rtol=1e-14)
+    assert np.ptp(path.energy) < 1e-2 * unit**2
