@@ -178,3 +178,13 @@ def test_bad_arguments_are_named():
         cg.solve(double_integrator(), cg.Galerkin(3), intervals=4, limits=cg.Limits())
     with pytest.raises(TypeError, match="or give tol instead"):
         cg.solve(double_integrator(), intervals=4)
+
+
+@pytest.mark.parametrize("breakpoints", [(), (3.0,), (1.5, 4.5)])
+def test_an_answer_of_other_times_and_breakpoints_is_a_guess(breakpoints):
+    """Its breakpoints were taken for those of the mesh: refused where their number differs, else the mesh is skewed."""
+    guess = cg.solve(double_integrator(t_span=(0.0, 6.0), breakpoints=breakpoints), cg.Galerkin(3), 6)
+    problem = double_integrator(breakpoints=[0.1])
+    path = cg.solve(problem, tol=1e-5, guess=guess)
+    assert path.cost == pytest.approx(6, rel=1e-9)
+    np.testing.assert_array_equal(path.t, cg.solve(problem, tol=1e-5).t)
