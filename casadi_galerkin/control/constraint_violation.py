@@ -127,7 +127,7 @@ def name_equation(chain: Chain, row: int) -> tuple[str, float]:
     words = names[name.split()[0]]
     counted = words.endswith(("constraint", "condition"))
     label = f"{words} {found[-1]}" if counted else f"{words}[{shift + found[-1]}]"
-    return label, _place(chain, name, found)
+    return label, _place(chain, name, found) + (name in ("x", "momentum", "constants"))  # which tie the next state
 
 
 def name_unknown(chain: Chain, index: int) -> tuple[str, float]:

@@ -193,12 +193,12 @@ def test_absolute_values_of_controls_of_both_signs_are_refused(cost, bounds, mes
 @pytest.mark.parametrize(
     ("waypoints", "kind", "message"),
     [
-        ([(1.0, [1.0])], ValueError, r"a waypoint must have 2 position\(s\), .* got \[1.0\]"),
+        ([(1.0, [1.0])], ValueError, r"at t = 1: waypoint must have 2 position\(s\), .* got \[1.0\]"),
         ([(3.0, [1.0, 1.0])], ValueError, r"must increase inside of \(0.0, 2.0\), got \(3.0,\)"),
-        ([(1.0, [(2, 1), 1.0])], ValueError, "waypoint at t = 1 contradict each other in component 0"),
+        ([(1.0, [(2, 1), 1.0])], ValueError, "at t = 1: waypoint contradict each other in component 0"),
         ([1.0], TypeError, r"waypoints must be pairs \(t, positions\) or .*, got 1.0"),
         ([("noon", [1, 2])], ValueError, "time of a waypoint must be a finite number, got 'noon'"),
-        ([(1.0, [np.nan, 1])], ValueError, "lo of the waypoint at t = 1 must not be NaN"),
+        ([(1.0, [np.nan, 1])], ValueError, "at t = 1: the lo of waypoint must not be NaN"),
         (3.0, TypeError, r"waypoints must be pairs \(t, positions\) or .*, got 3.0"),
         ([(1.0, [0.2, 0.0]), (1.0, [0.8, 0.0])], ValueError, "a time each, got two at t = 1"),
         (
@@ -214,7 +214,7 @@ def test_bad_waypoints_are_refused(waypoints, kind, message):
 
 
 def test_a_waypoint_beyond_the_position_bounds_is_refused():
-    with pytest.raises(ValueError, match=r"waypoint at t = 1 bounds x\[0\] by \[3.0, 4.0\], outside .* \[-1.0, 2.0\]"):
+    with pytest.raises(ValueError, match=r"at t = 1: waypoint bounds x\[0\] by \[3.0, 4.0\], outside .* \[-1.0, 2.0\]"):
         plane(waypoints=[(1.0, [(3.0, 4.0), None])], position_bounds=(-1.0, 2.0))
 
 
