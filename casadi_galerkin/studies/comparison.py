@@ -28,6 +28,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
+from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table
 from casadi_galerkin.solution.plotting import Pictured, plot_gaps
@@ -172,6 +173,8 @@ def compare(
 
     Raises
     ------
+    TypeError
+        for what is no BoundaryProblem
     ConvergenceError
         if the global solve fails; failures of the stepwise ways are part of the answer
 
@@ -183,6 +186,7 @@ def compare(
     >>> compared.condition_global < 2, compared.condition_stepwise > 1e16
     (True, True)
     """
+    check_types(problem, method, BoundaryProblem)
     path = solve(problem, method, intervals, mesh=mesh, guess=guess)
     start = InitialProblem(
         problem.lagrangian,
