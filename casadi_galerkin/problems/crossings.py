@@ -96,7 +96,7 @@ def _positions(positions: Any, within: Bounds) -> Pairs:
             f"got {positions!r}"
         )
     pairs = [x if x is None or isinstance(x, (tuple, list)) else (x, x) for x in positions]
-    sides = [bounds("waypoint", pair, 1) for pair in pairs]
+    sides = [bounds(f"the bounds of x[{i}]", pair, 1) for i, pair in enumerate(pairs)]
     for i, ((least,), (most,)) in enumerate(sides):
         low, high = (side[i] for side in within)
         if least > high or most < low:

@@ -66,7 +66,7 @@ BADLY_STATED = {
     "a waypoint that contradicts": (
         {"waypoints": [(0.5, (lambda x, v: v, 1.0, 0.0))]},
         ValueError,
-        "at t = 0.5: waypoint contradict each other in component 0: lo 1.0 is above hi 0.0",
+        "at t = 0.5: waypoint must have lo <= hi, got 1.0 and 0.0$",
     ),
     "a waypoint of time": (
         {"waypoints": [(0.5, (lambda t, x, v: v, 1.0, 2.0))]},
