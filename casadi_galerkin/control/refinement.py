@@ -167,11 +167,6 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             reason += f" (only the path changes: cost and duration are known to {self.cost_error:.0e})"
         return super().stopped(reason, level, error)
 
-    def check_time(self, level: ControlTrajectory, error: float = np.inf) -> None:
-        """Stop where the time is up."""
-        if self.out_of_time():
-            raise self.stopped(f"{self.limits.seconds:g} seconds have passed", level, error)
-
     def run(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Refine the first path, and say what all levels have cost."""
         path, error = self.refine(self.solve_finer(mesh, guess))
