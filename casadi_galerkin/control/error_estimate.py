@@ -28,6 +28,7 @@ from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.control.switching import Switch, switches
+from casadi_galerkin.problems.bounds import beyond
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 SLOWEST = 2 / 3  # q where a jump or a constraint at points keeps the higher degree from gaining much
@@ -41,34 +42,29 @@ MARGIN = 3.0  # times what is not known of a switch: joints beside it
 ROUNDOFF = 1e-15  # of positions relative to their size
 
 
-def sampled(path: ControlTrajectory, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Times (N, K) at and between the joints, and positions there (d, N, K)."""
-    parts = np.linspace(0, 1, 4 * degree + 1)
-    times = times_at(path.t, parts).reshape(len(path.t) - 1, -1)
-    return times, path.polynomial.at_parts(parts)[0]
+def parts_of(degree: int) -> np.ndarray:
+    """Parts of an interval at which paths are compared, its ends among them."""
+    return np.linspace(0, 1, 4 * degree + 1)
 
 
 def excess(path: ControlTrajectory) -> np.ndarray:
     """By how much positions leave their bounds between the nodes, relative to the components' sizes; (N,)."""
     low, high = (np.array(side)[:, None, None] for side in path.problem.position_bounds)
-    times, _ = sampled(path, path.method.degree)
-    slopes = path.polynomial.at_parts(np.linspace(0, 1, times.shape[1]))[1]
+    parts = parts_of(path.method.degree)
+    times, slopes = times_at(path.t, parts).reshape(-1, len(parts)), path.polynomial.at_parts(parts)[1]
     change = slopes[:, :, :-1] - slopes[:, :, 1:]
     part = np.clip(slopes[:, :, :-1] / np.where(change != 0, change, 1.0), 0.0, 1.0)
     turning = times[:, :-1] + part * np.diff(times)  # where a component turns, or one end of the sample
     positions = np.stack([path(when)[i] for i, when in enumerate(turning)])
-    beyond = (
-        np.maximum(np.maximum(low - positions, positions - high), 0.0)
-        / component_sizes(path.polynomial.values)[:, None, None]
-    )
-    return np.asarray(np.max(np.where(beyond > ROUNDOFF, beyond, 0.0), axis=(0, 2)))
+    outside = beyond(positions, low, high) / component_sizes(path.polynomial.values)[:, None, None]
+    return np.asarray(np.max(np.where(outside > ROUNDOFF, outside, 0.0), axis=(0, 2)))
 
 
 def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
     """What a path has on each interval that a lower degree has not, relative to the components' sizes; (N,)."""
     nodes = Galerkin(degree).element.nodes
-    lower = path.polynomial.at_parts(nodes)[0] @ lagrange_values(nodes, np.linspace(0, 1, 4 * degree + 1)).T
-    change = sampled(path, degree)[1] - lower
+    lower = path.polynomial.at_parts(nodes)[0] @ lagrange_values(nodes, parts_of(degree)).T
+    change = path.polynomial.at_parts(parts_of(degree))[0] - lower
     return np.asarray(np.max(np.abs(change) / component_sizes(path.polynomial.values)[:, None, None], axis=(0, 2)))
 
 
@@ -99,11 +95,9 @@ class HigherDegree:
     @lazy
     def change(self) -> float:
         """Relative error of cost, duration and positions, D / (1 - q)."""
-        path, higher, degree = self.path, self.higher, self.path.method.degree
-        change = (
-            np.abs(sampled(higher, degree)[1] - sampled(path, degree)[1])
-            / component_sizes(path.polynomial.values)[:, None, None]
-        )
+        path, higher, parts = self.path, self.higher, parts_of(self.path.method.degree)
+        change = np.abs(higher.polynomial.at_parts(parts)[0] - path.polynomial.at_parts(parts)[0])
+        change /= component_sizes(path.polynomial.values)[:, None, None]
         coarse, fine = (float(np.max(truncation(p.polynomial))) for p in (path, higher))
         at_points = path.problem.path_constraint is not None or len(self.found) > 0
         ratio = SLOWEST if at_points else min(fine / max(coarse, fine, 1e-300), SLOWEST)

@@ -42,6 +42,11 @@ def bounds(name: str, value: Any, size: int) -> Bounds:
     return tuple(low.tolist()), tuple(high.tolist())
 
 
+def beyond(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """By how much values leave their bounds; zero within."""
+    return np.asarray(np.maximum(np.maximum(low - values, values - high), 0.0))
+
+
 def duration_bounds_of(given: tuple[Limit, Limit] | None, phases: int) -> Bounds | None:
     """Check bounds of the durations of all phases; None where they are given."""
     if given is None:
