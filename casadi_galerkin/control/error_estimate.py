@@ -39,6 +39,7 @@ NARROW = 0.25  # of its neighbor is an interval beside a jump
 CLOSE = 1 / 3  # of an interval: a joint so near to a jump gives way to it
 AGREED = 1e-3  # of what the switching function says: nearer to its joint an impulse says nothing
 MARGIN = 3.0  # times what is not known of a switch: joints beside it
+DISTINCT = 1e-8  # of the duration: nearer switches are one, such as those of two controls at a breakpoint
 ROUNDOFF = 1e-15  # of positions relative to their size
 
 
@@ -157,6 +158,8 @@ def with_jumps(mesh: np.ndarray, found: list[Switch], tol: float) -> np.ndarray:
     for s in found:
         late = abs(s.when - s.joint), abs(s.due - s.joint)
         when = s.due if late[0] < AGREED * late[1] else s.when
+        if any(abs(when - other) < DISTINCT * np.ptp(mesh) for other in jumps):
+            continue
         k = int(np.searchsorted(mesh[1:-1], when))
         near = min((k, k + 1), key=lambda j: abs(mesh[j] - when))
         if 0 < near < len(mesh) - 1 and abs(mesh[near] - when) < CLOSE * (mesh[k + 1] - mesh[k]):

@@ -188,3 +188,23 @@ def test_an_answer_of_other_times_and_breakpoints_is_a_guess(breakpoints):
     path = cg.solve(problem, tol=1e-5, guess=guess)
     assert path.cost == pytest.approx(6, rel=1e-9)
     np.testing.assert_array_equal(path.t, cg.solve(problem, tol=1e-5).t)
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6])
+def test_two_controls_may_switch_at_the_same_time(tol):
+    """Two joints, one for each, were as close as rounding, and refused."""
+    problem = cg.ControlProblem(
+        lambda t, x, v: (v[0] ** 2 + v[1] ** 2) / 2,
+        (0.0, 1.3),
+        [0.0, 0.0],
+        [1.0, -1.0],
+        [-0.3, 0.3],
+        [0.0, 0.0],
+        force=lambda t, x, v, u: u,
+        running_cost=lambda t, x, v, u: 1,
+        controls=2,
+        control_bounds=(-1.0, 1.0),
+        duration_bounds=(0.1, 10.0),
+    )
+    path = cg.solve(problem, tol=tol)
+    assert abs(path.cost / fastest(-0.3)[0] - 1) <= path.error_estimate <= tol
