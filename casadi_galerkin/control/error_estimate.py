@@ -154,7 +154,7 @@ def with_jumps(mesh: np.ndarray, found: list[Switch], tol: float) -> np.ndarray:
     The switching function says when they are, but not to which place between two points of the quadrature; the impulse
     says it in the smaller of two intervals, but not where all controls stay at their bounds on both sides.
     """
-    jumps, distances = [], []
+    jumps: dict[float, float] = {}  # times, and how close to them joints stand
     for s in found:
         late = abs(s.when - s.joint), abs(s.due - s.joint)
         when = s.due if late[0] < AGREED * late[1] else s.when
@@ -164,10 +164,9 @@ def with_jumps(mesh: np.ndarray, found: list[Switch], tol: float) -> np.ndarray:
         near = min((k, k + 1), key=lambda j: abs(mesh[j] - when))
         if 0 < near < len(mesh) - 1 and abs(mesh[near] - when) < CLOSE * (mesh[k + 1] - mesh[k]):
             mesh = np.delete(mesh, near)
-        jumps.append(when)
-        distances.append(max(tol * np.ptp(mesh), MARGIN * max(late)))
-    everything = np.unique(np.concatenate((mesh, jumps)))
-    for when, distance in zip(jumps, distances, strict=True):
+        jumps[when] = max(tol * np.ptp(mesh), MARGIN * max(late))
+    everything = np.unique(np.concatenate((mesh, list(jumps))))
+    for when, distance in jumps.items():
         if distance < NARROW * np.min(np.abs(everything - when)[everything != when]):
             mesh = np.append(mesh, [when - distance, when + distance])
-    return np.unique(np.concatenate((mesh, jumps)))
+    return np.unique(np.concatenate((mesh, list(jumps))))
