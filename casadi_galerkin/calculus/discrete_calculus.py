@@ -168,7 +168,8 @@ def check_breakpoints(mesh: np.ndarray, breakpoints: tuple[float, ...]) -> None:
     """Refuse a mesh that misses a breakpoint."""
     missing = sorted(set(breakpoints).difference(mesh.tolist()))
     if missing:
-        raise ValueError(f"the mesh must have every breakpoint as a joint, it misses {missing[0]}")
+        nearest = float(mesh[np.argmin(np.abs(mesh - missing[0]))])
+        raise ValueError(f"the mesh must have every breakpoint as a joint, {missing[0]}; the nearest is {nearest}")
 
 
 def _between(marks: np.ndarray, intervals: int) -> np.ndarray:

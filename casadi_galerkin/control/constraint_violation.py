@@ -8,6 +8,7 @@ from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.graph import Report
 from casadi_galerkin.control.optimizer import ProgramBounds
+from casadi_galerkin.problems.bounds import beyond
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import is_limited
 
@@ -88,14 +89,13 @@ def violations(
 ) -> np.ndarray:
     """Violation of every equation, then of every unknown's bounds, relative to what is compared; a bound to itself."""
     excess = _excess(report.equations, limits.equations_lower, limits.equations_upper)
-    beyond = _excess(unknowns, limits.lower, limits.upper)
-    return np.concatenate((excess / measures(chain, limits, report, before), beyond / _or_one(np.abs(unknowns))))
+    outside = _excess(unknowns, limits.lower, limits.upper)
+    return np.concatenate((excess / measures(chain, limits, report, before), outside / _or_one(np.abs(unknowns))))
 
 
 def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """By how much values leave their bounds; infinite where they are not numbers."""
-    excess = np.maximum(np.maximum(low - values, values - high), 0.0)
-    return np.asarray(np.where(np.isfinite(values), excess, np.inf))
+    return np.asarray(np.where(np.isfinite(values), beyond(values, low, high), np.inf))
 
 
 def _or_one(sizes: np.ndarray) -> np.ndarray:
@@ -127,7 +127,7 @@ def name_equation(chain: Chain, row: int) -> tuple[str, float]:
     words = names[name.split()[0]]
     counted = words.endswith(("constraint", "condition"))
     label = f"{words} {found[-1]}" if counted else f"{words}[{shift + found[-1]}]"
-    return label, _place(chain, name, found)
+    return label, _place(chain, name, found) + (name in ("x", "momentum", "constants"))  # which tie the next state
 
 
 def name_unknown(chain: Chain, index: int) -> tuple[str, float]:

@@ -120,49 +120,49 @@ class ChainEmbedding:
     @lazy
     def matrix(self) -> ca.DM:
         """A: (all places) x ξ."""
-        f, p, r = self.chain.fields, self.points, len(self.chain.method.quadrature)
-        element, one = self.chain.method.element, 1.0
+        f, p, m = self.chain.fields, self.points, self.chain.method.degree
+        element, r = self.chain.method.element, len(self.chain.method.quadrature)
         nodes = np.concatenate((f["x"][:-1, None], f["nodes"]), axis=1)[:, None]  # (N, 1, m + 1, d)
         interval, k = np.divmod(np.arange(p.count), r)
         basis = [a[None, :, :, None] for a in (element.values, element.slopes)]
         shape = (self.chain.intervals, r, 1, -1)
-        earlier = np.arange(f["durations"].shape[1]) < self.chain.phases[interval, None]
         triplets: list[Triplet] = [
             (p.row("x").reshape(shape), nodes, basis[0]),
             (p.row("slope").reshape(shape), nodes, basis[1]),
-            (p.row("controls"), f["controls"][interval, k % f["controls"].shape[1]], one),
-            (p.row("duration"), f["durations"][interval, self.chain.phases[interval]][:, None], one),
-            (p.row("parameters"), f["parameters"][interval], one),
-            (p.row("begin"), f["begin"], one),
-            (p.row("begin"), f["durations"][interval], earlier.astype(float)),
-            (p.row("share"), f["left"][interval][:, None], one),
-            (p.row("share"), f["part"][interval][:, None], element.points[k, None]),
-            (p.row("part"), f["part"][interval][:, None], one),
-            (p.row("sizes"), f["sizes"], one),
-            (self.end.row("time"), f["durations"][-1:], one),
+            (p.row("controls"), f["controls"][interval, k % f["controls"].shape[1]], 1.0),
+            (p.row("part"), f["part"][interval][:, None], 1.0),
+            *self._along(p, interval, element.points[k]),
+            (self.end.row("time"), f["durations"][-1:], 1.0),
         ]
         for place, i, velocity in ((self.start, 0, "start_velocity"), (self.end, -1, "end_velocity")):
             entries = {"x": f["x"][i], "velocity": f[velocity], "parameters": f["parameters"][i], "time": f["begin"]}
-            triplets += [(place.row(name), index, one) for name, index in (entries | {"sizes": f["sizes"]}).items()]
+            triplets += [(place.row(name), index, 1.0) for name, index in (entries | {"sizes": f["sizes"]}).items()]
         entries = {"x0": f["x"][0], "velocity0": f["start_velocity"], "x1": f["x"][-1], "velocity1": f["end_velocity"]}
         if self.chain.conditions:
             entries["parameters"] = f["parameters"][-1]
-            triplets += [(self.ends.row(name), index, one) for name, index in entries.items()]
-        if self.chain.held:
-            triplets += self._node_triplets()
-        triplets += self._crossing_triplets()
+            triplets += [(self.ends.row(name), index, 1.0) for name, index in entries.items()]
+        if self.chain.held:  # at the first node, then at those after it on every interval
+            interval, a = np.divmod(np.arange(self.chain.intervals * m), m)
+            impulses = f["impulses"].reshape(-1, self.chain.held)
+            triplets += [
+                (self.nodes.row("x"), np.vstack((f["x"][:1], f["nodes"].reshape(-1, self.chain.dimension))), 1.0),
+                (self.nodes.row("impulse"), np.vstack((f["start_impulse"], impulses)), 1.0),
+                *self._along(self.nodes, np.append(0, interval), np.append(0.0, element.nodes[1:][a])),
+            ]
+        for i, (place, before) in enumerate(zip(self.crossings, self.chain.crossed - 1, strict=True)):
+            triplets += [
+                (place.row("x"), f["nodes"][before, -1], 1.0),
+                (place.row("velocity"), f["velocity"][i], 1.0),
+                *self._along(place, np.array([before]), np.ones(1)),
+            ]
         return sparse(triplets, (sum(place.count * place.width for place in self.places), self.chain.size))
 
-    def _node_triplets(self) -> list[Triplet]:
-        """Entries of A at the nodes: the first, then those after it on every interval."""
-        f, place, m = self.chain.fields, self.nodes, self.chain.method.degree
-        interval, a = np.divmod(np.arange(self.chain.intervals * m), m)
-        interval, share = np.append(0, interval), np.append(0.0, self.chain.method.element.nodes[1:][a])
-        earlier = np.arange(f["durations"].shape[1]) < self.chain.phases[interval, None]
+    def _along(self, place: Place, interval: np.ndarray, share: np.ndarray) -> list[Triplet]:
+        """Entries of A that say when places are, from their intervals (K,) and parts of these (K,); p and S there."""
+        f, phases = self.chain.fields, self.chain.phases[interval, None]
+        earlier = np.arange(f["durations"].shape[1]) < phases
         return [
-            (place.row("x"), np.vstack((f["x"][:1], f["nodes"].reshape(-1, self.chain.dimension))), 1.0),
-            (place.row("impulse"), np.vstack((f["start_impulse"], f["impulses"].reshape(-1, self.chain.held))), 1.0),
-            (place.row("duration"), f["durations"][interval, self.chain.phases[interval]][:, None], 1.0),
+            (place.row("duration"), f["durations"][interval[:, None], phases], 1.0),
             (place.row("parameters"), f["parameters"][interval], 1.0),
             (place.row("begin"), f["begin"], 1.0),
             (place.row("begin"), f["durations"][interval], earlier.astype(float)),
@@ -170,25 +170,6 @@ class ChainEmbedding:
             (place.row("share"), f["part"][interval][:, None], share[:, None]),
             (place.row("sizes"), f["sizes"], 1.0),
         ]
-
-    def _crossing_triplets(self) -> list[Triplet]:
-        """Entries of A at the joints crossed: all are those of the interval before, but where the joint stands."""
-        f = self.chain.fields
-        triplets: list[Triplet] = []
-        for k, (place, joint) in enumerate(zip(self.crossings, self.chain.crossed.tolist(), strict=True)):
-            phase, before = self.chain.phases[joint], joint - 1
-            entries = {
-                "x": f["nodes"][before, -1],
-                "velocity": f["velocity"][k],
-                "duration": f["durations"][before, [phase]],
-                "parameters": f["parameters"][before],
-                "begin": f["begin"],
-                "share": f["left"][[joint]],
-                "sizes": f["sizes"],
-            }
-            triplets += [(place.row(name), index, 1.0) for name, index in entries.items()]
-            triplets.append((place.row("begin"), f["durations"][before, :phase], 1.0))
-        return triplets
 
     @lazy
     def active(self) -> list[np.ndarray]:

@@ -28,6 +28,7 @@ from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.control.switching import Switch, switches
+from casadi_galerkin.problems.bounds import beyond
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 SLOWEST = 2 / 3  # q where a jump or a constraint at points keeps the higher degree from gaining much
@@ -38,37 +39,33 @@ NARROW = 0.25  # of its neighbor is an interval beside a jump
 CLOSE = 1 / 3  # of an interval: a joint so near to a jump gives way to it
 AGREED = 1e-3  # of what the switching function says: nearer to its joint an impulse says nothing
 MARGIN = 3.0  # times what is not known of a switch: joints beside it
+DISTINCT = 1e-8  # of the duration: nearer switches are one, such as those of two controls at a breakpoint
 ROUNDOFF = 1e-15  # of positions relative to their size
 
 
-def sampled(path: ControlTrajectory, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Times (N, K) at and between the joints, and positions there (d, N, K)."""
-    parts = np.linspace(0, 1, 4 * degree + 1)
-    times = times_at(path.t, parts).reshape(len(path.t) - 1, -1)
-    return times, path.polynomial.at_parts(parts)[0]
+def parts_of(degree: int) -> np.ndarray:
+    """Parts of an interval at which paths are compared, its ends among them."""
+    return np.linspace(0, 1, 4 * degree + 1)
 
 
 def excess(path: ControlTrajectory) -> np.ndarray:
     """By how much positions leave their bounds between the nodes, relative to the components' sizes; (N,)."""
     low, high = (np.array(side)[:, None, None] for side in path.problem.position_bounds)
-    times, _ = sampled(path, path.method.degree)
-    slopes = path.polynomial.at_parts(np.linspace(0, 1, times.shape[1]))[1]
+    parts = parts_of(path.method.degree)
+    times, slopes = times_at(path.t, parts).reshape(-1, len(parts)), path.polynomial.at_parts(parts)[1]
     change = slopes[:, :, :-1] - slopes[:, :, 1:]
     part = np.clip(slopes[:, :, :-1] / np.where(change != 0, change, 1.0), 0.0, 1.0)
     turning = times[:, :-1] + part * np.diff(times)  # where a component turns, or one end of the sample
     positions = np.stack([path(when)[i] for i, when in enumerate(turning)])
-    beyond = (
-        np.maximum(np.maximum(low - positions, positions - high), 0.0)
-        / component_sizes(path.polynomial.values)[:, None, None]
-    )
-    return np.asarray(np.max(np.where(beyond > ROUNDOFF, beyond, 0.0), axis=(0, 2)))
+    outside = beyond(positions, low, high) / component_sizes(path.polynomial.values)[:, None, None]
+    return np.asarray(np.max(np.where(outside > ROUNDOFF, outside, 0.0), axis=(0, 2)))
 
 
 def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
     """What a path has on each interval that a lower degree has not, relative to the components' sizes; (N,)."""
     nodes = Galerkin(degree).element.nodes
-    lower = path.polynomial.at_parts(nodes)[0] @ lagrange_values(nodes, np.linspace(0, 1, 4 * degree + 1)).T
-    change = sampled(path, degree)[1] - lower
+    lower = path.polynomial.at_parts(nodes)[0] @ lagrange_values(nodes, parts_of(degree)).T
+    change = path.polynomial.at_parts(parts_of(degree))[0] - lower
     return np.asarray(np.max(np.abs(change) / component_sizes(path.polynomial.values)[:, None, None], axis=(0, 2)))
 
 
@@ -99,11 +96,9 @@ class HigherDegree:
     @lazy
     def change(self) -> float:
         """Relative error of cost, duration and positions, D / (1 - q)."""
-        path, higher, degree = self.path, self.higher, self.path.method.degree
-        change = (
-            np.abs(sampled(higher, degree)[1] - sampled(path, degree)[1])
-            / component_sizes(path.polynomial.values)[:, None, None]
-        )
+        path, higher, parts = self.path, self.higher, parts_of(self.path.method.degree)
+        change = np.abs(higher.polynomial.at_parts(parts)[0] - path.polynomial.at_parts(parts)[0])
+        change /= component_sizes(path.polynomial.values)[:, None, None]
         coarse, fine = (float(np.max(truncation(p.polynomial))) for p in (path, higher))
         at_points = path.problem.path_constraint is not None or len(self.found) > 0
         ratio = SLOWEST if at_points else min(fine / max(coarse, fine, 1e-300), SLOWEST)
@@ -159,18 +154,19 @@ def with_jumps(mesh: np.ndarray, found: list[Switch], tol: float) -> np.ndarray:
     The switching function says when they are, but not to which place between two points of the quadrature; the impulse
     says it in the smaller of two intervals, but not where all controls stay at their bounds on both sides.
     """
-    jumps, distances = [], []
+    jumps: dict[float, float] = {}  # times, and how close to them joints stand
     for s in found:
         late = abs(s.when - s.joint), abs(s.due - s.joint)
         when = s.due if late[0] < AGREED * late[1] else s.when
+        if any(abs(when - other) < DISTINCT * np.ptp(mesh) for other in jumps):
+            continue
         k = int(np.searchsorted(mesh[1:-1], when))
         near = min((k, k + 1), key=lambda j: abs(mesh[j] - when))
         if 0 < near < len(mesh) - 1 and abs(mesh[near] - when) < CLOSE * (mesh[k + 1] - mesh[k]):
             mesh = np.delete(mesh, near)
-        jumps.append(when)
-        distances.append(max(tol * np.ptp(mesh), MARGIN * max(late)))
-    everything = np.unique(np.concatenate((mesh, jumps)))
-    for when, distance in zip(jumps, distances, strict=True):
+        jumps[when] = max(tol * np.ptp(mesh), MARGIN * max(late))
+    everything = np.unique(np.concatenate((mesh, list(jumps))))
+    for when, distance in jumps.items():
         if distance < NARROW * np.min(np.abs(everything - when)[everything != when]):
             mesh = np.append(mesh, [when - distance, when + distance])
-    return np.unique(np.concatenate((mesh, jumps)))
+    return np.unique(np.concatenate((mesh, list(jumps))))

@@ -20,15 +20,18 @@ SAME_FRACTION = 1e-12  # of the duration: rounding of joints that were stretched
 
 
 def first_values(
-    problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus, guess: Guess | None
+    problem: ControlProblem,
+    chain: Chain,
+    calculus: DiscreteCalculus,
+    guess: Guess | None,
+    near: ControlTrajectory | None,
 ) -> dict[str, np.ndarray]:
-    """Values of all fields at a guess, within the bounds and with what is given as it is given.
+    """Values of all fields at a guess, within the bounds and with what is given as it is given; see `near_answer`.
 
     Without a guess the path is the straight line between the ends, and controls are zero, or the middle of their
     bounds where these exclude zero.  Momenta and their units are not guessed: they are zeros and ones.
     """
     path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
-    near = near_answer(guess, chain, calculus)
     mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical
     marks, degree = chain.marks(problem, mesh), chain.method.degree
     everywhere = np.array([mesh[0], *problem.breakpoints, mesh[-1]])

@@ -106,12 +106,14 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         """The optimum of a level, which solves its own mesh."""
         return replace(level, error_estimate=error)
 
+    def scaled(self, mesh: np.ndarray, path: ControlTrajectory) -> np.ndarray:
+        """Joints in the times of a path, breakpoints among them, scaled to the phases of the problem."""
+        joints = with_breakpoints(mesh, path.problem.breakpoints)
+        return np.asarray(np.interp(joints, marks(path.problem), marks(self.problem)))
+
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
-        """Solve with one degree on one mesh; joints are scaled to the phases of the problem, whatever was found."""
-        known = guess.problem if isinstance(guess, ControlTrajectory) else self.problem
-        times = [mesh[0], *known.breakpoints, mesh[-1]]
-        joints = np.interp(with_breakpoints(mesh, known.breakpoints), times, marks(self.problem))
-        transcription = transcribed_control(self.problem, method, None, joints)
+        """Solve with one degree on one mesh, in the times of the problem."""
+        transcription = transcribed_control(self.problem, method, None, mesh)
         try:
             with until(self.deadline):
                 path = transcription.solve(guess=guess, solver=self.solver, verbose=max(self.verbose - 1, 0))
@@ -139,7 +141,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         degree = raised(self.method).degree
         self.check_time(level)
         try:
-            higher = self.solve(raised(self.method), level.t, level)
+            higher = self.solve(raised(self.method), self.scaled(level.t, level), level)
         except ConvergenceError:
             self.check_time(level)
             return Estimate(np.inf, False, f"no answer of degree {degree}", None)
@@ -153,7 +155,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         mesh = halved(level.t) if detail is None else detail.better_mesh(self.tol)
         self.check_intervals(len(mesh) - 1, level, estimate.error)
         try:
-            return self.solve_finer(mesh, level if detail is None else detail.higher)
+            known = level if detail is None else detail.higher
+            return self.solve_finer(self.scaled(mesh, known), known)
         except ConvergenceError as failure:
             self.check_time(level, estimate.error)
             raise self.stopped(str(failure), level, estimate.error) from failure
@@ -163,11 +166,6 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         if self.cost_error <= self.tol:
             reason += f" (only the path changes: cost and duration are known to {self.cost_error:.0e})"
         return super().stopped(reason, level, error)
-
-    def check_time(self, level: ControlTrajectory, error: float = np.inf) -> None:
-        """Stop where the time is up."""
-        if self.out_of_time():
-            raise self.stopped(f"{self.limits.seconds:g} seconds have passed", level, error)
 
     def run(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Refine the first path, and say what all levels have cost."""

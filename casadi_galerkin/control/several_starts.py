@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.numbers import whole_number
+from casadi_galerkin.control.optimizer import TOLERANCE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -56,14 +57,16 @@ def best_of(
         for k in range(starts):
             try:
                 optima.append(solved(guess if k == 0 else another()))
-            except ConvergenceError as failure:
-                failures.append(failure)
+            except (ConvergenceError, ValueError) as failure:
+                if k == 0 and isinstance(failure, ValueError):
+                    raise
+                failures.append(failure)  # a random path may lead where a callable is not finite
             advance(1)
     if not optima:
         raise failures[0]
     best = min(optima, key=lambda optimum: optimum.cost)
     costs = np.sort([optimum.cost for optimum in optima])
-    different = costs[np.append(True, np.diff(costs) > SAME * np.abs(costs[1:]))]
+    different = costs[np.append(True, np.diff(costs) > SAME * np.abs(costs[1:]) + TOLERANCE)]
     met = f"{len(different)} optima" if len(different) > 1 else "one optimum"
     told = f"best of {starts} starts, which met {met}, with costs up to {costs[-1]:.6g}"
     told += f", and failed {len(failures)} times" if failures else ""

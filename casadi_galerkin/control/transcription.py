@@ -233,13 +233,14 @@ class ControlTranscription:
         The terms of a wild guess are far too large.  With momenta of zero the equations of the joints are the momenta.
         """
         chain, near = self.chain, near_answer(guess, self.chain, calculus)
-        values = first_values(problem, chain, calculus, guess)
+        values = first_values(problem, chain, calculus, guess, near)
         report = self.graph.report(*chain.pack(values))
         if not np.isfinite(report.cost + report.action + np.sum(report.equations)):
             check_finite(problem, self.graph.embedding, values)
         largest = chain.largest(report.terms)
         if guess is not None and near is None:  # it may be noisy or wild; the straight line is not
-            line = chain.largest(self.graph.report(*chain.pack(first_values(problem, chain, calculus, None))).terms)
+            straight = first_values(problem, chain, calculus, None, None)
+            line = chain.largest(self.graph.report(*chain.pack(straight)).terms)
             largest = np.where((line > 0) & np.isfinite(line), np.fmin(WILD * line, largest), largest)
         motion = slice(chain.dimension, chain.dimension + chain.mechanical)
         sizes = largest[motion]

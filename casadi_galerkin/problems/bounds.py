@@ -37,8 +37,14 @@ def bounds(name: str, value: Any, size: int) -> Bounds:
     low, high = sides
     if np.any(low > high):
         i = int(np.argmax(low > high))
-        raise ValueError(f"{name} contradict each other in component {i}: lo {low[i]} is above hi {high[i]}")
+        where = f" in component {i}" if size > 1 else ""
+        raise ValueError(f"{name} must have lo <= hi, got {low[i]} and {high[i]}{where}")
     return tuple(low.tolist()), tuple(high.tolist())
+
+
+def beyond(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """By how much values leave their bounds; zero within."""
+    return np.asarray(np.maximum(np.maximum(low - values, values - high), 0.0))
 
 
 def duration_bounds_of(given: tuple[Limit, Limit] | None, phases: int) -> Bounds | None:

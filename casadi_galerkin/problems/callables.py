@@ -43,7 +43,8 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
         _check_function(name, function, sizes, shapes)
     elif not callable(function):
         raise TypeError(f"{name} must be a callable of ({', '.join(sizes)}), got {function!r}")
-    value = _called(name, function, dict(zip(sizes, symbols, strict=True)), shapes)
+    copies = {key: ca.SX(symbol) for key, symbol in zip(sizes, symbols, strict=True)}  # which it may change
+    value = _called(name, function, copies, shapes)
     if isinstance(value, (list, tuple, np.ndarray)) and rows != "scalar":
         value = _column(name, value)
     if not isinstance(value, (ca.SX, ca.DM)) and number(value) is None:

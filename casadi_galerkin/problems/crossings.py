@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
-from typing import Any, TypeAlias, TypeGuard
+from typing import Any, TypeAlias, TypeGuard, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -18,6 +18,7 @@ Positions: TypeAlias = Sequence[float | tuple[float, float] | None]
 Waypoint: TypeAlias = tuple[float, Positions | tuple[Traceable, Limit, Limit]]
 Limited: TypeAlias = tuple[ca.Function, tuple[float, ...], tuple[float, ...]]
 Pairs: TypeAlias = tuple[tuple[float, float], ...]
+Place = TypeVar("Place")
 
 
 @dataclass(frozen=True)
@@ -60,44 +61,47 @@ def waypoints_of(
     given: Sequence[Waypoint], sizes: Mapping[str, int], within: Bounds
 ) -> tuple[tuple[float, Pairs | Limited], ...]:
     """Check waypoints: pairs of bounds (lo, hi) of all positions, which may be `within` these, or (g, lo, hi)."""
-    found: list[tuple[float, Pairs | Limited]] = []
-    for t, place in _timed("waypoints", "(t, positions) or (t, (g, lo, hi))", given):
+
+    def checked(place: Any) -> Pairs | Limited:
         limited = limited_values("waypoint", place, dict(sizes)) if is_limited(place) else None
-        found.append((t, _positions(t, place, within) if limited is None else limited))
-    return tuple(found)
+        return _positions(place, within) if limited is None else limited
+
+    return _timed("waypoints", "(t, positions) or (t, (g, lo, hi))", given, checked)
 
 
-def _timed(name: str, kind: str, given: Any) -> list[tuple[float, Any]]:
-    """Check a sequence of pairs that begin with a time of their own."""
+def _timed(name: str, kind: str, given: Any, checked: Callable[[Any], Place]) -> tuple[tuple[float, Place], ...]:
+    """Check a sequence of pairs that begin with a time of their own, and what is stated there."""
     if not isinstance(given, (tuple, list, np.ndarray)):
         raise TypeError(f"{name} must be pairs {kind}, got {given!r}")
-    found: dict[float, Any] = {}
+    found: dict[float, Place] = {}
     for pair in given:
         if not isinstance(pair, (tuple, list)) or len(pair) != 2:
             raise TypeError(f"{name} must be pairs {kind}, got {pair!r}")
         t = finite(f"the time of a {name[:-1]}", pair[0])
         if t in found:
             raise ValueError(f"{name} must have a time each, got two at t = {t:g}")
-        found[t] = pair[1]
-    return list(found.items())
+        try:
+            found[t] = checked(pair[1])
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"at t = {t:g}: {error}") from error
+    return tuple(found.items())
 
 
-def _positions(t: float, positions: Any, within: Bounds) -> Pairs:
+def _positions(positions: Any, within: Bounds) -> Pairs:
     """Bounds of the positions at a waypoint."""
     dimension = len(within[0])
     if not isinstance(positions, (tuple, list, np.ndarray)) or len(positions) != dimension:
         raise ValueError(
-            f"a waypoint must have {dimension} position(s), a number, a pair or None each, or be (g, lo, hi), "
+            f"waypoint must have {dimension} position(s), a number, a pair or None each, or be (g, lo, hi), "
             f"got {positions!r}"
         )
     pairs = [x if x is None or isinstance(x, (tuple, list)) else (x, x) for x in positions]
-    sides = [bounds(f"the waypoint at t = {t:g}", pair, 1) for pair in pairs]
+    sides = [bounds(f"the bounds of x[{i}]", pair, 1) for i, pair in enumerate(pairs)]
     for i, ((least,), (most,)) in enumerate(sides):
         low, high = (side[i] for side in within)
         if least > high or most < low:
             raise ValueError(
-                f"the waypoint at t = {t:g} bounds x[{i}] by [{least}, {most}], outside its position_bounds "
-                f"[{low}, {high}]"
+                f"waypoint bounds x[{i}] by [{least}, {most}], outside its position_bounds [{low}, {high}]"
             )
     return tuple((least, most) for (least,), (most,) in sides)
 
@@ -106,12 +110,12 @@ def jumps_of(
     given: Sequence[tuple[float, Traceable]], sizes: Mapping[str, int], mechanical: int
 ) -> tuple[tuple[float, ca.Function], ...]:
     """Check jumps, and trace each into a Function (x, v[, p]) -> x after, v after; zero where x follows a rate."""
-    return tuple((t, _law(t, law, sizes, mechanical)) for t, law in _timed("jumps", "(t, law)", given))
+    return _timed("jumps", "(t, law)", given, lambda law: _law(law, sizes, mechanical))
 
 
-def _law(t: float, law: Any, sizes: Mapping[str, int], mechanical: int) -> ca.Function:
+def _law(law: Any, sizes: Mapping[str, int], mechanical: int) -> ca.Function:
     if not callable(law):
-        raise TypeError(f"the jump at t = {t:g} must be a callable of ({', '.join(sizes)}), got {law!r}")
+        raise TypeError(f"jump must be a callable of ({', '.join(sizes)}), got {law!r}")
 
     def half(k: int) -> ca.Function:
         @wraps(law)

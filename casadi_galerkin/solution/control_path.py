@@ -15,7 +15,7 @@ SAME_TIME = 4 * EPS  # of the largest time: what t_i + h q may be past the joint
 
 
 class ControlPath:
-    """Controls as functions of time: on each interval the polynomial through their values at the quadrature points.
+    """Controls, or multipliers of path constraints: on each interval the polynomial through values at the points.
 
     They may jump at joints.  At a joint the value is that of the interval after it; where the rule has a point at 1 and
     none at 0 (Radau), it is that of the interval before.  So times at the quadrature points give the values there.  A
@@ -34,7 +34,7 @@ class ControlPath:
     ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1)
     >>> control = cg.solve(move, cg.Galerkin(degree=3), intervals=4).control
     >>> control
-    ControlPath of 1 control(s) at 3 points in each of 4 intervals of [0, 1]
+    ControlPath of 1 component(s) at 3 points in each of 4 intervals of [0, 1]
     >>> control([0.25, 1.0]).round(6).tolist()
     [[3.0, -6.0]]
     """
@@ -53,9 +53,9 @@ class ControlPath:
         return np.asarray(np.einsum("nkj,kj->nk", local, basis).reshape((len(self.values), *times.shape)))
 
     def __repr__(self) -> str:
-        """Number of controls, and where they are given."""
+        """How many functions these are, and where they are given."""
         return (
-            f"ControlPath of {len(self.values)} control(s) at {len(self.points)} points in each of "
+            f"ControlPath of {len(self.values)} component(s) at {len(self.points)} points in each of "
             f"{len(self.mesh) - 1} intervals of [{self.mesh[0]:g}, {self.mesh[-1]:g}]"
         )
 

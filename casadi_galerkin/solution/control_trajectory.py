@@ -14,6 +14,7 @@ from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.problems.bounds import beyond
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import constrained_motion
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -160,7 +161,7 @@ class ControlTrajectory(Trajectory):
         low, high = (np.array(side)[:, None] for side in self.problem.control_bounds)
         width = np.where(np.isfinite(high - low) & (high > low), high - low, 1.0)
         u = self.control.at(np.linspace(0.0, 1.0, 4 * len(self.method.quadrature) + 1))
-        excess = np.maximum(np.maximum(low - u, u - high), 0.0) / width
+        excess = beyond(u, low, high) / width
         return np.asarray(excess.max(axis=0).reshape(len(self.t) - 1, -1).max(axis=1))
 
     def _path_constraints(self, parts: np.ndarray) -> np.ndarray:
@@ -182,10 +183,9 @@ class ControlTrajectory(Trajectory):
             return np.zeros(len(self.t) - 1)
         low, high = (np.array(side)[:, None, None] for side in self.problem.path_constraint[1:])
         values = self._path_constraints(np.linspace(0.0, 1.0, 4 * len(self.method.quadrature) + 1))
-        excess = np.maximum(np.maximum(low - values, values - high), 0.0)
         sizes = [np.max(np.abs(np.where(np.isfinite(a), a, 0.0)), axis=(1, 2)) for a in (values, low, high)]
-        size = np.max(sizes, axis=0)
-        return np.asarray((excess / np.where(size > 0, size, 1.0)[:, None, None]).max(axis=(0, 2)))
+        size = np.max(sizes, axis=0)[:, None, None]
+        return np.asarray((beyond(values, low, high) / np.where(size > 0, size, 1.0)).max(axis=(0, 2)))
 
     def _motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """∂L/∂v and ∂L/∂x + F along the path, and what follows rates with these; (d, K) each."""

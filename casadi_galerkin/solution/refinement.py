@@ -120,7 +120,7 @@ class Refinement(ABC, Generic[Level, Detail]):
                     self.check_time(level, estimate.error)
                     raise
 
-    def check_time(self, level: Level, error: float) -> None:
+    def check_time(self, level: Level, error: float = np.inf) -> None:
         """Stop where the time is up."""
         if self.out_of_time():
             raise self.stopped(f"{self.limits.seconds:g} seconds have passed", level, error)

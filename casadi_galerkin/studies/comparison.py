@@ -172,6 +172,8 @@ def compare(
 
     Raises
     ------
+    TypeError
+        for what is no BoundaryProblem
     ValueError
         for a given energy, and other input that does not fit
     ConvergenceError

@@ -235,6 +235,12 @@ def test_a_law_that_is_not_finite_at_the_guess_is_named():
         cg.solve(problem, cg.Galerkin(3), 4)
 
 
+def test_a_jump_that_fails_is_named_with_its_time():
+    problem = double_integrator(end=[0.0], jumps=[(0.5, lambda x, v: (ca.sqrt(x), v))])
+    with pytest.raises(ValueError, match=r"a derivative of the continuity of x\[0\] is not finite .* at t = 0.5"):
+        cg.solve(problem, cg.Galerkin(3), 4)
+
+
 # waypoints that are functions
 
 

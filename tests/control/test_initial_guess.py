@@ -24,7 +24,7 @@ def test_warm_start_from_a_coarser_answer_saves_iterations():
 def test_warm_start_takes_duration_and_parameters():
     first = cg.solve(minimum_time(), cg.Galerkin(2), intervals=10)
     again = cg.transcribe(minimum_time(), cg.Galerkin(2), 10)
-    values = first_values(again.problem, again.chain, cg.DiscreteCalculus(again.method, again.mesh), first)
+    values = first_values(again.problem, again.chain, cg.DiscreteCalculus(again.method, again.mesh), first, None)
     assert values["durations"][0] == pytest.approx(2, abs=SOLVED)
 
 
@@ -91,14 +91,14 @@ def test_controls_of_a_pair_are_where_the_solve_starts():
     program = cg.transcribe(pendulum(3.0), cg.Galerkin(4), 10)
     known = program.solve()
     calculus = cg.DiscreteCalculus(program.method, program.mesh)
-    values = first_values(program.problem, program.chain, calculus, (known, known.control))
+    values = first_values(program.problem, program.chain, calculus, (known, known.control), None)
     controls = known.control.values.reshape(1, 10, 4).transpose(1, 2, 0)
     np.testing.assert_allclose(values["controls"], controls, rtol=0, atol=1e-12)
     np.testing.assert_allclose(
         program.chain.path(values, program.mesh).values, known.polynomial.values, rtol=0, atol=1e-12
     )
     bounded = cg.transcribe(pendulum(3.0, control_bounds=(-1, 1)), cg.Galerkin(4), 10)
-    values = first_values(bounded.problem, bounded.chain, calculus, (known, known.control))
+    values = first_values(bounded.problem, bounded.chain, calculus, (known, known.control), None)
     np.testing.assert_allclose(values["controls"], np.clip(controls, -1, 1), rtol=0, atol=1e-12)
     assert np.max(np.abs(values["controls"])) == 1
 

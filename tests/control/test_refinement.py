@@ -178,3 +178,33 @@ def test_bad_arguments_are_named():
         cg.solve(double_integrator(), cg.Galerkin(3), intervals=4, limits=cg.Limits())
     with pytest.raises(TypeError, match="or give tol instead"):
         cg.solve(double_integrator(), intervals=4)
+
+
+@pytest.mark.parametrize("breakpoints", [(), (3.0,), (1.5, 4.5)])
+def test_an_answer_of_other_times_and_breakpoints_is_a_guess(breakpoints):
+    """Its breakpoints were taken for those of the mesh: refused where their number differs, else the mesh is skewed."""
+    guess = cg.solve(double_integrator(t_span=(0.0, 6.0), breakpoints=breakpoints), cg.Galerkin(3), 6)
+    problem = double_integrator(breakpoints=[0.1])
+    path = cg.solve(problem, tol=1e-5, guess=guess)
+    assert path.cost == pytest.approx(6, rel=1e-9)
+    np.testing.assert_array_equal(path.t, cg.solve(problem, tol=1e-5).t)
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6])
+def test_two_controls_may_switch_at_the_same_time(tol):
+    """Two joints, one for each, were as close as rounding, and refused."""
+    problem = cg.ControlProblem(
+        lambda t, x, v: (v[0] ** 2 + v[1] ** 2) / 2,
+        (0.0, 1.3),
+        [0.0, 0.0],
+        [1.0, -1.0],
+        [-0.3, 0.3],
+        [0.0, 0.0],
+        force=lambda t, x, v, u: u,
+        running_cost=lambda t, x, v, u: 1,
+        controls=2,
+        control_bounds=(-1.0, 1.0),
+        duration_bounds=(0.1, 10.0),
+    )
+    path = cg.solve(problem, tol=tol)
+    assert abs(path.cost / fastest(-0.3)[0] - 1) <= path.error_estimate <= tol

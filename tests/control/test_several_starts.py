@@ -2,8 +2,10 @@
 
 import re
 
+import casadi as ca
 import numpy as np
 import pytest
+from control_problems import double_integrator
 
 import casadi_galerkin as cg
 
@@ -62,6 +64,19 @@ def test_starts_that_fail_are_counted_and_where_all_do_the_first_tells_why():
     )
     with pytest.raises(cg.ConvergenceError, match="IPOPT stopped with 'Maximum Iterations Exceeded' after 3 iterat"):
         cg.solve(round_a_disc(), METHOD, 20, starts=3, solver=cg.ipopt.with_options(max_iter=3))
+
+
+def test_a_random_path_where_a_callable_is_not_finite_fails_and_a_guess_there_is_refused():
+    uphill = {"running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + ca.sqrt(x[0]), "end": [2.0]}
+    path = cg.solve(double_integrator(start=[1.0], **uphill), cg.Galerkin(3), 6, starts=4)
+    assert re.search("failed [1-3] times", path.solver)
+    with pytest.raises(ValueError, match="running_cost is not finite at the guess"):
+        cg.solve(double_integrator(start=[-1.0], **uphill), cg.Galerkin(3), 6, starts=4)
+
+
+def test_what_rounding_leaves_of_a_cost_of_zero_is_one_optimum():
+    path = cg.solve(double_integrator(end=[0.0]), cg.Galerkin(3), 6, starts=4)
+    assert "met one optimum" in path.solver
 
 
 @pytest.mark.parametrize(

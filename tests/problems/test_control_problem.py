@@ -28,7 +28,11 @@ BADLY_STATED = {
         TypeError,
         r"called as running_cost\(t, x, v, u\):.* If it takes p, give parameters",
     ),
-    "bounds that contradict": ({"control_bounds": (1, -1)}, ValueError, "control_bounds contradict .* component 0"),
+    "bounds that contradict": (
+        {"control_bounds": (1, -1)},
+        ValueError,
+        "control_bounds must have lo <= hi, got 1.0 and -1.0$",
+    ),
     "bounds of a wrong length": ({"control_bounds": ([0, 0], 1)}, ValueError, "lo of control_bounds .* 1 numbers"),
     "bounds that are no pair": ({"control_bounds": 3}, TypeError, "must be a pair"),
     "bounds that are no numbers": ({"control_bounds": ("a", 1)}, TypeError, "lo of control_bounds"),
@@ -117,7 +121,7 @@ BADLY_STATED = {
     "condition that contradicts": (
         {"end_conditions": (lambda x0, v0, x1, v1: x1, 2, 0)},
         ValueError,
-        "end_conditions contradict each other in component 0",
+        "end_conditions must have lo <= hi, got",
     ),
     "condition that the ends violate": (
         {"end_conditions": (lambda x0, v0, x1, v1: [v1[0] ** 2, x1[0] - x0[0]], 0, [9, 0.5])},
@@ -193,12 +197,12 @@ def test_absolute_values_of_controls_of_both_signs_are_refused(cost, bounds, mes
 @pytest.mark.parametrize(
     ("waypoints", "kind", "message"),
     [
-        ([(1.0, [1.0])], ValueError, r"a waypoint must have 2 position\(s\), .* got \[1.0\]"),
+        ([(1.0, [1.0])], ValueError, r"at t = 1: waypoint must have 2 position\(s\), .* got \[1.0\]"),
         ([(3.0, [1.0, 1.0])], ValueError, r"must increase inside of \(0.0, 2.0\), got \(3.0,\)"),
-        ([(1.0, [(2, 1), 1.0])], ValueError, "waypoint at t = 1 contradict each other in component 0"),
+        ([(1.0, [1.0, (2, 1)])], ValueError, r"at t = 1: the bounds of x\[1\] must have lo <= hi, got 2.0 and 1.0"),
         ([1.0], TypeError, r"waypoints must be pairs \(t, positions\) or .*, got 1.0"),
         ([("noon", [1, 2])], ValueError, "time of a waypoint must be a finite number, got 'noon'"),
-        ([(1.0, [np.nan, 1])], ValueError, "lo of the waypoint at t = 1 must not be NaN"),
+        ([(1.0, [np.nan, 1])], ValueError, r"at t = 1: the lo of the bounds of x\[0\] must not be NaN"),
         (3.0, TypeError, r"waypoints must be pairs \(t, positions\) or .*, got 3.0"),
         ([(1.0, [0.2, 0.0]), (1.0, [0.8, 0.0])], ValueError, "a time each, got two at t = 1"),
         (
@@ -214,7 +218,7 @@ def test_bad_waypoints_are_refused(waypoints, kind, message):
 
 
 def test_a_waypoint_beyond_the_position_bounds_is_refused():
-    with pytest.raises(ValueError, match=r"waypoint at t = 1 bounds x\[0\] by \[3.0, 4.0\], outside .* \[-1.0, 2.0\]"):
+    with pytest.raises(ValueError, match=r"at t = 1: waypoint bounds x\[0\] by \[3.0, 4.0\], outside .* \[-1.0, 2.0\]"):
         plane(waypoints=[(1.0, [(3.0, 4.0), None])], position_bounds=(-1.0, 2.0))
 
 

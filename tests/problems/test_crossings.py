@@ -30,7 +30,7 @@ BADLY_STATED = {
     "a law as numbers": (
         {"jumps": [(0.5, ([1.0], [2.0]))]},
         TypeError,
-        r"the jump at t = 0.5 must be a callable of \(x, v\), got \(\[1.0\], \[2.0\]\)",
+        r"at t = 0.5: jump must be a callable of \(x, v\), got \(\[1.0\], \[2.0\]\)",
     ),
     "a law of x": ({"jumps": [(0.5, lambda x: x)]}, TypeError, r"jump is called as jump\(x, v\): "),
     "a law of parameters": (
@@ -46,7 +46,7 @@ BADLY_STATED = {
     "a law of too many": (
         {"jumps": [(0.5, lambda x, v: (x, [v, v]))]},
         ValueError,
-        r"jump must return a vector of length 1, got shape \(2, 1\)",
+        r"at t = 0.5: jump must return a vector of length 1, got shape \(2, 1\)",
     ),
     "a law of other functions": (
         {"jumps": [(0.5, lambda x, v: (x, math.cos(v)))]},
@@ -66,7 +66,7 @@ BADLY_STATED = {
     "a waypoint that contradicts": (
         {"waypoints": [(0.5, (lambda x, v: v, 1.0, 0.0))]},
         ValueError,
-        "waypoint contradict each other in component 0: lo 1.0 is above hi 0.0",
+        "at t = 0.5: waypoint must have lo <= hi, got 1.0 and 0.0$",
     ),
     "a waypoint of time": (
         {"waypoints": [(0.5, (lambda t, x, v: v, 1.0, 2.0))]},
@@ -122,6 +122,15 @@ def test_what_a_law_returns_for_the_velocity_of_a_rate_is_passed_over():
 def test_a_constraint_has_no_place_beside_them(changes):
     with pytest.raises(ValueError, match="a constraint has no place beside jumps, and waypoints that are functions"):
         cartesian_pendulum(**changes)
+
+
+def test_a_law_may_write_into_what_it_is_given():
+    def bounce(x, v):
+        v[0] = -v[0]
+        return x, v
+
+    ((_, law),) = double_integrator(jumps=[(0.5, bounce)]).jumps
+    assert [float(value) for value in law(1.0, 2.0)] == [1.0, -2.0]
 
 
 def test_a_parameter_of_a_jump_or_a_waypoint_alone_is_taken():

@@ -247,3 +247,9 @@ def test_a_global_failure_is_raised():
 def test_a_comparison_names_its_time():
     compared = cg.compare(BY_NAME["uniform gravity"].problem, cg.Galerkin(3), 5)
     assert compared.plot(time="t in s").get_xlabel() == "t in s"
+
+
+def test_only_a_boundary_problem_is_compared():
+    start = cg.InitialProblem(saddle, (0, 1), [0.0], velocity=[1.0])
+    with pytest.raises(TypeError, match="problem must be a BoundaryProblem, got InitialProblem"):
+        cg.compare(start, METHOD, 4)
