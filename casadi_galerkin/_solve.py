@@ -122,7 +122,8 @@ def solve(
     0.569747
     """
     if not isinstance(problem, ControlProblem) and starts != 1:
-        raise ValueError(f"starts is for a ControlProblem; paths finds several of a BoundaryProblem, got {starts!r}")
+        several = "`paths` finds several paths of a BoundaryProblem"
+        raise ValueError(f"starts is for a ControlProblem, got {starts!r}; {several}")
     if isinstance(problem, InitialProblem):
         if guess is not None or tol is not None or limits is not None or solver is not None:
             raise ValueError("an initial problem takes no tol, limits, guess or solver: it is solved step by step")

@@ -66,9 +66,9 @@ def mesh_for_guess(levels: Levels, method: Galerkin, guess: Guess, mesh: np.ndar
 def _from_smoothed(
     levels: Levels, method: Galerkin, mesh: np.ndarray, guess: Guess, solver: SolverLike
 ) -> CriticalPoint:
-    """Begin with the cubic that is nearest to a guess, which has none of its corners and noise.
+    """Begin with the cubic polynomial nearest to a guess, which has none of the guess's corners and noise.
 
-    It has little of its shape either: a path that is far from the guess is not the one that was meant.
+    It keeps little of the guess's shape either.  So a path far from the guess is refused: another one was meant.
     """
     given = levels.transcription(method, mesh).guess_on_mesh(guess, mesh)
     parts = 2 * DiscreteCalculus(method, mesh).node_parts - 1
@@ -90,11 +90,11 @@ def first_path_strategies(
     every_level: range,
     out_of_time: Callable[[], bool],
 ) -> Iterator[Strategy]:
-    """Ways to a first path.
+    """Ways to a first path, in the order in which they are tried.
 
-    Newton's method on the coarse mesh, there from the guess smoothed, and on a finer one that resolves the guess;
-    without a guess a minimum of the action on the coarse mesh; a descent of the action with moving joints; whatever
-    `solver` tries.
+    They are Newton's method on the coarse mesh; with a guess the same from the guess smoothed; Newton's method on a
+    finer mesh, which resolves the guess; without a guess a minimum of the action on the coarse mesh; a descent of the
+    action with moving joints; and whatever `solver` tries.
     """
     if guess is not None:
         mesh = mesh_for_guess(levels, method, guess, mesh, ROUGHLY)

@@ -169,7 +169,9 @@ def check_breakpoints(mesh: np.ndarray, breakpoints: tuple[float, ...]) -> None:
     missing = sorted(set(breakpoints).difference(mesh.tolist()))
     if missing:
         nearest = float(mesh[np.argmin(np.abs(mesh - missing[0]))])
-        raise ValueError(f"the mesh must have every breakpoint as a joint, {missing[0]}; the nearest is {nearest}")
+        raise ValueError(
+            f"the mesh must have every breakpoint as a joint, but has none at {missing[0]}; the nearest is {nearest}"
+        )
 
 
 def _between(marks: np.ndarray, intervals: int) -> np.ndarray:

@@ -111,7 +111,7 @@ class PiecewisePolynomial:
         return self._evaluated(t, nu, "right")
 
     def before(self, t: ArrayLike, nu: int = 0) -> np.ndarray:
-        """The same just before times t, which differs at a joint where the path has a jump or a kink."""
+        """Value, or derivative of order `nu`, just before times t; another one at a joint with a jump or a kink."""
         return self._evaluated(t, nu, "left")
 
     def line(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

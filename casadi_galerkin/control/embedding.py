@@ -158,7 +158,7 @@ class ChainEmbedding:
         return sparse(triplets, (sum(place.count * place.width for place in self.places), self.chain.size))
 
     def _along(self, place: Place, interval: np.ndarray, share: np.ndarray) -> list[Triplet]:
-        """Entries of A that say when places are, from their intervals (K,) and parts of these (K,); p and S there."""
+        """Entries of A for the times of places, given as intervals (K,) and parts of these (K,); p and S there."""
         f, phases = self.chain.fields, self.chain.phases[interval, None]
         earlier = np.arange(f["durations"].shape[1]) < phases
         return [

@@ -183,7 +183,7 @@ class ControlGraph:
         return self._name("arriving", [ca.densify(ca.vertcat(*slopes))], multipliers)
 
     def arriving(self, unknowns: np.ndarray, data: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
-        """What the cost changes by with the values before the joints crossed, (d, K)."""
+        """Derivatives of the cost by the values before the joints crossed, (d, K)."""
         if len(self.chain.crossed) == 0:
             return np.zeros((self.chain.dimension, 0))
         (slopes,) = Evaluator(self._arriving)(unknowns, data, multipliers)

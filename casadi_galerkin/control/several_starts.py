@@ -1,4 +1,4 @@
-"""Several starts of one optimization: an optimum that is found is a local one, and another guess may find a better."""
+"""Several starts of one optimization: a solver finds a local optimum, and another guess may lead to a better one."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ SAME = 1e-6  # relative difference of costs up to which two optima count as one
 def best_of(
     starts: int, problem: ControlProblem, guess: Guess | None, solved: Callable[[Guess | None], ControlTrajectory]
 ) -> ControlTrajectory:
-    """The cheapest of the optima that are found from a guess and from random paths.
+    """Return the cheapest of the optima that are found from a guess and from random paths.
 
-    A random path is a sum of waves, of the size of the given ends or one where these are zero, and is bent to meet the
-    ends; the same number of starts always gives the same paths.
+    A random path is a sum of waves that is bent to meet the ends.  Its size is that of the given ends, or one where
+    these are zero.  The same number of starts always gives the same paths.
 
     Parameters
     ----------
@@ -38,7 +38,9 @@ def best_of(
     Raises
     ------
     ConvergenceError
-        that of the first start, where none succeeds
+        that of the first start, if no start succeeds
+    ValueError
+        for input that does not fit, and for a first guess on which a callable is not finite
     """
     if whole_number("starts", starts) == 1:
         return solved(guess)
@@ -69,5 +71,5 @@ def best_of(
     different = costs[np.append(True, np.diff(costs) > SAME * np.abs(costs[1:]) + TOLERANCE)]
     met = f"{len(different)} optima" if len(different) > 1 else "one optimum"
     told = f"best of {starts} starts, which met {met}, with costs up to {costs[-1]:.6g}"
-    told += f", and failed {len(failures)} times" if failures else ""
+    told += f"; {len(failures)} of them failed" if failures else ""
     return replace(best, solver=f"{best.solver}; {told}", iterations=sum(optimum.iterations for optimum in optima))

@@ -367,7 +367,7 @@ class ControlTranscription:
         )
 
     def _path_multipliers(self, multipliers: np.ndarray, joints: np.ndarray) -> ControlPath | None:
-        """Those of the path constraints over time: the constraint of a point stands for the point's share of time."""
+        """Multipliers of the path constraints as functions of time: those of each point over its share of time."""
         if not self.chain.constraints:
             return None
         shares = np.multiply.outer(np.diff(joints), self.method.element.weights)

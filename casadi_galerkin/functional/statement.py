@@ -1,9 +1,10 @@
 """What a boundary problem states, as one functional: its Lagrangian and force, and the terms that its ends add.
 
 ends          φ(x_0, x_N) + p_0·x_0 - p_N·x_N + μ·ψ(x_0, x_N), with given momenta p_0 and p_N
-velocities    where v is given at an end, ∂L/∂v is the momentum there.  It may hold velocities that are not given: these
-              are unknowns, found where ∂L/∂v is the momentum of their components, which a natural condition gives or,
-              at a given position, the path; that position is then an unknown, too, which an equation holds
+velocities    where v is given at an end, ∂L/∂v is the momentum there.  Velocities that it depends on, but that are not
+              given, are further unknowns.  For their components, too, ∂L/∂v is the momentum: that of the natural
+              condition or, where the position is given, that of the path.  Such a position is then an unknown, too,
+              and an equation says what it is
 constraints   Λ_a·g(t_a, x_a) at every node whose position is not given; Λ is an impulse, λ times its share of time
 phase         σ n·(x_0 - c), for a periodic path of given energy: x_0 stays in the plane through c across n
 """
@@ -76,9 +77,9 @@ def refuse_points(method: Galerkin) -> None:
 
 
 def rows_of_ends(problem: BoundaryProblem, method: Galerkin) -> tuple[ca.Function, list[list[int]]]:
-    """(x_0, x_N, η) -> rows (2d + k,) of the term of the ends, with all that is given put in; k of them are η's own.
+    """(x_0, x_N, η) -> rows (2d + k,) of the term of the ends, with all given values put in; k of them are η's own.
 
-    Also the components at the start and at the end whose given positions it holds by such rows.
+    Also the components at the start and at the end whose given positions are equations of the term.
     """
     statement, d = _Statement(problem, method, 1), problem.dimension
     x, held = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], statement.held
@@ -227,7 +228,7 @@ class _Statement:
         return ca.substitute(ca.gradient(self._called(self.problem.lagrangian, t, x, symbol), symbol), symbol, v)
 
     def _unknown_velocities(self, name: str) -> list[int]:
-        """Components whose velocity is not given, but has a part in a momentum that given ones ask for."""
+        """Components whose velocity is not given, but occurs in a momentum that follows from given velocities."""
         chosen = found = np.array([value is not None for value in getattr(self.problem, name)])
         if not found.any():
             return []

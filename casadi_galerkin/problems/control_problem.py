@@ -63,8 +63,8 @@ class ControlProblem:
     position_bounds : (lo, hi), each a scalar or one number per component; held at joints and control points
     path_constraint : (g, lo, hi) with g(t, x, v, u) -> scalar or vector; held at the quadrature points
     duration_bounds : (lo, hi) with 0 < lo, each a scalar or one number per phase; frees the duration of every phase
-    constraint : callable (t, x) -> k values that are zero all along the path (holonomic), as for `BoundaryProblem`; of
-        problems without rates
+    constraint : callable (t, x) -> k values that are zero all along the path (holonomic), as for `BoundaryProblem`; for
+        problems without rates, jumps and waypoints that are functions
     parameters : numbers passed as `p`, the last argument of every callable
     parameter_bounds : (lo, hi); frees the parameters within them, `parameters` is then the guess
     rates : callable (t, x, v, u) -> k values: the last k components of x follow dx/dt = rates instead of an equation of
@@ -77,8 +77,8 @@ class ControlProblem:
     waypoints : (t, positions) each: a breakpoint at t, where the path has these d positions; each is a number, a pair
         (lo, hi) that it lies within, or None.  Or (t, (g, lo, hi)) with g(x, v) -> scalar or vector within bounds there
     jumps : (t, law) each: a breakpoint at t, where law(x, v) -> (x, v) says how the path goes on, as where a stage is
-        dropped or a ball bounces; waypoints at that time are passed before.  What it returns for the velocity of a
-        component that follows a rate is passed over.  A constant of a phase is a component of rate zero that jumps
+        dropped or a ball bounces; a waypoint at that time is passed before the jump.  What it returns for the velocity
+        of a component that follows a rate is ignored.  A constant of a phase is a component of rate zero that jumps
     hold : True for controls that are constant on every interval, as hardware holds them
 
     Raises
@@ -287,7 +287,7 @@ class ControlProblem:
         if self.constraints and self.mechanical < self.dimension:
             raise ValueError("a constraint has no place beside rates: write it as a path_constraint (g, 0, 0)")
         if self.constraints and self.crossings:
-            raise ValueError("a constraint has no place beside jumps, and waypoints that are functions")
+            raise ValueError("a problem with a constraint takes no jumps, and no functions as waypoints")
         if self.duration_bounds is None and self.parameter_bounds is None:
             check_constraint(self, self._whole_ends())
             self._check_constraint("start", self.t_span[0])

@@ -1,4 +1,4 @@
-"""What a control problem states of breakpoints: places and conditions to pass, and jumps of what passes them."""
+"""What a control problem states at breakpoints: places and conditions to pass, and jumps of the path."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Crossing:
     ----------
     time : float
     condition : (g, lo, hi) of position and velocity before a jump, or None
-    jump : Function of both -> both after it, or None
+    jump : Function (x, v[, p]) -> position and velocity after the jump, or None
     """
 
     time: float
@@ -60,7 +60,7 @@ def is_limited(place: Any) -> TypeGuard[Limited]:
 def waypoints_of(
     given: Sequence[Waypoint], sizes: Mapping[str, int], within: Bounds
 ) -> tuple[tuple[float, Pairs | Limited], ...]:
-    """Check waypoints: pairs of bounds (lo, hi) of all positions, which may be `within` these, or (g, lo, hi)."""
+    """Check waypoints: each states bounds (lo, hi) of all positions, which must meet `within`, or (g, lo, hi)."""
 
     def checked(place: Any) -> Pairs | Limited:
         limited = limited_values("waypoint", place, dict(sizes)) if is_limited(place) else None
@@ -70,7 +70,7 @@ def waypoints_of(
 
 
 def _timed(name: str, kind: str, given: Any, checked: Callable[[Any], Place]) -> tuple[tuple[float, Place], ...]:
-    """Check a sequence of pairs that begin with a time of their own, and what is stated there."""
+    """Check pairs of a time and what is stated there; no two may have the same time."""
     if not isinstance(given, (tuple, list, np.ndarray)):
         raise TypeError(f"{name} must be pairs {kind}, got {given!r}")
     found: dict[float, Place] = {}
@@ -79,7 +79,7 @@ def _timed(name: str, kind: str, given: Any, checked: Callable[[Any], Place]) ->
             raise TypeError(f"{name} must be pairs {kind}, got {pair!r}")
         t = finite(f"the time of a {name[:-1]}", pair[0])
         if t in found:
-            raise ValueError(f"{name} must have a time each, got two at t = {t:g}")
+            raise ValueError(f"{name} must have different times, got two at t = {t:g}")
         try:
             found[t] = checked(pair[1])
         except (TypeError, ValueError) as error:
@@ -92,7 +92,7 @@ def _positions(positions: Any, within: Bounds) -> Pairs:
     dimension = len(within[0])
     if not isinstance(positions, (tuple, list, np.ndarray)) or len(positions) != dimension:
         raise ValueError(
-            f"waypoint must have {dimension} position(s), a number, a pair or None each, or be (g, lo, hi), "
+            f"waypoint must have {dimension} position(s), each a number, a pair or None, or be (g, lo, hi), "
             f"got {positions!r}"
         )
     pairs = [x if x is None or isinstance(x, (tuple, list)) else (x, x) for x in positions]
@@ -109,7 +109,10 @@ def _positions(positions: Any, within: Bounds) -> Pairs:
 def jumps_of(
     given: Sequence[tuple[float, Traceable]], sizes: Mapping[str, int], mechanical: int
 ) -> tuple[tuple[float, ca.Function], ...]:
-    """Check jumps, and trace each into a Function (x, v[, p]) -> x after, v after; zero where x follows a rate."""
+    """Check jumps, and trace each into a Function (x, v[, p]) -> x after, v after.
+
+    v after is zero where x follows a rate.
+    """
     return _timed("jumps", "(t, law)", given, lambda law: _law(law, sizes, mechanical))
 
 
@@ -122,7 +125,7 @@ def _law(law: Any, sizes: Mapping[str, int], mechanical: int) -> ca.Function:
         def taken(*arguments: ca.SX) -> Any:
             after = law(*arguments)
             if not isinstance(after, (tuple, list)) or len(after) != 2:
-                raise TypeError(f"it must return a pair, x and v after it, got {after!r}")
+                raise TypeError(f"it must return a pair: x and v after the jump, got {after!r}")
             return after[k]
 
         return trace("jump", taken, sizes, sizes["x"])

@@ -11,10 +11,10 @@ NO_CUTOFF = {"eps": 0.0}
 
 
 def solve_scaled(matrix: ca.MX, rhs: ca.MX, moving: Sequence[int] | slice, method: str = "qr") -> ca.MX:
-    """Solution of A Y = B, whose rows are first divided by the sums of their sizes: QR rounds small rows away.
+    """Solution Y of A Y = B.  Rows are first divided by the sums of their sizes, since QR rounds small rows away.
 
-    Only columns of unknowns that move a path count in these sums, where a row has some.  Those of multipliers, whose
-    units are others, would make small what a condition leaves free to move.  QR needs no scales of columns.
+    Where a row has entries for unknowns that move a path, only these count in its sum.  Multipliers have other units:
+    with them in the sums, the entries that move a path could become too small.  QR needs no scales of columns.
     """
     sizes = ca.fabs(matrix)
     rows = ca.sum2(sizes[:, moving])

@@ -48,15 +48,16 @@ class ControlTrajectory(Trajectory):
     duals : (equations,) and (unknowns,), Lagrange multipliers of the discrete equations and of the bounds: with this
         trajectory as its guess, a solve with the same method on the same intervals starts warm
     hamiltonian : (N,), mean of I - v·∂I/∂v - dλ/dt·∂I/∂(dλ/dt) over each interval, where
-        I = ℓ + λ·(∂L/∂x + F) + dλ/dt·∂L/∂v; of order 2m.  The same on all intervals where nothing depends on t, but for
-        waypoints and jumps at given times; zero as well where the duration is free, was found strictly inside
-        `duration_bounds`, and no terminal cost depends on t.  With `hold` neither is so on an interval, but the mean
-        over a phase of free duration is that
+        I = ℓ + λ·(∂L/∂x + F) + dλ/dt·∂L/∂v; of order 2m.  The same on all intervals where nothing depends on t and
+        no waypoint or jump has a given time; zero as well where the duration is free, was found strictly inside
+        `duration_bounds`, and no terminal cost depends on t.  With `hold` neither is true of single intervals, but
+        the second is of the mean over a phase of free duration
     violation : largest violation of an equation or bound, relative to the sizes of the terms it compares; at most 1e-8
     residual : the same in units of the relative precision of a double, 2.2e-16; at most 4.5e7
     start_velocity, end_velocity : (d,), the velocities given or found at the ends; of a component that follows a rate,
         the derivative of its polynomial
-    arrival_velocity : (K, mechanical), the velocities before jumps, and at waypoints that are functions
+    arrival_velocity : (K, mechanical), the velocities at the K breakpoints that have a jump, before it, or a function
+        as waypoint
 
     At the time of a jump ``path(t)``, `x`, `momentum` and `velocity` are those after it; ``path.before(t)`` is the
     position before.  The costate jumps as well, there and at waypoints: ``costate(t)`` and ``costate.before(t)``.
@@ -104,7 +105,8 @@ class ControlTrajectory(Trajectory):
         if self.problem.mechanical < len(self.x):
             raise ValueError(f"an InitialProblem has no rates, which x[{self.problem.mechanical}] follows")
         if self.problem.jumps:
-            raise ValueError(f"an InitialProblem has no jumps, as the path at t = {self.problem.jumps[0][0]:.6g}")
+            when = self.problem.jumps[0][0]
+            raise ValueError(f"an InitialProblem has no jumps, but the path jumps at t = {when:.6g}")
         self._refuse_two_values()
         d = len(self.x)
         symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d)]

@@ -56,7 +56,7 @@ class Path(Table, Pictured):
         return self.polynomial(t, nu)
 
     def before(self, t: ArrayLike, nu: int = 0) -> np.ndarray:
-        """The same just before times t, which differs at a joint where the path has a jump or a kink."""
+        """Value, or derivative of order `nu`, just before times t; another one at a joint with a jump or a kink."""
         return self.polynomial.before(t, nu)
 
     def plot(self, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t") -> Axes:

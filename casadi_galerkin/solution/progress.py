@@ -16,7 +16,7 @@ Advance: TypeAlias = Callable[[int], object]  # by how many
 
 @contextmanager
 def progress(what: str, total: int | None = None, unit: str = "solve") -> Iterator[Advance]:
-    """A bar, as what moves it; without a total it counts."""
+    """Show a bar, and yield the function that advances it; without a total the bar only counts."""
     if sys.stderr is None or not sys.stderr.isatty():  # a hidden bar, too, takes a lock, that a fork may find taken
         yield lambda _: None
         return

@@ -7,10 +7,10 @@ Globally, all of it is one term of the functional, whose rows are the momenta at
     end        x_N = given   or   p_N = -(rows of x_N)      of a periodic path x_N = x_0
     further    rows of η = 0
 
-Under a constraint g = 0 with G = ∂g/∂x, momenta are asked for up to an impulse Gᵀμ, with μ another part of η, and a
-start that is not given as a whole is on the constraint, g(t_0, x_0) = 0.  The steps do not depend on the normal part of
-p_0, which is set to zero, G p_0 = 0.  They do stay on the constraint, so that an end of given positions, too, is asked
-for up to Gᵀμ.
+Under a constraint g = 0 with G = ∂g/∂x, the equations of momenta hold up to an impulse Gᵀμ, where μ is another part of
+η.  A start that is not given as a whole must lie on the constraint, g(t_0, x_0) = 0.  The steps do not depend on the
+normal part of p_0, so that it is set to zero, G p_0 = 0.  They stay on the constraint by themselves, so that the
+equations of a given end, too, hold up to Gᵀμ.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class EndEquations:
     Attributes
     ----------
     function : Function (ends) -> values (2d + k,), jacobian (2d + k, 4d + k), dense
-    plain : which of them do nothing but tell an entry of the start
-    told : (2d + k,), what these entries are; NaN where none is told
+    plain : numbers of those that do no more than give one entry of the start
+    told : (2d + k,), the entries of the start that are given so; NaN for the others
     """
 
     function: ca.Function

@@ -1,7 +1,8 @@
 """Boundary problems solved stepwise: single shooting on the start of the path.
 
-Unknown z is what of the start (x_0, p_0, η) the problem does not tell: the start momenta or, where the start is left
-free, the start positions, and multipliers; wanted are the equations between the ends that are left (`end_equations`).
+The unknown z holds those entries of the start (x_0, p_0, η) that the problem does not give: momenta at the start or,
+where the start is free, positions, and multipliers.  The equations are those that remain between the ends
+(`end_equations`).
 The derivative of the joint values by z is the product of the steps' Jacobians, exact by the implicit function theorem.
 Newton's method has the line search of the global solve, the natural monotonicity test.
 
@@ -51,9 +52,9 @@ class Shot:
     roll : Roll
     sizes : (4d + k,), of the ends as `EndEquations` has them
     scale : (n,), sizes of z
-    miss : (n,), what is wanted to vanish
-    floor : (n,), what the rounding of the start and of the end do to it; nearer Newton's method need not come
-    stepper : Stepper that went the path
+    miss : (n,), by how much the equations between the ends are missed
+    floor : (n,), what the rounding of the start and of the end do to it; Newton's method may stop below it
+    stepper : Stepper that made the steps
     steps : (N, 2d, 2d), Jacobians of the steps
     wanted : (n, 4d + k), derivatives of the miss by the ends
     by_z : (n, n), its derivative
@@ -96,7 +97,7 @@ class Shot:
 class Shooting:
     """The boundary problem as equations in the start.
 
-    Free are those entries of (x_0, p_0, η) that no equation tells by itself, and wanted are the other equations.
+    The unknowns are those entries of (x_0, p_0, η) that no equation gives by itself.  The other equations are solved.
 
     Attributes
     ----------
@@ -230,12 +231,12 @@ def check_shot(problem: object, method: object) -> None:
     check_types(problem, method, BoundaryProblem)
     if isinstance(problem, BoundaryProblem) and problem.energy is not None:
         raise ValueError(
-            f"shooting takes a given duration, which energy frees, got energy={problem.energy:g}: solve it with `solve`"
+            f"shooting needs a given duration, but energy frees it, got energy={problem.energy:g}: use `solve`"
         )
 
 
 def _with_tangent_start(problem: BoundaryProblem, roll: Roll, velocity: np.ndarray) -> Roll:
-    """The steps with that momentum at the start which a tangent velocity has; they do not depend on its normal part."""
+    """Give the start that momentum which a tangent velocity has; the steps do not depend on its normal part."""
     motion = motion_of(problem)
     if motion is None:
         return roll
@@ -276,7 +277,8 @@ def _newton(shooting: Shooting, state: np.ndarray, velocity: np.ndarray) -> tupl
     z = np.append(state, np.zeros(len(shooting.told) - len(state)))[shooting.free]
     shot = shooting.shoot(z, velocity)
     if shot is None:
-        raise ConvergenceError("shooting failed: the steps of the first path, a straight line at its start, failed")
+        remedy = "Give a guess with a better start, or solve it globally, with `solve`"
+        raise ConvergenceError(f"shooting failed: a step of the first path failed. {remedy}")
     for iteration in range(ITERATIONS):
         if np.all(np.abs(shot.miss) <= shot.floor):
             return _met(shot, iteration), iteration
@@ -314,7 +316,7 @@ def _direction(shot: Shot, miss: np.ndarray, iteration: int = 0) -> np.ndarray:
         if np.max(np.abs(shot.growth)) < 1 / MISS:
             reason = "the end does not depend on the start: the ends are conjugate points"
             raise ConjugatePointError(reason, Path(shot.path), shot.residual, iteration)
-        raise _failure("the end does not depend on the start to the last digit", shot, iteration)
+        raise _failure("rounding hides how the end depends on the start", shot, iteration)
     return np.asarray(np.linalg.solve(scaled, -miss / rows[:, 0]) / columns)
 
 

@@ -225,7 +225,7 @@ def test_files_and_pictures_show_both_sides(tmp_path):
 
 
 def test_what_has_no_jumps_refuses_them():
-    with pytest.raises(ValueError, match="an InitialProblem has no jumps, as the path at t = 1"):
+    with pytest.raises(ValueError, match="an InitialProblem has no jumps, but the path jumps at t = 1"):
         cg.solve(bounce(), cg.Galerkin(3), 4).replay()
 
 

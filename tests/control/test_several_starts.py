@@ -60,7 +60,7 @@ def test_starts_that_fail_are_counted_and_where_all_do_the_first_tells_why():
     path = cg.solve(round_a_disc(), METHOD, 20, starts=6, solver=few)
     assert path.cost == pytest.approx(BELOW, rel=1e-9)
     assert re.search(
-        r"best of 6 starts, which met one optimum, with costs up to 9.84, and failed [1-5] times", path.solver
+        r"best of 6 starts, which met one optimum, with costs up to 9.84; [1-5] of them failed", path.solver
     )
     with pytest.raises(cg.ConvergenceError, match="IPOPT stopped with 'Maximum Iterations Exceeded' after 3 iterat"):
         cg.solve(round_a_disc(), METHOD, 20, starts=3, solver=cg.ipopt.with_options(max_iter=3))
@@ -69,7 +69,7 @@ def test_starts_that_fail_are_counted_and_where_all_do_the_first_tells_why():
 def test_a_random_path_where_a_callable_is_not_finite_fails_and_a_guess_there_is_refused():
     uphill = {"running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + ca.sqrt(x[0]), "end": [2.0]}
     path = cg.solve(double_integrator(start=[1.0], **uphill), cg.Galerkin(3), 6, starts=4)
-    assert re.search("failed [1-3] times", path.solver)
+    assert re.search("[1-3] of them failed", path.solver)
     with pytest.raises(ValueError, match="running_cost is not finite at the guess"):
         cg.solve(double_integrator(start=[-1.0], **uphill), cg.Galerkin(3), 6, starts=4)
 
@@ -90,5 +90,5 @@ def test_a_wrong_number_of_starts_is_refused(starts, kind, message):
 
 def test_starts_are_for_control_problems():
     swing = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2, (0, 1), [0], [1])
-    with pytest.raises(ValueError, match="starts is for a ControlProblem; paths finds several"):
+    with pytest.raises(ValueError, match=r"starts is for a ControlProblem, got .*; `paths` finds several"):
         cg.solve(swing, cg.Galerkin(3), 4, starts=3)

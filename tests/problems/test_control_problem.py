@@ -204,7 +204,7 @@ def test_absolute_values_of_controls_of_both_signs_are_refused(cost, bounds, mes
         ([("noon", [1, 2])], ValueError, "time of a waypoint must be a finite number, got 'noon'"),
         ([(1.0, [np.nan, 1])], ValueError, r"at t = 1: the lo of the bounds of x\[0\] must not be NaN"),
         (3.0, TypeError, r"waypoints must be pairs \(t, positions\) or .*, got 3.0"),
-        ([(1.0, [0.2, 0.0]), (1.0, [0.8, 0.0])], ValueError, "a time each, got two at t = 1"),
+        ([(1.0, [0.2, 0.0]), (1.0, [0.8, 0.0])], ValueError, "different times, got two at t = 1"),
         (
             [(0.3, [0.2, 0.0]), (0.1 + 0.2, [0.2, 0.0])],
             ValueError,

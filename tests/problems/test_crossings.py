@@ -20,7 +20,7 @@ BADLY_STATED = {
     "two at a time": (
         {"jumps": [(0.5, keep), (0.5, keep)]},
         ValueError,
-        "jumps must have a time each, got two at t = 0.5",
+        "jumps must have different times, got two at t = 0.5",
     ),
     "a jump at the end": (
         {"jumps": [(1.0, keep)]},
@@ -41,7 +41,7 @@ BADLY_STATED = {
     "a law of one value": (
         {"jumps": [(0.5, lambda x, v: -v)]},
         TypeError,
-        "must return a pair, x and v after it, got SX",
+        "must return a pair: x and v after the jump, got SX",
     ),
     "a law of too many": (
         {"jumps": [(0.5, lambda x, v: (x, [v, v]))]},
@@ -76,7 +76,7 @@ BADLY_STATED = {
     "waypoints at one time": (
         {"waypoints": [(0.5, [0.2]), (0.5, (lambda x, v: v, 1.0, 2.0))]},
         ValueError,
-        "waypoints must have a time each, got two at t = 0.5",
+        "waypoints must have different times, got two at t = 0.5",
     ),
 }
 
@@ -120,7 +120,7 @@ def test_what_a_law_returns_for_the_velocity_of_a_rate_is_passed_over():
     ids=["jump", "waypoint"],
 )
 def test_a_constraint_has_no_place_beside_them(changes):
-    with pytest.raises(ValueError, match="a constraint has no place beside jumps, and waypoints that are functions"):
+    with pytest.raises(ValueError, match="a constraint takes no jumps, and no functions as waypoints"):
         cartesian_pendulum(**changes)
 
 

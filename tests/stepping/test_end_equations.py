@@ -269,5 +269,5 @@ def test_a_given_energy_is_refused_before_anything_is_solved():
         lambda: cg.trade(problem, [METHOD], [INTERVALS], shooting=True),
     )
     for way in ways:
-        with pytest.raises(ValueError, match=r"a given duration, which energy frees, got energy=2: solve it with"):
+        with pytest.raises(ValueError, match=r"a given duration, but energy frees it, got energy=2: use `solve`"):
             way()

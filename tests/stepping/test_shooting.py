@@ -198,7 +198,7 @@ def test_a_problem_without_a_path_fails():
 
 def test_a_first_path_that_collides_fails():
     problem = cg.BoundaryProblem(kepler, (0, 2), [1.0, 0.0], [-1.0, 0.0])
-    with pytest.raises(cg.ConvergenceError, match="the steps of the first path"):
+    with pytest.raises(cg.ConvergenceError, match="a step of the first path failed"):
         cg.shoot(problem, cg.Galerkin(4), intervals=10)
 
 
