@@ -16,10 +16,9 @@ from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import equidistributed, of_degree, truncation
-from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.guess import FAR, Guess, guess_values
+from casadi_galerkin.solution.guess import FAR, Guess, apart, guess_values
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.ipopt import rescue
 from casadi_galerkin.solvers.newton import damped_newton
@@ -74,9 +73,9 @@ def _from_smoothed(
     parts = 2 * DiscreteCalculus(method, mesh).node_parts - 1
     cubic = legval(parts, legfit(parts, given.values.T, 3))
     point = levels.solve(method, mesh, cubic, solver)
-    apart = np.abs(point.polynomial.values - given.values) / component_sizes(given.values)[:, None]
-    if np.max(apart) > FAR:
-        found = f"a path up to {np.max(apart):.2g} of the guess's size away from the guess"
+    distance = apart(point.polynomial.values, given.values)
+    if distance > FAR:
+        found = f"a path up to {distance:.2g} of the guess's size away from the guess"
         raise ConvergenceError(f"the guess smoothed leads to {found}", Path(point.polynomial))
     return point
 

@@ -169,11 +169,11 @@ class ControlTrajectory(Trajectory):
     def _path_constraints(self, parts: np.ndarray) -> np.ndarray:
         """Values of the path constraints at fractions (K,) of every interval, joints included; (k, N, K)."""
         assert self.problem.path_constraint is not None
-        constraint, steps = with_parameters(self.problem.path_constraint[0], self.parameters), np.diff(self.t)
+        constraint = with_parameters(self.problem.path_constraint[0], self.parameters)
         x, v = (a.reshape(len(a), -1) for a in self.polynomial.at_parts(parts))
-        times = (self.t[:-1, None] + steps[:, None] * parts).reshape(1, -1)
-        values = np.array(constraint.map(times.size)(times, x, v, self.control.at(parts)))
-        return values.reshape(len(values), len(steps), len(parts))
+        times = times_at(self.t, parts)
+        values = np.array(constraint.map(len(times))(times[None, :], x, v, self.control.at(parts)))
+        return values.reshape(len(values), -1, len(parts))
 
     @lazy
     def constraint_excess(self) -> np.ndarray:
@@ -311,7 +311,7 @@ class ControlTrajectory(Trajectory):
 
     def _broken(self, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Times (K,) and values (n, K) of lines (n, N, ...) at `SMOOTH`, broken at the joints, where they may jump."""
-        times = self.t[:-1, None] + np.diff(self.t)[:, None] * SMOOTH
+        times = times_at(self.t, SMOOTH).reshape(-1, len(SMOOTH))
         parted = [np.append(a, np.full_like(a[..., :1], np.nan), axis=-1) for a in (times, lines)]
         return parted[0].ravel(), parted[1].reshape(len(lines), -1)
 

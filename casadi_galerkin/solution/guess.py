@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, time_scale
 from casadi_galerkin.calculus.numbers import real_array
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.solution.path import Path
 
 MODES = 6  # of a random path
@@ -75,6 +76,11 @@ def meeting_ends(values: np.ndarray, parts: np.ndarray, ends: np.ndarray) -> np.
         return values
     first, last = moves
     return np.asarray(values + first + np.multiply.outer(parts, last - first))
+
+
+def apart(values: np.ndarray, guessed: np.ndarray) -> float:
+    """Largest distance of node values (d, K) from those of a guess, over the sizes of the guess's components."""
+    return float(np.max(np.abs(values - guessed) / component_sizes(guessed)[:, None]))
 
 
 def guess_values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:

@@ -21,14 +21,14 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import EPS, component_sizes
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
-from casadi_galerkin.solution.guess import FAR, guess_values
+from casadi_galerkin.solution.guess import FAR, apart, guess_values
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.buffers import Evaluator
@@ -256,8 +256,7 @@ def _far(guess: Trajectory | None, path: Trajectory) -> str:
     if guess is None:
         return ""
     guessed = guess_values(guess, DiscreteCalculus(path.method, path.t), len(path.x))
-    distances = np.abs(path.polynomial.values - guessed) / component_sizes(guessed)[:, None]
-    distance = float(np.max(distances))
+    distance = apart(path.polynomial.values, guessed)
     return f", has found a path up to {distance:.2g} of the guess's size away from the guess" if distance > FAR else ""
 
 

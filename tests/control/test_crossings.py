@@ -73,17 +73,16 @@ def test_a_bounce_at_a_free_time_keeps_the_hamiltonian(solver):
         assert effort(-1, 0, -s, a) + effort(1, 0.8 * s, 0, b) + (a + b) / 2 > expected
 
 
+def lagging(**stated):
+    """A position that follows its control with a lag, x' = u - x."""
+    first_order = {"lagrangian": None, "force": None, "start_velocity": [None], "end_velocity": [None]}
+    return double_integrator(rates=lambda t, x, v, u: u[0] - x[0], **first_order, **stated)
+
+
 @BOTH
 def test_a_component_of_first_order_jumps(solver):
     """x' = u - x, and x falls by 1 at half time: the least ∫u²/2 is that of reaching 1 + e^(1/2)/e without a fall."""
-    problem = double_integrator(
-        lagrangian=None,
-        force=None,
-        rates=lambda t, x, v, u: u[0] - x[0],
-        start_velocity=[None],
-        end_velocity=[None],
-        jumps=[(0.5, lambda x, v: (x - 1, v))],
-    )
+    problem = lagging(jumps=[(0.5, lambda x, v: (x - 1, v))])
     path = cg.solve(problem, cg.Galerkin(6), 4, solver=solver)
     goal = 1 + np.exp(-0.5)
     assert path.cost == pytest.approx(goal**2 / (1 - np.exp(-2)), rel=1e-11)
@@ -271,14 +270,7 @@ def test_a_condition_holds_before_a_jump_at_its_time():
 
 def test_the_costate_of_a_rate_jumps_at_a_place_to_pass():
     """x' = u - x from 0 over 0.2 to 1: u = A e^s on each half, s since its start, and the costate is -u."""
-    problem = double_integrator(
-        lagrangian=None,
-        force=None,
-        rates=lambda t, x, v, u: u[0] - x[0],
-        start_velocity=[None],
-        end_velocity=[None],
-        waypoints=[(0.5, [0.2])],
-    )
+    problem = lagging(waypoints=[(0.5, [0.2])])
     path = cg.solve(problem, cg.Galerkin(6), 4)
     half, left = np.sinh(0.5), np.exp(-0.5)
     assert path.costate.before(0.5)[0] == pytest.approx(-0.2 / half / left, rel=1e-8)
