@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from casadi_galerkin.boundary.graph import BoundaryGraph, CriticalPoint
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.mesh_adaptation import interval_maxima, of_higher_degree
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes
@@ -27,9 +26,9 @@ def corrections(graph: BoundaryGraph, path: PiecewisePolynomial) -> list[Piecewi
     them, and the second how far to trust the first.  Where the duration is free, a step of it counts by how far the
     path moves in that time.
     """
-    calculus, values, steps = DiscreteCalculus(graph.method, path.mesh), path.at(graph.method.element.nodes).T, []
+    nodes, steps = graph.method.element.nodes, []
     data = graph.data(path.mesh, None, graph.plane(path))
-    unknowns = graph.unknowns(values, data)
+    unknowns = graph.unknowns(path.at(nodes).T, data)
     with graph.stationarity.linearization() as at:
         for _ in range(2):
             found = at.newton_step(unknowns, data)
@@ -37,10 +36,10 @@ def corrections(graph: BoundaryGraph, path: PiecewisePolynomial) -> list[Piecewi
             unknowns = unknowns + steps[-1]
     changes = [graph.change(step) for step in steps]
     if graph.numbering.stretched:
-        times = calculus.node_times
+        times = path.times(nodes[:-1])
         by_stretch = path(times, 1) * (times - times[0])
         changes = [change - step[-1] * by_stretch for change, step in zip(changes, steps, strict=True)]
-    return [calculus.emb(change) for change in changes]
+    return [PiecewisePolynomial(path.mesh, nodes, change) for change in changes]
 
 
 def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial) -> float:

@@ -20,8 +20,8 @@ from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.embedding import ChainEmbedding
 from casadi_galerkin.control.pointwise import places
+from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.solvers.buffers import Evaluator
 
 RESTING = 1e-13  # terms of motion below this part of what cancels in them are its roundoff
 

@@ -15,9 +15,9 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.control.graph import ControlGraph
-from casadi_galerkin.solvers.buffers import Evaluator
+from casadi_galerkin.functional.buffers import Evaluator
+from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.solvers.deadline import limited
-from casadi_galerkin.solvers.threads import fork_waits
 
 ITERATION_LIMIT = 500  # the scenes take 5 to 100; a problem without a bound from below walks on for ever
 TOLERANCE = 1e-12  # of IPOPT's scaled optimality error; at 1e-10 costs were seen to be wrong by 3e-9

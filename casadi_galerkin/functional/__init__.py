@@ -4,6 +4,6 @@
 (`embedding` again).  Its gradient holds the discrete Euler-Lagrange equations (paper, eqs. euler1 and euler2).
 `statement` adds what a problem says more than L, such as ends and constraints, as `local_terms` of the same sum.
 `numbering` says which unknown is which value of the path, and `interval` writes the same equations as a map of one
-interval.
+interval.  `buffers` and `threads` call CasADi's Functions on arrays, safely and without copies.
 This folder imports `calculus` and `problems`.
 """

@@ -108,16 +108,21 @@ def _slopes(numbering: Numbering) -> list[ca.MX]:
     return [ca.MX.sym(name, numbering.dimension, numbering.points) for name in ("fx", "fv")]
 
 
-@lru_cache(KEPT)
-def integration(numbering: Numbering) -> ca.Function:
-    """Eᵀ: values fx, fv (d, N r) that multiply x and x' -> their sum by unknown."""
-    element, (fx, fv) = numbering.method.element, _slopes(numbering)
+def _integrated(numbering: Numbering, fx: ca.MX, fv: ca.MX) -> ca.MX:
+    """Eᵀ of values (d, N r) that multiply x and x', summed by unknown."""
+    element = numbering.method.element
     w, r = element.weights[:, None], len(element.points)
     both = _side_by_side(numbering, fx, fv)
     others = _times(both, np.vstack((w * element.values[:, 1:], w * element.slopes[:, 1:])))
     first = _times(both[:, :r], w) - ca.sum2(others)
-    total = _gathered(numbering, ca.horzcat(first, others))
-    return ca.Function("integration", [fx, fv], [total], ["fx", "fv"], ["gradient"])
+    return _gathered(numbering, ca.horzcat(first, others))
+
+
+@lru_cache(KEPT)
+def integration(numbering: Numbering) -> ca.Function:
+    """Eᵀ: values fx, fv (d, N r) that multiply x and x' -> their sum by unknown."""
+    slopes = _slopes(numbering)
+    return ca.Function("integration", slopes, [_integrated(numbering, *slopes)], ["fx", "fv"], ["gradient"])
 
 
 @lru_cache(KEPT)
@@ -129,19 +134,22 @@ def summation(numbering: Numbering) -> ca.Function:
 
 
 @lru_cache(KEPT)
-def boundary_terms(numbering: Numbering) -> ca.Function:
-    """From the gradient fx, fv (d, N r) of an integrand: momenta, and sizes of the terms that ∇S sums by unknown.
+def variation(numbering: Numbering) -> ca.Function:
+    """From an integrand f and its gradient fx, fv: its sum, momenta, the gradient, and sizes of the terms that it sums.
 
     Momenta (d, N + 1) are -∂S/∂x_0 at the first joint and ∂S_k/∂x_{k+1}, of interval k, at the others.  The
     roundoff of a sum is a few eps of the sum of the sizes of its terms.
     """
     element, d, (fx, fv) = numbering.method.element, numbering.dimension, _slopes(numbering)
-    w = element.weights[:, None]
+    w, f = element.weights[:, None], ca.MX.sym("f", 1, numbering.points)
     both, basis = _side_by_side(numbering, fx, fv), np.vstack((w * element.values, w * element.slopes))
     first, last = ca.horzsplit(_times(both, basis[:, [0, -1]]))
     momenta = ca.horzcat(-first[:d], ca.reshape(last, d, numbering.intervals))
     terms = _gathered(numbering, _times(ca.fabs(both), np.abs(basis)))
-    return ca.Function("boundary_terms", [fx, fv], [momenta, terms], ["fx", "fv"], ["momentum", "terms"])
+    outputs = [summation(numbering)(f), momenta, _integrated(numbering, fx, fv), terms]
+    return ca.Function(
+        "variation", [f, fx, fv], outputs, ["f", "fx", "fv"], ["action", "momentum", "gradient", "terms"]
+    )
 
 
 def joint_time_derivatives(numbering: Numbering, *derivatives: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
@@ -169,9 +177,9 @@ def assembly(
     symmetric: bool,
     blocks: tuple[tuple[int, int], ...],
 ) -> ca.Function:
-    """Eᵀ blockdiag(·) E: the Jacobian at the points -> sparse matrix over the unknowns ξ.
+    """Eᵀ blockdiag(·) E and Eᵀ: gradient fx, fv and Jacobian at the points -> sparse matrix and sum by unknown.
 
-    Inputs are one matrix per block, (stored entries of the (d, d) pattern, N r), as in `cell`.  Each interval
+    The Jacobian is one matrix per block, (stored entries of the (d, d) pattern, N r), as in `cell`.  Each interval
     contributes a dense (m + 1) by (m + 1) grid of cells with that pattern, and neighbors overlap in the joint:
 
         ■ ■ ■ · ·
@@ -194,8 +202,10 @@ def assembly(
     for positions, places in pattern.others:  # in the joints; in place, where sums of matrices would copy all of them
         where = places.tolist()
         values.nz[where] = values.nz[where] + entries.nz[positions.tolist()]
-    matrix = ca.MX(pattern.sparsity, values)
-    return ca.Function("assembly", inputs, [matrix], [f"block{i}{j}" for i, j in blocks], ["matrix"])
+    matrix, slopes = ca.MX(pattern.sparsity, values), _slopes(numbering)
+    outputs = [matrix, _integrated(numbering, *slopes)]
+    names = ["fx", "fv", *(f"block{i}{j}" for i, j in blocks)]
+    return ca.Function("assembly", [*slopes, *inputs], outputs, names, ["matrix", "gradient"])
 
 
 @dataclass(frozen=True)

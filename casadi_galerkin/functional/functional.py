@@ -31,13 +31,13 @@ from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.functional.embedding import (
     Embedded,
     assembly,
-    boundary_terms,
     embedded,
     embedding,
     hessian_pattern,
     integration,
     joint_time_derivatives,
     summation,
+    variation,
 )
 from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import Mapping, by_rows, one_by_one
@@ -149,6 +149,8 @@ class Functional:
     @lazy
     def _terms(self) -> list[list[ca.MX]]:
         """What the local terms are at all of their places."""
+        if not self.terms:
+            return []
         parameters, given = (ca.vertcat(*symbols) for symbols in (self._parameters, self._given))
         at = (self.u, self._embedded.joints, parameters, given)
         return [term.evaluated(*at) for term in self.terms]
@@ -165,27 +167,19 @@ class Functional:
         rows = integration(self.numbering)(*self._first[1:])[: self.numbering.free - 1]
         return row, ca.densify(ca.jtimes(ca.vertcat(rows, row), self.symbols["unknowns"], by_stretch))
 
-    def _summed(self, gradients: list[ca.MX]) -> ca.MX:
-        """All rows, of ∂L̂/∂x and ∂L̂/∂x' at the points and of the further terms."""
-        total = integration(self.numbering)(*gradients)
+    def _with_terms(self, total: ca.MX) -> ca.MX:
+        """All rows, from those of the integral."""
         for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
             total += term.gathered(self.numbering, rows)
         if self.numbering.stretched:
             total = ca.vertcat(total[: self.numbering.free - 1], self._stretch[0])
         return total
 
-    @lazy
-    def _gradient(self) -> ca.MX:
-        return self._summed(self._first[1:])
-
-    @lazy
-    def _derivatives(self) -> tuple[ca.MX, ca.MX]:
-        same = self._mapping is one_by_one
-        return self.hessian(), self._gradient if same else self._summed(self._second[1:3])
-
     def action(self) -> ca.MX:
         """S̄ but for its multipliers and the energy: scalar."""
-        action = summation(self.numbering)(self._first[0])
+        return self._with_values(summation(self.numbering)(self._first[0]))
+
+    def _with_values(self, action: ca.MX) -> ca.MX:
         for values, _, _ in self._terms:
             action += ca.sum2(values)
         return action
@@ -194,23 +188,34 @@ class Functional:
         """∇S with respect to the free values ξ."""
         return self._gradient
 
+    @lazy
+    def _gradient(self) -> ca.MX:
+        return self._with_terms(integration(self.numbering)(*self._first[1:]))
+
     def first_variation(self) -> list[ca.MX]:
         """S, momenta at the joints, ∇S with respect to the free values ξ, and sizes of the terms that it sums."""
-        momenta, sizes = boundary_terms(self.numbering)(*self._first[1:])
+        action, momenta, gradient, sizes = variation(self.numbering).call(self._first)
         for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
             sizes += term.gathered(self.numbering, ca.fabs(rows))
-        return [self.action(), momenta, self._gradient, sizes]
+        return [self._with_values(action), momenta, self._with_terms(gradient), sizes]
 
     def derivatives(self) -> tuple[ca.MX, ca.MX]:
-        """∇²S and ∇S with respect to the free values ξ, in one pass over the points."""
+        """∇²S, sparse with both halves stored, and ∇S with respect to the free values ξ, in one pass."""
         return self._derivatives
 
-    def hessian(self, inertia: ca.MX | float = 1.0) -> ca.MX:
-        """∇²S with respect to the free values ξ: sparse, both halves stored; ∂²L/∂v² times `inertia`."""
-        values = zip(self.pointwise.blocks, self._second[3:], strict=True)
-        weighted = [inertia * value if block == (1, 1) else value for block, value in values]
-        total = assembly(*self.pattern_key, self.pointwise.blocks).call(weighted)[0]
-        return total if self._further is None else total + self._further
+    @lazy
+    def _derivatives(self) -> tuple[ca.MX, ca.MX]:
+        return self._assembled(self._second[3:])
+
+    def _assembled(self, blocks: list[ca.MX]) -> tuple[ca.MX, ca.MX]:
+        assembled = assembly(*self.pattern_key, self.pointwise.blocks)
+        matrix, gradient = assembled.call([*self._second[1:3], *blocks])
+        return matrix if self._further is None else matrix + self._further, self._with_terms(gradient)
+
+    def heavier(self, inertia: ca.MX) -> ca.MX:
+        """∇²S with ∂²L/∂v² times `inertia`."""
+        blocks = zip(self.pointwise.blocks, self._second[3:], strict=True)
+        return self._assembled([inertia * values if block == (1, 1) else values for block, values in blocks])[0]
 
     @lazy
     def _further(self) -> ca.MX | None:
@@ -260,7 +265,7 @@ class Functional:
         builders: dict[str, Callable[[], Parts]] = {
             "action": lambda: ({}, ["action"], [self.action()]),
             "gradient": lambda: ({}, ["gradient"], [self.gradient()]),
-            "hessian": lambda: ({}, ["hessian"], [self.hessian()]),
+            "hessian": lambda: ({}, ["hessian"], [self.derivatives()[0]]),
             "derivatives": lambda: ({}, ["matrix", "gradient"], list(self.derivatives())),
             "summary": lambda: ({}, ["action", "momentum", "gradient", "terms"], self.first_variation()),
             "joint_time_derivatives": lambda: (
@@ -268,7 +273,7 @@ class Functional:
                 ["by_joint", "twice_by_joint", "by_neighbors"],
                 list(self.joint_time_derivatives()),
             ),
-            "heavier": lambda: ({"inertia": inertia}, ["matrix"], [self.hessian(inertia)]),
+            "heavier": lambda: ({"inertia": inertia}, ["matrix"], [self.heavier(inertia)]),
             "curvature": lambda: (ways, ["signed", "positive"], list(self.curvature(*ways.values()))),
             "sensitivity": lambda: (
                 {"direction": change},

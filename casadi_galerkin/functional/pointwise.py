@@ -47,20 +47,20 @@ class Pointwise:
     def __init__(self, lagrangian: ca.Function, force: ca.Function | None = None) -> None:
         t, h = ca.SX.sym("t"), ca.SX.sym("h")
         d = lagrangian.size1_in(1)
-        x, slope = ca.SX.sym("x", d), ca.SX.sym("slope", d)
+        both, of_x, of_slope = ca.SX.sym("both", 2 * d), slice(d), slice(d, 2 * d)
+        x, slope = both[of_x], both[of_slope]
         parameters = [ca.SX.sym("p", lagrangian.size1_in(3))] if lagrangian.n_in() == 4 else []
         self._inputs = {"t": t, "h": h, "x": x, "slope": slope} | ({"p": parameters[0]} if parameters else {})
         self._value = pulled_back(lagrangian, t, h, x, slope, *parameters)
-        self._jacobian, gradient = ca.hessian(self._value, ca.vertcat(x, slope))
+        self._jacobian, gradient = ca.hessian(self._value, both)
         self.symmetric = force is None
         if force is not None:
             self._work = h * force(t, x, slope / h, *parameters)
             gradient = gradient + ca.vertcat(self._work, ca.SX(d, 1))
-            self._jacobian += ca.vertcat(ca.jacobian(self._work, ca.vertcat(x, slope)), ca.SX(d, 2 * d))
-        ends = [0, d, 2 * d]
-        self._slopes = dict(zip(("fx", "fv"), ca.vertsplit(ca.densify(gradient), ends), strict=True))
-        rows = ca.blocksplit(self._jacobian, ends, ends)
-        self._cells = {(i, j): cell for i, row in enumerate(rows) for j, cell in enumerate(row)}
+            self._jacobian += ca.vertcat(ca.jacobian(self._work, both), ca.SX(d, 2 * d))
+        gradient, rows = ca.densify(gradient), tuple(enumerate((of_x, of_slope)))
+        self._slopes = {"fx": gradient[of_x], "fv": gradient[of_slope]}
+        self._cells = {(i, j): self._jacobian[row, column] for i, row in rows for j, column in rows}
         self.blocks = tuple(key for key, cell in self._cells.items() if cell.nnz())
         if not self.blocks:
             raise ValueError("the Lagrangian is linear in x and v: no path makes its action stationary, or all do")
@@ -71,7 +71,7 @@ class Pointwise:
         self.stored = ca.tril(self.pattern) if self.symmetric and (0, 1) not in self.blocks else self.pattern
         kinetic = self._cells[1, 1].sparsity()
         self.kinetic = all(kinetic.has_nz(i, i) for i in range(d))
-        self.quadratic = not ca.depends_on(self._jacobian, ca.vertcat(x, slope))
+        self.quadratic = not ca.depends_on(self._jacobian, both)
 
     @lazy
     def first(self) -> ca.Function:

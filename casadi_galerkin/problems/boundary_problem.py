@@ -119,11 +119,11 @@ class BoundaryProblem:
             "start_momentum": start_momentum,
             "end_momentum": end_momentum,
         }
-        traced = (dimension, checked)
+        traced, span = (dimension, checked), time_span(t_span)
         values = {
             "lagrangian": trace_lagrangian(lagrangian, *traced),
-            "t_span": time_span(t_span),
-            "breakpoints": times_inside("breakpoints", breakpoints, time_span(t_span)),
+            "t_span": span,
+            "breakpoints": times_inside("breakpoints", breakpoints, span),
             "start": checked_start,
             "end": checked_end,
             "parameters": checked,

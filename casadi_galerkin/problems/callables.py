@@ -43,7 +43,7 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
         _check_function(name, function, sizes, shapes)
     elif not callable(function):
         raise TypeError(f"{name} must be a callable of ({', '.join(sizes)}), got {function!r}")
-    copies = {key: ca.SX(symbol) for key, symbol in zip(sizes, symbols, strict=True)}  # which it may change
+    copies = {key: symbol[:] for key, symbol in zip(sizes, symbols, strict=True)}  # which it may change
     value = _called(name, function, copies, shapes)
     if isinstance(value, (list, tuple, np.ndarray)) and rows != "scalar":
         value = _column(name, value)

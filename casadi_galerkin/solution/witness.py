@@ -23,6 +23,7 @@ import numpy as np
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes
+from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.functional.pointwise import Pointwise
 from casadi_galerkin.problems.constrained_motion import work_of_constraint
@@ -117,13 +118,14 @@ def _between_breakpoints(
     x, v = path.at_parts(parts)
     h = np.repeat(steps, len(parts))
     times = np.minimum(times_at(path.mesh, parts), np.nextafter(path.mesh[-1], path.mesh[0]))  # before a step there
-    given = [times[None, :], h[None, :], x.reshape(len(x), -1), v.reshape(len(v), -1) * h]
+    x, v = x.reshape(len(x), -1), v.reshape(len(v), -1)
+    given = [times, h, x.ravel(order="F"), (v * h).ravel(order="F")]
     given += [] if parameters is None else [np.array(parameters)]
 
     def evaluate(function: ca.Function) -> list[np.ndarray]:
         """One value at every part of every interval, (..., N, 2m + 3)."""
-        found = one_by_one(function, len(h), () if parameters is None else (4,)).call(given)
-        return [value.full().reshape(-1, len(steps), len(parts)) for value in found]
+        found = Evaluator(one_by_one(function, len(h), () if parameters is None else (4,)))(*given)
+        return [value.reshape(len(h), -1).T.reshape(-1, len(steps), len(parts)) for value in found]
 
     def at_joints(values: np.ndarray) -> np.ndarray:
         """Values at the start of every interval and at the end of the last, (..., N + 1)."""
@@ -136,7 +138,7 @@ def _between_breakpoints(
     lagrangian, _, slope, *blocks = evaluate(pointwise.derivatives)
     of_steps = np.append(steps, steps[-1])
     mass = pointwise.mass([at_joints(block) * of_steps for block in blocks])
-    velocity, missing = at_joints(v), momentum - at_joints(slope)
+    velocity, missing = at_joints(v.reshape(len(v), len(steps), -1)), momentum - at_joints(slope)
     values, vectors = np.linalg.eigh(mass)
     regular = np.abs(values) > EPS * np.max(np.abs(values), axis=1, keepdims=True)
     inverse = np.divide(1.0, values, out=np.zeros_like(values), where=regular)
@@ -146,7 +148,7 @@ def _between_breakpoints(
     energy = kinetic - at_joints(lagrangian)[0] / of_steps + correction
     supplied = 0 * steps if pointwise.supplied is None else integral(evaluate(pointwise.supplied)[0])
     if moving is not None:
-        rate = work_of_constraint(moving, times, x.reshape(len(x), -1), v.reshape(len(v), -1))
+        rate = work_of_constraint(moving, times, x, v)
         supplied = supplied + steps * integral(rate.reshape(1, len(steps), len(parts)))
     speed, mass = np.abs(velocity), np.abs(mass)
     # p·v may be a small difference of its terms

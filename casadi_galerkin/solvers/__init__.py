@@ -2,7 +2,6 @@
 
 `stationarity` makes of the one graph the three Functions that Newton's method needs, with `linear_solver`.  `newton`,
 `rootfinder` and `ipopt` find a point, `second_variation` tells conjugate points and the Morse index, `solver` gives the
-solvers their names, those of control problems included.  `buffers` and `threads` call CasADi safely and without
-copies, and `deadline` stops a solve in time.
+solvers their names, those of control problems included, and `deadline` stops a solve in time.
 This folder imports `calculus` and `functional`.
 """

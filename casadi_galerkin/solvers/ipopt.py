@@ -13,11 +13,11 @@ import numpy as np
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.solvers.deadline import limited, seconds_left
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 from casadi_galerkin.solvers.stationarity import Stationarity
-from casadi_galerkin.solvers.threads import fork_waits
 
 DEFAULTS = {"sb": "yes", "tol": 1e-10, "max_iter": 500}
 DIVERGED = "Diverging Iterates"  # at numbers so large that nothing is left to polish

@@ -16,8 +16,8 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY, ZERO
 from casadi_galerkin.functional.embedding import hessian_pattern
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import KEPT, Numbering
+from casadi_galerkin.functional.threads import without_zero_pivots
 from casadi_galerkin.problems.linear_equations import solve_scaled
-from casadi_galerkin.solvers.threads import without_zero_pivots
 
 SHIFTED = 1e-8  # part of its row that is added to a diagonal where a pivot is zero: half of all digits
 LOCAL = 1e-3  # part of a right-hand side that a solution may miss; below such a step, no line search is needed

@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.solvers.stationarity import Linearization, Stationarity, joined
-from casadi_galerkin.solvers.threads import fork_waits
 
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
 AGREED = 1e-3  # part of the assembled yᵀ∇²S y that the points must find; families 7e-7 at most, regular paths 1 - 1e-5

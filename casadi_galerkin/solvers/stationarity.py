@@ -19,11 +19,11 @@ from typing import Any, NamedTuple, TypeVar, cast
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.numbering import Data
-from casadi_galerkin.solvers.buffers import Evaluator
+from casadi_galerkin.functional.threads import one_thread, without_zero_pivots
 from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
-from casadi_galerkin.solvers.threads import one_thread, without_zero_pivots
 
 Built = TypeVar("Built")
 
@@ -153,7 +153,7 @@ class Stationarity:
 
         def parts() -> Parts:
             _, _, gradient, terms = self.functional.first_variation()
-            floor = self.linear_solver.floor(self.functional.hessian(), self.functional.u, terms)[0]
+            floor = self.linear_solver.floor(self.functional.derivatives()[0], self.functional.u, terms)[0]
             return {}, ["gradient", "floor"], [gradient, floor]
 
         return self.functional.keep("floor", parts)

@@ -14,9 +14,9 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.interval import TAYLOR, interval, newton_iteration, slope_basis
 from casadi_galerkin.functional.statement import refuse_points
-from casadi_galerkin.solvers.buffers import Evaluator
 from casadi_galerkin.solvers.stationarity import ROUNDOFF
 
 PIECE = 64  # intervals rolled without Python; longer pieces were not faster, and took longer to build

@@ -86,7 +86,7 @@ def forget():
         numbering.kept,
         embedding.embedding,
         embedding.embedded,
-        embedding.boundary_terms,
+        embedding.variation,
         embedding.integration,
         embedding.summation,
         embedding.assembly,

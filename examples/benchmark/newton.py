@@ -20,9 +20,9 @@ import numpy as np
 from scipy.linalg import lapack
 
 import casadi_galerkin as cg
+from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.embedding import embedding
 from casadi_galerkin.functional.numbering import clock
-from casadi_galerkin.solvers.buffers import Evaluator
 
 SIZES, DEGREES, LARGEST = (100, 1000, 10_000), (4, 8, 12), 200_000  # unknowns, beyond which memory is measured
 TURNS, SECONDS = 5, 0.3  # in which all are timed one after the other, and what one takes at least in all of them

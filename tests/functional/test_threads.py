@@ -5,7 +5,7 @@ import sys
 import numpy as np
 
 import casadi_galerkin as cg
-from casadi_galerkin.solvers.threads import without_zero_pivots
+from casadi_galerkin.functional.threads import without_zero_pivots
 
 
 def test_casadis_word_of_a_zero_pivot_is_not_heard_where_the_solve_succeeds(capsys):

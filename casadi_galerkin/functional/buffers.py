@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.solvers.threads import fork_waits, one_thread
+from casadi_galerkin.functional.threads import fork_waits, one_thread
 
 
 class Evaluator:
