@@ -2,7 +2,7 @@
 
 What the pointwise functions see is linear in ξ,
 
-    (x, x', u, T, p, t_0, s, σ, S) at all quadrature points,    (x, v, p, t, S) at the start and at the end    =  A ξ,
+    (x, x', u, T, p, t_0, s, σ, S) at all quadrature points,    (x, v, p, t, S) at either end    =  A ξ,
 
 with reference slopes x' = h v, times t = t_0 + T s and steps h = T σ from the parts s of a phase's duration T.
 Derivatives are products with the columns of A:
@@ -89,7 +89,7 @@ class ChainEmbedding:
 
     Attributes
     ----------
-    points, start, end, ends, nodes : Place of each kind
+    points, either_end, both_ends, nodes : Place of each kind
     crossings : list of Place, one for each joint crossed
     """
 
@@ -99,14 +99,14 @@ class ChainEmbedding:
         at_end = {"x": d, "velocity": mechanical, **common, "time": 1, "sizes": mechanical}
         when = {"duration": 1, **common, "begin": 1, "share": 1}
         along = {"x": d, "slope": d, "controls": chain.controls, **when, "part": 1, "sizes": mechanical}
-        both = {f"{name}{k}": at_end[name] for k in (0, 1) for name in ("x", "velocity")}
+        both = {f"{name}{k}": at_end[name] for k in (0, 1) for name in ("x", "velocity")} | {**common, "time": 1}
         held = {"x": d, "impulse": chain.held, **when, "sizes": mechanical}
         r, m = len(chain.method.quadrature), chain.method.degree
         self.points = Place(chain.intervals * r, along, 0)
-        self.start = Place(1, at_end, self.points.last)
-        self.end = Place(1, at_end, self.start.last)
-        self.ends = Place(int(chain.conditions > 0), {**both, **common}, self.end.last)
-        self.nodes = Place((chain.intervals * m + 1) * (chain.held > 0), held, self.ends.last)
+        self.either_end = Place(2, at_end, self.points.last)
+        joined = chain.conditions > 0 or chain.problem.terminal_cost is not None
+        self.both_ends = Place(int(joined), both, self.either_end.last)
+        self.nodes = Place((chain.intervals * m + 1) * (chain.held > 0), held, self.both_ends.last)
         crossing, first = {"x": d, "velocity": mechanical, **when, "sizes": mechanical}, self.nodes.last
         width = sum(crossing.values())
         self.crossings = [Place(1, crossing, first + k * width) for k in range(len(chain.crossed))]
@@ -114,7 +114,7 @@ class ChainEmbedding:
     @property
     def places(self) -> list[Place]:
         """Kinds of places that there are."""
-        kinds = (self.points, self.start, self.end, self.ends, self.nodes, *self.crossings)
+        kinds = (self.points, self.either_end, self.both_ends, self.nodes, *self.crossings)
         return [place for place in kinds if place.count]
 
     @lazy
@@ -132,15 +132,17 @@ class ChainEmbedding:
             (p.row("controls"), f["controls"][interval, k % f["controls"].shape[1]], 1.0),
             (p.row("part"), f["part"][interval][:, None], 1.0),
             *self._along(p, interval, element.points[k]),
-            (self.end.row("time"), f["durations"][-1:], 1.0),
+            (self.either_end.row("time")[1], f["durations"][-1], 1.0),
         ]
-        for place, i, velocity in ((self.start, 0, "start_velocity"), (self.end, -1, "end_velocity")):
-            entries = {"x": f["x"][i], "velocity": f[velocity], "parameters": f["parameters"][i], "time": f["begin"]}
-            triplets += [(place.row(name), index, 1.0) for name, index in (entries | {"sizes": f["sizes"]}).items()]
-        entries = {"x0": f["x"][0], "velocity0": f["start_velocity"], "x1": f["x"][-1], "velocity1": f["end_velocity"]}
-        if self.chain.conditions:
-            entries["parameters"] = f["parameters"][-1]
-            triplets += [(self.ends.row(name), index, 1.0) for name, index in entries.items()]
+        velocities = f["start_velocity"], f["end_velocity"]
+        entries = {"x": f["x"][[0, -1]], "velocity": np.stack(velocities), "parameters": f["parameters"][[0, -1]]}
+        entries |= {"time": f["begin"], "sizes": f["sizes"]}
+        triplets += [(self.either_end.row(name), index, 1.0) for name, index in entries.items()]
+        if self.both_ends.count:
+            entries = {f"x{k}": f["x"][-k] for k in (0, 1)} | {f"velocity{k}": velocities[k] for k in (0, 1)}
+            entries |= {"parameters": f["parameters"][-1], "time": f["begin"]}
+            triplets += [(self.both_ends.row(name), index, 1.0) for name, index in entries.items()]
+            triplets.append((self.both_ends.row("time"), f["durations"][-1:], 1.0))
         if self.chain.held:  # at the first node, then at those after it on every interval
             interval, a = np.divmod(np.arange(self.chain.intervals * m), m)
             impulses = f["impulses"].reshape(-1, self.chain.held)
@@ -201,8 +203,7 @@ class ChainEmbedding:
         """Θᵀ: what the pointwise functions return, at all places x equations.
 
         At a quadrature point these are f and g of the mechanical components, the defects of the others, and the path
-        constraints; at the start and at the end ∂L/∂v and the rate of what is held; the conditions on both; at the
-        nodes what is held, and its impulse; at the joints crossed x after, ∂L/∂v before and after, and the condition.
+        constraints; at either end ∂L/∂v and the rate of what is held; the conditions on both; at the nodes what is held, and its impulse; at the joints crossed x after, ∂L/∂v before and after, and the condition.
         """
         chain, rows = self.chain, self.chain.rows
         dm, z, c = chain.mechanical, chain.dimension - chain.mechanical, chain.constraints

@@ -69,12 +69,12 @@ class ControlGraph:
         everything = ca.mtimes(self.embedding.matrix, ca.vertcat(self.unknowns, self.data))
         self.at = self._split(everything, [place.z.numel() for place in self.places])
         self.cost = self._total("value")
-        pointwise = self._stack(self._evaluate("equations", self.at))
+        pointwise = ca.veccat(*self._evaluate("equations", self.at))
         self.equations = ca.mtimes(self.embedding.test.T, pointwise) + ca.mtimes(self.embedding.linear, self.unknowns)
 
     def _total(self, name: str) -> ca.MX:
         """Sum of a weighted pointwise scalar over all places."""
-        return sum(ca.sum2(value) for value in self._evaluate(name, self.at, self.weights))
+        return ca.sum2(ca.horzcat(*self._evaluate(name, self.at, self.weights)))
 
     def _split(self, stacked: ca.MX, rows: list[int]) -> list[ca.MX]:
         """Cut a long vector into one matrix (rows, count) for each kind of place."""
@@ -83,10 +83,6 @@ class ControlGraph:
         parts = ca.vertsplit(stacked, offsets)
         return [ca.reshape(part, r, k) for part, r, k in zip(parts, rows, counts, strict=True)]
 
-    @staticmethod
-    def _stack(parts: list[ca.MX]) -> ca.MX:
-        return ca.vertcat(*(ca.vec(part) for part in parts))
-
     def _evaluate(self, name: str, *arguments: list[ca.MX]) -> list[ca.MX]:
         """Evaluate one pointwise Function at all kinds of places."""
         return [getattr(place, name)(*given) for place, *given in zip(self.places, *arguments, strict=True)]
@@ -94,8 +90,7 @@ class ControlGraph:
     def _blocks(self, patterns: list[ca.Sparsity], entries: list[ca.MX]) -> ca.MX:
         """blockdiag(·) over all places, from the nonzeros of the blocks."""
         blocks = [p for pattern, place in zip(patterns, self.places, strict=True) for p in [pattern] * place.count]
-        stacked = self._stack(entries)
-        return ca.MX(ca.diagcat(*blocks), stacked)
+        return ca.MX(ca.diagcat(*blocks), ca.veccat(*entries))
 
     def _name(self, name: str, outputs: list[ca.MX], *extra: ca.MX) -> ca.Function:
         return ca.Function(name, [self.unknowns, self.data, *extra], outputs)
@@ -103,7 +98,7 @@ class ControlGraph:
     @lazy
     def gradient(self) -> ca.Function:
         """(unknowns, data) -> f, ∇f."""
-        gradients = self._stack(self._evaluate("gradient", self.at, self.weights))
+        gradients = ca.veccat(*self._evaluate("gradient", self.at, self.weights))
         total = ca.mtimes(self.embedding.derivative.T, gradients)
         return self._name("gradient", [self.cost, ca.densify(total)])
 
@@ -126,7 +121,7 @@ class ControlGraph:
         """Symbols φ and λ; ∇f̄ and ∇²f̄, its upper half or all of it."""
         factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", self.chain.equations)
         inputs = self.at, [factor * w for w in self.weights], self._along(multipliers)
-        by_point = self._stack(self._evaluate("lagrangian_gradient", *inputs))
+        by_point = ca.veccat(*self._evaluate("lagrangian_gradient", *inputs))
         slope = ca.mtimes(self.embedding.derivative.T, by_point) + ca.mtimes(self.embedding.linear.T, multipliers)
         entries = self._evaluate("hessian", *inputs)
         blocks = self._blocks([place.hessian_pattern for place in self.places], entries)
@@ -158,7 +153,7 @@ class ControlGraph:
         chain, embedding, point = self.chain, self.embedding, self.places[0]
         everything = ca.fabs(ca.vertcat(self.unknowns, self.data))
         linear = ca.mtimes(ca.fabs(embedding.linear), everything[: chain.unknowns])
-        rows = ca.fabs(self._stack(self._evaluate("equations", self.at)))
+        rows = ca.fabs(ca.veccat(*self._evaluate("equations", self.at)))
         canceled = ca.mtimes(ca.fabs(self._derivatives()), ca.mtimes(ca.fabs(embedding.differentiated), everything))
         multipliers = ca.MX.sym("multipliers", chain.equations)
         part = int(embedding.points.row("part")[0, 0])

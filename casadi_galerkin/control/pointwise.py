@@ -4,11 +4,11 @@ At a quadrature point, with L̂(t, h, x, x') = h L(t, x, x'/h), the cost and the
 
     c = h ℓ(t, x, v, u),        e = [ (∂L̂/∂x + h F) / S,  ∂L̂/∂x' / S,  z' - h ρ,  g ],
 
-with z the components that follow the rates ρ; at the start and at the end e = ∂L/∂v(t, x, v) / S, and at the end
-c = τ, the terminal cost.  Conditions on both ends are rows of their own.  A holonomic constraint is held at the nodes
-by impulses Λ, with e = [ g,  GᵀΛ / S ] there and G = ∂g/∂x; at both ends e = G v + ∂g/∂t, where velocities are tangent.
-At a joint crossed with a law, (x, v) -> (x_+, v_+), the rows are e = [ x_+,  p / S,  p_+ / S,  w ] with p = ∂L/∂v on
-either side, and w the function that is bounded there.
+with z the components that follow the rates ρ; at either end e = ∂L/∂v(t, x, v) / S.  Of both ends together, c = τ is
+the terminal cost, and conditions on them are the rows.  A holonomic constraint is held at the nodes by impulses Λ, with
+e = [ g,  GᵀΛ / S ] there and G = ∂g/∂x; at either end e = G v + ∂g/∂t, where velocities are tangent.  At a joint crossed
+with a law, (x, v) -> (x_+, v_+), the rows are e = [ x_+,  p / S,  p_+ / S,  w ] with p = ∂L/∂v on either side, and w
+the function that is bounded there.
 """
 
 from __future__ import annotations
@@ -47,34 +47,36 @@ class PointwiseTerms:
     action: ca.SX
     rows: ca.SX
 
-    @property
+    @lazy
     def _by(self) -> ca.SX:
         return self.z[self.active.tolist()]
 
-    def _function(self, inputs: list[ca.SX], output: ca.SX) -> ca.Function:
-        function = ca.Function("terms", inputs, [ca.densify(output)])
-        return function.map(self.count) if self.count > 1 else function
+    def _function(self, inputs: list[ca.SX], output: ca.SX) -> Callable[..., ca.MX]:
+        if output.nnz() == 0:  # as of the cost at all places but few
+            return lambda *_: ca.MX(output.numel(), self.count)
+        function: Callable[..., ca.MX] = ca.Function("terms", inputs, [ca.densify(output)]).map(self.count)
+        return function
 
     @lazy
-    def value(self) -> ca.Function:
+    def value(self) -> Callable[..., ca.MX]:
         """(z, weight) -> weighted cost, one per place."""
         weight = ca.SX.sym("weight")
         return self._function([self.z, weight], weight * self.cost)
 
     @lazy
-    def weighted_action(self) -> ca.Function:
+    def weighted_action(self) -> Callable[..., ca.MX]:
         """(z, weight) -> weighted action, one per place."""
         weight = ca.SX.sym("weight")
         return self._function([self.z, weight], weight * self.action)
 
     @lazy
-    def gradient(self) -> ca.Function:
+    def gradient(self) -> Callable[..., ca.MX]:
         """(z, weight) -> weighted gradient of the cost."""
         weight = ca.SX.sym("weight")
         return self._function([self.z, weight], weight * ca.gradient(self.cost, self._by))
 
     @lazy
-    def equations(self) -> ca.Function:
+    def equations(self) -> Callable[..., ca.MX]:
         """Rows of (z)."""
         return self._function([self.z], self.rows)
 
@@ -88,7 +90,7 @@ class PointwiseTerms:
         return self._jacobian.sparsity()
 
     @lazy
-    def jacobian(self) -> ca.Function:
+    def jacobian(self) -> Callable[..., ca.MX]:
         """Nonzeros of the derivatives of the rows, of (z)."""
         return self._function([self.z], ca.vertcat(*self._jacobian.nonzeros()))
 
@@ -108,17 +110,17 @@ class PointwiseTerms:
         return self._hessian.sparsity()
 
     @lazy
-    def hessian(self) -> ca.Function:
+    def hessian(self) -> Callable[..., ca.MX]:
         """(z, weight, multipliers) -> nonzeros of the second derivatives of the Lagrangian."""
         return self._function(self._lagrangian[0], ca.vertcat(*self._hessian.nonzeros()))
 
     @lazy
-    def lagrangian_gradient(self) -> ca.Function:
+    def lagrangian_gradient(self) -> Callable[..., ca.MX]:
         """(z, weight, multipliers) -> gradient of the Lagrangian."""
         inputs, value = self._lagrangian
         return self._function(inputs, ca.gradient(value, self._by))
 
-    def derivative(self, row: int) -> ca.Function:
+    def derivative(self, row: int) -> Callable[..., ca.MX]:
         """(z, weight, multipliers) -> derivative of the Lagrangian by one row of z."""
         inputs, value = self._lagrangian
         return self._function(inputs, ca.jacobian(value, self.z[row]))
@@ -128,9 +130,8 @@ def places(problem: ControlProblem, embedding: ChainEmbedding) -> list[Pointwise
     """The terms at all kinds of places that there are."""
     make: dict[Place, Callable[..., Terms]] = {
         embedding.points: _at_points,
-        embedding.start: _at_start,
-        embedding.end: _at_end,
-        embedding.ends: _at_ends,
+        embedding.either_end: _at_either_end,
+        embedding.both_ends: _at_both_ends,
         embedding.nodes: _at_nodes,
         **{
             place: partial(_at_crossing, crossing=crossing)
@@ -155,18 +156,18 @@ def _given(problem: ControlProblem, p: ca.SX) -> list[ca.SX]:
 def _at_points(problem: ControlProblem, *at: ca.SX) -> Terms:
     x, slope, u, duration, p, begin, share, part, sizes = at
     t, h, given = begin + duration * share, duration * part, _given(problem, p)
-    parts = [0, problem.mechanical, problem.dimension]
+    mechanical, others = slice(problem.mechanical), slice(problem.mechanical, None)
     state = (t, x, slope / h, u, *given)
     action = h * problem.lagrangian(t, x, slope / h, *given)
-    work, momentum = (ca.vertsplit(ca.gradient(action, by), parts)[0] for by in (x, slope))
-    _, own = ca.vertsplit(slope, parts)
-    rows = [(work + h * problem.force(*state)) / sizes, momentum / sizes, own - h * problem.rates(*state)]
+    work, momentum = (ca.gradient(action, by)[mechanical, 0] for by in (x, slope))
+    rows = [(work + h * problem.force(*state)) / sizes, momentum / sizes]
+    rows.append(slope[others, 0] - h * problem.rates(*state))
     if problem.path_constraint is not None:
         rows.append(problem.path_constraint[0](*state))
     return h * problem.running_cost(*state), action, ca.vertcat(*rows)
 
 
-def _at_start(problem: ControlProblem, *at: ca.SX) -> Terms:
+def _at_either_end(problem: ControlProblem, *at: ca.SX) -> Terms:
     x, v, p, t, sizes = at
     given = _given(problem, p)
     rows = [ca.gradient(problem.lagrangian(t, x, _filled(v, x), *given), v) / sizes]
@@ -176,19 +177,12 @@ def _at_start(problem: ControlProblem, *at: ca.SX) -> Terms:
     return ca.SX(1, 1), ca.SX(1, 1), ca.vertcat(*rows)
 
 
-def _at_end(problem: ControlProblem, *at: ca.SX) -> Terms:
-    x, v, p, t, _ = at
-    _, action, rows = _at_start(problem, *at)
-    if problem.terminal_cost is None:
-        return ca.SX(1, 1), action, rows
-    return problem.terminal_cost(t, x, _filled(v, x), *_given(problem, p)), action, rows
-
-
-def _at_ends(problem: ControlProblem, x0: ca.SX, v0: ca.SX, x1: ca.SX, v1: ca.SX, p: ca.SX) -> Terms:
-    conditions = problem.end_conditions
-    assert conditions is not None, "this place is where there are some"
-    g = conditions[0](x0, _filled(v0, x0), x1, _filled(v1, x1), *_given(problem, p))
-    return ca.SX(1, 1), ca.SX(1, 1), g
+def _at_both_ends(problem: ControlProblem, *at: ca.SX) -> Terms:
+    x0, v0, x1, v1, p, t = at
+    last, given, conditions = (x1, _filled(v1, x1)), _given(problem, p), problem.end_conditions
+    cost = ca.SX(1, 1) if problem.terminal_cost is None else problem.terminal_cost(t, *last, *given)
+    rows = ca.SX(0, 1) if conditions is None else conditions[0](x0, _filled(v0, x0), *last, *given)
+    return cost, ca.SX(1, 1), rows
 
 
 def _at_nodes(problem: ControlProblem, *at: ca.SX) -> Terms:
@@ -212,8 +206,7 @@ def _momentum(problem: ControlProblem, t: ca.SX, state: tuple[ca.SX, ca.SX], giv
     """∂L/∂v of the mechanical components where the state (x, v) holds expressions."""
     symbols = [ca.SX.sym(name, problem.dimension) for name in ("x", "v")]
     momentum = ca.gradient(problem.lagrangian(t, *symbols, *given), symbols[1])
-    mechanical = ca.vertsplit(momentum, [0, problem.mechanical, problem.dimension])[0]
-    return ca.substitute(mechanical, ca.vertcat(*symbols), ca.densify(ca.vertcat(*state)))
+    return ca.substitute(momentum[: problem.mechanical, 0], ca.vertcat(*symbols), ca.densify(ca.vertcat(*state)))
 
 
 def _filled(v: ca.SX, x: ca.SX) -> ca.SX:
