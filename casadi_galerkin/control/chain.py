@@ -13,6 +13,7 @@ has the momentum that arrives, and with which the law, and a waypoint that is a 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -31,7 +32,7 @@ def numbered(layouts: Iterable[Layout], first: int = 0) -> dict[str, np.ndarray]
     parts: dict[str, list[np.ndarray]] = {}
     for layout in layouts:
         for name, shape in layout.items():
-            count = int(np.prod(shape))
+            count = math.prod(shape)
             parts.setdefault(name, []).append(first + np.arange(count).reshape(shape))
             first += count
     return {name: np.stack(arrays) for name, arrays in parts.items()}
@@ -39,7 +40,7 @@ def numbered(layouts: Iterable[Layout], first: int = 0) -> dict[str, np.ndarray]
 
 def length(layout: Layout) -> int:
     """Number of entries of a layout."""
-    return sum(int(np.prod(shape)) for shape in layout.values())
+    return sum(math.prod(shape) for shape in layout.values())
 
 
 class Chain:
