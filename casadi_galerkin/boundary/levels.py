@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from copy import copy
 
 import numpy as np
@@ -16,7 +15,6 @@ from casadi_galerkin.functional.mapping import Mapping, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import SolverLike
 
 
@@ -31,12 +29,11 @@ class Levels:
     Attributes
     ----------
     iterations : of all solves so far
-    deadline : of ``time.perf_counter()``, at which solves stop
     """
 
     def __init__(self, problem: BoundaryProblem, mapping: Mapping = one_by_one) -> None:
         check_mass(problem)
-        self.problem, self.iterations, self.deadline, self._mapping = problem, 0, math.inf, mapping
+        self.problem, self.iterations, self._mapping = problem, 0, mapping
         self._transcriptions: dict[tuple[int, int], Transcription] = {}
 
     def of(self, problem: BoundaryProblem) -> Levels:
@@ -65,8 +62,7 @@ class Levels:
         mesh = with_breakpoints(mesh, self.problem.breakpoints)
         graph = self.transcription(method, mesh)
         try:
-            with until(self.deadline):
-                point = (graph.of(problem) if problem else graph).critical_point(guess=guess, mesh=mesh, solver=solver)
+            point = (graph.of(problem) if problem else graph).critical_point(guess=guess, mesh=mesh, solver=solver)
         except ConvergenceError as failure:
             self.iterations += failure.iterations
             raise

@@ -50,6 +50,7 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.refinement import Estimate, Refinement
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solution.witness import witnesses
+from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton
 
 FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
@@ -92,7 +93,6 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         super().__init__(tol, limits, verbose)
         self.method, self.fixed = method or of_degree(degree_for(tol)), method is not None
         self.levels, self.patience = levels, math.inf
-        levels.deadline = self.deadline
         self.built = levels.build_seconds  # before this refinement
         self.seen: dict[str, tuple[float, float, float, int]] = {}
         self.solver, self.following = solver, following(solver)
@@ -221,7 +221,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     def resume(self, level: CriticalPoint) -> Trajectory:
         """Refine a path that was found on a mesh that served another."""
         self.patience = PATIENCE
-        return self.finish(*self.refine(level))
+        with until(self.deadline):
+            return self.finish(*self.refine(level))
 
     def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:
         """Refine the first path found that can be followed."""
@@ -230,7 +231,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         for strategy in first_path_strategies(self.levels, *given):
             self.patience, began, before = strategy.patience, time.perf_counter(), self.iterations
             try:
-                path = self.finish(*self.refine(strategy.find()))
+                with until(self.deadline):
+                    path = self.finish(*self.refine(strategy.find()))
             except LimitReached:
                 raise
             except ConvergenceError as failure:

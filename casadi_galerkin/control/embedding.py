@@ -203,7 +203,8 @@ class ChainEmbedding:
         """Θᵀ: what the pointwise functions return, at all places x equations.
 
         At a quadrature point these are f and g of the mechanical components, the defects of the others, and the path
-        constraints; at either end ∂L/∂v and the rate of what is held; the conditions on both; at the nodes what is held, and its impulse; at the joints crossed x after, ∂L/∂v before and after, and the condition.
+        constraints; at either end ∂L/∂v and the rate of what is held; the conditions on both; at the nodes what is
+        held, and its impulse; at the joints crossed x after, ∂L/∂v before and after, and the condition.
         """
         chain, rows = self.chain, self.chain.rows
         dm, z, c = chain.mechanical, chain.dimension - chain.mechanical, chain.constraints

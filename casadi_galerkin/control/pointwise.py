@@ -6,9 +6,9 @@ At a quadrature point, with L̂(t, h, x, x') = h L(t, x, x'/h), the cost and the
 
 with z the components that follow the rates ρ; at either end e = ∂L/∂v(t, x, v) / S.  Of both ends together, c = τ is
 the terminal cost, and conditions on them are the rows.  A holonomic constraint is held at the nodes by impulses Λ, with
-e = [ g,  GᵀΛ / S ] there and G = ∂g/∂x; at either end e = G v + ∂g/∂t, where velocities are tangent.  At a joint crossed
-with a law, (x, v) -> (x_+, v_+), the rows are e = [ x_+,  p / S,  p_+ / S,  w ] with p = ∂L/∂v on either side, and w
-the function that is bounded there.
+e = [ g,  GᵀΛ / S ] there and G = ∂g/∂x; at either end e = G v + ∂g/∂t, where velocities are tangent.  At a joint
+crossed with a law, (x, v) -> (x_+, v_+), the rows are e = [ x_+,  p / S,  p_+ / S,  w ] with p = ∂L/∂v on either side,
+and w the function that is bounded there.
 """
 
 from __future__ import annotations

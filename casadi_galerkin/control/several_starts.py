@@ -69,7 +69,7 @@ def best_of(
     best = min(optima, key=lambda optimum: optimum.cost)
     costs = np.sort([optimum.cost for optimum in optima])
     different = costs[np.append(True, np.diff(costs) > SAME * np.abs(costs[1:]) + TOLERANCE)]
-    met = f"{len(different)} optima" if len(different) > 1 else "one optimum"
-    told = f"best of {starts} starts, which met {met}, with costs up to {costs[-1]:.6g}"
+    met = f"{len(different)} optima, with costs up to {costs[-1]:.6g}" if len(different) > 1 else "one optimum"
+    told = f"best of {starts} starts, which met {met}"
     told += f"; {len(failures)} of them failed" if failures else ""
     return replace(best, solver=f"{best.solver}; {told}", iterations=sum(optimum.iterations for optimum in optima))
