@@ -18,8 +18,6 @@ import numpy as np
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.functional.numbering import KEPT
 
-CSE = {"cse": True}  # costs more to find than it saves, but for the Hessian: a tenth of its instructions
-
 
 def pulled_back(lagrangian: ca.Function, t: ca.SX, h: ca.SX, x: ca.SX, slope: ca.SX, *parameters: ca.SX) -> ca.SX:
     """L̂(t, h, x, x'[, p]) = h L(t, x, x'/h[, p])."""
@@ -84,8 +82,20 @@ class Pointwise:
 
         They are one Function, because a call costs as much as evaluating a small Lagrangian.
         """
+        return self._function("derivatives", self._all)
+
+    @lazy
+    def without_repetition(self) -> ca.Function:
+        """The same without instructions that repeat, a tenth to a quarter of them.
+
+        Finding them takes longer than one solve saves by it.
+        """
+        return self._function("derivatives", self._all, cse=True)
+
+    @lazy
+    def _all(self) -> dict[str, ca.SX]:
         columns = {f"block{i}{j}": ca.project(self._cells[i, j], self.stored).nz[:] for i, j in self.blocks}
-        return self._function("derivatives", {"f": self._value, **self._slopes, **columns}, CSE)
+        return {"f": self._value, **self._slopes, **columns}
 
     def mass(self, blocks: Sequence[np.ndarray]) -> np.ndarray:
         """∂²L̂/∂x'² at K points, (K, d, d), from the columns of `blocks`, (stored, K) each; zero where L is linear."""
@@ -122,11 +132,9 @@ class Pointwise:
         entries = (gradient[0], gradient[1], hessian[0, 0], hessian[0, 1], hessian[1, 1])
         return ca.Function("time_derivatives", list(self._inputs.values()), [ca.densify(entry) for entry in entries])
 
-    def _function(self, name: str, outputs: dict[str, ca.SX], options: dict[str, bool] | None = None) -> ca.Function:
+    def _function(self, name: str, outputs: dict[str, ca.SX], **options: bool) -> ca.Function:
         inputs = self._inputs
-        return ca.Function(
-            name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs), options or {}
-        )
+        return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs), options)
 
 
 @lru_cache(KEPT)
