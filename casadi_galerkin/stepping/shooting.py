@@ -290,8 +290,12 @@ def _newton(shooting: Shooting, state: np.ndarray, velocity: np.ndarray) -> tupl
 
 
 def _line_search(shooting: Shooting, shot: Shot, z: np.ndarray, step: np.ndarray) -> tuple[Shot | None, float]:
-    """Halve the step until the next one, with the same derivative, is shorter; no shot if none is."""
-    scale = np.maximum(np.maximum(np.abs(z), np.abs(step)), MISS * shot.scale + np.finfo(float).tiny)
+    """Halve the step until the next one, with the same derivative, is shorter; no shot if none is.
+
+    A state near zero counts by itself, a multiplier near zero by what its equation sums.
+    """
+    least = np.where(shooting.free < 2 * shooting.stepper.dimension, MISS, 1.0) * shot.scale
+    scale = np.maximum(np.maximum(np.abs(z), np.abs(step)), least + np.finfo(float).tiny)
     velocity, damping = shooting.velocity(shot.roll), 1.0
     smallest = 1.0 if np.all(np.abs(shot.miss) <= ROUNDOFF * shot.floor) else SMALLEST_DAMPING
     while damping >= smallest:
