@@ -54,6 +54,22 @@ def phase_plane(path: PiecewisePolynomial) -> np.ndarray:
     return np.concatenate((normal / np.linalg.norm(normal), path.values[:, 0]))
 
 
+def turned_back(path: PiecewisePolynomial, plane: np.ndarray | None) -> str | None:
+    """Say so if a path comes back to the plane that fixes its phase against the way it left.
+
+    There the plane's multiplier, else zero, makes up for a momentum that has changed its sign.
+    """
+    if plane is None:
+        return None
+    left, back = plane[: len(path.values)] @ path(path.mesh[[0, -1]], 1)
+    if left * back > 0:
+        return None
+    return (
+        "the path found is not periodic: it comes back to its start against the way it left. Give a guess that starts "
+        "further from a turning point, where it moves faster"
+    )
+
+
 def given_values(problem: BoundaryProblem, plane: np.ndarray | None = None) -> np.ndarray:
     """What the terms take beside the parameters: given velocities and momenta, the plane (n, c), the energy."""
     values = [value for name in RATES for value in getattr(problem, name) if value is not None]

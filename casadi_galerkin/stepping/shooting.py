@@ -22,7 +22,7 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.functional.statement import has_phase, phase_plane
+from casadi_galerkin.functional.statement import has_phase, phase_plane, turned_back
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, tangent_momenta
@@ -104,19 +104,21 @@ class Shooting:
     ----------
     told : (2d + k,), as of `EndEquations`
     free : (n,), which entries of (x_0, p_0, η) are z
+    plane : (2d,), normal and point of the plane that fixes the phase, or None
     """
 
     def __init__(
         self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, guess: Trajectory | None = None
     ) -> None:
         self.mesh = mesh
-        plane = None
+        self.plane = None
         if has_phase(problem):
             calculus = DiscreteCalculus(method, mesh)
             values = np.zeros((problem.dimension, len(calculus.node_parts)))
-            plane = phase_plane(calculus.emb(values if guess is None else guess_values(guess, calculus, len(values))))
+            guessed = values if guess is None else guess_values(guess, calculus, len(values))
+            self.plane = phase_plane(calculus.emb(guessed))
         self.stepper = stepper_of(problem, method, problem.energy is not None)
-        equations = end_equations(problem, method, plane)
+        equations = end_equations(problem, method, self.plane)
         self._equations, self.told = Evaluator(equations.function), equations.told
         self.free = np.flatnonzero(np.isnan(self.told))
         self._open = np.delete(np.arange(len(self.told)), equations.plain)
@@ -249,6 +251,9 @@ def shoot(
         problem = problem.varied({}, (float(roll.mesh[0]), float(roll.mesh[-1])))
     roll = _with_tangent_start(problem, roll, shooting.velocity(roll))
     path = trajectory(problem, shooting.stepper, roll, iterations, solver, build, seconds)
+    turned = turned_back(path.polynomial, shooting.plane)
+    if turned is not None:
+        raise ConvergenceError(turned, Path(path.polynomial), shot.residual, iterations)
     return replace(path, action=action, residual=shot.residual, solver=solver + _far(guess, path))
 
 

@@ -215,6 +215,13 @@ def test_an_energy_that_does_not_reach_the_end_is_named():
         cg.shoot(problem, METHOD, 8)
 
 
+def test_a_path_that_turns_back_where_it_began_is_not_periodic():
+    problem = cg.BoundaryProblem(pendulum, (0, 6.0), [None], periodic=True, energy=-np.cos(1.0))
+    there = cg.InitialProblem(pendulum, (0, 6.0), [0.95], momentum=[-0.29])
+    with pytest.raises(cg.ConvergenceError, match="not periodic: it comes back to its start against the way it left"):
+        cg.shoot(problem, METHOD, 12, guess=cg.solve(there, METHOD, 12))
+
+
 def test_a_guess_that_rests_tells_no_duration():
     problem = cg.BoundaryProblem(
         line, (0, 1), [0.0, 0.0], [None, None], end_conditions=lambda x0, x1: ca.sumsqr(x1) - 4, energy=0.5
