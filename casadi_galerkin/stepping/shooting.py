@@ -363,6 +363,9 @@ def _met(shot: Shot, iteration: int) -> Shot:
     sizes = np.where(sizes > 0, sizes, 1.0)
     missed, moved = (float(np.max(np.abs(a) / sizes, initial=0.0)) for a in (shot.miss, shot.floor))
     if missed <= MISS and shot.residual <= ROUNDOFF:
+        values = shot.path.values
+        if shot.stepper.stretched and np.all(np.ptp(values, axis=1) <= MISS * np.max(np.abs(values), axis=1)):
+            raise _failure("the path has shrunk to a point, and its duration to zero", shot, iteration)
         return shot
     reason = (
         f"the end is missed by {missed:.1e} of the path's size, the rounding of the start alone moves it by {moved:.1e}"

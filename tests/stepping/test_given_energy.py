@@ -209,6 +209,15 @@ def test_a_duration_is_never_negative(velocity):
         cg.shoot(problem, METHOD, 4, guess=launched(problem, [velocity], 4))
 
 
+@pytest.mark.parametrize("periodic", [False, True])
+def test_no_duration_is_no_answer(periodic):
+    """In no time a path is back at its start, with every energy."""
+    ends = {"periodic": True} if periodic else {"end": [0.2]}
+    problem = cg.BoundaryProblem(pendulum, (0, 0.66), [0.2], energy=0.0, **ends)
+    with pytest.raises(cg.ConvergenceError, match="the path has shrunk to a point"):
+        cg.shoot(problem, METHOD, 12, guess=launched(problem, [1.4]))
+
+
 def test_an_energy_that_does_not_reach_the_end_is_named():
     problem = cg.BoundaryProblem(pendulum, (0, 1), [0.0], [1.0], energy=-0.8)
     with pytest.raises(cg.ConvergenceError, match=r"the end is missed by .* there may be no path of this energy$"):
