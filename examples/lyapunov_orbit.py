@@ -4,6 +4,7 @@ In the frame that turns with Earth and Moon, with their distance, their masses a
 does not depend on time.  Its energy E is given, the Jacobi constant is C = -2E, and the duration is found.  By symmetry
 half of an orbit runs from the axis through Earth and Moon to that axis, and meets it at right angles at both ends: that
 is the natural condition of a free component.  Around the libration point L1 such orbits exist below C = 3.18834.
+The usual way to them is to shoot from the axis; the last one is found so, too.
 """
 
 import casadi as ca
@@ -61,4 +62,5 @@ if __name__ == "__main__":
         period = 2 * path.t[-1]
         print(f"C = {constant:g}: from x = {path.x[0, 0]:.9f} to {path.x[0, -1]:.9f}, ", end="")
         print(f"period {period:.12f}, {DAYS * period:.4f} days, Morse index {path.morse_index} of half an orbit")
+    print(cg.compare(path.problem, path.method, mesh=path.t, guess=answer[JACOBI[-2]]))
     draw(answer).savefig("lyapunov_orbit.png")

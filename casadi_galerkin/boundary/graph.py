@@ -15,10 +15,12 @@ from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import Mapping, by_rows
 from casadi_galerkin.functional.numbering import Data, joints_of
-from casadi_galerkin.functional.statement import functional_of, given_values, has_phase, phase_plane
+from casadi_galerkin.functional.statement import functional_of, given_values, has_phase, phase_plane, turned_back
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import motion_of, tangent_momenta
+from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
+from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
 from casadi_galerkin.solvers.solver import SolverLike, newton
 from casadi_galerkin.solvers.stationarity import Stationarity, joined
@@ -91,14 +93,18 @@ class BoundaryGraph:
         problem = self.varied(changes or {}, joints)
         data = self.data(joints, problem)
         values = self._guess(guess, calculus, data)
-        if self.phase:
-            data = self.data(joints, problem, self.plane(calculus.emb(values.T)))
+        plane = self.plane(calculus.emb(values.T)) if self.phase else None
+        if plane is not None:
+            data = self.data(joints, problem, plane)
         try:
             solution = solver(self.stationarity, self.unknowns(values, data), data, verbose)
         except SolveFailure as failure:
             path = self.emb(failure.unknowns, data)
             raise explained(self.stationarity, failure, path, data) from None
         path = self.emb(solution.unknowns, data)
+        turned = turned_back(path, plane)
+        if turned is not None:
+            raise ConvergenceError(turned, Path(path), solution.residual, solution.iterations)
         if self.numbering.stretched:  # the duration asked for was a guess
             problem = problem.varied({}, (float(path.mesh[0]), float(path.mesh[-1])))
         return CriticalPoint(solution, problem, data, path)

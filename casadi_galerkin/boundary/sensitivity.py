@@ -128,6 +128,11 @@ def sensitivity(path: Trajectory) -> Sensitivity:
     if not isinstance(problem, BoundaryProblem):
         raise TypeError(f"sensitivity takes the path of a BoundaryProblem, got one of {type(problem).__name__}")
     _refuse_energy("sensitivity", problem)
+    return at_joints(problem, path)
+
+
+def at_joints(problem: BoundaryProblem, path: Trajectory) -> Sensitivity:
+    """`sensitivity` of the path of a problem, where the energy is given at joints that move with the data."""
     transcription = transcribed(problem, path.method, None, path.t)
     numbering, symbols = transcription.numbering, dict(_named(transcription.gradient))
     data = ca.vertcat(*(symbols[name] for name in ("start", "end", "parameters") if name in symbols))

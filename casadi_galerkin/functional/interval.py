@@ -19,6 +19,9 @@ G = ∂g/∂x, these add Σ G_aᵀΛ_a·δ(c_a) to the work; that of the last no
 tangent by an impulse μ of the end: with v_1 the velocity there,
 
     g(c_a) = 0,     p_1 = ∂L/∂v(t_1, x_1, v_1) = p_0 + Σ f_k + Σ G_aᵀΛ_a + G_mᵀμ,     G_m v_1 + ∂g/∂t = 0.
+
+Where the duration is free, all steps are stretched, h = λ h̄.  The stretch λ is then one more component, constant along
+the path, and its momentum gathers ∂S/∂λ from interval to interval: p_λ,1 = p_λ,0 + ∂S/∂λ.
 """
 
 from __future__ import annotations
@@ -134,6 +137,32 @@ class Interval:
         by_s, by_start, direct = partial(ca.vec(at[0]), *at[1:])
         response = -_solved(by_s, by_start, shape, d)
         return ca.Function("step_jacobian", at, [direct + along(ca.vec(at[0]), *at[1:], response)])
+
+    def stretched(self) -> Interval:
+        """The same with the stretch λ as last component of x (see the module); its slopes are zero."""
+        (rows, columns), d = self.system.size_in(0), self.system.size1_in(1)
+        s, x, p = ca.SX.sym("s", rows + 1, columns), ca.SX.sym("x", d + 1), ca.SX.sym("p", d + 1)
+        t, h, stretch = ca.SX.sym("t"), ca.SX.sym("h"), x[d]
+        numbers = np.arange(s.numel()).reshape(columns, rows + 1)
+        others = np.delete(numbers, d, axis=1).ravel().tolist()
+        inputs = [ca.reshape(s[others], rows, columns), x[:d], p[:d], t, stretch * h]
+        (path, by_path), (ratio, action), (end, momentum, velocity) = (
+            part(*inputs) for part in (self.system, self.check, self.end)
+        )
+        residual, by_s = ca.vec(s), ca.SX.eye(s.numel())  # whose rows are in the order of the columns, for QR
+        residual[others], by_s[others, others] = path, by_path
+        momentum = ca.vertcat(momentum, p[d] + ca.gradient(action, stretch))
+        powers = ca.DM(range(1, velocity.shape[1] + 1)).T
+        velocity = ca.vertcat(velocity * ca.repmat(stretch**powers, d, 1), ca.SX(1, velocity.shape[1]))
+
+        def function(name: str, *outputs: ca.SX) -> ca.Function:
+            return ca.Function(name, [s, x, p, t, h], [ca.densify(output) for output in outputs])
+
+        return Interval(
+            function("system", residual, by_s),
+            function("check", ratio, action),
+            function("end", ca.vertcat(end, stretch), momentum, velocity),
+        )
 
 
 def interval(

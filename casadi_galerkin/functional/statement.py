@@ -54,6 +54,22 @@ def phase_plane(path: PiecewisePolynomial) -> np.ndarray:
     return np.concatenate((normal / np.linalg.norm(normal), path.values[:, 0]))
 
 
+def turned_back(path: PiecewisePolynomial, plane: np.ndarray | None) -> str | None:
+    """Say so if a path comes back to the plane that fixes its phase against the way it left.
+
+    There the plane's multiplier, else zero, makes up for a momentum that has changed its sign.
+    """
+    if plane is None:
+        return None
+    left, back = plane[: len(path.values)] @ path(path.mesh[[0, -1]], 1)
+    if left * back > 0:
+        return None
+    return (
+        "the path found is not periodic: it comes back to its start against the way it left. Give a guess that starts "
+        "further from a turning point, where it moves faster"
+    )
+
+
 def given_values(problem: BoundaryProblem, plane: np.ndarray | None = None) -> np.ndarray:
     """What the terms take beside the parameters: given velocities and momenta, the plane (n, c), the energy."""
     values = [value for name in RATES for value in getattr(problem, name) if value is not None]
@@ -76,19 +92,25 @@ def refuse_points(method: Galerkin) -> None:
         )
 
 
-def rows_of_ends(problem: BoundaryProblem, method: Galerkin) -> tuple[ca.Function, list[list[int]]]:
-    """(x_0, x_N, η) -> rows (2d + k,) of the term of the ends, with all given values put in; k of them are η's own.
+def rows_of_ends(
+    problem: BoundaryProblem, method: Galerkin, plane: np.ndarray | None
+) -> tuple[ca.Function, list[list[int]]]:
+    """(x_0, x_N, η) -> rows (2d + k,) of the terms of the ends, with all given values put in; k of them are η's own.
 
     Also the components at the start and at the end whose given positions are equations of the term.
     """
-    statement, d = _Statement(problem, method, 1), problem.dimension
+    statement, d, given = _Statement(problem, method, 1), problem.dimension, given_values(problem, plane)
     x, held = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], statement.held
+    if has_phase(problem):
+        multiplier = ca.SX.sym("own")
+        rows = statement._phase()(ca.vertcat(x[0], multiplier), 0, problem.parameters or [], given)[1]
+        return ca.Function("rows", [*x, multiplier], [ca.vertcat(rows[:d], ca.SX.zeros(d), rows[d])]), held
     if statement.at_ends is None:
         return ca.Function("rows", [*x, ca.SX(0, 1)], [ca.SX.zeros(2 * d)]), held
     term = statement.at_ends[0]
     places = [problem.start[i] for i in held[0]] + [problem.end[i] for i in held[1]]
     own = ca.SX.sym("own", term.size1_in(0) - 2 * d - len(places))
-    rows = term(ca.vertcat(*x, own, *places), problem.t_span, problem.parameters or [], given_values(problem))[1]
+    rows = term(ca.vertcat(*x, own, *places), problem.t_span, problem.parameters or [], given)[1]
     return ca.Function("rows", [*x, own], [rows[: 2 * d + own.numel()]]), held
 
 

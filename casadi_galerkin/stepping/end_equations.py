@@ -11,6 +11,10 @@ Under a constraint g = 0 with G = ∂g/∂x, the equations of momenta hold up to
 η.  A start that is not given as a whole must lie on the constraint, g(t_0, x_0) = 0.  The steps do not depend on the
 normal part of p_0, so that it is set to zero, G p_0 = 0.  They stay on the constraint by themselves, so that the
 equations of a given end, too, hold up to Gᵀμ.
+
+A given energy E adds λ T̄ E to the functional, with λ the stretch of the steps (`functional.interval`) and T̄ the
+duration that the mesh has.  It is an action of the end, and λ a component with both ends free: p_λ,0 = 0 and
+p_λ,N = -T̄ E.  Below, x and p have λ and p_λ as their last components, and d counts them.
 """
 
 from __future__ import annotations
@@ -42,10 +46,10 @@ class EndEquations:
     told: np.ndarray
 
 
-def end_equations(problem: BoundaryProblem, method: Galerkin) -> EndEquations:
-    """Write the equations of a problem (see the module)."""
+def end_equations(problem: BoundaryProblem, method: Galerkin, plane: np.ndarray | None = None) -> EndEquations:
+    """Write the equations of a problem (see the module); `plane` fixes the phase where it is free."""
     d, times, constraint = problem.dimension, problem.t_span, problem.constraint
-    rows, held = rows_of_ends(problem, method)
+    rows, held = rows_of_ends(problem, method, plane)
     x, p = ([ca.SX.sym(f"{name}{k}", d) for k in (0, 1)] for name in "xp")
     own = [ca.SX.sym("own", rows.size1_in(2))]
     given = [
@@ -55,7 +59,7 @@ def end_equations(problem: BoundaryProblem, method: Galerkin) -> EndEquations:
     first, last, further = ca.vertsplit(rows(*x, *own), [0, d, 2 * d, rows.size1_out(0)])
     momenta = [first, -last]
     if problem.periodic:
-        momenta[0], given[1] = p[1], ca.vertsplit(x[0])
+        momenta[0], given[1] = p[1] + first, ca.vertsplit(x[0])
     equations = []
     if constraint is not None:
         constraint = with_parameters(constraint, problem.parameters)
@@ -71,6 +75,9 @@ def end_equations(problem: BoundaryProblem, method: Galerkin) -> EndEquations:
         for i, value in enumerate(values):
             unpushed = x[k][i] - value if value is not None else p[k][i] - momenta[k][i]
             equations.append(unpushed + pushes[i] if i in (free or range(d)) else unpushed)
+    if problem.energy is not None:
+        x, p = ([ca.vertcat(a, ca.SX.sym("stretch")) for a in ends] for ends in (x, p))
+        equations += [p[0][d], p[1][d] + problem.energy * (times[1] - times[0])]
     return _with_plain(ca.vertcat(*equations, further), ca.vertcat(x[0], p[0], *own), ca.vertcat(x[1], p[1]))
 
 

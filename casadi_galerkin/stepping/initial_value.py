@@ -58,11 +58,11 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     return path
 
 
-def stepper_of(problem: Problem, method: Galerkin) -> Stepper:
+def stepper_of(problem: Problem, method: Galerkin, stretched: bool = False) -> Stepper:
     """The step of a problem, with its parameters put in."""
     functions = problem.lagrangian, problem.force, problem.constraint
     given = [f if f is None else with_parameters(f, problem.parameters) for f in functions]
-    return Stepper(given[0], given[1], given[2], method)
+    return Stepper(given[0], given[1], given[2], method, stretched)
 
 
 def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
@@ -124,7 +124,7 @@ def verified(roll: Roll, stepper: Stepper) -> Roll:
 
 def path_of(roll: Roll, stepper: Stepper, count: int) -> PiecewisePolynomial:
     """The path of the first intervals, as many as given."""
-    nodes, d = stepper.method.element.nodes, stepper.dimension
+    nodes, d = stepper.method.element.nodes, len(roll.x)
     inner = roll.x[:, :count, None] + roll.slopes[:, :count] @ stepper.basis.values(nodes[:-1]).T
     values = np.column_stack((inner.reshape(d, -1), roll.x[:, count]))
     return PiecewisePolynomial(roll.mesh[: count + 1], nodes, values)

@@ -2,7 +2,7 @@
 
 The unknown z holds those entries of the start (x_0, p_0, η) that the problem does not give: momenta at the start or,
 where the start is free, positions, and multipliers.  The equations are those that remain between the ends
-(`end_equations`).
+(`end_equations`).  For a given energy the stretch of the steps is one more component of x.
 The derivative of the joint values by z is the product of the steps' Jacobians, exact by the implicit function theorem.
 Newton's method has the line search of the global solve, the natural monotonicity test.
 
@@ -23,6 +23,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.buffers import Evaluator
+from casadi_galerkin.functional.statement import has_phase, phase_plane, turned_back
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, tangent_momenta
@@ -77,7 +78,7 @@ class Shot:
     @property
     def path(self) -> PiecewisePolynomial:
         """The path from joint to joint."""
-        return path_of(self.roll, self.stepper, len(self.steps))
+        return path_of(self.stepper.timed(self.roll), self.stepper, len(self.steps))
 
     @property
     def residual(self) -> float:
@@ -87,7 +88,7 @@ class Shot:
         """
         states = np.abs(np.concatenate((self.roll.x, self.roll.p)))
         onward = chain(self.steps[::-1].transpose(0, 2, 1))[::-1].transpose(0, 2, 1)  # ∂(x_N, p_N)/∂(x_i, p_i)
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             floor = self.sizes.copy()
             floor[-len(states) :] = np.einsum("iab,bi->a", np.abs(onward), states)
             ratios = np.abs(self.miss) / (np.abs(self.wanted) @ (EPS * floor + np.finfo(float).tiny))
@@ -103,12 +104,21 @@ class Shooting:
     ----------
     told : (2d + k,), as of `EndEquations`
     free : (n,), which entries of (x_0, p_0, η) are z
+    plane : (2d,), normal and point of the plane that fixes the phase, or None
     """
 
-    def __init__(self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray) -> None:
-        self.problem, self.mesh = problem, mesh
-        self.stepper = stepper_of(problem, method)
-        equations = end_equations(problem, method)
+    def __init__(
+        self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, guess: Trajectory | None = None
+    ) -> None:
+        self.mesh = mesh
+        self.plane = None
+        if has_phase(problem):
+            calculus = DiscreteCalculus(method, mesh)
+            values = np.zeros((problem.dimension, len(calculus.node_parts)))
+            guessed = values if guess is None else guess_values(guess, calculus, len(values))
+            self.plane = phase_plane(calculus.emb(guessed))
+        self.stepper = stepper_of(problem, method, problem.energy is not None)
+        equations = end_equations(problem, method, self.plane)
         self._equations, self.told = Evaluator(equations.function), equations.told
         self.free = np.flatnonzero(np.isnan(self.told))
         self._open = np.delete(np.arange(len(self.told)), equations.plain)
@@ -122,13 +132,13 @@ class Shooting:
     def velocity(self, roll: Roll) -> np.ndarray:
         """Velocity of a path at its start, (d,)."""
         first = roll.slopes[:, 0] @ self.stepper.basis.slopes(np.zeros(1)).T
-        return np.asarray(first.ravel() / (self.mesh[1] - self.mesh[0]))
+        return np.asarray(first.ravel() / (roll.mesh[1] - roll.mesh[0]))
 
     def shoot(self, z: np.ndarray, velocity: np.ndarray) -> Shot | None:
         """The path from z, or None if one of its steps fails; `velocity` predicts the first step."""
-        d, start = self.problem.dimension, self.start(z)
+        d, start = self.stepper.dimension, self.start(z)
         roll = self.stepper.roll(start[:d], start[d : 2 * d], velocity, self.mesh)
-        if roll.verified < len(roll.mesh) - 1:
+        if roll.verified < len(roll.mesh) - 1 or not self.stepper.timed(roll).mesh[-1] > roll.mesh[0]:
             return None
         steps = self.stepper.jacobians(self.mesh, roll.x, roll.p, roll.unknowns)
         growth = chain(steps)
@@ -136,7 +146,7 @@ class Shooting:
         miss, wanted = self._equations(ends)
         miss, wanted = miss[self._open], wanted.reshape(len(ends), -1).T[self._open]
         with np.errstate(over="ignore", invalid="ignore"):
-            sizes = self._sizes(roll, start[2 * d :], np.abs(wanted))
+            sizes = self._sizes(roll, steps, start[2 * d :], np.abs(wanted))
             moved = np.append(np.zeros(len(start)), np.abs(growth[-1]) @ np.abs(start[: 2 * d]))
             floor = EPS * (np.abs(wanted) @ (sizes + moved))
             by_z = wanted @ self._by_z(growth[-1])
@@ -148,9 +158,14 @@ class Shooting:
         start = np.eye(len(self.told))
         return np.concatenate((start, growth @ start[: len(growth)]))[:, self.free]
 
-    def _sizes(self, roll: Roll, own: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        """Sizes of the ends, (4d + k,): of (x, p) the largest at the joints, of η what is as large in an equation."""
+    def _sizes(self, roll: Roll, steps: np.ndarray, own: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+        """Sizes of the ends, (4d + k,): of (x, p) the largest at the joints, of η what is as large in an equation.
+
+        The momentum of a stretch sums terms that cancel where the energy is near zero; it is as large as they are.
+        """
         states = np.max(np.abs(np.concatenate((roll.x, roll.p))), axis=1)
+        if self.stepper.stretched:
+            states[-1] = max(states[-1], np.sum(np.abs(steps[:, -1, :-1]), axis=0) @ states[:-1])
         sizes = np.concatenate((states, np.zeros(len(own)), states))
         asked = wanted @ sizes
         for i, column in enumerate(wanted[:, len(states) : -len(states)].T):
@@ -188,18 +203,22 @@ def shoot(
     Of a guess only the start is used, and Newton's method may end at another path of the same ends: `Trajectory.solver`
     says so where the path found is further than half of the guess's size from the guess.
 
+    A given energy frees the duration, which is one more unknown.  It begins as that of the guess, or as that of
+    `t_span`, and all steps are stretched with it.
+
     Parameters
     ----------
-    problem : BoundaryProblem of a given duration: with any ends, forces and constraints, but without `energy`
+    problem : BoundaryProblem, with any ends, forces, constraints or energy
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
-    guess : Trajectory, whose start is the first start; default the straight line between the ends
+    guess : Trajectory, whose start is the first start; default the straight line between the ends.  A periodic path of
+        given energy needs one that moves at its start
 
     Raises
     ------
-    ValueError
-        for a given energy, and other input that does not fit
+    TypeError, ValueError
+        for input that does not fit, before anything is solved
     ConvergenceError
         with the measured growth and the last path, if Newton's method fails or no start meets the end
 
@@ -209,30 +228,33 @@ def shoot(
     >>> fall = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 10 * x[0], (0, 1), start=[0.0], end=[1.0])
     >>> cg.shoot(fall, cg.Galerkin(degree=2), intervals=4).momentum[0, 0].round(9).tolist()
     6.0
+
+    The time in which a stone of that energy is back at the height 1:
+
+    >>> back = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 10 * x[0], (0, 2), [0.0], [1.0], energy=18.0)
+    >>> cg.shoot(back, cg.Galerkin(degree=2), intervals=4).t[-1].round(9).tolist()
+    1.0
     """
-    check_shot(problem, method)
+    check_types(problem, method, BoundaryProblem)
     if guess is not None and (not isinstance(guess, Trajectory) or len(guess.x) != problem.dimension):
         raise TypeError(f"guess must be a Trajectory of {problem.dimension} component(s), got {guess!r}")
     began = time.perf_counter()
-    shooting = Shooting(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints))
+    shooting = Shooting(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), guess)
     equations = time.perf_counter() - began - shooting.stepper.build_seconds
     shot, iterations = _newton(shooting, *_guess(problem, guess))
     build = equations + shooting.stepper.build_seconds
     seconds = time.perf_counter() - began - build
     solver = f"single shooting, misses the end by {np.max(np.abs(shot.miss), initial=0.0):.1e}"
-    roll = _with_tangent_start(problem, shot.roll, shooting.velocity(shot.roll))
+    roll = shooting.stepper.timed(shot.roll)
+    action = float(roll.action.sum()) + _end_action(problem, roll)
+    if problem.energy is not None:  # the duration asked for was a guess
+        problem = problem.varied({}, (float(roll.mesh[0]), float(roll.mesh[-1])))
+    roll = _with_tangent_start(problem, roll, shooting.velocity(roll))
     path = trajectory(problem, shooting.stepper, roll, iterations, solver, build, seconds)
-    action = path.action + _end_action(problem, shot.roll)
+    turned = turned_back(path.polynomial, shooting.plane)
+    if turned is not None:
+        raise ConvergenceError(turned, Path(path.polynomial), shot.residual, iterations)
     return replace(path, action=action, residual=shot.residual, solver=solver + _far(guess, path))
-
-
-def check_shot(problem: object, method: object) -> None:
-    """Refuse what is not solved by shooting."""
-    check_types(problem, method, BoundaryProblem)
-    if isinstance(problem, BoundaryProblem) and problem.energy is not None:
-        raise ValueError(
-            f"shooting needs a given duration, but energy frees it, got energy={problem.energy:g}: use `solve`"
-        )
 
 
 def _with_tangent_start(problem: BoundaryProblem, roll: Roll, velocity: np.ndarray) -> Roll:
@@ -262,13 +284,24 @@ def _far(guess: Trajectory | None, path: Trajectory) -> str:
 
 def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarray, np.ndarray]:
     """(x_0, p_0) and velocity of the guess, or of the straight line; a free end takes the value of the other."""
-    if guess is not None:
-        return np.concatenate((guess.x[:, 0], guess.momentum[:, 0])), guess.velocity[:, 0]
+    duration = problem.t_span[1] - problem.t_span[0]
+    if guess is None:
+        x, p, v, stretch = *_line(problem), 1.0
+    else:
+        x, p, v = (a[:, 0] for a in (guess.x, guess.momentum, guess.velocity))
+        stretch = (guess.t[-1] - guess.t[0]) / duration
+    if problem.energy is None:
+        return np.concatenate((x, p)), v
+    return np.concatenate((x, [stretch], p, [0.0])), np.append(stretch * v, 0.0)
+
+
+def _line(problem: BoundaryProblem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x_0, p_0 and velocity of the straight line."""
     start, end = (np.array([np.nan if a is None else a for a in side]) for side in (problem.start, problem.end))
     x = np.nan_to_num(np.where(np.isnan(start), end, start))
     v = np.nan_to_num((end - start) / (problem.t_span[1] - problem.t_span[0]))
     legendre = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
-    return np.concatenate((x, np.array(legendre(problem.t_span[0], x, v)[0]).ravel())), v
+    return x, np.array(legendre(problem.t_span[0], x, v)[0]).ravel(), v
 
 
 def _newton(shooting: Shooting, state: np.ndarray, velocity: np.ndarray) -> tuple[Shot, int]:
@@ -290,8 +323,12 @@ def _newton(shooting: Shooting, state: np.ndarray, velocity: np.ndarray) -> tupl
 
 
 def _line_search(shooting: Shooting, shot: Shot, z: np.ndarray, step: np.ndarray) -> tuple[Shot | None, float]:
-    """Halve the step until the next one, with the same derivative, is shorter; no shot if none is."""
-    scale = np.maximum(np.maximum(np.abs(z), np.abs(step)), MISS * shot.scale + np.finfo(float).tiny)
+    """Halve the step until the next one, with the same derivative, is shorter; no shot if none is.
+
+    A state near zero counts by itself, a multiplier near zero by what its equation sums.
+    """
+    least = np.where(shooting.free < 2 * shooting.stepper.dimension, MISS, 1.0) * shot.scale
+    scale = np.maximum(np.maximum(np.abs(z), np.abs(step)), least + np.finfo(float).tiny)
     velocity, damping = shooting.velocity(shot.roll), 1.0
     smallest = 1.0 if np.all(np.abs(shot.miss) <= ROUNDOFF * shot.floor) else SMALLEST_DAMPING
     while damping >= smallest:
@@ -314,6 +351,7 @@ def _direction(shot: Shot, miss: np.ndarray, iteration: int = 0) -> np.ndarray:
     if not np.all(np.isfinite(scaled)) or np.linalg.svd(scaled, compute_uv=False)[-1] <= SINGULAR:
         if np.max(np.abs(shot.growth)) < 1 / MISS:
             reason = "the end does not depend on the start: the ends are conjugate points"
+            reason += ", or the guess rests at its start: give one that moves" if shot.stepper.stretched else ""
             raise ConjugatePointError(reason, Path(shot.path), shot.residual, iteration)
         raise _failure("rounding hides how the end depends on the start", shot, iteration)
     return np.asarray(np.linalg.solve(scaled, -miss / rows[:, 0]) / columns)
@@ -325,6 +363,9 @@ def _met(shot: Shot, iteration: int) -> Shot:
     sizes = np.where(sizes > 0, sizes, 1.0)
     missed, moved = (float(np.max(np.abs(a) / sizes, initial=0.0)) for a in (shot.miss, shot.floor))
     if missed <= MISS and shot.residual <= ROUNDOFF:
+        values = shot.path.values
+        if shot.stepper.stretched and np.all(np.ptp(values, axis=1) <= MISS * np.max(np.abs(values), axis=1)):
+            raise _failure("the path has shrunk to a point, and its duration to zero", shot, iteration)
         return shot
     reason = (
         f"the end is missed by {missed:.1e} of the path's size, the rounding of the start alone moves it by {moved:.1e}"
@@ -334,9 +375,10 @@ def _met(shot: Shot, iteration: int) -> Shot:
 
 def _failure(reason: str, shot: Shot, iteration: int) -> ConvergenceError:
     growth = float(np.max(np.abs(shot.growth)))
+    energy = "; there may be no path of this energy" if shot.stepper.stretched else ""
     return ConvergenceError(
         f"shooting failed: {reason} (iteration {iteration}). A change of the start grows up to {growth:.1e} times "
-        f"along the path, and a double keeps 1 part in {1 / EPS:.1e}. Solve it globally, with `solve`",
+        f"along the path, and a double keeps 1 part in {1 / EPS:.1e}. Solve it globally, with `solve`{energy}",
         Path(shot.path),
         shot.residual,
         iteration,

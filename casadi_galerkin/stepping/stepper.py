@@ -8,7 +8,7 @@ anew.  Python runs once per piece, whatever the number of intervals.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -68,17 +68,25 @@ class Stepper:
     force : Function (t, x, v) -> (d,), or None
     constraint : Function (t, x) -> (k,), or None
     method : Galerkin
+    stretched : bool, whether the stretch of all steps is the last component of x
     """
 
     def __init__(
-        self, lagrangian: ca.Function, force: ca.Function | None, constraint: ca.Function | None, method: Galerkin
+        self,
+        lagrangian: ca.Function,
+        force: ca.Function | None,
+        constraint: ca.Function | None,
+        method: Galerkin,
+        stretched: bool = False,
     ) -> None:
         began = time.perf_counter()
-        self.method = method
+        self.method, self.stretched = method, stretched
         if constraint is not None:
             refuse_points(method)
-        self.dimension, self.basis = lagrangian.size1_in(1), slope_basis(method.degree)
+        self.dimension, self.basis = lagrangian.size1_in(1) + stretched, slope_basis(method.degree)
         self.interval = interval(lagrangian, force, constraint, method)
+        if stretched:
+            self.interval = self.interval.stretched()
         self._shape = self.interval.system.size_in(0)
         self._newton = newton_iteration(self.interval.system)
         self._step = self._predicted(self._newton)
@@ -143,6 +151,14 @@ class Stepper:
             np.where(np.isnan(action), np.nan, ratio.reshape(len(action), -1).max(axis=1))[:n],
             action[:n],
         )
+
+    def timed(self, roll: Roll) -> Roll:
+        """The steps at their times: a stretch is then that of the mesh, and no component."""
+        if not self.stretched:
+            return roll
+        d = self.dimension - 1
+        mesh = roll.mesh[0] + roll.x[d, 0] * (roll.mesh - roll.mesh[0])
+        return replace(roll, mesh=mesh, x=roll.x[:d], p=roll.p[:d], unknowns=np.delete(roll.unknowns, d, axis=1))
 
     def solved(self, mesh: np.ndarray, x: np.ndarray, p: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Unknowns of every interval, as in `Roll`, from slopes (N, d, m) that are theirs or near: with impulses."""

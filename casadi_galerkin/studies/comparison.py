@@ -8,8 +8,8 @@ changes 1 of the data, each component measured by its largest size along the pat
     stepwise   κ = max_{c, i}  Σ_j |∂x_c(t_i) / ∂x_0j| X_j / X_c + |∂x_c(t_i) / ∂p_0j| P_j / X_c     data (x_0, p_0).
 
 The first comes from the Hessian of the action, δX̄ = -(∇²S_ff)⁻¹ ∇²S_fe δe, the second from the product of the steps'
-Jacobians, both along the global path.  A saddle over a horizon T has κ near 1 globally and e^{λT} stepwise; κ times
-1e-16 is what either can keep.
+Jacobians, both along the global path.  For a given energy the global joints move with the data.  A saddle over a
+horizon T has κ near 1 globally and e^{λT} stepwise; κ times 1e-16 is what either can keep.
 """
 
 from __future__ import annotations
@@ -23,17 +23,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin._solve import solve
-from casadi_galerkin.boundary.sensitivity import sensitivity
+from casadi_galerkin.boundary.sensitivity import at_joints
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
+from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table
 from casadi_galerkin.solution.plotting import Pictured, plot_gaps
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.geometry import jacobians
-from casadi_galerkin.stepping.shooting import chain, check_shot, shoot
+from casadi_galerkin.stepping.shooting import chain, shoot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -164,18 +165,19 @@ def compare(
 
     Parameters
     ----------
-    problem : BoundaryProblem of a given duration, without `energy`
+    problem : BoundaryProblem; of given energy the steps from the global start have the duration that was found
     method : Galerkin
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
-    guess : Trajectory from which both start; default the straight line between the ends
+    guess : Trajectory from which both start; default the straight line between the ends.  Of given energy shooting
+        starts with its duration, too, but the global solve with that of `t_span`
 
     Raises
     ------
     TypeError
         for what is no BoundaryProblem
     ValueError
-        for a given energy, and other input that does not fit
+        for input that does not fit
     ConvergenceError
         if the global solve fails; failures of the stepwise ways are part of the answer
 
@@ -187,11 +189,13 @@ def compare(
     >>> compared.condition_global < 2, compared.condition_stepwise > 1e16
     (True, True)
     """
-    check_shot(problem, method)
+    check_types(problem, method, BoundaryProblem)
     path = solve(problem, method, intervals, mesh=mesh, guess=guess)
+    solved = path.problem
+    assert isinstance(solved, BoundaryProblem)
     start = InitialProblem(
         problem.lagrangian,
-        problem.t_span,
+        solved.t_span,
         path.x[:, 0].tolist(),
         momentum=path.momentum[:, 0].tolist(),
         parameters=problem.parameters,
@@ -199,15 +203,15 @@ def compare(
         constraint=problem.constraint,
     )
     stepped = _attempt(path, lambda: solve(start, method, mesh=path.t))
-    shooting = _attempt(path, lambda: shoot(problem, method, mesh=path.t, guess=guess))
+    shooting = _attempt(path, lambda: shoot(problem, method, intervals, mesh=mesh, guess=guess))
     return Comparison(
         path,
         stepped,
         shooting,
         _growth_rate(path.t, stepped.gap),
         _condition_global(path),
-        _condition_stepwise(problem, path),
-        _another(problem, path, shooting.path),
+        _condition_stepwise(solved, path),
+        _another(solved, path, shooting.path),
     )
 
 
@@ -270,9 +274,11 @@ def _condition_stepwise(problem: BoundaryProblem, path: Trajectory) -> float:
 
 def _condition_global(path: Trajectory) -> float:
     """κ of the map from the positions given at the ends to the joints."""
-    by_ends, problem, sizes = sensitivity(path), path.problem, component_sizes(path.x)
+    problem, sizes = path.problem, component_sizes(path.x)
     assert isinstance(problem, BoundaryProblem)
-    moved = np.zeros(path.x.shape)
-    for side, given in ((by_ends.start, problem.start), (by_ends.end, problem.end)):
-        moved += np.abs(side) @ sizes[[i for i, value in enumerate(given) if value is not None]]
-    return float(np.max(moved / sizes[:, None], initial=0.0))
+    start, end = ([i for i, value in enumerate(side) if value is not None] for side in (problem.start, problem.end))
+    if not (start or end):
+        return 0.0
+    by_ends = at_joints(problem, path)
+    moved = np.abs(by_ends.start) @ sizes[start] + np.abs(by_ends.end) @ sizes[end]
+    return float(np.max(moved / sizes[:, None]))

@@ -30,7 +30,6 @@ from casadi_galerkin.solution.limits import check_tolerance
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
-from casadi_galerkin.stepping.shooting import check_shot
 from casadi_galerkin.studies.reference import (
     Measure,
     Problem,
@@ -130,8 +129,6 @@ def _check_given(problem: Problem, guess: Guess | None, shooting: bool, measure:
         raise TypeError(f"shooting must be True or False, got {shooting!r}")
     if shooting and not isinstance(problem, BoundaryProblem):
         raise ValueError(f"only a BoundaryProblem is solved by shooting, got a {type(problem).__name__}")
-    if shooting:
-        check_shot(problem, Galerkin(1))
     if guess is None:
         return
     if isinstance(problem, InitialProblem):

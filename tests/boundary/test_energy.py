@@ -271,6 +271,15 @@ def test_a_periodic_path_of_given_energy_needs_a_guess_that_moves_at_its_start(g
         cg.solve(problem, METHOD, intervals=4, guess=guess)
 
 
+@pytest.mark.parametrize("phase", [1.41, 1.5, 1.73, 4.56])
+@pytest.mark.parametrize("way", [{"method": METHOD, "intervals": 12}, {"tol": 1e-8}], ids=["mesh", "tolerance"])
+def test_a_path_that_turns_back_where_it_began_is_not_periodic(phase, way):
+    """Near a turning point another path of the same energy goes through the start twice, there and back."""
+    problem = cg.BoundaryProblem(pendulum, (0, 6.0), [None], periodic=True, energy=-np.cos(1.0))
+    with pytest.raises(cg.ConvergenceError, match="not periodic: it comes back to its start against the way it left"):
+        cg.solve(problem, guess=lambda t: [0.95 * np.sin(np.pi * t / 3 + phase)], **way)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -219,6 +219,7 @@ def test_under_a_constraint_ends_are_those_in_angles(kind):
     for ours, theirs in ((shot.x, whole.x), (shot.momentum, whole.momentum)):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=SAME)
     np.testing.assert_allclose(shot.x, on_circle(angles.x[0]), rtol=0, atol=IN_ANGLES)
+    assert shot.iterations <= 3  # multipliers that are zero do not hold it up
 
 
 def test_momenta_under_a_constraint_have_tangent_velocities():
@@ -259,15 +260,3 @@ def test_ends_that_leave_the_start_open_are_conjugate():
     )
     with pytest.raises(cg.ConjugatePointError, match="the end does not depend on the start"):
         cg.shoot(problem, METHOD, INTERVALS)
-
-
-def test_a_given_energy_is_refused_before_anything_is_solved():
-    problem = cg.BoundaryProblem(oscillator, (0, 1), [0.0], [1.0], energy=2.0)
-    ways = (
-        lambda: cg.shoot(problem, METHOD, INTERVALS),
-        lambda: cg.compare(problem, METHOD, INTERVALS),
-        lambda: cg.trade(problem, [METHOD], [INTERVALS], shooting=True),
-    )
-    for way in ways:
-        with pytest.raises(ValueError, match=r"a given duration, but energy frees it, got energy=2: use `solve`"):
-            way()

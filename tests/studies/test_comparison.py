@@ -207,6 +207,37 @@ def test_ends_that_are_not_given_are_compared(problem):
     assert lines[-1] == "  the gap of the steps stays at roundoff"
 
 
+def test_a_given_energy_is_compared():
+    """Along one orbit of speed u, with part f of the time gone, ∂x/∂x_0 = (1 - f) u/u_0 and ∂x/∂x_N = f u/u_N."""
+    problem = cg.BoundaryProblem(pendulum, (0, 0.8), [0.0], [1.0], energy=0.5)
+    comparison = cg.compare(problem, METHOD, intervals=8)
+    path = comparison.global_path
+    np.testing.assert_allclose(comparison.shooting.path.t, path.t, rtol=1e-14)
+    assert np.max(comparison.shooting.gap) < 1e-14
+    assert np.max(comparison.stepped.gap) < 1e-14
+    assert "failed" not in str(comparison)
+    gone, speed = path.t / path.t[-1], np.sqrt(2 * (0.5 + np.cos(path.x[0])))
+    magnified = (1 - gone) * speed / speed[0] + gone * speed / speed[-1]
+    assert comparison.condition_global == pytest.approx(np.max(magnified), rel=1e-9)
+
+
+def test_a_periodic_path_of_given_energy_is_compared():
+    problem = cg.BoundaryProblem(pendulum, (0, 7.0), [None], periodic=True, energy=-0.5)
+    turning = cg.solve(problem, cg.Galerkin(4), 12, guess=lambda t: [np.sin(2 * np.pi * t / 7 + 0.3)])
+    comparison = cg.compare(problem, METHOD, intervals=12, guess=turning)
+    np.testing.assert_allclose(comparison.shooting.path.t, comparison.global_path.t, rtol=1e-13)
+    assert np.max(comparison.shooting.gap) < 1e-13
+    assert comparison.condition_global == 0.0
+
+
+def test_another_path_of_the_same_energy_takes_another_time():
+    problem = cg.BoundaryProblem(pendulum, (0, 3.0), [0.0], [1.0], energy=0.5)
+    comparison = cg.compare(problem, METHOD, intervals=16)
+    assert comparison.another.t[-1] == pytest.approx(comparison.shooting.path.t[-1], rel=1e-13)
+    assert comparison.another.t[-1] > 5 * comparison.global_path.t[-1]  # it swings to the other side first
+    assert "shooting found another stationary path" in str(comparison)
+
+
 def test_steps_that_fail_are_part_of_the_answer():
     def walls(t, x, v):  # x'' = x where |x| < 2, and no Lagrangian beyond: only the global path stays within
         return v[0] ** 2 / 2 + x[0] ** 2 / 2 - 1e-9 * ca.log(2 - x[0]) - 1e-9 * ca.log(2 + x[0])

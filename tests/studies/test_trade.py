@@ -293,3 +293,10 @@ def test_energy_error_is_relative_to_the_whole_path():
     """A path at rest at both ends has no energy at the joints to compare with."""
     exact = cg.trade(double_integrator(), [cg.Galerkin(3)], (1,), reference=lambda t: [3 * t**2 - 2 * t**3])
     assert max(exact.rows[0].error, exact.rows[0].energy_error) < REFERENCE
+
+
+def test_shooting_a_given_energy_has_the_errors_of_the_global_path():
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0.0, 0.8), [0.0], [1.0], energy=0.5)
+    whole, shot = cg.trade(problem, [cg.Galerkin(3)], [6], shooting=True).rows
+    assert (shot.way, shot.failure) == ("shooting", None)
+    assert shot.error == pytest.approx(whole.error, rel=1e-6)
