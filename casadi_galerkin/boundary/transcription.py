@@ -193,9 +193,9 @@ class Transcription(BoundaryGraph):
 
 def check_given(given: Named[str, object]) -> None:
     """Refuse what no boundary problem states."""
-    unknown = sorted(set(given) - {*RATES, "energy"})
-    if unknown:
-        raise TypeError(f"solve takes {', '.join(RATES)} or energy beside its own arguments, got {unknown[0]}")
+    for name in given:
+        if name not in (*RATES, "energy"):
+            raise TypeError(f"solve takes {', '.join(RATES)} or energy beside its own arguments, got {name}")
 
 
 class SecondVariation:

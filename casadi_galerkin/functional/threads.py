@@ -87,22 +87,21 @@ class _Filter:
         return getattr(self.stream, name)
 
 
-class _WithoutZeroPivots:
-    """While entered, ``sys.stderr`` has no lines on zero pivots.
+@contextmanager
+def without_zero_pivots() -> Iterator[None]:
+    """Let ``sys.stderr`` have no lines on zero pivots; within another such block, nothing changes.
 
-    It takes no lock, which an interrupt could leave taken.  What an interrupt, or another thread, may leave is the
-    filter: it passes on all else, and the next to leave takes it away.
+    It takes no lock, which an interrupt could leave taken.  What another thread may leave is the filter: it passes on
+    all else, and the next to leave takes it away.
     """
-
-    def __enter__(self) -> None:
-        if not isinstance(sys.stderr, _Filter):
-            sys.stderr = cast(TextIO, _Filter(sys.stderr))
-
-    def __exit__(self, *_: object) -> None:
+    if isinstance(sys.stderr, _Filter):
+        yield
+        return
+    try:
+        sys.stderr = cast(TextIO, _Filter(sys.stderr))
+        yield
+    finally:
         now: object = sys.stderr
         if isinstance(now, _Filter):
             now.finish()
             sys.stderr = now.stream
-
-
-without_zero_pivots = _WithoutZeroPivots()

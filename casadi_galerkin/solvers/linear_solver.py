@@ -234,7 +234,7 @@ class LinearSolver:
         """
         softened = self.softened(matrix) + 0 * ca.DM.eye(self.numbering.free)  # with its whole diagonal
         factors = keep("inertia", lambda: ca.Linsol("inertia", "ldl", softened.sparsity()))
-        with without_zero_pivots:
+        with without_zero_pivots():
             factors.nfact(softened)
             if factors.rank(softened) < self.numbering.free:
                 factors.nfact(softened + SHIFTED * ca.diag(ca.sum2(ca.fabs(softened))))

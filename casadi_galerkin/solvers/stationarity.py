@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from typing import Any, NamedTuple, TypeVar, cast
 
 import casadi as ca
@@ -88,7 +88,7 @@ class Stationarity:
             lent = Linearization(self)
         lent.methods = (linear_solver,) if linear_solver else self.linear_methods
         try:
-            with one_thread():
+            with one_thread(), without_zero_pivots():
                 yield lent
         except SystemError:  # what an interrupt becomes that meets CasADi's own code
             raise
@@ -230,8 +230,7 @@ class Linearization:
             evaluator = self._evaluators.get(key) or self._bind(key, build(method))
             for name in (*measures, "defect") if method != METHODS[0] else ():
                 arrays[name][:] = np.nan  # what stays where CasADi's QR gives up
-            with without_zero_pivots if method == METHODS[0] else nullcontext():
-                self._run(evaluator, unknowns, data)
+            self._run(evaluator, unknowns, data)
             if arrays["defect"][0] <= 0:
                 return
             if not np.isfinite(self.gradient).all():
@@ -304,8 +303,7 @@ class Linearization:
             if key not in self._evaluators:
                 solutions = linear.solutions(method, columns, transposed)
                 self._evaluators[key] = Evaluator(solutions, {"matrix": self.matrix})
-            with without_zero_pivots if method == METHODS[0] else nullcontext():
-                y, defect = self._evaluators[key](np.concatenate(rhs))
+            y, defect = self._evaluators[key](np.concatenate(rhs))
             if defect[0] <= 0:
                 break
         else:
