@@ -77,7 +77,8 @@ class Comparison(Table, Pictured):
     gap_growth : rate λ of the gap of `stepped`, fitted to e^{λ t} at the joints where the gap lies between roundoff and
         0.1; not a number if these are fewer than three
     condition_global, condition_stepwise : how many times a formulation magnifies a relative change of its data: of the
-        ends globally, of (x_0, p_0) step by step; the module defines them
+        positions given at the ends globally, not a number where none is; of (x_0, p_0) step by step; the module defines
+        them
     another : Trajectory, the path of `shooting` if it is another stationary path than `global_path`, solved globally
         from there if that can be, so that it has a Morse index; None if shooting has found no other path
 
@@ -112,10 +113,11 @@ class Comparison(Table, Pictured):
         """Table of the three ways."""
         path = self.global_path
         seconds = path.build_seconds + path.solve_seconds
+        condition = "-" if np.isnan(self.condition_global) else f"{self.condition_global:.1e}"
         lines = [
             f"Comparison on [{path.t[0]:g}, {path.t[-1]:g}], {len(path.t) - 1} intervals, {path.method}",
             "                         iterations    seconds  largest gap  condition",
-            f"  {'global':22}{path.iterations:11d} {seconds:10.4f}  {'':11}  {self.condition_global:9.1e}",
+            f"  {'global':22}{path.iterations:11d} {seconds:10.4f}  {'':11}  {condition:>9}",
         ]
         for name, attempt in (("stepped from its start", self.stepped), ("shooting", self.shooting)):
             gap = "failed" if attempt.path is None else f"{np.max(attempt.gap):.1e}"
@@ -278,7 +280,7 @@ def _condition_global(path: Trajectory) -> float:
     assert isinstance(problem, BoundaryProblem)
     start, end = ([i for i, value in enumerate(side) if value is not None] for side in (problem.start, problem.end))
     if not (start or end):
-        return 0.0
+        return np.nan
     by_ends = at_joints(problem, path)
     moved = np.abs(by_ends.start) @ sizes[start] + np.abs(by_ends.end) @ sizes[end]
     return float(np.max(moved / sizes[:, None]))
