@@ -217,7 +217,6 @@ def trade(
     tolerances : several numbers, as `solve` takes them; not for an InitialProblem
     solvers : several Solvers, as `solve` takes them; default the usual one.  Not for an InitialProblem
     shooting : whether to `shoot` as well, by every method on every number of intervals; for a BoundaryProblem
-        without `energy`
     measure : a callable path -> number, the quantity whose error counts: a position at some time, a momentum, the cost.
         The path is a Trajectory, unless `reference` is a callable, which can only be called; default the path itself,
         everywhere.  Its error is relative to its value on the reference where that is not zero
