@@ -154,10 +154,10 @@ class Chain:
                 self.kinds[self.rows[name]] = offset + np.arange(self.rows[name].shape[-1])
             offset += self.rows[names[0]].shape[-1]
 
-    def marks(self, problem: ControlProblem, mesh: np.ndarray) -> np.ndarray:
-        """Where the phases begin and end: ends of the mesh and, where their durations are free, the breakpoints."""
-        inner = problem.breakpoints if self.is_free("durations") else ()
-        return np.array([mesh[0], *inner, mesh[-1]])
+    def marks(self, problem: ControlProblem, mesh: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Ends of the mesh with the breakpoints between; and where phases begin and end, all these or the ends."""
+        marks = np.array([mesh[0], *problem.breakpoints, mesh[-1]])
+        return marks, marks if self.is_free("durations") else marks[[0, -1]]
 
     def is_free(self, name: str) -> bool:
         """Whether the entries of a field are unknowns."""

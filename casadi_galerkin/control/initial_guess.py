@@ -33,8 +33,7 @@ def first_values(
     """
     path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical
-    marks, degree = chain.marks(problem, mesh), chain.method.degree
-    everywhere = np.array([mesh[0], *problem.breakpoints, mesh[-1]])
+    (everywhere, marks), degree = chain.marks(problem, mesh), chain.method.degree
     if isinstance(guess, ControlTrajectory):
         path_guess = near.polynomial.values if near else _earlier(guess, guess, everywhere, times)
     path = _path(problem, calculus, path_guess)

@@ -26,6 +26,7 @@ from casadi_galerkin.control.constraint_violation import (
     name_unknown,
     violations,
 )
+from casadi_galerkin.control.counts import check_count, check_stages
 from casadi_galerkin.control.graph import ControlGraph, Report
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
 from casadi_galerkin.control.optimizer import RELAXED, Optimum, ProgramBounds, optimize, with_fatrop, with_ipopt
@@ -93,42 +94,9 @@ class ControlTranscription:
         self.chain = Chain(problem, method, mesh)
         self.calculus = DiscreteCalculus(method, mesh)
         self.graph = ControlGraph(problem, self.chain)
-        self._check_count(limits_of(problem, self.chain))
+        check_count(self.chain, limits_of(problem, self.chain))
         self._solvers: dict[str, ca.Function] = {}
         self.build_seconds = time.perf_counter() - began
-
-    def _check_count(self, limits: ProgramBounds) -> None:
-        """Refuse more equations than unknowns, as a very coarse mesh has; what only passes states on is not counted."""
-        passed = sum(states for states, *_ in self.chain.stages[1:]) + self.chain.mechanical
-        equations = np.count_nonzero(limits.equations_lower == limits.equations_upper) - passed
-        unknowns = np.count_nonzero(limits.lower < limits.upper) - passed
-        if equations > unknowns:
-            raise ValueError(
-                f"{equations} equations for {unknowns} unknowns on {len(self.mesh) - 1} interval(s) of degree "
-                f"{self.method.degree}: take more intervals, a higher degree or more controls, or free a component"
-            )
-
-    def _check_stages(self, limits: ProgramBounds) -> None:
-        """Refuse what fatrop cannot take apart into stages, or takes for an error when it runs."""
-        conditions, chain = self.problem.end_conditions, self.chain
-        if conditions is not None and any(conditions[0].sparsity_jac(k, 0).nnz() for k in (0, 1)):
-            raise ValueError(
-                "fatrop takes end_conditions on the end alone, stage by stage: give what is known of the start as "
-                "start and start_velocity, or take cg.ipopt"
-            )
-        states, others, counts = (np.array(column) for column in zip(*chain.stages, strict=True))
-        row = unknown = 0
-        for i, following in enumerate(np.append(states[1:], 0)):
-            own, row = row + following, row + following + counts[i]
-            first, unknown = unknown, unknown + states[i] + others[i]
-            equations = np.count_nonzero((limits.equations_lower == limits.equations_upper)[own:row])
-            equations += np.count_nonzero((limits.lower == limits.upper)[first:unknown])
-            if equations > unknown - first:
-                where = f"interval {i}" if i < chain.intervals else "the end"
-                raise ValueError(
-                    f"fatrop takes no more equations than unknowns in a stage, got {equations} for {unknown - first} "
-                    f"at {where}: state nothing twice, or take cg.ipopt"
-                )
 
     def solve(
         self,
@@ -260,7 +228,7 @@ class ControlTranscription:
             return self._solvers[key]
         began = time.perf_counter()
         if solver.name == fatrop.name:
-            self._check_stages(limits_of(self.problem, self.chain))
+            check_stages(self.chain, limits_of(self.problem, self.chain))
             program = with_fatrop(self.graph, verbose, solver.options)
         else:
             program = with_ipopt(self.graph, warm, verbose, solver.options)
