@@ -14,7 +14,7 @@ has the momentum that arrives, and with which the law, and a waypoint that is a 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -41,6 +41,23 @@ def numbered(layouts: Iterable[Layout], first: int = 0) -> dict[str, np.ndarray]
 def length(layout: Layout) -> int:
     """Number of entries of a layout."""
     return sum(math.prod(shape) for shape in layout.values())
+
+
+def kinds_of(arrays: Mapping[str, np.ndarray], alike: Iterable[Sequence[str]], count: int) -> np.ndarray:
+    """Number the kinds of so many entries of named arrays: one for each component of arrays that are alike."""
+    kinds, offset = np.empty(count, dtype=np.int64), 0
+    for names in alike:
+        for name in names:
+            kinds[arrays[name]] = offset + np.arange(arrays[name].shape[-1])
+        offset += arrays[names[0]].shape[-1]
+    return kinds
+
+
+def largest_of(values: np.ndarray, kinds: np.ndarray) -> np.ndarray:
+    """Largest of the values of every kind; what is not a number is passed over."""
+    largest = np.zeros(kinds.max() + 1)
+    np.fmax.at(largest, kinds, values)
+    return largest
 
 
 class Chain:
@@ -71,7 +88,8 @@ class Chain:
         are a constraint, "start_tangent" and "end_tangent" its rate; "start", "end" (mechanical,); "ends"; "arrival"
         (K, mechanical) are the momenta that arrive at the joints crossed, "waypoint 0" and so on the functions there
     arrivals : (N, mechanical), equations of the momenta that the intervals end with
-    kinds : (equations,), equal where equations compare the same quantities
+    kinds, unknown_kinds : (equations,), equal where equations compare the same quantities, and (unknowns,), where
+        unknowns are values of the same quantity
     stages : for every stage the numbers of its states, of what else is unknown there, and of its other equations
     control_times : where the controls of an interval stand, in parts of it; one value in the middle where they are held
     """
@@ -119,6 +137,9 @@ class Chain:
         alike = {name: np.broadcast_to(fields[name], (n + 1, *shape)) for name, shape in constants.items()}
         self.fields = {**fields, **once, **alike}
         self.free_constants = length(free)
+        kinds = [["x", "nodes"], ["momentum"], ["controls"], ["impulses", "start_impulse"], *([name] for name in free)]
+        kinds.append(["start_velocity", "end_velocity", "velocity"])
+        self.unknown_kinds = kinds_of(self.fields, kinds, self.unknowns)
 
     def _number_equations(self) -> None:
         n, m, r = self.intervals, self.method.degree, len(self.method.quadrature)
@@ -148,11 +169,8 @@ class Chain:
         self.stages = [(*width, length(other)) for width, other in zip(self._widths, further, strict=True)]
         motions = ["momentum", "motion", "start", "end", "arrival"]
         alike = [["x"], motions, ["constants"], ["rates"], ["path"], ["ends"], *([name] for name in waypoints)]
-        offset, self.kinds = 0, np.empty(self.equations, dtype=np.int64)
-        for names in (*alike, ["held", "start_held"], ["start_tangent", "end_tangent"]):
-            for name in names:
-                self.kinds[self.rows[name]] = offset + np.arange(self.rows[name].shape[-1])
-            offset += self.rows[names[0]].shape[-1]
+        alike += [["held", "start_held"], ["start_tangent", "end_tangent"]]
+        self.kinds = kinds_of(self.rows, alike, self.equations)
 
     def marks(self, problem: ControlProblem, mesh: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Ends of the mesh with the breakpoints between; and where phases begin and end, all these or the ends."""
@@ -178,9 +196,7 @@ class Chain:
 
     def largest(self, terms: np.ndarray) -> np.ndarray:
         """Largest of the terms of every kind of equation; what is not a number is passed over."""
-        largest = np.zeros(self.kinds.max() + 1)
-        np.fmax.at(largest, self.kinds, terms)
-        return largest
+        return largest_of(terms, self.kinds)
 
     def units(self, sizes: np.ndarray) -> np.ndarray:
         """What each equation is divided by: those of motion by S."""

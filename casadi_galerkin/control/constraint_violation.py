@@ -1,18 +1,20 @@
-"""The check of the point where the solver stopped: how far each constraint is violated, and what its name is."""
+"""The check of the point where the solver stopped: constraints, and derivatives of the cost, by their names."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from casadi_galerkin.calculus.quadrature import gauss
-from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.control.chain import Chain, largest_of
 from casadi_galerkin.control.graph import Report
-from casadi_galerkin.control.optimizer import ProgramBounds
+from casadi_galerkin.control.optimizer import Optimum, ProgramBounds
 from casadi_galerkin.problems.bounds import beyond
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import is_limited
 
 NOTHING = 1e-20  # terms that are what rounding leaves of a component that is zero; the solvers' tolerances are absolute
+STATIONARY = 1e-6  # of the derivatives that cancel; optima of scenes and tests were measured below 3e-10
+SMALL = 1e-4  # part of the largest cost of a kind of unknown
 VANISHED = 1e-13  # part of its terms along the guess below which a component's are taken for their roundoff
 
 
@@ -91,6 +93,21 @@ def violations(
     excess = _excess(report.equations, limits.equations_lower, limits.equations_upper)
     outside = _excess(unknowns, limits.lower, limits.upper)
     return np.concatenate((excess / measures(chain, limits, report, before), outside / _or_one(np.abs(unknowns))))
+
+
+def slopes(chain: Chain, limits: ProgramBounds, optimum: Optimum, report: Report) -> np.ndarray:
+    """How far the cost is from stationary: its derivatives along the constraints, by all unknowns that are not given.
+
+    They are relative to the largest of the terms that cancel in those by unknowns of the same kind.  Terms times
+    unknowns are costs: where these are small for a kind, as those of a place that nothing depends on, its terms may be
+    rounding, and are taken for no less than a small part of the cost that they stand beside.
+    """
+    bounds, kinds = optimum.bound_multipliers, chain.unknown_kinds
+    terms, sizes = (largest_of(a, kinds) for a in (report.pulls + np.abs(bounds), np.abs(optimum.unknowns)))
+    least = np.divide(SMALL * np.max(terms * sizes), sizes, out=np.zeros(len(sizes)), where=sizes > 0)
+    terms = np.fmax(terms, least)[kinds]
+    counted = (limits.lower < limits.upper) & (terms > 0)
+    return np.asarray(np.divide(np.abs(report.slope + bounds), terms, out=np.zeros(len(terms)), where=counted))
 
 
 def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Which constraint an infeasible problem violates most."""
+"""What is asked of the point where a solver stopped, whatever it says itself, and in any units."""
 
 import casadi as ca
 import numpy as np
@@ -41,3 +41,32 @@ def test_a_constraint_is_measured_by_what_it_compares_whatever_its_bound(degree,
     one, zero = on_circle(1.0), on_circle(0.0)
     np.testing.assert_allclose(zero.cost, one.cost, rtol=1e-10)
     assert max(one.violation, zero.violation) < 1e-12
+
+
+def pushed_pendulum(length, time, mass):
+    """A pendulum pushed up from rest within two units of time."""
+    weight = 9.81 * mass * length / time**2
+    return cg.ControlProblem(
+        lambda t, x, v: mass * v[0] ** 2 / 2 + weight * length * ca.cos(x[0] / length),
+        (0, 2 * time),
+        [0.0],
+        [2 * length],
+        [0.0],
+        [0.0],
+        force=lambda t, x, v, u: u,
+        running_cost=lambda t, x, v, u: u**2,
+        controls=1,
+    )
+
+
+@pytest.mark.parametrize(("length", "time", "mass"), [(1.0, 1e3, 1e-6), (1e-3, 1e3, 1e-6), (1e3, 1e3, 1e-6)])
+def test_a_cost_too_small_for_the_solver_is_never_called_optimal(length, time, mass):
+    """IPOPT calls the first path that meets the ends an optimum: its cost is 8.5 to 75 times too high."""
+    with pytest.raises(cg.ConvergenceError, match=r"but the cost is not least: .* state the problem in units in which"):
+        cg.solve(pushed_pendulum(length, time, mass), cg.Galerkin(4), intervals=10)
+
+
+@pytest.mark.parametrize("length", [1e-3, 1.0, 1e3])
+def test_an_optimum_is_found_in_units_near_one(length):
+    here, there = (cg.solve(pushed_pendulum(a, 1.0, 1.0), cg.Galerkin(4), intervals=10) for a in (1.0, length))
+    assert there.cost == pytest.approx(length**2 * here.cost, rel=1e-9)
