@@ -16,7 +16,7 @@ def scripts(monkeypatch):
     return importlib.import_module
 
 
-@pytest.mark.parametrize("name", [*QUICK, "brachistochrone"])
+@pytest.mark.parametrize("name", [*QUICK, "robot_arm", "brachistochrone"])
 def test_published_cost_is_found_to_the_tolerance(scripts, name):
     literature, tol = scripts("literature"), 1e-6
     case = literature.CASES[name]()

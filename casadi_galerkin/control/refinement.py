@@ -47,6 +47,7 @@ from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
+FOLLOWING_BARRIER = 1e-4  # first one from an earlier level: with 1e-2 a robot arm left its path, and found none
 DOUBLINGS = 2  # of a mesh, while the solver finds nothing on it
 HIGHER = 2  # degrees added for the error estimate; two, because of parity
 
@@ -89,6 +90,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     ) -> None:
         super().__init__(tol, limits, verbose)
         self.problem, self.solver = problem, solver
+        self.following = solver.with_options(**{"mu_init": FOLLOWING_BARRIER, **solver.options})
         self.method = Galerkin(degree_for(tol)) if method is None else method
         self._iterations, self.build_seconds = 0, 0.0
         self.cost_error = np.inf
@@ -114,9 +116,10 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Solve with one degree on one mesh, in the times of the problem."""
         transcription = transcribed_control(self.problem, method, None, mesh)
+        solver = self.following if isinstance(guess, ControlTrajectory) else self.solver
         try:
             with until(self.deadline):
-                path = transcription.solve(guess=guess, solver=self.solver, verbose=max(self.verbose - 1, 0))
+                path = transcription.solve(guess=guess, solver=solver, verbose=max(self.verbose - 1, 0))
         except ConvergenceError as failure:
             self._iterations += failure.iterations
             raise
