@@ -16,7 +16,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.problems.problem import Problem
@@ -153,7 +153,7 @@ def check_constraint(problem: Problem, given: Mapping[str, tuple[float, tuple[fl
     both = ca.Function("both", [t, x], [value, ca.densify(ca.jacobian(value, x))])
     for name, (when, where) in given.items():
         held, slope = (np.array(a) for a in both(when, where))
-        missed = np.abs(held.ravel()) / (np.abs(slope) @ np.abs(where) + np.finfo(float).tiny)
+        missed = np.abs(held.ravel()) / (np.abs(slope) @ np.abs(where) + TINY)
         if not np.all(missed <= HELD):
             i = int(np.argmax(missed))
             raise ValueError(
@@ -172,7 +172,7 @@ def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v
     motion = unforced_motion_of(problem)
     matrix, _, _, rate, pull = (np.array(a) for a in motion(t, x, v))
     terms = np.abs(matrix[len(x) :, : len(x)]) @ np.abs(v) + np.abs(pull.ravel())
-    missed = np.abs(rate.ravel()) / (terms + np.finfo(float).tiny)
+    missed = np.abs(rate.ravel()) / (terms + TINY)
     if np.any(missed > HELD):
         raise ValueError(
             f"{name}_velocity must be tangent to the constraint at the {name}, got {list(v)}: the rate of its value "

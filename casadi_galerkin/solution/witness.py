@@ -22,7 +22,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.quadrature import gauss
-from casadi_galerkin.calculus.roundoff import EPS, component_sizes
+from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.functional.pointwise import Pointwise
@@ -66,7 +66,7 @@ class EnergyBalance:
         )
         gaps = np.maximum(self.kept[order] - lowest, highest - self.kept[order]) / self.scale[order]
         change = np.abs(np.diff(self.kept[told]))
-        shared = float(np.max(gaps)) * change / max(float(np.max(change)), np.finfo(float).tiny)
+        shared = float(np.max(gaps)) * change / max(float(np.max(change)), TINY)
         missed[told[0] : told[-1]] = np.repeat(shared, np.diff(told))
         return missed
 
@@ -153,7 +153,7 @@ def _between_breakpoints(
     speed, mass = np.abs(velocity), np.abs(mass)
     # p·v may be a small difference of its terms
     local = np.abs(kinetic) + np.abs(energy) + np.einsum("it,tij,jt->t", speed, mass, speed)
-    mean = max(float(steps @ (local[1:] + local[:-1])) / 2 / float(np.sum(steps)), np.finfo(float).tiny)
+    mean = max(float(steps @ (local[1:] + local[:-1])) / 2 / float(np.sum(steps)), TINY)
     scale = np.maximum(local, mean)
     moved = np.einsum("it,tij,j->t", speed, mass, component_sizes(path.values))
     floor = EPS * (moved / np.append(steps[0], steps) + scale)

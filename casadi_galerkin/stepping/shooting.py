@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.statement import has_phase, phase_plane, turned_back
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -91,7 +91,7 @@ class Shot:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             floor = self.sizes.copy()
             floor[-len(states) :] = np.einsum("iab,bi->a", np.abs(onward), states)
-            ratios = np.abs(self.miss) / (np.abs(self.wanted) @ (EPS * floor + np.finfo(float).tiny))
+            ratios = np.abs(self.miss) / (np.abs(self.wanted) @ (EPS * floor + TINY))
         return float(max(np.max(self.roll.residual), np.max(ratios, initial=0.0)))
 
 
@@ -328,7 +328,7 @@ def _line_search(shooting: Shooting, shot: Shot, z: np.ndarray, step: np.ndarray
     A state near zero counts by itself, a multiplier near zero by what its equation sums.
     """
     least = np.where(shooting.free < 2 * shooting.stepper.dimension, MISS, 1.0) * shot.scale
-    scale = np.maximum(np.maximum(np.abs(z), np.abs(step)), least + np.finfo(float).tiny)
+    scale = np.maximum(np.maximum(np.abs(z), np.abs(step)), least + TINY)
     velocity, damping = shooting.velocity(shot.roll), 1.0
     smallest = 1.0 if np.all(np.abs(shot.miss) <= ROUNDOFF * shot.floor) else SMALLEST_DAMPING
     while damping >= smallest:
