@@ -173,6 +173,6 @@ class BoundaryGraph:
     def _guess(self, guess: Guess | None, calculus: DiscreteCalculus, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) of a guess, bent to meet the fixed ends."""
         d, parts = self.problem.dimension, calculus.node_parts
-        ends = np.append(joined(np.zeros(self.numbering.free), data), np.nan)[self.numbering.of_ends]
+        ends = np.append(np.concatenate(data[:2]), np.nan)[self.numbering.of_ends]
         values = np.zeros((len(parts), d)) if guess is None else guess_values(guess, calculus, d).T
         return meeting_ends(values, parts, ends)

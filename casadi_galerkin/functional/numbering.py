@@ -47,10 +47,10 @@ class Numbering:
 
     @lazy
     def of_ends(self) -> np.ndarray:
-        """Entry of u of every position that is given at the ends, -1 where none is; (2, d)."""
+        """Number of each position at the ends among those given, of the start and then the end; -1 if not; (2, d)."""
         ends, starts = np.full((2, self.dimension), -1), len(self.fixed_start)
-        ends[0, list(self.fixed_start)] = self.free + np.arange(starts)
-        ends[1, list(self.fixed_end)] = self.free + starts + np.arange(len(self.fixed_end))
+        ends[0, list(self.fixed_start)] = np.arange(starts)
+        ends[1, list(self.fixed_end)] = starts + np.arange(len(self.fixed_end))
         if self.periodic:
             ends[1] = ends[0]
         return ends
@@ -64,7 +64,7 @@ class Numbering:
         given[0, list(self.held_start)] = given[-1, list(self.held_end)] = False
         free = ~given[: self.distinct]
         nodes[: self.distinct][free] = np.arange(self.positions)
-        nodes[[0, -1]] = np.where(given[[0, -1]], self.of_ends, nodes[[0, -1]])
+        nodes[[0, -1]] = np.where(given[[0, -1]], self.free + self.of_ends, nodes[[0, -1]])
         if self.periodic:  # numbered with the first joint
             nodes[-1] = nodes[0]
         return nodes

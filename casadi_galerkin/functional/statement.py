@@ -162,7 +162,7 @@ class _Statement:
             terms.append(LocalTerm(self._phase(), entries, ca.DM(0, self.intervals + 1), True))
         if self.at_ends is not None:
             function, symmetric = self.at_ends
-            given = [ends[held] for ends, held in zip(numbering.of_ends, self.held, strict=True)]
+            given = [numbering.free + ends[held] for ends, held in zip(numbering.of_ends, self.held, strict=True)]
             entries = np.concatenate((*numbering.of_nodes[[0, -1]], multipliers, *given))[:, None]
             ends = ca.DM(ca.Sparsity.triplet(2, self.intervals + 1, [0, 1], [0, self.intervals]), 1.0)
             terms.append(LocalTerm(function, entries, ends, symmetric))
