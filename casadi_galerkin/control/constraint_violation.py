@@ -13,8 +13,6 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import is_limited
 
 NOTHING = 1e-20  # terms that are what rounding leaves of a component that is zero; the solvers' tolerances are absolute
-STATIONARY = 1e-6  # of the derivatives that cancel; optima of scenes and tests were measured below 3e-10
-SMALL = 1e-4  # part of the largest cost of a kind of unknown
 VANISHED = 1e-13  # part of its terms along the guess below which a component's are taken for their roundoff
 
 
@@ -95,19 +93,23 @@ def violations(
     return np.concatenate((excess / measures(chain, limits, report, before), outside / _or_one(np.abs(unknowns))))
 
 
-def slopes(chain: Chain, limits: ProgramBounds, optimum: Optimum, report: Report) -> np.ndarray:
-    """How far the cost is from stationary: its derivatives along the constraints, by all unknowns that are not given.
+def cost_change(chain: Chain, limits: ProgramBounds, optimum: Optimum, report: Report) -> float:
+    """How much the cost may still change by, to first order.
 
-    They are relative to the largest of the terms that cancel in those by unknowns of the same kind.  Terms times
-    unknowns are costs: where these are small for a kind, as those of a place that nothing depends on, its terms may be
-    rounding, and are taken for no less than a small part of the cost that they stand beside.
+    These are the derivatives that are left by unknowns that are not given, times the largest sizes of such unknowns,
+    and multipliers of bounds that are not met, times the distance to these.
     """
-    bounds, kinds = optimum.bound_multipliers, chain.unknown_kinds
-    terms, sizes = (largest_of(a, kinds) for a in (report.pulls + np.abs(bounds), np.abs(optimum.unknowns)))
-    least = np.divide(SMALL * np.max(terms * sizes), sizes, out=np.zeros(len(sizes)), where=sizes > 0)
-    terms = np.fmax(terms, least)[kinds]
-    counted = (limits.lower < limits.upper) & (terms > 0)
-    return np.asarray(np.divide(np.abs(report.slope + bounds), terms, out=np.zeros(len(terms)), where=counted))
+    x, bounds, kinds = optimum.unknowns, optimum.bound_multipliers, chain.unknown_kinds
+    low, high, least, most = limits.sides
+    left = np.abs(report.slope + bounds) * largest_of(np.abs(x), kinds)[kinds] + _gap(x, bounds, low, high)
+    rows = _gap(report.equations, optimum.multipliers, least, most)
+    return float(np.sum(rows[least < most]) + np.sum(left[low < high]))
+
+
+def _gap(values: np.ndarray, multipliers: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Multipliers times the distance to the bounds that they are of."""
+    distance = np.where(multipliers > 0, high - values, values - low)
+    return np.asarray(np.abs(multipliers * np.where(np.isfinite(distance), distance, 0.0)))
 
 
 def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

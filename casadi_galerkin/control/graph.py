@@ -34,7 +34,7 @@ class Report:
     ----------
     cost, action : f, and the discrete action of the Lagrangian alone
     equations, terms : G, and the sizes of the terms it compares
-    slope, pulls : ∇f̄ but for the multipliers of the bounds, and the sizes of the terms that cancel in it
+    slope : ∇f̄ but for the multipliers of the bounds
     hamiltonian : (N,), mean over each interval; without multipliers that of the cost alone
     """
 
@@ -43,7 +43,6 @@ class Report:
     equations: np.ndarray
     terms: np.ndarray
     slope: np.ndarray
-    pulls: np.ndarray
     hamiltonian: np.ndarray
 
 
@@ -160,9 +159,7 @@ class ControlGraph:
         canceled = ca.mtimes(ca.fabs(derivatives), ca.mtimes(ca.fabs(embedding.differentiated), everything))
         multipliers = ca.MX.sym("multipliers", chain.equations)
         gradients, along = ca.veccat(*self._evaluate("gradient", self.at, self.weights)), self._along(multipliers)
-        given = gradients, derivatives, ca.veccat(*along), multipliers
-        slope = _slope(*given, embedding.derivative, embedding.linear)
-        pulls = _slope(*map(ca.fabs, (*given, embedding.derivative, embedding.linear)))
+        by_place = gradients + ca.mtimes(derivatives.T, ca.veccat(*along))
         part = int(embedding.points.row("part")[0, 0])
         shares = point.derivative(part)(self.at[0], self.weights[0], along[0])
         durations = self.at[0][int(embedding.points.row("duration")[0, 0]), :]
@@ -172,8 +169,7 @@ class ControlGraph:
             self.equations,
             ca.mtimes(ca.fabs(embedding.test.T), rows) + linear,
             ca.mtimes(ca.fabs(embedding.test.T), canceled) + linear,
-            slope,
-            pulls,
+            ca.mtimes(embedding.derivative.T, by_place) + ca.mtimes(embedding.linear.T, multipliers),
             ca.sum1(ca.reshape(shares / durations, -1, chain.intervals)),
         ]
         return self._name("verification", [ca.densify(ca.veccat(*told))], multipliers)
@@ -208,10 +204,5 @@ class ControlGraph:
             largest = np.max(canceled[rows])
             resting = np.isfinite(largest) and np.max(moving[rows]) <= RESTING * largest
             terms[rows] = canceled[rows] if resting else moving[rows]
-        slope, pulls, hamiltonian = np.split(told[2 + 3 * count :], [chain.unknowns, 2 * chain.unknowns])
-        return Report(cost, action, equations, terms, slope, pulls, hamiltonian)
-
-
-def _slope(gradients: ca.MX, derivatives: ca.MX, along: ca.MX, own: ca.MX, embedding: ca.DM, linear: ca.DM) -> ca.MX:
-    """∇f̄ = Êᵀ ( [w_k ∇c_k] + blockdiag(∇e_k)ᵀ Θᵀλ ) + Λᵀλ."""
-    return ca.mtimes(embedding.T, gradients + ca.mtimes(derivatives.T, along)) + ca.mtimes(linear.T, own)
+        slope, hamiltonian = np.split(told[2 + 3 * count :], [chain.unknowns])
+        return Report(cost, action, equations, terms, slope, hamiltonian)
