@@ -1,4 +1,4 @@
-"""The check of the point where the solver stopped: constraints, and derivatives of the cost, by their names."""
+"""The check of the point where the solver stopped: how far each constraint is violated, and what the cost may hide."""
 
 from __future__ import annotations
 

@@ -119,12 +119,15 @@ class ControlGraph:
         """Multipliers (Θᵀλ)_k of the rows, at all kinds of places."""
         return self._split(ca.mtimes(self.embedding.test, multipliers), [place.rows.numel() for place in self.places])
 
+    def _slope(self, at_places: ca.MX, multipliers: ca.MX) -> ca.MX:
+        """∇f̄, from the gradients of its terms at all places."""
+        return ca.mtimes(self.embedding.derivative.T, at_places) + ca.mtimes(self.embedding.linear.T, multipliers)
+
     def _second(self, upper: bool) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
         """Symbols φ and λ; ∇f̄ and ∇²f̄, its upper half or all of it."""
         factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", self.chain.equations)
         inputs = self.at, [factor * w for w in self.weights], self._along(multipliers)
-        by_point = ca.veccat(*self._evaluate("lagrangian_gradient", *inputs))
-        slope = ca.mtimes(self.embedding.derivative.T, by_point) + ca.mtimes(self.embedding.linear.T, multipliers)
+        slope = self._slope(ca.veccat(*self._evaluate("lagrangian_gradient", *inputs)), multipliers)
         entries = self._evaluate("hessian", *inputs)
         blocks = self._blocks([place.hessian_pattern for place in self.places], entries)
         right = ca.mtimes(blocks, self.embedding.derivative)
@@ -159,7 +162,6 @@ class ControlGraph:
         canceled = ca.mtimes(ca.fabs(derivatives), ca.mtimes(ca.fabs(embedding.differentiated), everything))
         multipliers = ca.MX.sym("multipliers", chain.equations)
         gradients, along = ca.veccat(*self._evaluate("gradient", self.at, self.weights)), self._along(multipliers)
-        by_place = gradients + ca.mtimes(derivatives.T, ca.veccat(*along))
         part = int(embedding.points.row("part")[0, 0])
         shares = point.derivative(part)(self.at[0], self.weights[0], along[0])
         durations = self.at[0][int(embedding.points.row("duration")[0, 0]), :]
@@ -169,7 +171,7 @@ class ControlGraph:
             self.equations,
             ca.mtimes(ca.fabs(embedding.test.T), rows) + linear,
             ca.mtimes(ca.fabs(embedding.test.T), canceled) + linear,
-            ca.mtimes(embedding.derivative.T, by_place) + ca.mtimes(embedding.linear.T, multipliers),
+            self._slope(gradients + ca.mtimes(derivatives.T, ca.veccat(*along)), multipliers),
             ca.sum1(ca.reshape(shares / durations, -1, chain.intervals)),
         ]
         return self._name("verification", [ca.densify(ca.veccat(*told))], multipliers)

@@ -189,13 +189,13 @@ class ControlTranscription:
         joints = self._joints(found, mesh)
         if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
             raise self._error(solver, optimum, limits, report.cost, relative, found, joints)
-        change = cost_change(chain, limits, optimum, report)
+        change, told = cost_change(chain, limits, optimum, report), optimum.status
         if change > UNSEEN * abs(report.cost):
-            told = f"{optimum.status}; its tolerances are absolute, and may hide a change of the cost by {change:.1e}"
-            optimum = replace(optimum, status=told)
+            told += f"; its tolerances are absolute, and may hide a change of the cost by {change:.1e}"
         arriving = self.graph.arriving(optimum.unknowns, data, optimum.multipliers)
         violation = float(np.max(relative))
-        return self._trajectory(solver, optimum, report, problem, found, arriving, joints, violation, began)
+        told = f"{NAMES[solver.name]} ({told})"
+        return self._trajectory(told, optimum, report, problem, found, arriving, joints, violation, began)
 
     def start(
         self, problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None
@@ -295,7 +295,7 @@ class ControlTranscription:
 
     def _trajectory(
         self,
-        solver: Solver,
+        told: str,
         optimum: Optimum,
         report: Report,
         problem: ControlProblem,
@@ -323,7 +323,7 @@ class ControlTranscription:
             action=report.action,
             iterations=optimum.iterations,
             residual=violation / EPS,
-            solver=f"{NAMES[solver.name]} ({optimum.status})",
+            solver=told,
             build_seconds=self.build_seconds,
             solve_seconds=time.perf_counter() - began - self.build_seconds,
             method=self.method,

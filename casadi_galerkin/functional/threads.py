@@ -67,7 +67,7 @@ class _Filter:
     """Stands for a stream and passes on all but CasADi's lines on zero pivots, which come in several parts."""
 
     def __init__(self, stream: TextIO) -> None:
-        self.stream, self._line = stream, ""
+        self.stream, self._line, self.inside = stream, "", 0  # blocks that are under way
 
     def write(self, text: str) -> int:
         """Pass on whole lines."""
@@ -94,14 +94,14 @@ def without_zero_pivots() -> Iterator[None]:
     It takes no lock, which an interrupt could leave taken.  What another thread may leave is the filter: it passes on
     all else, and the next to leave takes it away.
     """
-    if isinstance(sys.stderr, _Filter):
-        yield
-        return
+    now: object = sys.stderr
+    own = now if isinstance(now, _Filter) else _Filter(sys.stderr)
     try:
-        sys.stderr = cast(TextIO, _Filter(sys.stderr))
+        own.inside += 1
+        sys.stderr = cast(TextIO, own)
         yield
     finally:
-        now: object = sys.stderr
-        if isinstance(now, _Filter):
-            now.finish()
-            sys.stderr = now.stream
+        own.inside -= 1
+        if own.inside <= 0 and sys.stderr is cast(TextIO, own):
+            own.finish()
+            sys.stderr = own.stream

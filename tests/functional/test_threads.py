@@ -28,3 +28,15 @@ def test_everything_else_is_passed_on_and_the_stream_put_back(capsys):
         sys.stderr.flush()
     assert sys.stderr is before
     assert capsys.readouterr().err == "another line\nand a part"
+
+
+def test_a_filter_that_was_put_back_is_taken_away_by_the_next_block():
+    """As another thread does that redirects the stream within a block and puts it back after its end."""
+    before = sys.stderr
+    with without_zero_pivots():
+        within = sys.stderr
+        sys.stderr = before
+    sys.stderr = within
+    with without_zero_pivots():
+        pass
+    assert sys.stderr is before
