@@ -25,6 +25,8 @@ from casadi_galerkin.solvers.newton import Solution, SolveFailure
 from casadi_galerkin.solvers.solver import SolverLike, newton
 from casadi_galerkin.solvers.stationarity import Stationarity, joined
 
+FREE = [np.nan]  # what stands for a position that is not given
+
 
 @dataclass(frozen=True)
 class CriticalPoint:
@@ -85,11 +87,13 @@ class BoundaryGraph:
         """
         if not callable(solver):
             raise TypeError(f"solver must be newton, rootfinder, ipopt or minimizer, got {solver!r}")
-        calculus = self._calculus if mesh is None else DiscreteCalculus(self.method, mesh)
-        joints = self.mesh if mesh is None else calculus.mesh
-        check_breakpoints(joints, self.problem.breakpoints)
-        if len(joints) != len(self.mesh):
-            raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {len(joints) - 1}")
+        calculus, joints = self._calculus, self.mesh
+        if mesh is not None:
+            calculus = DiscreteCalculus(self.method, mesh)
+            joints, size = calculus.mesh, len(self.mesh) - 1
+            check_breakpoints(joints, self.problem.breakpoints)
+            if len(joints) != size + 1:
+                raise ValueError(f"this transcription has {size} intervals, got a mesh of {len(joints) - 1}")
         problem = self.varied(changes or {}, joints)
         data = self.data(joints, problem)
         values = self._guess(guess, calculus, data)
@@ -173,6 +177,6 @@ class BoundaryGraph:
     def _guess(self, guess: Guess | None, calculus: DiscreteCalculus, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) of a guess, bent to meet the fixed ends."""
         d, parts = self.problem.dimension, calculus.node_parts
-        ends = np.append(np.concatenate(data[:2]), np.nan)[self.numbering.of_ends]
+        ends = np.concatenate((*data[:2], FREE))[self.numbering.of_ends]
         values = np.zeros((len(parts), d)) if guess is None else guess_values(guess, calculus, d).T
         return meeting_ends(values, parts, ends)

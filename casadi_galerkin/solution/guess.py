@@ -67,7 +67,7 @@ def meeting_ends(values: np.ndarray, parts: np.ndarray, ends: np.ndarray) -> np.
     -------
     (K, d)
     """
-    moves = ends - values[[0, -1]]
+    moves = ends - values[:: len(values) - 1]
     free = np.isnan(moves)
     if np.count_nonzero(free):
         moves = np.where(free, moves[::-1], moves)
@@ -75,7 +75,7 @@ def meeting_ends(values: np.ndarray, parts: np.ndarray, ends: np.ndarray) -> np.
     if not np.count_nonzero(moves):
         return values
     first, last = moves
-    return np.asarray(values + first + np.multiply.outer(parts, last - first))
+    return np.asarray(values + first + parts[:, None] * (last - first))
 
 
 def apart(values: np.ndarray, guessed: np.ndarray) -> float:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -24,6 +25,8 @@ LOCAL = 1e-3  # part of a right-hand side that a solution may miss; below such a
 METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 to 20 times faster than QR, which is for where it fails
 SOFTENED = 1e-7  # part of what a condition meets in ∇²S by which it is softened; 1e-6 and 1e-8 left larger errors
 LEAK = 1e-8  # what a node of the graph of a matrix loses; far ends of the longest chains then still get something
+
+Matrix = TypeVar("Matrix", ca.MX, ca.DM)
 
 
 class LinearSolver:
@@ -48,32 +51,30 @@ class LinearSolver:
     def _function(self, name: str, inputs: dict[str, ca.MX], outputs: dict[str, ca.MX]) -> ca.Function:
         return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))
 
-    @lazy
-    def softened(self) -> ca.Function:
+    def _softened(self, matrix: Matrix) -> Matrix:
         """∇²S with small negative numbers on the diagonal of the multipliers, where it has zeros.
 
         LDLᵀ without pivoting needs them.  A condition G δx = 0 is softened by a part of G diag(|∇²S|)⁻¹ Gᵀ, which
         follows the units, and adds one negative eigenvalue.
         """
-        inputs = self.symbols("matrix")
-        (matrix,), positions, count = inputs.values(), self.numbering.positions, self.numbering.multipliers
-        if count:
-            conditions = matrix[positions : positions + count, :positions]
-            soft = SOFTENED * ca.mtimes(conditions**2, 1 / ca.fabs(ca.diag(matrix)[:positions]))
-            matrix -= ca.diag(ca.vertcat(ca.MX(positions, 1), soft, ca.MX(self.numbering.stretched, 1)))
-        return self._function("softened", inputs, {"softened": matrix})
+        positions, count = self.numbering.positions, self.numbering.multipliers
+        if not count:
+            return matrix
+        conditions = matrix[positions : positions + count, :positions]
+        soft = SOFTENED * ca.mtimes(conditions**2, 1 / ca.fabs(ca.diag(matrix)[:positions]))
+        return matrix - ca.diag(ca.vertcat(ca.DM(positions, 1), soft, ca.DM(self.numbering.stretched, 1)))
 
     @lazy
     def _ldl(self) -> ca.Linsol:
         """LDLᵀ without pivoting, whose symbolic part is done once."""
-        return ca.Linsol("ldl", "ldl", self.softened.sparsity_out(0))
+        return ca.Linsol("ldl", "ldl", self._softened(self.symbols("matrix")["matrix"]).sparsity())
 
     def _solution(self, method: str, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
         """Solution of ∇²S Y = -B; with softened conditions, it is refined once."""
         if method != "ldl":
             solve = self._bordered if self.numbering.stretched else solve_scaled
             return -self._reached(matrix, rhs) * solve(matrix, rhs, slice(self.numbering.positions), method)
-        softened = self.softened(matrix)
+        softened = self._softened(matrix)
         y = -self._ldl.solve(softened, rhs)
         return y - self._ldl.solve(softened, ca.mac(matrix, y, rhs)) if self.numbering.multipliers else y
 
@@ -232,7 +233,7 @@ class LinearSolver:
         Where a pivot is exactly zero, those of a matrix that is so near that they have the same signs.  Room for the
         factors is kept with a solve, because a Linsol keeps what it factored last.
         """
-        softened = self.softened(matrix) + 0 * ca.DM.eye(self.numbering.free)  # with its whole diagonal
+        softened = self._softened(matrix) + 0 * ca.DM.eye(self.numbering.free)  # with its whole diagonal
         factors = keep("inertia", lambda: ca.Linsol("inertia", "ldl", softened.sparsity()))
         with without_zero_pivots():
             factors.nfact(softened)
