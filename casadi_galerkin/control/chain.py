@@ -19,6 +19,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
@@ -222,6 +223,11 @@ class Chain:
             arrivals[:, joints - 1] = before.T
         return PiecewisePolynomial(mesh, self.method.element.nodes, values, arrivals)
 
+    @lazy
+    def _rate_basis(self) -> np.ndarray:
+        """Polynomials that test the rates, at the nodes before the last; (m, m)."""
+        return lagrange_values(np.array(gauss(self.method.degree).points), self.method.element.nodes[:-1])
+
     def costate(
         self, multipliers: np.ndarray, bounds: np.ndarray, arriving: np.ndarray, mesh: np.ndarray
     ) -> PiecewisePolynomial:
@@ -236,11 +242,10 @@ class Chain:
         arriving : (d, K), derivatives of the Lagrangian by the values before the joints crossed
         mesh : (N + 1,)
         """
-        m, inner, own = self.method.degree, self.method.element.nodes[:-1], slice(self.mechanical, None)
+        m, own = self.method.degree, slice(self.mechanical, None)
         motion = multipliers[self.rows["motion"]].reshape(self.intervals * m, self.mechanical)
         motion = np.vstack((motion, -multipliers[self.rows["momentum"][-1]]))
-        basis = lagrange_values(np.array(gauss(m).points), inner)
-        rates = -np.einsum("aj,ijz->iaz", basis, multipliers[self.rows["rates"]])
+        rates = -np.einsum("aj,ijz->iaz", self._rate_basis, multipliers[self.rows["rates"]])
         ends = -multipliers[self.rows["x"]][:, own]
         rates[1:, 0] = ends[:-1]
         rates[self.breaks, 0] -= bounds[self.fields["x"][self.breaks, own]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.control.chain import Chain, largest_of
@@ -21,39 +22,42 @@ def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
 
     Equations that the given ends meet are left out, unless `implied` ones are to be checked as well.
     """
-    sides, crossings = [], problem.crossings
-    for k, infinite in ((0, -np.inf), (1, np.inf)):
-        values = {name: np.full(index.shape, infinite) for name, index in chain.fields.items()}
-        values["x"][:] = values["nodes"][:, :-1] = problem.position_bounds[k]
-        values["nodes"][chain.crossed - 1, -1] = problem.position_bounds[k]
-        values["controls"][:] = problem.control_bounds[k]
-        if problem.duration_bounds is not None:
-            values["durations"][:] = problem.duration_bounds[k]
-        if problem.parameter_bounds is not None:
-            values["parameters"][:] = problem.parameter_bounds[k]
-        for given, bound in (
-            (problem.start, values["x"][0]),
-            (problem.end, values["x"][-1]),
-            (problem.start_velocity[: chain.mechanical], values["start_velocity"]),
-            (problem.end_velocity[: chain.mechanical], values["end_velocity"]),
-        ):
-            bound[:] = [old if value is None else value for old, value in zip(bound, given, strict=True)]
-        narrower = np.minimum if k else np.maximum
-        for t, place in problem.waypoints:
-            if not is_limited(place):
-                joint = chain.breaks[problem.breakpoints.index(t)]
-                where = values["nodes"][joint - 1, -1] if joint in chain.crossed else values["x"][joint]
-                where[:] = narrower(where, [pair[k] for pair in place])
-        equations = np.zeros(chain.equations)
-        there = [(f"waypoint {i}", crossing.condition) for i, crossing in enumerate(crossings)]
-        for name, stated in (("path", problem.path_constraint), ("ends", problem.end_conditions), *there):
-            if stated is not None:
-                equations[chain.rows[name]] = stated[1 + k]
-        for rows in () if implied else _implied(problem, chain):
-            equations[rows] = infinite
-        sides.append((chain.pack(values)[0], equations))
-    (lower, equations_lower), (upper, equations_upper) = sides
-    return ProgramBounds(lower, upper, equations_lower, equations_upper)
+    fields, arriving = chain.fields, chain.fields["nodes"][chain.crossed - 1, -1]
+    sides = np.full((2, chain.size), [[-np.inf], [np.inf]])
+    for index in (fields["x"], fields["nodes"][:, :-1], arriving):
+        _limit(sides, index, problem.position_bounds)
+    _limit(sides, fields["controls"], problem.control_bounds)
+    for name, bounds in (("durations", problem.duration_bounds), ("parameters", problem.parameter_bounds)):
+        if bounds is not None:
+            _limit(sides, fields[name], bounds)
+    for given, index in (
+        (problem.start, fields["x"][0]),
+        (problem.end, fields["x"][-1]),
+        (problem.start_velocity[: chain.mechanical], fields["start_velocity"]),
+        (problem.end_velocity[: chain.mechanical], fields["end_velocity"]),
+    ):
+        values = np.array(given, dtype=float)  # NaN for None
+        _limit(sides, index, np.where(np.isnan(values), sides[:, index], values))
+    for t, place in problem.waypoints:
+        if not is_limited(place):
+            joint = chain.breaks[problem.breakpoints.index(t)]
+            index = fields["nodes"][joint - 1, -1] if joint in chain.crossed else fields["x"][joint]
+            low, high = np.transpose(place)
+            _limit(sides, index, (np.maximum(sides[0, index], low), np.minimum(sides[1, index], high)))
+    equations = np.zeros((2, chain.equations))
+    there = [(f"waypoint {i}", crossing.condition) for i, crossing in enumerate(problem.crossings)]
+    for name, stated in (("path", problem.path_constraint), ("ends", problem.end_conditions), *there):
+        if stated is not None:
+            _limit(equations, chain.rows[name], stated[1:])
+    for rows in () if implied else _implied(problem, chain):
+        _limit(equations, rows, ([-np.inf], [np.inf]))
+    return ProgramBounds(*sides[:, : chain.unknowns], *equations)
+
+
+def _limit(sides: np.ndarray, index: np.ndarray, bounds: ArrayLike) -> None:
+    """Set lower and upper bounds, (2, count), of the entries (..., count) of two long vectors."""
+    for side, bound in zip(sides, np.asarray(bounds), strict=True):
+        side[index] = bound
 
 
 def _implied(problem: ControlProblem, chain: Chain) -> list[np.ndarray]:

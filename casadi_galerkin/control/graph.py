@@ -20,7 +20,7 @@ from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.embedding import ChainEmbedding
 from casadi_galerkin.control.pointwise import places
-from casadi_galerkin.functional.buffers import Evaluator
+from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.problems.control_problem import ControlProblem
 
 RESTING = 1e-13  # terms of motion below this part of what cancels in them are its roundoff
@@ -153,7 +153,7 @@ class ControlGraph:
         return self._name("nlp_hess_l", [slope, matrix], factor, multipliers)
 
     @lazy
-    def _verification(self) -> ca.Function:
+    def _verification(self) -> Lender[Evaluator]:
         """(unknowns, data, λ) -> all that is told of a point as one vector."""
         chain, embedding, point = self.chain, self.embedding, self.places[0]
         everything = ca.fabs(ca.vertcat(self.unknowns, self.data))
@@ -174,7 +174,8 @@ class ControlGraph:
             self._slope(gradients + ca.mtimes(derivatives.T, ca.veccat(*along)), multipliers),
             ca.sum1(ca.reshape(shares / durations, -1, chain.intervals)),
         ]
-        return self._name("verification", [ca.densify(ca.veccat(*told))], multipliers)
+        verification = self._name("verification", [ca.densify(ca.veccat(*told))], multipliers)
+        return Lender(lambda: Evaluator(verification))
 
     @lazy
     def _arriving(self) -> ca.Function:
@@ -195,16 +196,15 @@ class ControlGraph:
         """Evaluate all that is told of a point."""
         count, chain = self.chain.equations, self.chain
         given = np.zeros(count) if multipliers is None else multipliers
-        (told,) = Evaluator(self._verification)(unknowns, data, given)
+        with self._verification.lend() as evaluate:
+            (told,) = evaluate(unknowns, data, given)
         cost, action = told[:2].tolist()
         equations, moving, canceled = told[2 : 2 + 3 * count].reshape(3, -1)
-        terms, motion = np.fmax(moving, canceled), np.arange(chain.dimension, chain.dimension + chain.mechanical)
         # The terms of a component that stands still are roundoff of its slopes: what cancels in the slopes measures it.
         # Those of another are measured without it.
-        for kind in motion:
-            rows = chain.kinds == kind
-            largest = np.max(canceled[rows])
-            resting = np.isfinite(largest) and np.max(moving[rows]) <= RESTING * largest
-            terms[rows] = canceled[rows] if resting else moving[rows]
+        largest = chain.largest(canceled)
+        resting = np.isfinite(largest) & (chain.largest(moving) <= RESTING * largest)
+        motion = (chain.kinds >= chain.dimension) & (chain.kinds < chain.dimension + chain.mechanical)
+        terms = np.where(motion, np.where(resting[chain.kinds], canceled, moving), np.fmax(moving, canceled))
         slope, hamiltonian = np.split(told[2 + 3 * count :], [chain.unknowns])
         return Report(cost, action, equations, terms, slope, hamiltonian)

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.control.graph import ControlGraph
-from casadi_galerkin.functional.buffers import Evaluator
+from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.solvers.deadline import limited
 
@@ -140,16 +140,16 @@ def _built(graph: ControlGraph, plugin: str, options: dict[str, Any]) -> ca.Func
 
 
 def optimize(
-    solver: ca.Function, relaxed: float, guess: np.ndarray, data: np.ndarray, limits: ProgramBounds, *duals: Any
+    solver: Lender[Evaluator], relaxed: float, guess: np.ndarray, data: np.ndarray, limits: ProgramBounds, *duals: Any
 ) -> Optimum:
     """Run the solver from a guess, to start warm with the multipliers of the bounds and of the equations.
 
     It is given narrower bounds, as far as it relaxes them.
     """
-    run = Evaluator(solver)
-    with fork_waits:
-        x, _, _, bounds, equations, _ = run(guess, data, *limits.narrowed(relaxed).sides, *(duals or (0.0, 0.0)))
-    stats = run.stats
+    given = limits.narrowed(relaxed) if relaxed else limits
+    with solver.lend() as run, fork_waits:
+        x, _, _, bounds, equations, _ = run(guess, data, *given.sides, *(duals or (0.0, 0.0)))
+        stats = run.stats
     status = str(stats["return_status"]).replace("_", " ")
     status = FATROP_WORDS.get(status, status)
     found = np.where(limits.lower == limits.upper, limits.lower, x)  # fatrop holds what is given as an equation

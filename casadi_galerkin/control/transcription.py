@@ -31,6 +31,7 @@ from casadi_galerkin.control.counts import check_count, check_stages
 from casadi_galerkin.control.graph import ControlGraph, Report
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
 from casadi_galerkin.control.optimizer import RELAXED, Optimum, ProgramBounds, optimize, with_fatrop, with_ipopt
+from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.functional.statement import refuse_points
 from casadi_galerkin.problems.constrained_motion import tangent_momenta, unforced_motion_of
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -97,7 +98,7 @@ class ControlTranscription:
         self.calculus = DiscreteCalculus(method, mesh)
         self.graph = ControlGraph(problem, self.chain)
         check_count(self.chain, limits_of(problem, self.chain))
-        self._solvers: dict[str, ca.Function] = {}
+        self._solvers: dict[str, Lender[Evaluator]] = {}
         self.build_seconds = time.perf_counter() - began
 
     def solve(
@@ -179,8 +180,8 @@ class ControlTranscription:
         chain, limits = self.chain, limits_of(problem, self.chain)
         values, duals, before = start
         unknowns, data = chain.pack(values)
-        program, relaxed = self.program(solver, bool(duals), verbose), RELAXED[solver.name]
-        optimum = optimize(program, relaxed, unknowns, data, limits, *duals)
+        way = self._kept_program(solver, bool(duals), verbose)
+        optimum = optimize(way, RELAXED[solver.name], unknowns, data, limits, *duals)
         if optimum.status == INVALID:
             self._check_derivatives(unknowns, data, mesh)
         report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
@@ -228,20 +229,24 @@ class ControlTranscription:
         return values, duals, largest
 
     def program(self, solver: Solver, warm: bool, verbose: int) -> ca.Function:
+        """Build the solver for this program."""
+        if solver.name == fatrop.name:
+            check_stages(self.chain, limits_of(self.problem, self.chain))
+            return with_fatrop(self.graph, verbose, solver.options)
+        return with_ipopt(self.graph, warm, verbose, solver.options)
+
+    def _kept_program(self, solver: Solver, warm: bool, verbose: int) -> Lender[Evaluator]:
         """The solver for this program, built when it is first needed; with limited time, for this solve only."""
         key, kept = f"{warm} {verbose > 1} {solver!r}", math.isinf(seconds_left())
         if kept and key in self._solvers:
             return self._solvers[key]
         began = time.perf_counter()
-        if solver.name == fatrop.name:
-            check_stages(self.chain, limits_of(self.problem, self.chain))
-            program = with_fatrop(self.graph, verbose, solver.options)
-        else:
-            program = with_ipopt(self.graph, warm, verbose, solver.options)
-        if kept:
-            self._solvers[key] = program
+        program = self.program(solver, warm, verbose)
         self.build_seconds += time.perf_counter() - began
-        return program
+        lender = Lender(lambda: Evaluator(program))
+        if kept:
+            self._solvers[key] = lender
+        return lender
 
     def _check_derivatives(self, unknowns: np.ndarray, data: np.ndarray, mesh: np.ndarray) -> None:
         """Name a first derivative that is not finite at the guess."""

@@ -2,13 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, Generic, TypeVar
 
 import casadi as ca
 import numpy as np
 
 from casadi_galerkin.functional.threads import fork_waits, one_thread
+
+Lent = TypeVar("Lent")
+
+
+class Lender(Generic[Lent]):
+    """Lends what an earlier call wrote to, or a new one, to one call at a time.
+
+    It comes back, but after an interrupt: what that left half written is dropped.
+
+    Parameters
+    ----------
+    make : makes a new one
+    """
+
+    def __init__(self, make: Callable[[], Lent]) -> None:
+        self._make, self._idle = make, list[Lent]()
+
+    @contextmanager
+    def lend(self) -> Iterator[Lent]:
+        """Lend one to a block."""
+        try:
+            lent = self._idle.pop()
+        except IndexError:  # none yet, or all lent to other threads
+            lent = self._make()
+        try:
+            yield lent
+        except SystemError:  # what an interrupt becomes that meets CasADi's own code
+            raise
+        except Exception:  # a failed solve; an interrupt is none
+            self._idle.append(lent)
+            raise
+        self._idle.append(lent)
 
 
 class Evaluator:
@@ -53,6 +86,8 @@ class Evaluator:
                 self.run()
             except SystemError as error:  # an interrupt that IPOPT was stopped by
                 raise error.__cause__ or error from None
+            except RuntimeError as error:  # and fatrop
+                raise KeyboardInterrupt if str(error) == "KeyboardInterrupt" else error from None
         if self._buffer.ret():  # aborted, as CasADi's QR does on a small pivot: the arrays hold an earlier answer
             for array in self.outputs:
                 array[:] = np.nan

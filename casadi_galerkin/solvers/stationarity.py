@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.functional.buffers import Evaluator
+from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.threads import one_thread, without_zero_pivots
@@ -70,32 +70,19 @@ class Stationarity:
         self.variational = functional.symmetric and not functional.numbering.stretched
         self.linear_methods = METHODS if pointwise.kinetic and functional.symmetric else METHODS[1:]
         self.quadratic = pointwise.quadratic and plain
-        self._idle: list[Linearization] = []
+        self._workspaces = Lender(lambda: Linearization(self))
 
     @contextmanager
     def linearization(self, linear_solver: str | None = None) -> Iterator[Linearization]:
         """Lend the arrays of an earlier solve, or new ones, to a solve.
 
-        They come back, but after an interrupt: what that left half written is dropped.
-
         Parameters
         ----------
         linear_solver : name of a CasADi linear solver; default `linear_methods`
         """
-        try:
-            lent = self._idle.pop()
-        except IndexError:  # none yet, or all lent to other threads
-            lent = Linearization(self)
-        lent.methods = (linear_solver,) if linear_solver else self.linear_methods
-        try:
-            with one_thread(), without_zero_pivots():
-                yield lent
-        except SystemError:  # what an interrupt becomes that meets CasADi's own code
-            raise
-        except Exception:  # a failed solve; an interrupt is none
-            self._idle.append(lent)
-            raise
-        self._idle.append(lent)
+        with self._workspaces.lend() as lent, one_thread(), without_zero_pivots():
+            lent.methods = (linear_solver,) if linear_solver else self.linear_methods
+            yield lent
 
     def newton_step(self, method: str) -> ca.Function:
         """(ξ, data) -> ∇S, ∇²S, and what `LinearSolver.newton_step` gives."""
