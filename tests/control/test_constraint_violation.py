@@ -62,11 +62,13 @@ def pushed_pendulum(length, time, mass):
 
 
 @pytest.mark.parametrize(("length", "time", "mass"), [(1.0, 1e3, 1e-6), (1e-3, 1e3, 1e-6), (1e3, 1e3, 1e-6)])
-def test_a_cost_too_small_for_the_solver_is_told(length, time, mass):
-    """IPOPT calls the first path that meets the ends an optimum: its cost is 8.5 to 75 times too high."""
-    path = cg.solve(pushed_pendulum(length, time, mass), cg.Galerkin(4), intervals=10)
-    (change,) = re.findall(r"its tolerances are absolute, and may hide a change of the cost by (\S+)\)", path.solver)
-    assert float(change) > path.cost
+def test_a_cost_too_small_for_the_solver_is_right_or_told(length, time, mass):
+    """IPOPT may call the first path that meets the ends an optimum: its cost is 8.5 to 75 times too high."""
+    problem = pushed_pendulum(length, time, mass)
+    path, exact = (cg.solve(p, cg.Galerkin(4), intervals=10) for p in (problem, pushed_pendulum(1.0, 1.0, 1.0)))
+    error = path.cost - exact.cost * (mass * length / time**2) ** 2 * time
+    told = re.findall(r"its tolerances are absolute, and may hide a change of the cost by (\S+)\)", path.solver)
+    assert abs(error) <= (float(told[0]) if told else 1e-6 * path.cost)
 
 
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop])
