@@ -54,6 +54,7 @@ HINTS = {
     "Infeasible Problem Detected": "There may be no path within these ends and bounds; else try a guess nearer to it",
     INVALID: "A callable or one of its derivatives is not finite there",
     "Maximum WallTime Exceeded": "Allow more seconds, or give a guess nearer to the path",
+    "Solve Succeeded": "Its tolerances are absolute: take units in which lengths, times and masses are near one",
     "Restoration Failed": "There may be no path within these ends and bounds; else try a guess nearer to it",
 }
 OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"

@@ -71,6 +71,11 @@ def test_a_cost_too_small_for_the_solver_is_right_or_told(length, time, mass):
     assert abs(error) <= (float(told[0]) if told else 1e-6 * path.cost)
 
 
+def test_a_path_that_only_the_solver_takes_for_one_is_refused_with_a_word_on_units():
+    with pytest.raises(cg.ConvergenceError, match=r"Solve Succeeded.* of its terms\. Its tolerances are absolute"):
+        cg.solve(pushed_pendulum(1.0, 1e4, 1e-8), cg.Galerkin(4), intervals=10)
+
+
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop])
 @pytest.mark.parametrize("scale", [1e-4, 1e-6, 1e-8, 1e-10])
 def test_the_change_of_the_cost_that_is_told_bounds_its_error(solver, scale):
