@@ -10,7 +10,7 @@ with p = ∂L/∂v and M = ∂p/∂v.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import casadi as ca
@@ -36,7 +36,7 @@ def constrained_motion(
     lagrangian, force : Functions of (t, x, v)
     constraint : Function of (t, x)
     """
-    t, x, v = symbols = [ca.SX.sym(lagrangian.name_in(i), lagrangian.size1_in(i)) for i in range(3)]
+    t, x, v = symbols = lagrangian.sx_in()
     mass, momentum = ca.hessian(lagrangian(t, x, v), v)
     held = constraint(t, x)
     slope = ca.jacobian(held, x)
@@ -167,14 +167,21 @@ def check_constraint(problem: Problem, given: Mapping[str, tuple[float, tuple[fl
             )
 
 
+def rates_of_constraint(
+    problem: Problem, t: float, x: Sequence[float] | np.ndarray, v: Sequence[float] | np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rates G v + ∂g/∂t of the constraint's values, (k,), and how large they are relative to `HELD` of their terms."""
+    matrix, _, _, rate, pull = (np.array(a) for a in unforced_motion_of(problem)(t, x, v))
+    terms = np.abs(matrix[len(x) :, : len(x)]) @ np.abs(v) + np.abs(pull.ravel())
+    return rate.ravel(), np.abs(rate.ravel()) / (HELD * terms + TINY)
+
+
 def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v: tuple[float, ...]) -> None:
     """Refuse a given velocity at an end that leaves the constraint."""
-    motion = unforced_motion_of(problem)
-    matrix, _, _, rate, pull = (np.array(a) for a in motion(t, x, v))
-    terms = np.abs(matrix[len(x) :, : len(x)]) @ np.abs(v) + np.abs(pull.ravel())
-    missed = np.abs(rate.ravel()) / (terms + TINY)
-    if np.any(missed > HELD):
+    rates, missed = rates_of_constraint(problem, t, x, v)
+    if np.any(missed > 1):
+        i = int(np.argmax(missed))
         raise ValueError(
             f"{name}_velocity must be tangent to the constraint at the {name}, got {list(v)}: the rate of its value "
-            f"{int(np.argmax(missed))} is {rate[int(np.argmax(missed)), 0]:g}"
+            f"{i} is {rates[i]:g}"
         )

@@ -40,7 +40,7 @@ from casadi_galerkin.problems.crossings import (
     waypoints_of,
 )
 from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
-from casadi_galerkin.problems.problem import marks, shown, varied_values
+from casadi_galerkin.problems.problem import flag, marks, shown, varied_values
 
 ROUNDED = 1e-8  # of a condition that the ends given meet, as much as a solve may leave
 
@@ -188,11 +188,10 @@ class ControlProblem:
             "breakpoints": inner,
             "waypoints": passed,
             "jumps": laws,
-            "hold": _flag("hold", hold),
-            "constraint": None if constraint is None else trace_constraint(constraint, d, given),
+            "hold": flag("hold", hold),
+            "constraint": trace_constraint(constraint, d, given),
         }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        self.__dict__.update(values)  # the class is frozen
         self._check_dependence()
         self._check_ends()
         self._check_guesses()
@@ -359,12 +358,6 @@ def _control_count(controls: int) -> int:
     if count < 1:
         raise ValueError(f"a ControlProblem needs at least one control, got {count}; without, see BoundaryProblem")
     return count
-
-
-def _flag(name: str, value: object) -> bool:
-    if not isinstance(value, bool):
-        raise TypeError(f"{name} must be True or False, got {value!r}")
-    return value
 
 
 def _nothing(*_: ca.SX) -> float:

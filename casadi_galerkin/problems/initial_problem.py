@@ -73,11 +73,10 @@ class InitialProblem:
             "momentum": None if momentum is None else numbers("momentum", momentum, d),
             "velocity": None if velocity is None else numbers("velocity", velocity, d),
             "parameters": checked_parameters,
-            "force": None if force is None else trace_force(force, d, checked_parameters),
-            "constraint": None if constraint is None else trace_constraint(constraint, d, checked_parameters),
+            "force": trace_force(force, d, checked_parameters),
+            "constraint": trace_constraint(constraint, d, checked_parameters),
         }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        self.__dict__.update(values)  # the class is frozen
         check_constraint(self, {"position": (self.t_span[0], self.position)})
 
     def __repr__(self) -> str:
@@ -93,3 +92,8 @@ class InitialProblem:
     def dimension(self) -> int:
         """Number d of coordinates."""
         return len(self.position)
+
+    @property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Times of joints that every mesh has: none."""
+        return ()

@@ -23,7 +23,7 @@ from casadi_galerkin.control.transcription import check_solver
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import check_types, marks
+from casadi_galerkin.problems.problem import check_types, flag, marks
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, guess_values
 from casadi_galerkin.solution.limits import check_tolerance
@@ -125,9 +125,7 @@ def _check_given(problem: Problem, guess: Guess | None, shooting: bool, measure:
     """Refuse what would fail in each way, or in the reference."""
     if measure is not None and not callable(measure):
         raise TypeError(f"measure must be a callable path -> number, got {measure!r}")
-    if not isinstance(shooting, bool):
-        raise TypeError(f"shooting must be True or False, got {shooting!r}")
-    if shooting and not isinstance(problem, BoundaryProblem):
+    if flag("shooting", shooting) and not isinstance(problem, BoundaryProblem):
         raise ValueError(f"only a BoundaryProblem is solved by shooting, got a {type(problem).__name__}")
     if guess is None:
         return
@@ -179,7 +177,7 @@ def _ways(
         )
     for method, count in grid:
         check_types(problem, method, BoundaryProblem, InitialProblem, ControlProblem)
-        mesh = mesh_of(problem.t_span, count, None, getattr(problem, "breakpoints", ()))
+        mesh = mesh_of(problem.t_span, count, None, problem.breakpoints)
         if guess is not None:
             guess_values(guess, DiscreteCalculus(method, mesh), problem.dimension)
     if tolerances and isinstance(problem, InitialProblem):
