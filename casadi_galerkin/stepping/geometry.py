@@ -112,21 +112,21 @@ def geometry(path: Trajectory, symmetry: Traceable | None = None) -> Geometry:
     if symmetry is not None:
         generator = trace("symmetry", symmetry, {"x": len(path.x)}, len(path.x))
         momentum = np.sum(path.momentum * np.array(generator.map(len(path.t))(path.x)), axis=0)
-    steps, motion = jacobians(path.problem, path), motion_of(path.problem)
+    steps, motion = jacobians(path), motion_of(path.problem)
     if motion is not None:
         bases = [np.kron(np.eye(2), tangents(motion, *at)) for at in zip(path.t, path.x.T, strict=True)]
         steps = np.stack([later.T @ step @ basis for later, step, basis in zip(bases[1:], steps, bases, strict=False)])
     return Geometry(float(np.max(np.abs(error))), float(drift), momentum, steps)
 
 
-def jacobians(problem: InitialProblem | BoundaryProblem, path: Trajectory) -> np.ndarray:
+def jacobians(path: Trajectory) -> np.ndarray:
     """∂(x_{i+1}, p_{i+1})/∂(x_i, p_i) of every interval of a path, (N, 2d, 2d)."""
-    stepper = stepper_of(problem, path.method)
+    stepper = stepper_of(path.problem, path.method)
     nodes, m = path.method.element.nodes, path.method.degree
     slopes = lagrange_values(nodes, stepper.basis.points) @ differentiation_matrix(nodes)
     columns = m * np.arange(len(path.t) - 1)[:, None] + np.arange(m + 1)
     values = path.polynomial.values[:, columns]
     s = ((values - values[:, :, :1]) @ slopes.T).transpose(1, 0, 2)
-    if problem.constraint is not None:
+    if path.problem.constraint is not None:
         s = stepper.solved(path.t, path.x, path.momentum, s)
     return stepper.jacobians(path.t, path.x, path.momentum, s)

@@ -72,17 +72,17 @@ class ReferenceSolution:
     def __init__(
         self, problem: Problem, given: Reference, parameters: tuple[float, ...] | None, measure: Measure | None
     ) -> None:
+        self._path: Path
         self._at: Callable[[np.ndarray], np.ndarray]
         if isinstance(given, Trajectory):
-            self._path, parameters, self._marks = given.polynomial, given.parameters, marks(given.problem)
-            self._at = given
+            self._path, self._at, self._marks, parameters = given, given, marks(given.problem), given.parameters
         else:
             calculus = DiscreteCalculus(Galerkin(LEAST_DEGREE), np.linspace(*problem.t_span, SAMPLES // 4 + 1))
             self._at = partial(sampled, "the reference", given, dimension=problem.dimension)
-            self._path, self._marks = calculus.emb(self._at(calculus.node_times)), marks(problem)
+            self._path, self._marks = Path(calculus.emb(self._at(calculus.node_times))), marks(problem)
         self._lagrangian = with_parameters(problem.lagrangian, parameters)
-        times = times_at(self._path.mesh, np.array(gauss(LEAST_DEGREE).points))
-        weights = np.outer(np.diff(self._path.mesh), gauss(LEAST_DEGREE).weights).ravel()
+        times = times_at(self._path.t, np.array(gauss(LEAST_DEGREE).points))
+        weights = np.outer(np.diff(self._path.t), gauss(LEAST_DEGREE).weights).ravel()
         values, kinetic = self._terms(times)
         self._functional, self._functional_size = float(weights @ values), float(weights @ np.abs(values))
         if isinstance(given, Trajectory):
@@ -91,10 +91,10 @@ class ReferenceSolution:
             self._functional = given.cost if isinstance(given, ControlTrajectory) else np.nan
             self._functional_size = abs(self._functional) or 1.0
         self.energy_size = float(np.max(np.abs(values) + np.abs(kinetic)))
-        self.sizes = component_sizes(self._path.values)[:, None]
+        self.sizes = component_sizes(self._path.polynomial.values)[:, None]
         self._measure = measure
         if measure is not None:
-            self._quantity = measured(measure, given if isinstance(given, Trajectory) else Path(self._path))
+            self._quantity = measured(measure, self._path)
 
     def _matching(self, path: Trajectory, times: np.ndarray) -> np.ndarray:
         """Times of the reference at the same parts of the durations between breakpoints."""
