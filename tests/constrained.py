@@ -22,10 +22,6 @@ def on_circle(angle):
     return np.array([np.sin(angle), -np.cos(angle)])
 
 
-def pendulum(t, x, v):
-    return v[0] ** 2 / 2 + ca.cos(x[0])
-
-
 def on_sphere(angles):
     polar, azimuth = angles
     return np.array([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), -np.cos(polar)])

@@ -7,7 +7,6 @@ from constrained import (
     of_rods,
     on_circle,
     on_sphere,
-    pendulum,
     planar,
     rods,
     spatial,
@@ -17,7 +16,7 @@ from constrained import (
 )
 from motions import double_pendulum
 from rules import OF_DEGREE
-from scenes import oscillator_problem
+from scenes import oscillator_problem, pendulum
 
 import casadi_galerkin as cg
 

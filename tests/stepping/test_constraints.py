@@ -7,7 +7,6 @@ from constrained import (
     of_rods,
     on_circle,
     on_sphere,
-    pendulum,
     planar,
     rods,
     spatial,
@@ -15,7 +14,7 @@ from constrained import (
     two_masses,
     unit_length,
 )
-from motions import double_pendulum
+from motions import double_pendulum, pendulum
 
 import casadi_galerkin as cg
 

@@ -3,7 +3,9 @@
 import casadi as ca
 import numpy as np
 import pytest
-from constrained import on_circle, pendulum, planar, unit_length
+from constrained import on_circle, planar, unit_length
+from motions import henon_heiles, kepler
+from scenes import free_particle, pendulum
 from scipy.integrate import quad
 from scipy.special import ellipk
 
@@ -14,18 +16,6 @@ from casadi_galerkin.stepping.shooting import chain
 METHOD = cg.Galerkin(8)
 SAME = 1e-12  # the same discrete equations solved in two ways
 DURATION = 1e-12
-
-
-def kepler(t, x, v):
-    return ca.sumsqr(v) / 2 + 1 / ca.norm_2(x)
-
-
-def henon_heiles(t, x, v):
-    return ca.sumsqr(v) / 2 - ca.sumsqr(x) / 2 - x[0] ** 2 * x[1] + x[1] ** 3 / 3
-
-
-def line(t, x, v):
-    return ca.sumsqr(v) / 2
 
 
 def of_anomaly(eccentricity, anomaly):
@@ -204,7 +194,7 @@ def test_a_guess_gives_the_duration_too():
 @pytest.mark.parametrize("velocity", [-1.0, -1e-3])
 def test_a_duration_is_never_negative(velocity):
     """Backward in time, the free motion to the left would meet the end on the right."""
-    problem = cg.BoundaryProblem(line, (0, 1), [0.0], [1.0], energy=0.5)
+    problem = cg.BoundaryProblem(free_particle, (0, 1), [0.0], [1.0], energy=0.5)
     with pytest.raises(cg.ConvergenceError, match="shooting failed"):
         cg.shoot(problem, METHOD, 4, guess=launched(problem, [velocity], 4))
 
@@ -233,7 +223,7 @@ def test_a_path_that_turns_back_where_it_began_is_not_periodic():
 
 def test_a_guess_that_rests_tells_no_duration():
     problem = cg.BoundaryProblem(
-        line, (0, 1), [0.0, 0.0], [None, None], end_conditions=lambda x0, x1: ca.sumsqr(x1) - 4, energy=0.5
+        free_particle, (0, 1), [0.0, 0.0], [None, None], end_conditions=lambda x0, x1: ca.sumsqr(x1) - 4, energy=0.5
     )
     with pytest.raises(cg.ConjugatePointError, match="or the guess rests at its start: give one that moves"):
         cg.shoot(problem, METHOD, 4)
