@@ -300,12 +300,7 @@ def deflated(
 ) -> tuple[np.ndarray, int]:
     """Deflated Newton's method up to where something is near that is not known: that point, and the iterations.
 
-    Parameters
-    ----------
-    stationarity, guess, data : as for a `Solver`
-    known : unknowns of critical points
-    sizes : what the unknowns are measured by
-    stiffest : largest entry of the Hessian at which it goes on
+    Unknowns are measured by `sizes`; it goes on while no entry of the Hessian is larger than `stiffest`.
     """
     x, weights = guess, 1 / (len(sizes) * sizes**2)
     with stationarity.linearization() as at:

@@ -195,8 +195,8 @@ def trace_ends(
 
 
 def with_parameters(function: ca.Function, parameters: tuple[float, ...] | None) -> ca.Function:
-    """Put the parameters p, which a callable takes last, into a Function; without parameters it is the same."""
-    if parameters is None:
+    """Put the parameters p, which a callable takes last, into a Function; without either it is the same."""
+    if parameters is None or function is None:
         return function
     symbols = function.sx_in()[:-1]
     return ca.Function(function.name(), symbols, [function(*symbols, ca.DM(parameters))])

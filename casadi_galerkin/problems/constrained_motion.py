@@ -68,7 +68,7 @@ def motion_of(problem: Problem) -> ca.Function | None:
     if problem.constraint is None:
         return None
     functions = problem.lagrangian, problem.constraint, problem.force
-    return constrained_motion(*(f if f is None else with_parameters(f, problem.parameters) for f in functions))
+    return constrained_motion(*(with_parameters(f, problem.parameters) for f in functions))
 
 
 def unforced_motion_of(problem: Problem) -> ca.Function:
@@ -90,17 +90,19 @@ def _solved(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray, rh
 
 
 def tangent_momenta(
-    motion: ca.Function, t: np.ndarray, x: np.ndarray, momentum: np.ndarray, velocity: np.ndarray
+    motion: ca.Function | None, t: np.ndarray, x: np.ndarray, momentum: np.ndarray, velocity: np.ndarray
 ) -> np.ndarray:
     """The momenta p + Gᵀμ whose velocities are tangent to the constraint, by Newton's method; (d, K).
 
     Parameters
     ----------
-    motion : `constrained_motion`
+    motion : `constrained_motion`; None where there is no constraint, and every momentum is its own
     t : (K,)
     x, momentum : (d, K)
     velocity : (d, K), near the velocities
     """
+    if motion is None:
+        return momentum
     v, d = velocity, len(x)
     for _ in range(ITERATIONS):
         _, p, rate, _ = _at(motion, t, x, v)

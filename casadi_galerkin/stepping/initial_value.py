@@ -25,24 +25,10 @@ from casadi_galerkin.stepping.stepper import Roll, Stepper
 
 
 def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbose: int = 0) -> Trajectory:
-    """Solve an initial problem step by step.
+    """Solve an initial problem step by step on the joints of a mesh; see `solve`.
 
     Where a path meets a singularity, a step of a certain length may still have a solution, beyond it: the discrete
     equations do not see what lies between quadrature points.  The energy then jumps.
-
-    Parameters
-    ----------
-    problem : InitialProblem
-    method : Galerkin
-    mesh : (N + 1,) joints
-    verbose : 1 prints a summary
-
-    Raises
-    ------
-    ConvergenceError
-        naming the first step whose equations were not solved, and its time
-    ValueError
-        for a degenerate Lagrangian
     """
     check_types(problem, method, InitialProblem)
     began = time.perf_counter()
@@ -61,8 +47,8 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
 def stepper_of(problem: Problem, method: Galerkin, stretched: bool = False) -> Stepper:
     """The step of a problem, with its parameters put in."""
     functions = problem.lagrangian, problem.force, problem.constraint
-    given = [f if f is None else with_parameters(f, problem.parameters) for f in functions]
-    return Stepper(given[0], given[1], given[2], method, stretched)
+    lagrangian, force, constraint = (with_parameters(f, problem.parameters) for f in functions)
+    return Stepper(lagrangian, force, constraint, method, stretched)
 
 
 def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
@@ -86,16 +72,16 @@ def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
                     f"{rates.tolist()} for v = {v.tolist()}"
                 )
         return checked(v), v
-    p, rest = np.array(problem.momentum), np.zeros(len(x))
-    motion = motion_of(problem)
-    if motion is not None:
-        p = tangent_momenta(motion, np.array([start]), x[:, None], p[:, None], rest[:, None])[:, 0]
-    checked(rest)
-    v = velocities(legendre, np.array([start]), x[:, None], p[:, None], rest[:, None])[:, 0]
+    rest, at = np.zeros((len(x), 1)), (np.array([start]), x[:, None])
+    p = tangent_momenta(motion_of(problem), *at, np.array(problem.momentum)[:, None], rest)
+    checked(rest[:, 0])
+    v = velocities(legendre, *at, p, rest)[:, 0]
     if np.isnan(v).any():
-        raise ValueError(f"no velocity was found that has the momentum {p} at the start, x = {x}; give the velocity")
+        raise ValueError(
+            f"no velocity was found that has the momentum {p[:, 0]} at the start, x = {x}; give the velocity"
+        )
     checked(v)
-    return p, v
+    return p[:, 0], v
 
 
 def verified(roll: Roll, stepper: Stepper) -> Roll:

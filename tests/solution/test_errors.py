@@ -7,18 +7,13 @@ from scenes import bratu, kepler
 
 import casadi_galerkin as cg
 
+UNSOLVABLE = cg.BoundaryProblem(bratu(10.0), (0, 1), [0.0], [0.0])
 FAILURES = {
-    "newton": lambda: cg.solve(cg.BoundaryProblem(bratu(10.0), (0, 1), [0.0], [0.0]), cg.Galerkin(4), 6),
-    "rootfinder": lambda: cg.solve(
-        cg.BoundaryProblem(bratu(10.0), (0, 1), [0.0], [0.0]), cg.Galerkin(4), 6, solver=cg.rootfinder
-    ),
-    "ipopt": lambda: cg.solve(
-        cg.BoundaryProblem(bratu(10.0), (0, 1), [0.0], [0.0]), cg.Galerkin(4), 6, solver=cg.ipopt
-    ),
-    "minimizer": lambda: cg.solve(
-        cg.BoundaryProblem(bratu(10.0), (0, 1), [0.0], [0.0]), cg.Galerkin(4), 6, solver=cg.minimizer
-    ),
-    "refinement": lambda: cg.solve(cg.BoundaryProblem(bratu(10.0), (0, 1), [0.0], [0.0]), tol=1e-6),
+    "newton": lambda: cg.solve(UNSOLVABLE, cg.Galerkin(4), 6),
+    "rootfinder": lambda: cg.solve(UNSOLVABLE, cg.Galerkin(4), 6, solver=cg.rootfinder),
+    "ipopt": lambda: cg.solve(UNSOLVABLE, cg.Galerkin(4), 6, solver=cg.ipopt),
+    "minimizer": lambda: cg.solve(UNSOLVABLE, cg.Galerkin(4), 6, solver=cg.minimizer),
+    "refinement": lambda: cg.solve(UNSOLVABLE, tol=1e-6),
     "conjugate ends": lambda: cg.solve(
         cg.BoundaryProblem(lambda t, x, v: (v[0] ** 2 - x[0] ** 2) / 2, (0, np.pi), [0.0], [0.0]), cg.Galerkin(9), 9
     ),
