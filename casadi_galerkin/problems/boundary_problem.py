@@ -135,7 +135,7 @@ class BoundaryProblem:
         }
         self.__dict__.update(values)  # the class is frozen
         _check_ends(self)
-        check_constraint(self, self._whole_ends())
+        check_constraint(self)
         _check_energy(self)
 
     def __repr__(self) -> str:
@@ -172,18 +172,8 @@ class BoundaryProblem:
         """
         other = object.__new__(type(self))  # copy.copy takes 50 µs
         other.__dict__.update(vars(self), t_span=t_span, **varied_values(self, changes))
-        if self.constraint is not None:
-            check_constraint(other, other._whole_ends())
+        check_constraint(other)
         return other
-
-    def _whole_ends(self) -> dict[str, tuple[float, tuple[float, ...]]]:
-        """Time and position of the ends at which all of the position is given, by name."""
-        ends = {}
-        for name, t, x in zip(ENDS, self.t_span, (self.start, self.end), strict=True):
-            given = tuple(value for value in x if value is not None)
-            if len(given) == len(x):
-                ends[name] = t, given
-        return ends
 
 
 def _check_ends(problem: BoundaryProblem) -> None:

@@ -10,8 +10,9 @@ with p = ∂L/∂v and M = ∂p/∂v.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -136,13 +137,10 @@ def work_of_constraint(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.
     return np.asarray(np.sum(_solved(motion, t, x, v, rhs)[len(x) :] * pull, axis=0))
 
 
-def check_constraint(problem: Problem, given: Mapping[str, tuple[float, tuple[float, ...]]]) -> None:
+def check_constraint(problem: Problem) -> None:
     """Refuse more constraints than a path can hold, given positions that are off it, and redundant constraints there.
 
-    Parameters
-    ----------
-    problem : the problem, with or without a constraint
-    given : time and position (d,) by what the user calls it
+    Positions count where all of their components are given.
     """
     if problem.constraint is None:
         return
@@ -153,7 +151,11 @@ def check_constraint(problem: Problem, given: Mapping[str, tuple[float, tuple[fl
     t, x = function.sx_in()
     value = function(t, x)
     both = ca.Function("both", [t, x], [value, ca.densify(ca.jacobian(value, x))])
-    for name, (when, where) in given.items():
+    first, last = problem.t_span
+    for name, when in (("start", first), ("position", first), ("end", last)):
+        where: Any = getattr(problem, name, (None,))
+        if None in where:
+            continue
         held, slope = (np.array(a) for a in both(when, where))
         missed = np.abs(held.ravel()) / (np.abs(slope) @ np.abs(where) + TINY)
         if not np.all(missed <= HELD):

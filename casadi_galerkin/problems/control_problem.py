@@ -288,16 +288,11 @@ class ControlProblem:
         if self.constraints and self.crossings:
             raise ValueError("a problem with a constraint takes no jumps, and no functions as waypoints")
         if self.duration_bounds is None and self.parameter_bounds is None:
-            check_constraint(self, self._whole_ends())
+            check_constraint(self)
             self._check_constraint("start", self.t_span[0])
             self._check_constraint("end", self.t_span[1])
         if self.end_conditions is not None:
             self._check_conditions(*self.end_conditions)
-
-    def _whole_ends(self) -> dict[str, tuple[float, tuple[float, ...]]]:
-        """Time and position of the ends where all of the position is given."""
-        ends = {"start": (self.t_span[0], self.start), "end": (self.t_span[1], self.end)}
-        return {name: (t, tuple(v for v in x if v is not None)) for name, (t, x) in ends.items() if None not in x}
 
     def _check_constraint(self, name: str, t: float) -> None:
         """Refuse a fully given state at an end off a path constraint on which controls have no say, or not tangent."""

@@ -77,7 +77,7 @@ class InitialProblem:
             "constraint": trace_constraint(constraint, d, checked_parameters),
         }
         self.__dict__.update(values)  # the class is frozen
-        check_constraint(self, {"position": (self.t_span[0], self.position)})
+        check_constraint(self)
 
     def __repr__(self) -> str:
         """State the problem without its Lagrangian."""

@@ -17,7 +17,7 @@ from casadi_galerkin.problems.callables import Traceable, trace
 from casadi_galerkin.problems.constrained_motion import motion_of, tangents
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.stepping.initial_value import stepper_of
+from casadi_galerkin.stepping.stepper import Stepper
 
 
 @dataclass(frozen=True, repr=False)
@@ -121,7 +121,7 @@ def geometry(path: Trajectory, symmetry: Traceable | None = None) -> Geometry:
 
 def jacobians(path: Trajectory) -> np.ndarray:
     """∂(x_{i+1}, p_{i+1})/∂(x_i, p_i) of every interval of a path, (N, 2d, 2d)."""
-    stepper = stepper_of(path.problem, path.method)
+    stepper = Stepper(path.problem, path.method)
     nodes, m = path.method.element.nodes, path.method.degree
     slopes = lagrange_values(nodes, stepper.basis.points) @ differentiation_matrix(nodes)
     columns = m * np.arange(len(path.t) - 1)[:, None] + np.arange(m + 1)

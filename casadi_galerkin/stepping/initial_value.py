@@ -16,7 +16,7 @@ from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, rates_of_constraint, tangent_momenta
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate, velocities
-from casadi_galerkin.problems.problem import Problem, check_types
+from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -33,7 +33,7 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     check_types(problem, method, InitialProblem)
     began = time.perf_counter()
     p, v = start_state(problem)
-    stepper = stepper_of(problem, method)
+    stepper = Stepper(problem, method)
     roll = verified(stepper.roll(np.array(problem.position), p, v, mesh), stepper)
     build = stepper.build_seconds
     path = trajectory(
@@ -42,13 +42,6 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     if verbose:
         print(path)
     return path
-
-
-def stepper_of(problem: Problem, method: Galerkin, stretched: bool = False) -> Stepper:
-    """The step of a problem, with its parameters put in."""
-    functions = problem.lagrangian, problem.force, problem.constraint
-    lagrangian, force, constraint = (with_parameters(f, problem.parameters) for f in functions)
-    return Stepper(lagrangian, force, constraint, method, stretched)
 
 
 def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
@@ -111,7 +104,7 @@ def path_of(roll: Roll, stepper: Stepper, count: int) -> PiecewisePolynomial:
 def error_of_steps(path: Trajectory) -> float:
     """Estimate the relative error of a path of steps: see `Trajectory.estimate_error`."""
     higher = of_higher_degree(path.method.degree)
-    stepper = stepper_of(path.problem, higher)
+    stepper = Stepper(path.problem, higher)
     roll = stepper.roll(path.x[:, 0], path.momentum[:, 0], path.velocity[:, 0], path.t)
     if roll.verified < len(path.t) - 1:
         return math.inf

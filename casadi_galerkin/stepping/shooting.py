@@ -36,7 +36,7 @@ from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import SMALLEST_DAMPING
 from casadi_galerkin.solvers.stationarity import ROUNDOFF
 from casadi_galerkin.stepping.end_equations import end_equations
-from casadi_galerkin.stepping.initial_value import path_of, stepper_of, trajectory
+from casadi_galerkin.stepping.initial_value import path_of, trajectory
 from casadi_galerkin.stepping.stepper import Roll, Stepper
 
 ITERATIONS = 50
@@ -117,7 +117,7 @@ class Shooting:
             values = np.zeros((problem.dimension, len(calculus.node_parts)))
             guessed = values if guess is None else guess_values(guess, calculus, len(values))
             self.plane = phase_plane(calculus.emb(guessed))
-        self.stepper = stepper_of(problem, method, problem.energy is not None)
+        self.stepper = Stepper(problem, method, problem.energy is not None)
         equations = end_equations(problem, method, self.plane)
         self._equations, self.told = Evaluator(equations.function), equations.told
         self.free = np.flatnonzero(np.isnan(self.told))

@@ -17,6 +17,8 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.interval import TAYLOR, interval, newton_iteration, slope_basis
 from casadi_galerkin.functional.statement import refuse_points
+from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solvers.stationarity import ROUNDOFF
 
 PIECE = 64  # intervals rolled without Python; longer pieces were not faster, and took longer to build
@@ -60,26 +62,15 @@ class Roll:
 
 
 class Stepper:
-    """The step of a Lagrangian, built once and rolled as often as wanted.
+    """The step of a problem, built once and rolled as often as wanted.
 
-    Parameters
-    ----------
-    lagrangian : Function (t, x, v) -> scalar
-    force : Function (t, x, v) -> (d,), or None
-    constraint : Function (t, x) -> (k,), or None
-    method : Galerkin
-    stretched : bool, whether the stretch of all steps is the last component of x
+    Where it is `stretched`, the stretch of all steps is the last component of x.
     """
 
-    def __init__(
-        self,
-        lagrangian: ca.Function,
-        force: ca.Function | None,
-        constraint: ca.Function | None,
-        method: Galerkin,
-        stretched: bool = False,
-    ) -> None:
+    def __init__(self, problem: Problem, method: Galerkin, stretched: bool = False) -> None:
         began = time.perf_counter()
+        functions = problem.lagrangian, problem.force, problem.constraint
+        lagrangian, force, constraint = (with_parameters(f, problem.parameters) for f in functions)
         self.method, self.stretched = method, stretched
         if constraint is not None:
             refuse_points(method)

@@ -10,8 +10,8 @@ from scipy.integrate import quad
 from scipy.special import ellipk
 
 import casadi_galerkin as cg
-from casadi_galerkin.stepping.initial_value import stepper_of
 from casadi_galerkin.stepping.shooting import chain
+from casadi_galerkin.stepping.stepper import Stepper
 
 METHOD = cg.Galerkin(8)
 SAME = 1e-12  # the same discrete equations solved in two ways
@@ -168,7 +168,7 @@ def test_a_periodic_path_of_given_energy_is_closed(problem, guess, period):
 
 def test_derivatives_by_the_stretch_are_those_of_the_whole_path():
     problem, mesh, difference = cg.InitialProblem(pendulum, (0, 2), [0.5], momentum=[1.0]), np.linspace(0, 2, 8), 1e-5
-    stepper = stepper_of(problem, cg.Galerkin(3), stretched=True)
+    stepper = Stepper(problem, cg.Galerkin(3), stretched=True)
     roll = lambda stretch: stepper.roll(np.array([0.5, stretch]), np.array([1.0, 0.0]), np.array([1.0, 0.0]), mesh)  # noqa: E731
     states = lambda stretch: np.concatenate((roll(stretch).x, roll(stretch).p))  # noqa: E731
     middle = roll(1.2)
