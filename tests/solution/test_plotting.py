@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from control_problems import plane
 
 import casadi_galerkin as cg
 from casadi_galerkin.solution.plotting import COLORS
@@ -59,18 +60,7 @@ def test_long_labels_are_broken_between_components_only():
 @pytest.fixture
 def driven():
     """A mass in the plane, pushed by two controls."""
-    problem = cg.ControlProblem(
-        lambda t, x, v: ca.dot(v, v) / 2,
-        (0.0, 1.0),
-        start=[0.0, 0.0],
-        end=[1.0, 0.5],
-        start_velocity=[0.0, 0.0],
-        end_velocity=[0.0, 0.0],
-        force=lambda t, x, v, u: u,
-        running_cost=lambda t, x, v, u: ca.dot(u, u) / 2,
-        controls=2,
-    )
-    return cg.solve(problem, cg.Galerkin(3), 2)
+    return cg.solve(plane(), cg.Galerkin(3), 2)
 
 
 def test_controls_and_costate_carry_names_and_units_too(driven):
