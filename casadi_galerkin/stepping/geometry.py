@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import Traceable, trace
 from casadi_galerkin.problems.constrained_motion import motion_of, tangents
@@ -122,11 +121,8 @@ def geometry(path: Trajectory, symmetry: Traceable | None = None) -> Geometry:
 def jacobians(path: Trajectory) -> np.ndarray:
     """∂(x_{i+1}, p_{i+1})/∂(x_i, p_i) of every interval of a path, (N, 2d, 2d)."""
     stepper = Stepper(path.problem, path.method)
-    nodes, m = path.method.element.nodes, path.method.degree
-    slopes = lagrange_values(nodes, stepper.basis.points) @ differentiation_matrix(nodes)
-    columns = m * np.arange(len(path.t) - 1)[:, None] + np.arange(m + 1)
-    values = path.polynomial.values[:, columns]
-    s = ((values - values[:, :, :1]) @ slopes.T).transpose(1, 0, 2)
+    slopes = path.polynomial.at_parts(stepper.basis.points)[1]
+    s = (slopes * np.diff(path.t)[:, None]).transpose(1, 0, 2)
     if path.problem.constraint is not None:
         s = stepper.solved(path.t, path.x, path.momentum, s)
     return stepper.jacobians(path.t, path.x, path.momentum, s)

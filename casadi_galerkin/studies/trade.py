@@ -103,10 +103,7 @@ def _repeated(problem: Problem, row: Row, guess: Guess | None) -> Callable[[], T
 def _on_its_mesh(problem: Problem, cell: _Cell) -> Row:
     """The way on a fixed mesh that a tolerance has found; where durations are free, over those guessed."""
     assert cell.path is not None
-    solved, joints, row = cell.path.problem, cell.path.t, cell.row
-    assert isinstance(solved, (BoundaryProblem, ControlProblem)), "no other is solved to a tolerance"
-    assert isinstance(problem, (BoundaryProblem, ControlProblem))
-    found, guessed = marks(solved), marks(problem)
+    joints, row, found, guessed = cell.path.t, cell.row, marks(cell.path.problem), marks(problem)
     if found != guessed:
         joints = np.interp(joints, found, guessed)
     return Row(row.method, row.intervals, row.solver, row.tol, mesh=tuple(joints.tolist()))
