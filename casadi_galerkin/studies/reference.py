@@ -20,7 +20,6 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import number
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
-from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
@@ -74,17 +73,17 @@ class ReferenceSolution:
     ) -> None:
         self._path: Path
         self._at: Callable[[np.ndarray], np.ndarray]
+        mesh = given.t if isinstance(given, Trajectory) else np.linspace(*problem.t_span, SAMPLES // 4 + 1)
+        calculus = DiscreteCalculus(Galerkin(LEAST_DEGREE), mesh)
         if isinstance(given, Trajectory):
             self._path, self._at, self._marks, parameters = given, given, marks(given.problem), given.parameters
         else:
-            calculus = DiscreteCalculus(Galerkin(LEAST_DEGREE), np.linspace(*problem.t_span, SAMPLES // 4 + 1))
             self._at = partial(sampled, "the reference", given, dimension=problem.dimension)
             self._path, self._marks = Path(calculus.emb(self._at(calculus.node_times))), marks(problem)
         self._lagrangian = with_parameters(problem.lagrangian, parameters)
-        times = times_at(self._path.t, np.array(gauss(LEAST_DEGREE).points))
-        weights = np.outer(np.diff(self._path.t), gauss(LEAST_DEGREE).weights).ravel()
-        values, kinetic = self._terms(times)
-        self._functional, self._functional_size = float(weights @ values), float(weights @ np.abs(values))
+        values, kinetic = self._terms(calculus.quadrature_times)
+        self._functional = float(calculus.weights @ values)
+        self._functional_size = float(calculus.weights @ np.abs(values))
         if isinstance(given, Trajectory):
             self._functional = given.action
         if isinstance(problem, ControlProblem):  # a callable has no controls, so no cost
