@@ -56,8 +56,8 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
         raise ValueError(f"{name} must return {expected}, got shape {value.shape}")
     traced = ca.Function(name, symbols, [ca.densify(value)], list(sizes), ["value"], {"allow_free": True})
     _refuse_free(name, traced, shapes)
-    constants = (traced.instruction_constant(k) for k in range(traced.n_instructions()) if _is_constant(traced, k))
-    if any(math.isnan(constant) for constant in constants):  # float() of a symbol, as in math.cos(x), is NaN
+    constants = (k for k in range(traced.n_instructions()) if traced.instruction_id(k) == ca.OP_CONST)
+    if any(math.isnan(traced.instruction_constant(k)) for k in constants):  # as float() of a symbol, in math.cos(x)
         raise TypeError(
             f"{name} holds a constant that is not a number, as math.cos(x) gives for a CasADi symbol x. {ADVICE}"
         )
@@ -124,10 +124,6 @@ def _column(name: str, values: Iterable[Any]) -> Any:
         return ca.vertcat(*values)
     except (NotImplementedError, TypeError) as error:
         raise TypeError(f"{name} must return one CasADi expression per component, got {values!r}") from error
-
-
-def _is_constant(function: ca.Function, instruction: int) -> bool:
-    return bool(function.instruction_id(instruction) == ca.OP_CONST)
 
 
 def in_absolute_values(function: ca.Function, argument: int) -> set[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 
@@ -49,6 +50,7 @@ class InitialProblem:
     parameters: tuple[float, ...] | None
     force: ca.Function | None
     constraint: ca.Function | None
+    breakpoints: ClassVar[tuple[float, ...]] = ()  # which other problems have
 
     def __init__(
         self,
@@ -92,8 +94,3 @@ class InitialProblem:
     def dimension(self) -> int:
         """Number d of coordinates."""
         return len(self.position)
-
-    @property
-    def breakpoints(self) -> tuple[float, ...]:
-        """Times of joints that every mesh has: none."""
-        return ()

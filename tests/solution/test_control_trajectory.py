@@ -11,7 +11,6 @@ from control_problems import (
     everything,
     minimum_time,
     pendulum,
-    pendulum_in_three,
     varying_mass,
 )
 from scipy.integrate import quad, solve_ivp
@@ -174,11 +173,6 @@ def test_summary_and_plot(capsys):
     axes = path.plot()
     assert [a.get_ylabel() for a in axes.figure.axes] == ["x[0]", "u[0]", "λ[0]"]
     assert path.plot(axes) is axes
-
-
-@pytest.mark.parametrize("problem", [pendulum_in_three, minimum_time, varying_mass])
-def test_controls_stepped_forward_with_the_same_method_meet_every_joint(problem):
-    assert max(replayed(cg.solve(problem(), cg.Galerkin(4), intervals=12))) < 1e-10
 
 
 # path constraints
