@@ -2,6 +2,8 @@
 
 import casadi as ca
 import numpy as np
+from motions import double_pendulum
+from scenes import pendulum
 
 GRAVITY = 9.81
 
@@ -20,10 +22,6 @@ def unit_length(t, x):
 
 def on_circle(angle):
     return np.array([np.sin(angle), -np.cos(angle)])
-
-
-def pendulum(t, x, v):
-    return v[0] ** 2 / 2 + ca.cos(x[0])
 
 
 def on_sphere(angles):
@@ -46,3 +44,10 @@ def rods(t, x):
 def of_rods(angles):
     first, second = (on_circle(angle) for angle in angles)
     return np.concatenate((first, first + second))
+
+
+MECHANISMS = {  # in angles; in Cartesian coordinates; positions of angles; constraint
+    "pendulum": (pendulum, planar, lambda a: on_circle(a[0]), unit_length),
+    "spherical pendulum": (spherical_pendulum, spatial, on_sphere, unit_length),
+    "double pendulum": (double_pendulum, two_masses, of_rods, rods),
+}

@@ -1,6 +1,7 @@
 """Motions from given starts, for tests of steps."""
 
 import casadi as ca
+from scenes import pendulum
 
 import casadi_galerkin as cg
 
@@ -9,10 +10,6 @@ GRAVITY = 9.81
 
 def oscillator(t, x, v):
     return v[0] ** 2 / 2 - x[0] ** 2 / 4
-
-
-def pendulum(t, x, v):
-    return v[0] ** 2 / 2 + ca.cos(x[0])
 
 
 def varying_mass(t, x, v):
@@ -25,6 +22,10 @@ def quartic(t, x, v):
 
 def kepler(t, x, v):
     return ca.dot(v, v) / 2 + 1 / ca.norm_2(x)
+
+
+def henon_heiles(t, x, v):
+    return ca.sumsqr(v) / 2 - ca.sumsqr(x) / 2 - x[0] ** 2 * x[1] + x[1] ** 3 / 3
 
 
 def double_pendulum(t, x, v):

@@ -92,6 +92,13 @@ def bratu(rate):
     return lambda t, x, v: v[0] ** 2 / 2 - rate * ca.exp(x[0])
 
 
+def bratu_problem(rate=1.0):
+    """Bratu's problem with its rate as a parameter; there are paths up to 3.51."""
+    return cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0]), (0.0, 1.0), [0.0], [0.0], parameters=[rate]
+    )
+
+
 def boundary_layer(epsilon):
     return lambda t, x, v: epsilon * v[0] ** 2 / 2 + x[0] ** 2 / 2
 
@@ -108,7 +115,7 @@ def brachistochrone(t, x, v):
     return ca.sqrt((1 + v[0] ** 2) / (2 * x[0]))
 
 
-def natural(t, x, v):
+def saddle(t, x, v):
     return (v[0] ** 2 + x[0] ** 2) / 2
 
 
@@ -338,14 +345,14 @@ SCENES = [
     ),
     Scene(
         "natural end",
-        natural,
+        saddle,
         (0.0, 1.0),
         [1.0],
         [None],
         path=lambda t: [ca.cosh(1 - t) / np.cosh(1)],
         action=np.tanh(1) / 2,
         velocities=([-np.tanh(1)], [0.0]),
-        conserved=energy(natural),
+        conserved=energy(saddle),
     ),
     Scene(
         "charged particle",

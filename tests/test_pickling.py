@@ -7,8 +7,9 @@ import sys
 import casadi as ca
 import numpy as np
 import pytest
-from constrained import on_circle, pendulum, planar, unit_length
+from constrained import on_circle, planar, unit_length
 from control_problems import everything
+from scenes import pendulum
 
 import casadi_galerkin as cg
 

@@ -8,19 +8,12 @@ import numpy as np
 import pytest
 from constrained import on_sphere, spatial, unit_length
 from control_problems import cart_pole, double_integrator, everything
-from scenes import BY_NAME, bratu, kepler, pendulum
+from scenes import BY_NAME, bratu, bratu_problem, kepler, pendulum
 
 import casadi_galerkin as cg
 
 LINES, CHARACTERS = 12, 900
 METHOD = cg.Galerkin(4)
-
-
-def family():
-    """Bratu's problem with its rate as a parameter, with a path up to 3.5."""
-    return cg.BoundaryProblem(
-        lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0]), (0.0, 1.0), [0.0], [0.0], parameters=[1.0]
-    )
 
 
 def chain(masses=40):
@@ -79,10 +72,10 @@ CASES = {
     "AdaptiveTranscription": lambda: cg.transcribe(SHORT, tol=1e-9),
     "Transcription of many components": lambda: cg.transcribe(chain(), METHOD, 100),
     "ControlTranscription": lambda: cg.transcribe(cart_pole(), METHOD, 100),
-    "Sweep": lambda: cg.sweep(family(), rates(3.0), METHOD, 6),
-    "Sweep with failures": lambda: cg.sweep(family(), rates(9.0), METHOD, 6),
-    "Branch": lambda: cg.continuation(family(), [4.0], intervals=10),
-    "Fold": lambda: cg.continuation(family(), [4.0], intervals=10).folds[0],
+    "Sweep": lambda: cg.sweep(bratu_problem(), rates(3.0), METHOD, 6),
+    "Sweep with failures": lambda: cg.sweep(bratu_problem(), rates(9.0), METHOD, 6),
+    "Branch": lambda: cg.continuation(bratu_problem(), [4.0], intervals=10),
+    "Fold": lambda: cg.continuation(bratu_problem(), [4.0], intervals=10).folds[0],
     "Paths": lambda: cg.paths(cg.BoundaryProblem(pendulum, (0, 5), [None], [None]), cg.Galerkin(6), 8, count=8),
     "Paths of a coarse mesh": lambda: cg.paths(
         BY_NAME["long pendulum, index 0"].problem, cg.Galerkin(1), 12, patience=5
@@ -92,7 +85,7 @@ CASES = {
     "Trade": lambda: cg.trade(SHORT, [cg.Galerkin(degree) for degree in range(1, 7)], [4, 8, 16]),
     "Row": lambda: cg.trade(SHORT, [METHOD], [4]).rows[0],
     "Row of a failure": lambda: cg.trade(SHORT, [METHOD, cg.Galerkin(2)], [4]).rows[1],
-    "Sensitivity": lambda: cg.sensitivity(cg.solve(family(), METHOD, 100)),
+    "Sensitivity": lambda: cg.sensitivity(cg.solve(bratu_problem(), METHOD, 100)),
     "Sensitivity of many components": lambda: cg.sensitivity(cg.solve(chain(), METHOD, 20)),
     "Geometry": lambda: cg.geometry(steps(), symmetry=rotation),
     "Geometry without symmetry": lambda: cg.geometry(cg.solve(SHORT, METHOD, 100)),
@@ -101,7 +94,7 @@ CASES = {
     "DiscreteCalculus": lambda: cg.DiscreteCalculus(METHOD, MESH),
     "BoundaryProblem": lambda: SHORT,
     "BoundaryProblem of many components": chain,
-    "BoundaryProblem with parameters": family,
+    "BoundaryProblem with parameters": bratu_problem,
     "BoundaryProblem with a constraint, a force and end conditions": constrained,
     "BoundaryProblem of given energy": lambda: cg.BoundaryProblem(pendulum, (0, 5), [None], periodic=True, energy=0.5),
     "InitialProblem": falling,

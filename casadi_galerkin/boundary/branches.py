@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import cast
 
 import casadi as ca
 import numpy as np
@@ -45,19 +46,20 @@ class Place:
         return self.index != other.index or abs(self.action - other.action - (here + there) / 2) > allowed
 
 
-def jumps(paths: Mapping[int, tuple[BoundaryProblem, Trajectory]]) -> dict[int, int]:
+def jumps(paths: Mapping[int, Trajectory]) -> dict[int, int]:
     """Number of a path -> number of its neighbor, for those that lie on another branch than their neighbor.
 
-    The neighbor of a path is the nearest one that comes before it.
+    The paths are of boundary problems.  The neighbor of a path is the nearest one that comes before it.
     """
     if not paths:
         return {}
-    numbers, values = list(paths), np.array([values_of(problem) for problem, _ in paths.values()])
+    problems = [cast(BoundaryProblem, path.problem) for path in paths.values()]
+    numbers, values = list(paths), np.array([values_of(problem) for problem in problems])
     spread, apart = np.ptp(values, axis=0), dict[int, int]()
     places: list[Place] = []
-    levels = Levels(paths[numbers[0]][0], by_rows)
-    for k, (number, (problem, path)) in enumerate(paths.items()):
-        graph = levels.of(problem).transcription(path.method, path.t)
+    levels = Levels(problems[0], by_rows)
+    for k, (number, path) in enumerate(paths.items()):
+        graph = levels.of(problems[k]).transcription(path.method, path.t)
         places.append(_place(graph, path, values[k]))
         if k > 0:
             i = nearest(values[k], values[:k], spread)

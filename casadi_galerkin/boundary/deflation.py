@@ -27,9 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.graph import CriticalPoint
-from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.boundary.loaded_curve import LoadedCurve
-from casadi_galerkin.boundary.refinement import BoundaryRefinement
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
@@ -40,13 +38,11 @@ from casadi_galerkin.functional.statement import has_phase
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.guess import waves
-from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.paths import FINER, Paths
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import smallest_second_variation
-from casadi_galerkin.solvers.solver import newton
 from casadi_galerkin.solvers.stationarity import Stationarity
 
 Symmetry = Callable[[np.ndarray], ArrayLike]
@@ -142,8 +138,6 @@ class Search:
         self.transcription, self.stationarity = transcription, transcription.stationarity
         self.symmetries, self.random = symmetries, np.random.default_rng(seed)
         self.data = transcription.data(transcription.mesh)
-        levels = Levels(transcription.problem)
-        self.refinement = BoundaryRefinement(levels, RESOLVED, transcription.method, newton, Limits(), verbose=0)
         self.found: list[tuple[Trajectory, np.ndarray]] = []  # with their unknowns
         self.known: list[np.ndarray] = []  # unknowns of all critical points and their images, also of those dropped
         self.solves = self.curves = self.unresolved = self.singular = 0
@@ -256,14 +250,14 @@ class Search:
             self.failure = self.failure or failure
             self.singular += isinstance(failure, ConjugatePointError)
             return
-        error = path.doubted(self.refinement.error(point.polynomial))
+        error = path.estimate_error()
         if not error <= RESOLVED:
             self.unresolved += 1
             return
         if smallest_second_variation(self.stationarity, solution.unknowns, self.data) < min(SOFT, ERRORS * error):
             self.singular += 1  # of a family that the mesh breaks up
             return
-        self.found.append((replace(path, error_estimate=error), solution.unknowns))
+        self.found.append((path, solution.unknowns))
         self.measure(*(path.polynomial.values for path, _ in self.found))
 
     def remembered(self, unknowns: np.ndarray) -> bool:
@@ -300,12 +294,7 @@ def deflated(
 ) -> tuple[np.ndarray, int]:
     """Deflated Newton's method up to where something is near that is not known: that point, and the iterations.
 
-    Parameters
-    ----------
-    stationarity, guess, data : as for a `Solver`
-    known : unknowns of critical points
-    sizes : what the unknowns are measured by
-    stiffest : largest entry of the Hessian at which it goes on
+    Unknowns are measured by `sizes`; it goes on while no entry of the Hessian is larger than `stiffest`.
     """
     x, weights = guess, 1 / (len(sizes) * sizes**2)
     with stationarity.linearization() as at:

@@ -19,16 +19,9 @@ from casadi_galerkin.solvers.solver import SolverLike
 
 
 class Levels:
-    """Graphs that are built when they are first asked for, and kept.
+    """Graphs that are built when they are first asked for, and kept; they count the iterations of all solves.
 
-    Parameters
-    ----------
-    problem : BoundaryProblem
-    mapping : how L is evaluated at the points, as for `Functional`, unless a graph is asked for with another
-
-    Attributes
-    ----------
-    iterations : of all solves so far
+    `mapping` is how L is evaluated at the points, as for `Functional`, unless a graph is asked for with another.
     """
 
     def __init__(self, problem: BoundaryProblem, mapping: Mapping = one_by_one) -> None:

@@ -72,12 +72,7 @@ class LoadedCurve(Curve[int]):
         return iteration if length < CLOSE * self.step else None
 
     def crossings(self, side: float) -> Iterator[np.ndarray]:
-        """Approximate paths without load, in the order in which they are met.
-
-        Parameters
-        ----------
-        side : 1.0 or -1.0, the sign of the load at the start
-        """
+        """Approximate paths without load, in the order in which they are met; `side` is the load's first sign, ±1.0."""
         z, self.step = self.start, FIRST_STEP
         tangent = self.tangent(z, np.append(np.zeros(len(z) - 1), side))
         for _ in range(POINTS):

@@ -57,7 +57,7 @@ def boundary_function(
 def _check(stationarity: Stationarity) -> ca.Function:
     """(unknowns, *data) -> whether all residuals are within `ROUNDOFF` of their floor; without derivatives."""
     floor = stationarity.floor
-    symbols, names = floor.mx_in(), [floor.name_in(i) for i in range(floor.n_in())]
+    symbols, names = floor.mx_in(), floor.name_in()
     residual, least = floor.call(symbols)
     worst = ca.norm_inf(residual / least)
     passed = ca.logic_and(worst <= ROUNDOFF, ca.norm_1(residual) < np.inf)  # a maximum may lose a NaN, a sum does not
@@ -134,7 +134,8 @@ def sensitivity(path: Trajectory) -> Sensitivity:
 def at_joints(problem: BoundaryProblem, path: Trajectory) -> Sensitivity:
     """`sensitivity` of the path of a problem, where the energy is given at joints that move with the data."""
     transcription = transcribed(problem, path.method, None, path.t)
-    numbering, symbols = transcription.numbering, dict(_named(transcription.gradient))
+    numbering, function = transcription.numbering, transcription.gradient
+    symbols = dict(zip(function.name_in(), function.mx_in(), strict=True))
     data = ca.vertcat(*(symbols[name] for name in ("start", "end", "parameters") if name in symbols))
     matrix, gradient = transcription.functional.function("derivatives").call(list(symbols.values()))
     solutions = transcription.stationarity.linear_solver.solutions("qr", data.numel(), transposed=False)
@@ -155,8 +156,3 @@ def _refuse_energy(name: str, problem: BoundaryProblem) -> None:
     """Refuse a free duration: its joints move with the data."""
     if problem.energy is not None:
         raise ValueError(f"{name} takes problems of a given duration, got one of given energy, {problem.energy}")
-
-
-def _named(function: ca.Function) -> list[tuple[str, ca.MX]]:
-    """Names and new symbols of the inputs of a Function."""
-    return [(function.name_in(i), symbol) for i, symbol in enumerate(function.mx_in())]

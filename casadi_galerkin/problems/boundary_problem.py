@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from casadi_galerkin.calculus.numbers import components, numbers, time_span, times_inside
 from casadi_galerkin.problems.callables import (
@@ -18,7 +17,7 @@ from casadi_galerkin.problems.callables import (
     trace_lagrangian,
 )
 from casadi_galerkin.problems.constrained_motion import check_constraint
-from casadi_galerkin.problems.problem import finite, shown, varied_values
+from casadi_galerkin.problems.problem import finite, flag, shown, varied_values
 
 Given = tuple[float | None, ...]
 ENDS = ("start", "end")
@@ -103,8 +102,7 @@ class BoundaryProblem:
         energy: float | None = None,
         breakpoints: Sequence[float] = (),
     ) -> None:
-        if not isinstance(periodic, (bool, np.bool_)):
-            raise TypeError(f"periodic must be True or False, got {periodic!r}")
+        closed = flag("periodic", periodic)
         checked_start = components("start", start)
         dimension = len(checked_start)
         checked_end = (None,) * dimension if end is None else components("end", end, dimension)
@@ -127,20 +125,17 @@ class BoundaryProblem:
             "start": checked_start,
             "end": checked_end,
             "parameters": checked,
-            "periodic": bool(periodic),
-            "force": None if force is None else trace_force(force, *traced),
-            "constraint": None if constraint is None else trace_constraint(constraint, *traced),
+            "periodic": closed,
+            "force": trace_force(force, *traced),
+            "constraint": trace_constraint(constraint, *traced),
             **{name: (None,) * dimension if a is None else components(name, a, dimension) for name, a in given.items()},
-            "end_action": None if end_action is None else trace_ends("end_action", end_action, "scalar", *traced),
-            "end_conditions": None
-            if end_conditions is None
-            else trace_ends("end_conditions", end_conditions, "any", *traced),
+            "end_action": trace_ends("end_action", end_action, "scalar", *traced),
+            "end_conditions": trace_ends("end_conditions", end_conditions, "any", *traced),
             "energy": None if energy is None else finite("energy", energy),
         }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        self.__dict__.update(values)  # the class is frozen
         _check_ends(self)
-        check_constraint(self, self._whole_ends())
+        check_constraint(self)
         _check_energy(self)
 
     def __repr__(self) -> str:
@@ -177,18 +172,8 @@ class BoundaryProblem:
         """
         other = object.__new__(type(self))  # copy.copy takes 50 µs
         other.__dict__.update(vars(self), t_span=t_span, **varied_values(self, changes))
-        if self.constraint is not None:
-            check_constraint(other, other._whole_ends())
+        check_constraint(other)
         return other
-
-    def _whole_ends(self) -> dict[str, tuple[float, tuple[float, ...]]]:
-        """Time and position of the ends at which all of the position is given, by name."""
-        ends = {}
-        for name, t, x in zip(ENDS, self.t_span, (self.start, self.end), strict=True):
-            given = tuple(value for value in x if value is not None)
-            if len(given) == len(x):
-                ends[name] = t, given
-        return ends
 
 
 def _check_ends(problem: BoundaryProblem) -> None:

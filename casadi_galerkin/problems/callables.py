@@ -56,8 +56,8 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
         raise ValueError(f"{name} must return {expected}, got shape {value.shape}")
     traced = ca.Function(name, symbols, [ca.densify(value)], list(sizes), ["value"], {"allow_free": True})
     _refuse_free(name, traced, shapes)
-    constants = (traced.instruction_constant(k) for k in range(traced.n_instructions()) if _is_constant(traced, k))
-    if any(math.isnan(constant) for constant in constants):  # float() of a symbol, as in math.cos(x), is NaN
+    constants = (k for k in range(traced.n_instructions()) if traced.instruction_id(k) == ca.OP_CONST)
+    if any(math.isnan(traced.instruction_constant(k)) for k in constants):  # as float() of a symbol, in math.cos(x)
         raise TypeError(
             f"{name} holds a constant that is not a number, as math.cos(x) gives for a CasADi symbol x. {ADVICE}"
         )
@@ -126,10 +126,6 @@ def _column(name: str, values: Iterable[Any]) -> Any:
         raise TypeError(f"{name} must return one CasADi expression per component, got {values!r}") from error
 
 
-def _is_constant(function: ca.Function, instruction: int) -> bool:
-    return bool(function.instruction_id(instruction) == ca.OP_CONST)
-
-
 def in_absolute_values(function: ca.Function, argument: int) -> set[int]:
     """Which entries of an argument the absolute values in a traced Function depend on."""
     held: dict[int, set[int]] = {}
@@ -172,29 +168,31 @@ def trace_lagrangian(
     return function
 
 
-def trace_force(force: Traceable, dimension: int, parameters: tuple[float, ...] | None) -> ca.Function:
-    """Trace F(t, x, v[, p]) -> (d,)."""
-    return trace("force", force, _sizes(dimension, parameters), dimension)
+def trace_force(force: Traceable | None, dimension: int, parameters: tuple[float, ...] | None) -> ca.Function | None:
+    """Trace F(t, x, v[, p]) -> (d,); None stays None."""
+    return None if force is None else trace("force", force, _sizes(dimension, parameters), dimension)
 
 
-def trace_constraint(constraint: Traceable, dimension: int, parameters: tuple[float, ...] | None) -> ca.Function:
-    """Trace g(t, x[, p]) -> (k,)."""
+def trace_constraint(
+    constraint: Traceable | None, dimension: int, parameters: tuple[float, ...] | None
+) -> ca.Function | None:
+    """Trace g(t, x[, p]) -> (k,); None stays None."""
     sizes = _sizes(dimension, parameters)
     del sizes["v"]
-    return trace("constraint", constraint, sizes, "any")
+    return None if constraint is None else trace("constraint", constraint, sizes, "any")
 
 
 def trace_ends(
-    name: str, function: Traceable, rows: Rows, dimension: int, parameters: tuple[float, ...] | None
-) -> ca.Function:
-    """Trace a function of the ends, (x_0, x_N[, p]) -> (rows,)."""
+    name: str, function: Traceable | None, rows: Rows, dimension: int, parameters: tuple[float, ...] | None
+) -> ca.Function | None:
+    """Trace a function of the ends, (x_0, x_N[, p]) -> (rows,); None stays None."""
     sizes = {"x0": dimension, "x1": dimension} | ({} if parameters is None else {"p": len(parameters)})
-    return trace(name, function, sizes, rows)
+    return None if function is None else trace(name, function, sizes, rows)
 
 
 def with_parameters(function: ca.Function, parameters: tuple[float, ...] | None) -> ca.Function:
-    """Put the parameters p, which a callable takes last, into a Function; without parameters it is the same."""
-    if parameters is None:
+    """Put the parameters p, which a callable takes last, into a Function; without either it is the same."""
+    if parameters is None or function is None:
         return function
-    symbols = [ca.SX.sym(function.name_in(i), function.size1_in(i)) for i in range(function.n_in() - 1)]
+    symbols = function.sx_in()[:-1]
     return ca.Function(function.name(), symbols, [function(*symbols, ca.DM(parameters))])

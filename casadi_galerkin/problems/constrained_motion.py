@@ -10,8 +10,9 @@ with p = ∂L/∂v and M = ∂p/∂v.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -36,7 +37,7 @@ def constrained_motion(
     lagrangian, force : Functions of (t, x, v)
     constraint : Function of (t, x)
     """
-    t, x, v = symbols = [ca.SX.sym(lagrangian.name_in(i), lagrangian.size1_in(i)) for i in range(3)]
+    t, x, v = symbols = lagrangian.sx_in()
     mass, momentum = ca.hessian(lagrangian(t, x, v), v)
     held = constraint(t, x)
     slope = ca.jacobian(held, x)
@@ -68,7 +69,7 @@ def motion_of(problem: Problem) -> ca.Function | None:
     if problem.constraint is None:
         return None
     functions = problem.lagrangian, problem.constraint, problem.force
-    return constrained_motion(*(f if f is None else with_parameters(f, problem.parameters) for f in functions))
+    return constrained_motion(*(with_parameters(f, problem.parameters) for f in functions))
 
 
 def unforced_motion_of(problem: Problem) -> ca.Function:
@@ -90,17 +91,19 @@ def _solved(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray, rh
 
 
 def tangent_momenta(
-    motion: ca.Function, t: np.ndarray, x: np.ndarray, momentum: np.ndarray, velocity: np.ndarray
+    motion: ca.Function | None, t: np.ndarray, x: np.ndarray, momentum: np.ndarray, velocity: np.ndarray
 ) -> np.ndarray:
     """The momenta p + Gᵀμ whose velocities are tangent to the constraint, by Newton's method; (d, K).
 
     Parameters
     ----------
-    motion : `constrained_motion`
+    motion : `constrained_motion`; None where there is no constraint, and every momentum is its own
     t : (K,)
     x, momentum : (d, K)
     velocity : (d, K), near the velocities
     """
+    if motion is None:
+        return momentum
     v, d = velocity, len(x)
     for _ in range(ITERATIONS):
         _, p, rate, _ = _at(motion, t, x, v)
@@ -134,13 +137,10 @@ def work_of_constraint(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.
     return np.asarray(np.sum(_solved(motion, t, x, v, rhs)[len(x) :] * pull, axis=0))
 
 
-def check_constraint(problem: Problem, given: Mapping[str, tuple[float, tuple[float, ...]]]) -> None:
+def check_constraint(problem: Problem) -> None:
     """Refuse more constraints than a path can hold, given positions that are off it, and redundant constraints there.
 
-    Parameters
-    ----------
-    problem : the problem, with or without a constraint
-    given : time and position (d,) by what the user calls it
+    Positions count where all of their components are given.
     """
     if problem.constraint is None:
         return
@@ -151,7 +151,11 @@ def check_constraint(problem: Problem, given: Mapping[str, tuple[float, tuple[fl
     t, x = function.sx_in()
     value = function(t, x)
     both = ca.Function("both", [t, x], [value, ca.densify(ca.jacobian(value, x))])
-    for name, (when, where) in given.items():
+    first, last = problem.t_span
+    for name, when in (("start", first), ("position", first), ("end", last)):
+        where: Any = getattr(problem, name, (None,))
+        if None in where:
+            continue
         held, slope = (np.array(a) for a in both(when, where))
         missed = np.abs(held.ravel()) / (np.abs(slope) @ np.abs(where) + TINY)
         if not np.all(missed <= HELD):
@@ -167,14 +171,21 @@ def check_constraint(problem: Problem, given: Mapping[str, tuple[float, tuple[fl
             )
 
 
+def rates_of_constraint(
+    problem: Problem, t: float, x: Sequence[float] | np.ndarray, v: Sequence[float] | np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rates G v + ∂g/∂t of the constraint's values, (k,), and how large they are relative to `HELD` of their terms."""
+    matrix, _, _, rate, pull = (np.array(a) for a in unforced_motion_of(problem)(t, x, v))
+    terms = np.abs(matrix[len(x) :, : len(x)]) @ np.abs(v) + np.abs(pull.ravel())
+    return rate.ravel(), np.abs(rate.ravel()) / (HELD * terms + TINY)
+
+
 def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v: tuple[float, ...]) -> None:
     """Refuse a given velocity at an end that leaves the constraint."""
-    motion = unforced_motion_of(problem)
-    matrix, _, _, rate, pull = (np.array(a) for a in motion(t, x, v))
-    terms = np.abs(matrix[len(x) :, : len(x)]) @ np.abs(v) + np.abs(pull.ravel())
-    missed = np.abs(rate.ravel()) / (terms + TINY)
-    if np.any(missed > HELD):
+    rates, missed = rates_of_constraint(problem, t, x, v)
+    if np.any(missed > 1):
+        i = int(np.argmax(missed))
         raise ValueError(
             f"{name}_velocity must be tangent to the constraint at the {name}, got {list(v)}: the rate of its value "
-            f"{int(np.argmax(missed))} is {rate[int(np.argmax(missed)), 0]:g}"
+            f"{i} is {rates[i]:g}"
         )

@@ -40,7 +40,7 @@ from casadi_galerkin.problems.crossings import (
     waypoints_of,
 )
 from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
-from casadi_galerkin.problems.problem import marks, shown, varied_values
+from casadi_galerkin.problems.problem import flag, marks, shown, varied_values
 
 ROUNDED = 1e-8  # of a condition that the ends given meet, as much as a solve may leave
 
@@ -188,11 +188,10 @@ class ControlProblem:
             "breakpoints": inner,
             "waypoints": passed,
             "jumps": laws,
-            "hold": _flag("hold", hold),
-            "constraint": None if constraint is None else trace_constraint(constraint, d, given),
+            "hold": flag("hold", hold),
+            "constraint": trace_constraint(constraint, d, given),
         }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        self.__dict__.update(values)  # the class is frozen
         self._check_dependence()
         self._check_ends()
         self._check_guesses()
@@ -289,16 +288,11 @@ class ControlProblem:
         if self.constraints and self.crossings:
             raise ValueError("a problem with a constraint takes no jumps, and no functions as waypoints")
         if self.duration_bounds is None and self.parameter_bounds is None:
-            check_constraint(self, self._whole_ends())
+            check_constraint(self)
             self._check_constraint("start", self.t_span[0])
             self._check_constraint("end", self.t_span[1])
         if self.end_conditions is not None:
             self._check_conditions(*self.end_conditions)
-
-    def _whole_ends(self) -> dict[str, tuple[float, tuple[float, ...]]]:
-        """Time and position of the ends where all of the position is given."""
-        ends = {"start": (self.t_span[0], self.start), "end": (self.t_span[1], self.end)}
-        return {name: (t, tuple(v for v in x if v is not None)) for name, (t, x) in ends.items() if None not in x}
 
     def _check_constraint(self, name: str, t: float) -> None:
         """Refuse a fully given state at an end off a path constraint on which controls have no say, or not tangent."""
@@ -359,12 +353,6 @@ def _control_count(controls: int) -> int:
     if count < 1:
         raise ValueError(f"a ControlProblem needs at least one control, got {count}; without, see BoundaryProblem")
     return count
-
-
-def _flag(name: str, value: object) -> bool:
-    if not isinstance(value, bool):
-        raise TypeError(f"{name} must be True or False, got {value!r}")
-    return value
 
 
 def _nothing(*_: ca.SX) -> float:

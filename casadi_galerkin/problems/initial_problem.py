@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 
@@ -49,6 +50,7 @@ class InitialProblem:
     parameters: tuple[float, ...] | None
     force: ca.Function | None
     constraint: ca.Function | None
+    breakpoints: ClassVar[tuple[float, ...]] = ()  # which other problems have
 
     def __init__(
         self,
@@ -73,12 +75,11 @@ class InitialProblem:
             "momentum": None if momentum is None else numbers("momentum", momentum, d),
             "velocity": None if velocity is None else numbers("velocity", velocity, d),
             "parameters": checked_parameters,
-            "force": None if force is None else trace_force(force, d, checked_parameters),
-            "constraint": None if constraint is None else trace_constraint(constraint, d, checked_parameters),
+            "force": trace_force(force, d, checked_parameters),
+            "constraint": trace_constraint(constraint, d, checked_parameters),
         }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
-        check_constraint(self, {"position": (self.t_span[0], self.position)})
+        self.__dict__.update(values)  # the class is frozen
+        check_constraint(self)
 
     def __repr__(self) -> str:
         """State the problem without its Lagrangian."""

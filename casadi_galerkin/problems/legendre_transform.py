@@ -19,7 +19,7 @@ DEGENERATE = 1e-13  # reciprocal condition of the scaled mass matrix below which
 @lru_cache(8)
 def legendre_transform(lagrangian: ca.Function) -> ca.Function:
     """(t, x, v) -> p = ∂L/∂v (d,), mass matrix ∂²L/∂v² (d, d)."""
-    symbols = [ca.SX.sym(lagrangian.name_in(i), lagrangian.size1_in(i)) for i in range(3)]
+    symbols = lagrangian.sx_in()
     mass, momentum = ca.hessian(lagrangian(*symbols), symbols[2])
     return ca.Function("legendre", symbols, [ca.densify(momentum), ca.densify(mass)])
 

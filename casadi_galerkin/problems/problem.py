@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import casadi as ca
+import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import components, number, numbers
@@ -31,10 +32,6 @@ class Problem(Protocol):
     def parameters(self) -> tuple[float, ...] | None:
         """Values of p."""
 
-
-class Spanned(Protocol):
-    """A problem whose path is solved at once, between two times."""
-
     @property
     def t_span(self) -> tuple[float, float]:
         """Times of the ends."""
@@ -44,7 +41,7 @@ class Spanned(Protocol):
         """Times of joints that every mesh has."""
 
 
-def marks(problem: Spanned) -> list[float]:
+def marks(problem: Problem) -> list[float]:
     """Times of both ends and, between them, of the breakpoints: what joints keep their numbers between."""
     return [problem.t_span[0], *problem.breakpoints, problem.t_span[1]]
 
@@ -83,6 +80,13 @@ def finite(name: str, value: object) -> float:
     if checked is None or not math.isfinite(checked):
         raise ValueError(f"{name} must be a finite number, got {value!r}")
     return checked
+
+
+def flag(name: str, value: object) -> bool:
+    """Check a truth."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise TypeError(f"{name} must be True or False, got {value!r}")
+    return bool(value)
 
 
 MOST_SHOWN = 6  # numbers of a repr

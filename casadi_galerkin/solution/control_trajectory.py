@@ -20,7 +20,7 @@ from casadi_galerkin.problems.constrained_motion import constrained_motion
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.export import by_component
-from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_controls, plot_path
+from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_path
 from casadi_galerkin.solution.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ CONTINUOUS = 1e-8  # of the largest control: what the solver leaves between two 
 SHOWN_OVERSHOOT = 1e-3  # of the bounds' width; less is no reason for another mesh
 SHOWN_EXCESS = 1e-8  # of the constraints' size; at the points as much is accepted
 SMOOTH = np.linspace(0.0, 1.0, 40)  # parts of an interval at which a line is drawn
+DOT = 3.0  # size of the dots of quadrature points, which are many
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -191,25 +192,20 @@ class ControlTrajectory(Trajectory):
 
     def _motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """∂L/∂v and ∂L/∂x + F along the path, and what follows rates with these; (d, K) each."""
-        problem = self.problem
-        d, n = problem.dimension, problem.controls
-        symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d)]
-        u = ca.SX.sym("u", n)
-        lagrangian, parts = self._lagrangian(*symbols), [0, problem.mechanical, d]
-        force, own = (with_parameters(f, self.parameters)(*symbols, u) for f in (problem.force, problem.rates))
-        work, momentum = (ca.vertsplit(ca.gradient(lagrangian, by), parts)[0] for by in symbols[1:3])
-        rate = ca.vertcat(work + force, own)
-        momentum = ca.vertcat(momentum, ca.vertsplit(symbols[1], parts)[1])
-        outputs = [ca.densify(momentum), ca.densify(rate)]
-        motion = ca.Function("motion", [*symbols, u], outputs).map(len(times))
-        values = motion(times[None, :], self(times), self(times, 1), self.control(times))
-        if problem.constraint is None:
-            return np.array(values[0]), np.array(values[1])
-        held = with_parameters(problem.constraint, self.parameters)(*symbols[:2])
+        problem, parts = self.problem, [0, self.problem.mechanical, self.problem.dimension]
+        t, x, v = self._lagrangian.sx_in()
+        u, lagrangian = ca.SX.sym("u", problem.controls), self._lagrangian(t, x, v)
+        force, own = (with_parameters(f, self.parameters)(t, x, v, u) for f in (problem.force, problem.rates))
+        work, momentum = (ca.vertsplit(ca.gradient(lagrangian, by), parts)[0] for by in (x, v))
+        held, multipliers = ca.SX(0, 1), np.empty((0, len(times)))
+        if problem.constraint is not None:
+            held, multipliers = with_parameters(problem.constraint, self.parameters)(t, x), self.multipliers(times)
         push = ca.SX.sym("push", held.numel())
-        impulse = ca.mtimes(ca.jacobian(held, symbols[1]).T, push)
-        pushed = ca.Function("pushed", [*symbols[:2], push], [ca.densify(impulse)]).map(len(times))
-        return np.array(values[0]), np.array(values[1] + pushed(times[None, :], self(times), self.multipliers(times)))
+        rate = ca.vertcat(work + force, own) + ca.mtimes(ca.jacobian(held, x).T, push)
+        outputs = map(ca.densify, (ca.vertcat(momentum, ca.vertsplit(x, parts)[1]), rate))
+        motion = ca.Function("motion", [t, x, v, u, push], [*outputs]).map(len(times))
+        values = motion(times[None, :], self(times), self(times, 1), self.control(times), multipliers)
+        return np.array(values[0]), np.array(values[1])
 
     def _constrained_motion(self) -> ca.Function | None:
         """What the multipliers are found from, with the forces that the controls give."""
@@ -280,9 +276,9 @@ class ControlTrajectory(Trajectory):
         time : name of the time with its unit
         """
         lines = self.control.at(SMOOTH).reshape(len(self.control.values), -1, len(SMOOTH))
-        points, bounds = (self.control.times, self.control.values), np.array(self.problem.control_bounds)
-        drawn = plot_controls(*self._broken(lines), *points, bounds, axes, labels)
-        drawn.set_xlabel(time)
+        points = self.control.times, self.control.values
+        drawn = plot_path(*self._broken(lines), *points, axes, labels, time, "u", DOT)
+        draw_bounds(drawn, np.array(self.problem.control_bounds))
         return drawn
 
     def plot_constraints(self, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t") -> Axes:
@@ -303,10 +299,10 @@ class ControlTrajectory(Trajectory):
             raise ValueError("there is no path constraint to draw")
         times, lines = self._broken(self._path_constraints(SMOOTH))
         values = self._path_constraints(self.path_multipliers.points)
-        points, bounds = self.path_multipliers.times, np.array(self.problem.path_constraint[1:])
-        drawn = plot_controls(times, lines, points, values.reshape(len(values), -1), bounds, axes, labels, "g")
+        points = self.path_multipliers.times
+        drawn = plot_path(times, lines, points, values.reshape(len(values), -1), axes, labels, time, "g", DOT)
+        draw_bounds(drawn, np.array(self.problem.path_constraint[1:]))
         draw_multipliers(drawn, points, self.path_multipliers.values)
-        drawn.set_xlabel(time)
         return drawn
 
     def _broken(self, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""What a user gives beside the problem: a method, a mesh, and a guess in any of its forms, as arrays."""
+"""A guess in any of its forms, as an array of node values; and random ones."""
 
 from __future__ import annotations
 
@@ -53,19 +53,10 @@ def guessed(function: Callable[..., ArrayLike], times: np.ndarray, dimension: in
 
 
 def meeting_ends(values: np.ndarray, parts: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Bend a guess to meet the fixed ends by adding a straight line.
+    """Bend a guess (K, d) to meet the fixed ends (2, d) by adding a straight line.
 
-    A component that is free at one end is moved there as at the other; one that is free at both stays.
-
-    Parameters
-    ----------
-    values : (K, d), the guess
-    parts : (K,), its times as parts of the whole time, from 0 to 1
-    ends : (2, d), what is given at the ends, NaN where a component is free
-
-    Returns
-    -------
-    (K, d)
+    A component that is free at one end, NaN there, is moved as at the other; one that is free at both stays.  `parts`
+    (K,) are the times as parts of the whole time, from 0 to 1.
     """
     moves = ends - values[:: len(values) - 1]
     free = np.isnan(moves)

@@ -88,8 +88,7 @@ class Path(Table, Pictured):
         if len(given) != 2 or any(i is None or not 0 <= i < len(self.x) for i in given):
             raise ValueError(f"components must be two numbers from 0 to {len(self.x) - 1}, got {components!r}")
         chosen = list(components)
-        times = self.polynomial.times(np.linspace(0, 1, max(20, SMOOTH // (len(self.t) - 1)), endpoint=False))
-        line = self.polynomial.line(times)[1][chosen]
+        line = self.polynomial.line(self._fine(20))[1][chosen]
         return plot_plane(line, self.x[chosen], axes, labels or [f"x[{i}]" for i in chosen])
 
     def plot_poses(
@@ -119,9 +118,9 @@ class Path(Table, Pictured):
     def _title(self) -> str:
         return f"A path of degree {self.polynomial.degree} on {len(self.t) - 1} intervals, not an answer"
 
-    def _fine(self) -> np.ndarray:
-        """Times that make a smooth line; all joints are among them."""
-        return self.polynomial.times(np.linspace(0, 1, max(2, SMOOTH // (len(self.t) - 1)), endpoint=False))
+    def _fine(self, least: int = 2) -> np.ndarray:
+        """Times that make a smooth line, at least so many on every interval; all joints are among them."""
+        return self.polynomial.times(np.linspace(0, 1, max(least, SMOOTH // (len(self.t) - 1)), endpoint=False))
 
     def __repr__(self) -> str:
         """Say what it is and over which time."""

@@ -88,21 +88,11 @@ def plot_path(
     labels: Sequence[str] | None = None,
     time: str = "t",
     name: str = "x",
+    dot: float | None = None,
 ) -> Axes:
-    """Draw the components of a path over time, joints as dots where there are at most `DOTS`.
+    """Draw components over time: lines (K,), (d, K), and joints or points (M,), (d, M) as dots, if at most `DOTS`.
 
-    Parameters
-    ----------
-    times, values : (K,) and (d, K), the path drawn as a line
-    joints, joint_values : (N + 1,) and (d, N + 1)
-    axes : Matplotlib axes to draw into; default a new figure
-    labels : d names with units, such as "angle in rad"; default the name with an index
-    time : name of the time with its unit
-    name : of the path where it has no labels
-
-    Returns
-    -------
-    the Matplotlib axes
+    Without labels components have the name with an index.  NaN breaks a line; `dot` is the size of a dot.
     """
     names, heading = _named(name, len(values), labels)
     axes = axes_or_new(axes)
@@ -110,7 +100,7 @@ def plot_path(
         color = COLORS[i % len(COLORS)]
         axes.plot(times, line, color=color, label=names[i])
         if len(joints) <= DOTS:
-            axes.plot(joints, dots, ".", color=color)
+            axes.plot(joints, dots, ".", color=color, markersize=dot)
     axes.set(xlabel=time, ylabel=heading)
     if 1 < len(values) <= len(COLORS):
         axes.legend(fontsize="small")
@@ -171,41 +161,6 @@ def _named(name: str, count: int, labels: Sequence[str] | None) -> tuple[Sequenc
     return given.tolist(), fill(unbroken, WIDTH).replace("\N{NO-BREAK SPACE}", " ")
 
 
-def plot_controls(
-    times: np.ndarray,
-    values: np.ndarray,
-    points: np.ndarray,
-    point_values: np.ndarray,
-    bounds: np.ndarray,
-    axes: Axes | None = None,
-    labels: Sequence[str] | None = None,
-    name: str = "u",
-) -> Axes:
-    """Draw values at points over time, as dots where there are at most `DOTS`, and their finite bounds as dashed lines.
-
-    Parameters
-    ----------
-    times, values : (K,) and (n, K), lines; NaN breaks them where the values may jump
-    points, point_values : (M,) and (n, M)
-    bounds : (2, n), lower and upper
-    axes : Matplotlib axes to draw into; default a new figure
-    labels : n names with units, such as "force in N"; default the name with an index
-    name : of what has no labels
-    """
-    names, heading = _named(name, len(values), labels)
-    axes = axes_or_new(axes)
-    for i, (line, dots) in enumerate(zip(values, point_values, strict=True)):
-        color = COLORS[i % len(COLORS)]
-        axes.plot(times, line, color=color, label=names[i])
-        if len(points) <= DOTS:
-            axes.plot(points, dots, ".", markersize=3, color=color)
-    draw_bounds(axes, bounds)
-    axes.set_ylabel(heading)
-    if 1 < len(values) <= len(COLORS):
-        axes.legend(fontsize="small")
-    return axes
-
-
 def draw_bounds(axes: Axes, bounds: np.ndarray) -> None:
     """Add the finite ones of bounds (2, n) as dashed lines, in the colors of the lines they are for."""
     for i, pair in enumerate(bounds.T):
@@ -223,27 +178,16 @@ def draw_multipliers(axes: Axes, times: np.ndarray, values: np.ndarray) -> None:
 
 
 def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None = None, time: str = "t") -> Axes:
-    """Draw how far paths are from a reference over time, on a logarithmic scale.
+    """Draw on a logarithmic scale how far paths are from a reference, (N + 1,) by name.
 
-    Parameters
-    ----------
-    times : (N + 1,)
-    gaps : (N + 1,) by name; values that are zero or not finite are left out, and what has no others
-    axes : Matplotlib axes to draw into; default a new figure
-    time : name of the time with its unit
-
-    Returns
-    -------
-    the Matplotlib axes
+    Values that are zero or not finite are left out, and what has no others.
     """
     axes = axes_or_new(axes)
     for color, (name, gap) in zip(COLORS, gaps.items(), strict=False):
         shown = np.isfinite(gap) & (gap > 0)
         if np.any(shown):
             axes.plot(times[shown], gap[shown], ".-", markersize=3, color=color, label=name)
-    axes.set_yscale("log")
-    axes.set_xlabel(time)
-    axes.set_ylabel("relative gap to the global path")
+    axes.set(yscale="log", xlabel=time, ylabel="relative gap to the global path")
     axes.legend(fontsize="small")
     return axes
 
@@ -343,17 +287,7 @@ def plot_work_precision(
 ) -> Axes:
     """Draw errors over seconds on logarithmic axes, and the floor below which errors mean nothing.
 
-    Parameters
-    ----------
-    lines : names of the color, the dashes and the dots of each, and (seconds, error) of its points
-    front : (seconds, error) of the points that no other betters
-    floor : error of roundoff or of the reference
-    label : of the errors
-    axes : Matplotlib axes to draw into; default a new figure
-
-    Returns
-    -------
-    the Matplotlib axes
+    Each of the lines has names of its color, its dashes and its dots; no other point betters one of the front.
     """
     from matplotlib.lines import Line2D
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter

@@ -42,12 +42,6 @@ class Estimate(Generic[Detail]):
 class Refinement(ABC, Generic[Level, Detail]):
     """One refinement under way, and what it has cost.
 
-    Parameters
-    ----------
-    tol : relative tolerance
-    limits : Limits
-    verbose : 1 prints a line per level
-
     Attributes
     ----------
     roundoff_level : error below which one that no longer falls is at the roundoff floor

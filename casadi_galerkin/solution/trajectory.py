@@ -114,7 +114,7 @@ class Trajectory(Path):
 
     def _missed(self, tol: float) -> dict[str, float]:
         """The largest of what each witness says against this path."""
-        given = self.polynomial, self.momentum, self.parameters, tol, getattr(self.problem, "breakpoints", ())
+        given = self.polynomial, self.momentum, self.parameters, tol, self.problem.breakpoints
         said = witnesses(pointwise(self.lagrangian, self.problem.force), *given, moving_motion_of(self.problem))
         return {name: float(np.max(said[name])) for name in said}
 

@@ -14,7 +14,6 @@ does where a path jumps over a singularity between two points, though the energi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import casadi as ca
@@ -32,43 +31,33 @@ BALANCE = 0.3  # part of the tolerance by which the energy may be missed; smooth
 ACTION = 0.1  # part of the tolerance by which an action may change; smooth paths were measured below 0.03
 
 
-@dataclass(frozen=True)
-class EnergyBalance:
-    """The balance of energy of a path at its joints.
+def missed_balance(kept: np.ndarray, scale: np.ndarray, floor: np.ndarray, tol: float) -> np.ndarray:
+    """By how much every interval misses the balance of energy, over its scale; (N,), infinite where it is undefined.
 
-    Attributes
+    Any two joints are compared, relative to the larger of their scales: near a singularity energies are large, and
+    what goes wrong there shows between its two sides.  The worst difference is shared out among all intervals by
+    what changes there.  Joints where rounding alone comes near the tolerance tell nothing.
+
+    Parameters
     ----------
     kept : (N + 1,), E + ∫ ∂L/∂t dt, the same at all joints of a true path
     scale : (N + 1,), what `kept` is measured by: |p·v| + |E| + |v|ᵀ|∂²L/∂v²||v|, no less than its mean over time
     floor : (N + 1,), what the rounding of positions and momenta does to `kept`
+    tol : relative tolerance
     """
-
-    kept: np.ndarray
-    scale: np.ndarray
-    floor: np.ndarray
-
-    def missed(self, tol: float) -> np.ndarray:
-        """By how much every interval misses the balance, relative to the scale; (N,), infinite where it is undefined.
-
-        Any two joints are compared, relative to the larger of their scales: near a singularity energies are large, and
-        what goes wrong there shows between its two sides.  The worst difference is shared out among all intervals by
-        what changes there.  Joints where rounding alone comes near the tolerance tell nothing.
-        """
-        missed = np.zeros(len(self.kept) - 1)
-        if not np.all(np.isfinite(self.kept)):
-            return np.where(np.isfinite(self.kept[1:] + self.kept[:-1]), 0.0, np.inf)
-        told = np.flatnonzero(self.floor <= BALANCE * tol / 2 * self.scale)
-        if len(told) < 2:
-            return missed
-        order = told[np.argsort(self.scale[told])]
-        lowest, highest = (
-            accumulate(self.kept[order]) for accumulate in (np.minimum.accumulate, np.maximum.accumulate)
-        )
-        gaps = np.maximum(self.kept[order] - lowest, highest - self.kept[order]) / self.scale[order]
-        change = np.abs(np.diff(self.kept[told]))
-        shared = float(np.max(gaps)) * change / max(float(np.max(change)), TINY)
-        missed[told[0] : told[-1]] = np.repeat(shared, np.diff(told))
+    missed = np.zeros(len(kept) - 1)
+    if not np.all(np.isfinite(kept)):
+        return np.where(np.isfinite(kept[1:] + kept[:-1]), 0.0, np.inf)
+    told = np.flatnonzero(floor <= BALANCE * tol / 2 * scale)
+    if len(told) < 2:
         return missed
+    order = told[np.argsort(scale[told])]
+    ordered = kept[order]
+    gaps = np.maximum(np.maximum.accumulate(ordered) - ordered, ordered - np.minimum.accumulate(ordered))
+    change = np.abs(np.diff(kept[told]))
+    shared = float(np.max(gaps / scale[order])) * change / max(float(np.max(change)), TINY)
+    missed[told[0] : told[-1]] = np.repeat(shared, np.diff(told))
+    return missed
 
 
 def witnesses(
@@ -157,8 +146,8 @@ def _between_breakpoints(
     scale = np.maximum(local, mean)
     moved = np.einsum("it,tij,j->t", speed, mass, component_sizes(path.values))
     floor = EPS * (moved / np.append(steps[0], steps) + scale)
-    balance = EnergyBalance(energy + np.append(0.0, np.cumsum(supplied)), scale, floor)
+    missed = missed_balance(energy + np.append(0.0, np.cumsum(supplied)), scale, floor, tol)
     coarser = lagrangian[0, :, 2 + len(fine) :] @ np.array(coarse.weights)
     change = np.abs(integral(lagrangian) - coarser) / (mean * float(np.sum(steps)))
     change = np.where(np.isfinite(change), change, np.inf)
-    return {"balance of energy": balance.missed(tol) / BALANCE, "action by a finer rule": change / ACTION}
+    return {"balance of energy": missed / BALANCE, "action by a finer rule": change / ACTION}

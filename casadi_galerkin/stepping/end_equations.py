@@ -48,7 +48,8 @@ class EndEquations:
 
 def end_equations(problem: BoundaryProblem, method: Galerkin, plane: np.ndarray | None = None) -> EndEquations:
     """Write the equations of a problem (see the module); `plane` fixes the phase where it is free."""
-    d, times, constraint = problem.dimension, problem.t_span, problem.constraint
+    d, times = problem.dimension, problem.t_span
+    constraint = with_parameters(problem.constraint, problem.parameters)
     rows, held = rows_of_ends(problem, method, plane)
     x, p = ([ca.SX.sym(f"{name}{k}", d) for k in (0, 1)] for name in "xp")
     own = [ca.SX.sym("own", rows.size1_in(2))]
@@ -62,7 +63,6 @@ def end_equations(problem: BoundaryProblem, method: Galerkin, plane: np.ndarray 
         momenta[0], given[1] = p[1] + first, ca.vertsplit(x[0])
     equations = []
     if constraint is not None:
-        constraint = with_parameters(constraint, problem.parameters)
         further = ca.vertcat(further, ca.jtimes(constraint(times[0], x[0]), x[0], p[0]))
     for k, values in enumerate(given):
         free = [i for i, value in enumerate(values) if value is None]

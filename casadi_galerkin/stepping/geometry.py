@@ -11,13 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import Traceable, trace
 from casadi_galerkin.problems.constrained_motion import motion_of, tangents
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.stepping.initial_value import stepper_of
+from casadi_galerkin.stepping.stepper import Stepper
 
 
 @dataclass(frozen=True, repr=False)
@@ -112,21 +111,18 @@ def geometry(path: Trajectory, symmetry: Traceable | None = None) -> Geometry:
     if symmetry is not None:
         generator = trace("symmetry", symmetry, {"x": len(path.x)}, len(path.x))
         momentum = np.sum(path.momentum * np.array(generator.map(len(path.t))(path.x)), axis=0)
-    steps, motion = jacobians(path.problem, path), motion_of(path.problem)
+    steps, motion = jacobians(path), motion_of(path.problem)
     if motion is not None:
         bases = [np.kron(np.eye(2), tangents(motion, *at)) for at in zip(path.t, path.x.T, strict=True)]
         steps = np.stack([later.T @ step @ basis for later, step, basis in zip(bases[1:], steps, bases, strict=False)])
     return Geometry(float(np.max(np.abs(error))), float(drift), momentum, steps)
 
 
-def jacobians(problem: InitialProblem | BoundaryProblem, path: Trajectory) -> np.ndarray:
+def jacobians(path: Trajectory) -> np.ndarray:
     """∂(x_{i+1}, p_{i+1})/∂(x_i, p_i) of every interval of a path, (N, 2d, 2d)."""
-    stepper = stepper_of(problem, path.method)
-    nodes, m = path.method.element.nodes, path.method.degree
-    slopes = lagrange_values(nodes, stepper.basis.points) @ differentiation_matrix(nodes)
-    columns = m * np.arange(len(path.t) - 1)[:, None] + np.arange(m + 1)
-    values = path.polynomial.values[:, columns]
-    s = ((values - values[:, :, :1]) @ slopes.T).transpose(1, 0, 2)
-    if problem.constraint is not None:
+    stepper = Stepper(path.problem, path.method)
+    slopes = path.polynomial.at_parts(stepper.basis.points)[1]
+    s = (slopes * np.diff(path.t)[:, None]).transpose(1, 0, 2)
+    if path.problem.constraint is not None:
         s = stepper.solved(path.t, path.x, path.momentum, s)
     return stepper.jacobians(path.t, path.x, path.momentum, s)

@@ -13,10 +13,10 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.constrained_motion import HELD, motion_of, tangent_momenta
+from casadi_galerkin.problems.constrained_motion import motion_of, rates_of_constraint, tangent_momenta
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate, velocities
-from casadi_galerkin.problems.problem import Problem, check_types
+from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -25,29 +25,15 @@ from casadi_galerkin.stepping.stepper import Roll, Stepper
 
 
 def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbose: int = 0) -> Trajectory:
-    """Solve an initial problem step by step.
+    """Solve an initial problem step by step on the joints of a mesh; see `solve`.
 
     Where a path meets a singularity, a step of a certain length may still have a solution, beyond it: the discrete
     equations do not see what lies between quadrature points.  The energy then jumps.
-
-    Parameters
-    ----------
-    problem : InitialProblem
-    method : Galerkin
-    mesh : (N + 1,) joints
-    verbose : 1 prints a summary
-
-    Raises
-    ------
-    ConvergenceError
-        naming the first step whose equations were not solved, and its time
-    ValueError
-        for a degenerate Lagrangian
     """
     check_types(problem, method, InitialProblem)
     began = time.perf_counter()
     p, v = start_state(problem)
-    stepper = stepper_of(problem, method)
+    stepper = Stepper(problem, method)
     roll = verified(stepper.roll(np.array(problem.position), p, v, mesh), stepper)
     build = stepper.build_seconds
     path = trajectory(
@@ -56,13 +42,6 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     if verbose:
         print(path)
     return path
-
-
-def stepper_of(problem: Problem, method: Galerkin, stretched: bool = False) -> Stepper:
-    """The step of a problem, with its parameters put in."""
-    functions = problem.lagrangian, problem.force, problem.constraint
-    given = [f if f is None else with_parameters(f, problem.parameters) for f in functions]
-    return Stepper(given[0], given[1], given[2], method, stretched)
 
 
 def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
@@ -78,32 +57,24 @@ def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
 
     if problem.velocity is not None:
         v = np.array(problem.velocity)
-        refuse_off_constraint(problem, x, v)
+        if problem.constraint is not None:
+            rates, missed = rates_of_constraint(problem, start, x, v)
+            if np.any(missed > 1):
+                raise ValueError(
+                    "the velocity must be tangent to the constraint, ∂g/∂x·v + ∂g/∂t = 0, got "
+                    f"{rates.tolist()} for v = {v.tolist()}"
+                )
         return checked(v), v
-    p, rest = np.array(problem.momentum), np.zeros(len(x))
-    motion = motion_of(problem)
-    if motion is not None:
-        p = tangent_momenta(motion, np.array([start]), x[:, None], p[:, None], rest[:, None])[:, 0]
-    checked(rest)
-    v = velocities(legendre, np.array([start]), x[:, None], p[:, None], rest[:, None])[:, 0]
+    rest, at = np.zeros((len(x), 1)), (np.array([start]), x[:, None])
+    p = tangent_momenta(motion_of(problem), *at, np.array(problem.momentum)[:, None], rest)
+    checked(rest[:, 0])
+    v = velocities(legendre, *at, p, rest)[:, 0]
     if np.isnan(v).any():
-        raise ValueError(f"no velocity was found that has the momentum {p} at the start, x = {x}; give the velocity")
-    checked(v)
-    return p, v
-
-
-def refuse_off_constraint(problem: InitialProblem, x: np.ndarray, v: np.ndarray) -> None:
-    """Raise a ValueError if a given velocity leaves the constraint."""
-    motion = motion_of(problem)
-    if motion is None:
-        return
-    matrix, _, _, rate, pull = (np.array(a) for a in motion(problem.t_span[0], x, v))
-    slope = matrix[len(x) :, : len(x)]
-    if np.any(np.abs(rate) > HELD * (np.abs(slope) @ np.abs(v)[:, None] + np.abs(pull))):
         raise ValueError(
-            f"the velocity must be tangent to the constraint, ∂g/∂x·v + ∂g/∂t = 0, got {rate.ravel().tolist()} for "
-            f"v = {v.tolist()}"
+            f"no velocity was found that has the momentum {p[:, 0]} at the start, x = {x}; give the velocity"
         )
+    checked(v)
+    return p[:, 0], v
 
 
 def verified(roll: Roll, stepper: Stepper) -> Roll:
@@ -133,7 +104,7 @@ def path_of(roll: Roll, stepper: Stepper, count: int) -> PiecewisePolynomial:
 def error_of_steps(path: Trajectory) -> float:
     """Estimate the relative error of a path of steps: see `Trajectory.estimate_error`."""
     higher = of_higher_degree(path.method.degree)
-    stepper = stepper_of(path.problem, higher)
+    stepper = Stepper(path.problem, higher)
     roll = stepper.roll(path.x[:, 0], path.momentum[:, 0], path.velocity[:, 0], path.t)
     if roll.verified < len(path.t) - 1:
         return math.inf

@@ -36,7 +36,7 @@ from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import SMALLEST_DAMPING
 from casadi_galerkin.solvers.stationarity import ROUNDOFF
 from casadi_galerkin.stepping.end_equations import end_equations
-from casadi_galerkin.stepping.initial_value import path_of, stepper_of, trajectory
+from casadi_galerkin.stepping.initial_value import path_of, trajectory
 from casadi_galerkin.stepping.stepper import Roll, Stepper
 
 ITERATIONS = 50
@@ -117,7 +117,7 @@ class Shooting:
             values = np.zeros((problem.dimension, len(calculus.node_parts)))
             guessed = values if guess is None else guess_values(guess, calculus, len(values))
             self.plane = phase_plane(calculus.emb(guessed))
-        self.stepper = stepper_of(problem, method, problem.energy is not None)
+        self.stepper = Stepper(problem, method, problem.energy is not None)
         equations = end_equations(problem, method, self.plane)
         self._equations, self.told = Evaluator(equations.function), equations.told
         self.free = np.flatnonzero(np.isnan(self.told))
@@ -246,31 +246,19 @@ def shoot(
     seconds = time.perf_counter() - began - build
     solver = f"single shooting, misses the end by {np.max(np.abs(shot.miss), initial=0.0):.1e}"
     roll = shooting.stepper.timed(shot.roll)
-    action = float(roll.action.sum()) + _end_action(problem, roll)
+    action = float(roll.action.sum())
+    if problem.end_action is not None:
+        action += float(with_parameters(problem.end_action, problem.parameters)(roll.x[:, 0], roll.x[:, -1]))
     if problem.energy is not None:  # the duration asked for was a guess
         problem = problem.varied({}, (float(roll.mesh[0]), float(roll.mesh[-1])))
-    roll = _with_tangent_start(problem, roll, shooting.velocity(roll))
+    at = roll.mesh[:1], roll.x[:, :1]  # the steps do not depend on the normal part of the first momentum
+    first = tangent_momenta(motion_of(problem), *at, roll.p[:, :1], shooting.velocity(roll)[:, None])
+    roll = replace(roll, p=np.column_stack((first, roll.p[:, 1:])))
     path = trajectory(problem, shooting.stepper, roll, iterations, solver, build, seconds)
     turned = turned_back(path.polynomial, shooting.plane)
     if turned is not None:
         raise ConvergenceError(turned, Path(path.polynomial), shot.residual, iterations)
     return replace(path, action=action, residual=shot.residual, solver=solver + _far(guess, path))
-
-
-def _with_tangent_start(problem: BoundaryProblem, roll: Roll, velocity: np.ndarray) -> Roll:
-    """Give the start that momentum which a tangent velocity has; the steps do not depend on its normal part."""
-    motion = motion_of(problem)
-    if motion is None:
-        return roll
-    momentum = tangent_momenta(motion, roll.mesh[:1], roll.x[:, :1], roll.p[:, :1], velocity[:, None])
-    return replace(roll, p=np.column_stack((momentum, roll.p[:, 1:])))
-
-
-def _end_action(problem: BoundaryProblem, roll: Roll) -> float:
-    """What the end action adds."""
-    if problem.end_action is None:
-        return 0.0
-    return float(with_parameters(problem.end_action, problem.parameters)(roll.x[:, 0], roll.x[:, -1]))
 
 
 def _far(guess: Trajectory | None, path: Trajectory) -> str:
@@ -297,7 +285,7 @@ def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarr
 
 def _line(problem: BoundaryProblem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """x_0, p_0 and velocity of the straight line."""
-    start, end = (np.array([np.nan if a is None else a for a in side]) for side in (problem.start, problem.end))
+    start, end = np.array((problem.start, problem.end), dtype=float)  # NaN for None
     x = np.nan_to_num(np.where(np.isnan(start), end, start))
     v = np.nan_to_num((end - start) / (problem.t_span[1] - problem.t_span[0]))
     legendre = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))

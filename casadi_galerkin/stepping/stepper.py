@@ -17,6 +17,8 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.interval import TAYLOR, interval, newton_iteration, slope_basis
 from casadi_galerkin.functional.statement import refuse_points
+from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solvers.stationarity import ROUNDOFF
 
 PIECE = 64  # intervals rolled without Python; longer pieces were not faster, and took longer to build
@@ -60,26 +62,15 @@ class Roll:
 
 
 class Stepper:
-    """The step of a Lagrangian, built once and rolled as often as wanted.
+    """The step of a problem, built once and rolled as often as wanted.
 
-    Parameters
-    ----------
-    lagrangian : Function (t, x, v) -> scalar
-    force : Function (t, x, v) -> (d,), or None
-    constraint : Function (t, x) -> (k,), or None
-    method : Galerkin
-    stretched : bool, whether the stretch of all steps is the last component of x
+    Where it is `stretched`, the stretch of all steps is the last component of x.
     """
 
-    def __init__(
-        self,
-        lagrangian: ca.Function,
-        force: ca.Function | None,
-        constraint: ca.Function | None,
-        method: Galerkin,
-        stretched: bool = False,
-    ) -> None:
+    def __init__(self, problem: Problem, method: Galerkin, stretched: bool = False) -> None:
         began = time.perf_counter()
+        functions = problem.lagrangian, problem.force, problem.constraint
+        lagrangian, force, constraint = (with_parameters(f, problem.parameters) for f in functions)
         self.method, self.stretched = method, stretched
         if constraint is not None:
             refuse_points(method)
@@ -90,7 +81,7 @@ class Stepper:
         self._shape = self.interval.system.size_in(0)
         self._newton = newton_iteration(self.interval.system)
         self._step = self._predicted(self._newton)
-        self._pieces: dict[tuple[str, int], Evaluator] = {}
+        self._evaluators: dict[tuple[str, int], Evaluator] = {}
         self.build_seconds = time.perf_counter() - began
 
     def _predicted(self, newton: ca.Function) -> ca.Function:
@@ -116,13 +107,14 @@ class Stepper:
         last = velocity[:, velocity.shape[1] - self._step.size2_in(2) :]
         return ca.Function("piece", inputs, [x, p, last, s, iterations, ratio, action])
 
-    def _piece(self, name: str, count: int) -> Evaluator:
-        if (name, count) not in self._pieces:
+    def _evaluator(self, name: str, count: int) -> Evaluator:
+        """Of the roll through so many intervals, or of their Jacobians."""
+        if (name, count) not in self._evaluators:
             began = time.perf_counter()
             function = self._rolled(count) if name == "roll" else self.interval.jacobian().map(count)
-            self._pieces[name, count] = Evaluator(function)
+            self._evaluators[name, count] = Evaluator(function)
             self.build_seconds += time.perf_counter() - began
-        return self._pieces[name, count]
+        return self._evaluators[name, count]
 
     def roll(self, x: np.ndarray, p: np.ndarray, velocity: np.ndarray, mesh: np.ndarray) -> Roll:
         """Step from (x, p), (d,) each, through all joints of the mesh (N + 1,); `velocity` (d,) predicts the first.
@@ -131,7 +123,7 @@ class Stepper:
         """
         d, n = self.dimension, len(mesh) - 1
         size, t, h = _pieces(mesh)
-        piece = self._piece("roll", size)
+        piece = self._evaluator("roll", size)
         taylor = np.zeros(self._step.numel_in(2))
         taylor[:d] = velocity
         state, found = (x, p, taylor), []
@@ -171,18 +163,10 @@ class Stepper:
 
     def jacobians(self, mesh: np.ndarray, x: np.ndarray, p: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
         """∂(x_{i+1}, p_{i+1})/∂(x_i, p_i) of every step, (N, 2d, 2d); arguments as in `Roll`."""
-        d, n, m = self.dimension, len(mesh) - 1, self._shape[1]
-        s = unknowns.transpose(1, 0, 2).reshape(self._shape[0], -1)
-        size, t, h = _pieces(mesh)
-        piece = self._piece("jacobian", size)
-        pad = len(h) - n
-        columns = [np.pad(a, ((0, 0), (0, k * pad)), mode="edge") for a, k in ((s, m), (x[:, :n], 1), (p[:, :n], 1))]
-        parts = []
-        for i in range(0, len(h), size):
-            local = [a[:, k * i : k * (i + size)].ravel(order="F") for a, k in zip(columns, (m, 1, 1), strict=True)]
-            parts.append(piece(*local, t[i : i + size], h[i : i + size])[0])
-        matrices = np.concatenate(parts).reshape(-1, 2 * d, 2 * d)
-        return np.asarray(matrices.transpose(0, 2, 1)[:n])
+        d, n = self.dimension, len(mesh) - 1
+        columns = (a.ravel() for a in (unknowns.transpose(0, 2, 1), x[:, :n].T, p[:, :n].T))
+        (matrices,) = self._evaluator("jacobians", n)(*columns, mesh[:-1], np.diff(mesh))
+        return matrices.reshape(n, 2 * d, 2 * d).transpose(0, 2, 1)
 
 
 def _pieces(mesh: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:

@@ -31,6 +31,7 @@ from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table
+from casadi_galerkin.solution.guess import apart
 from casadi_galerkin.solution.plotting import Pictured, plot_gaps
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.geometry import jacobians
@@ -211,8 +212,8 @@ def compare(
         stepped,
         shooting,
         _growth_rate(path.t, stepped.gap),
-        _condition_global(path),
-        _condition_stepwise(solved, path),
+        _condition_global(solved, path),
+        _condition_stepwise(path),
         _another(solved, path, shooting.path),
     )
 
@@ -234,8 +235,7 @@ def _attempt(path: Trajectory, way: Callable[[], Trajectory]) -> Attempt:
 
 def _distance(path: Trajectory, other: Trajectory) -> float:
     """Largest difference of a component at a node, over its size on the first path."""
-    values = path.polynomial.values
-    return float(np.max(np.abs(other.polynomial.values - values) / component_sizes(values)[:, None]))
+    return apart(other.polynomial.values, path.polynomial.values)
 
 
 def _another(problem: BoundaryProblem, path: Trajectory, shot: Trajectory | None) -> Trajectory | None:
@@ -267,17 +267,16 @@ def _growth_rate(t: np.ndarray, gap: np.ndarray) -> float:
     return float(np.polyfit(t[small], np.log(gap[small]), 1)[0]) if np.count_nonzero(small) > 2 else np.nan
 
 
-def _condition_stepwise(problem: BoundaryProblem, path: Trajectory) -> float:
+def _condition_stepwise(path: Trajectory) -> float:
     """κ of the map from (x_0, p_0) to the joints."""
-    growth = chain(jacobians(problem, path))[:, : len(path.x)]
+    growth = chain(jacobians(path))[:, : len(path.x)]
     positions, momenta = component_sizes(path.x), component_sizes(path.momentum)
     return float(np.max(np.abs(growth) @ np.concatenate((positions, momenta)) / positions))
 
 
-def _condition_global(path: Trajectory) -> float:
+def _condition_global(problem: BoundaryProblem, path: Trajectory) -> float:
     """κ of the map from the positions given at the ends to the joints."""
-    problem, sizes = path.problem, component_sizes(path.x)
-    assert isinstance(problem, BoundaryProblem)
+    sizes = component_sizes(path.x)
     start, end = ([i for i, value in enumerate(side) if value is not None] for side in (problem.start, problem.end))
     if not (start or end):
         return np.nan

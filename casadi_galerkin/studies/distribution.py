@@ -18,8 +18,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from functools import lru_cache, partial
-from typing import Any
+from functools import lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -43,6 +43,9 @@ Variation = Mapping[str, Any]
 Answer = Trajectory | Exception
 Answers = dict[int, Answer]  # by the number of the variation
 Known = tuple[np.ndarray, Trajectory]  # the given values of a problem, and its path
+Solve = Callable[[Variation, Sequence[Known]], Trajectory]  # of a variation, from paths that are known
+Solved = Callable[[Sequence[Variation], Sequence[Known]], list[Answer]]
+Stated = TypeVar("Stated", BoundaryProblem, ControlProblem)
 
 
 class CutShort(ConvergenceError):
@@ -56,6 +59,12 @@ class CutShort(ConvergenceError):
     """
 
 
+def varied(problem: Stated, variation: Variation) -> Stated:
+    """The problem of a variation."""
+    given = {name: value for name, value in variation.items() if name in VARIED}
+    return problem.varied(given, variation.get("t_span", problem.t_span))
+
+
 class Neighbors:
     """What solves variations of a boundary problem to a tolerance, each from the nearest that is solved.
 
@@ -63,16 +72,11 @@ class Neighbors:
     """
 
     def __init__(self, problem: BoundaryProblem, method: Galerkin | None, intervals: int | None, tol: float) -> None:
-        self._problem, self._transcription = problem, transcribe(problem, method, intervals, tol=tol)
+        self.problem, self._transcription = problem, transcribe(problem, method, intervals, tol=tol)
 
-    def varied(self, variation: Variation) -> BoundaryProblem:
-        """The problem of a variation."""
-        given = {name: value for name, value in variation.items() if name in VARIED}
-        return self._problem.varied(given, variation.get("t_span", self._problem.t_span))
-
-    def solve(self, variation: Variation, known: Sequence[Known]) -> Trajectory:
+    def __call__(self, variation: Variation, known: Sequence[Known]) -> Trajectory:
         """Solve from the nearest known path; where that leads to none, from the straight line."""
-        problem = self.varied(variation)
+        problem = varied(self.problem, variation)
         if not known:
             return self._transcription.found(problem, variation.get("guess"), None)
         values = np.array([values_of(problem), *(place for place, _ in known)])
@@ -85,22 +89,17 @@ class Neighbors:
             return self._transcription.found(problem, None, None)
 
 
-Solve = Callable[[Variation], Trajectory]
-
-
 def solver_of(
     problem: BoundaryProblem | ControlProblem, method: Galerkin | None, intervals: int | None, tol: float | None
-) -> Solve | Neighbors:
+) -> Solve:
     """What solves the variations: a graph built once, or with a tolerance a control problem's refinement each."""
     if tol is not None:
         if isinstance(problem, BoundaryProblem):
             return Neighbors(problem, method, intervals, tol)
         first_control_mesh(problem, tol, method, intervals, None)  # refuses here what would fail in every variation
 
-        def refined(variation: Variation) -> Trajectory:
-            fields = {name: value for name, value in variation.items() if name in VARIED}
-            varied = problem.varied(fields, variation.get("t_span", problem.t_span))
-            return solve(varied, method, intervals, tol=tol, guess=variation.get("guess"))
+        def refined(variation: Variation, _: Sequence[Known]) -> Trajectory:
+            return solve(varied(problem, variation), method, intervals, tol=tol, guess=variation.get("guess"))
 
         return refined
     if method is None or intervals is None:
@@ -112,7 +111,7 @@ def solver_of(
             return mesh_of((start, end), intervals, None, problem.breakpoints)
         return np.asarray(np.interp(transcription.mesh, marks(problem), [start, *problem.breakpoints, end]))
 
-    def solved(variation: Variation) -> Trajectory:
+    def solved(variation: Variation, _: Sequence[Known]) -> Trajectory:
         given = dict(variation)
         span = given.pop("t_span", None)
         return transcription.solve(**given, mesh=None if span is None else joints(*span))
@@ -120,24 +119,21 @@ def solver_of(
     return solved
 
 
-def _answer(solver: Solve, variation: Variation) -> Answer:
+def _answer(solver: Solve, variation: Variation, known: Sequence[Known]) -> Answer:
     try:
-        return solver(variation)
+        return solver(variation, known)
     except Exception as error:  # a guess may raise anything
         error.__cause__ = error.__context__ = None  # their frames, like those of the error, would keep arrays alive
         return error.with_traceback(None)
 
 
-def _answers(solver: Solve | Neighbors, variations: Sequence[Variation], known: Sequence[Known]) -> Iterator[Answer]:
-    """Answers one after the other; with a tolerance each may start from those before and from paths that are known."""
+def _answers(solver: Solve, variations: Sequence[Variation], known: Sequence[Known]) -> Iterator[Answer]:
+    """Answers one after the other; each may start from those before and from paths that are known."""
     paths = list(known)
     for variation in variations:
-        if isinstance(solver, Neighbors):
-            answer = _answer(partial(solver.solve, known=paths), variation)
-            paths += _known(answer)
-            yield answer
-        else:
-            yield _answer(solver, variation)
+        answer = _answer(solver, variation, paths)
+        paths += _known(answer)
+        yield answer
 
 
 def _known(answer: Answer | None) -> list[Known]:
@@ -163,7 +159,7 @@ def _sendable(answer: Answer) -> Answer:
 
 
 @lru_cache(1)
-def _unpickled(pickled: bytes) -> Solve | Neighbors:
+def _unpickled(pickled: bytes) -> Solve:
     """A worker's own solver, kept from chunk to chunk."""
     return solver_of(*pickle.loads(pickled))
 
@@ -187,18 +183,19 @@ class Chunk:
     known: Sequence[Known] = ()
 
 
-def _chunks(count: int) -> list[Chunk]:
-    """Chunks in the order given."""
+def _chunks(
+    solver: Solve, variations: Sequence[Variation], answers: Answers, advance: Advance, solved: Solved
+) -> list[Chunk]:
+    """Chunks in the order given, or of neighbors, the first of which `solved` has solved."""
+    if isinstance(solver, Neighbors):
+        return _neighborhoods(solver.problem, variations, answers, advance, solved)
+    count = len(variations)
     size = min(LARGEST_CHUNK, -(-count // CHUNKS) or 1)
     return [Chunk(range(first, min(first + size, count))) for first in range(0, count, size)]
 
 
 def _neighborhoods(
-    solver: Neighbors,
-    variations: Sequence[Variation],
-    answers: Answers,
-    advance: Advance,
-    solved: Callable[[Sequence[Variation], Sequence[Known]], list[Answer]],
+    problem: BoundaryProblem, variations: Sequence[Variation], answers: Answers, advance: Advance, solved: Solved
 ) -> list[Chunk]:
     """Chunks of variations that are near one another, each about one that is solved first, those farther off later.
 
@@ -209,7 +206,7 @@ def _neighborhoods(
     if not count:
         return []
     size = min(LARGEST_CHUNK, max(SMALLEST_NEIGHBORHOOD, -(-count // CHUNKS)))
-    values = np.array([values_of(solver.varied(variation)) for variation in variations])
+    values = np.array([values_of(varied(problem, variation)) for variation in variations])
     scaled = values / [spread if spread > 0 else 1.0 for spread in np.ptp(values, axis=0)]
     centers = np.arange(0, count, size)
     apart = np.array([np.sum((scaled - scaled[center]) ** 2, axis=1) for center in centers])
@@ -235,12 +232,9 @@ def _neighborhoods(
     return chunks
 
 
-def solve_here(solver: Solve | Neighbors, variations: Sequence[Variation], answers: Answers, advance: Advance) -> None:
+def solve_here(solver: Solve, variations: Sequence[Variation], answers: Answers, advance: Advance) -> None:
     """Solve all in this process."""
-    chunks = [Chunk(range(len(variations)))]
-    if isinstance(solver, Neighbors):
-        chunks = _neighborhoods(solver, variations, answers, advance, lambda *given: list(_answers(solver, *given)))
-    for chunk in chunks:
+    for chunk in _chunks(solver, variations, answers, advance, lambda *given: list(_answers(solver, *given))):
         some = [variations[i] for i in chunk.numbers]
         for i, answer in zip(chunk.numbers, _answers(solver, some, chunk.known), strict=True):
             answers[i] = answer
@@ -248,7 +242,7 @@ def solve_here(solver: Solve | Neighbors, variations: Sequence[Variation], answe
 
 
 def solve_chunks(
-    solver: Solve | Neighbors,
+    solver: Solve,
     executor: Executor,
     pickled: bytes,
     variations: Sequence[Variation],
@@ -260,9 +254,7 @@ def solve_chunks(
     def submitted(some: Sequence[Variation], known: Sequence[Known]) -> Future[list[Answer]]:
         return executor.submit(_chunk, pickled, some, known)
 
-    chunks = _chunks(len(variations))
-    if isinstance(solver, Neighbors):
-        chunks = _neighborhoods(solver, variations, answers, advance, lambda *given: submitted(*given).result())
+    chunks = _chunks(solver, variations, answers, advance, lambda *given: submitted(*given).result())
     futures: dict[Future[list[Answer]], Sequence[int]] = {}
     try:
         for chunk in chunks:

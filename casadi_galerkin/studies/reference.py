@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -19,12 +20,12 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import number
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
-from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
+from casadi_galerkin.problems.problem import marks
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess, sampled
 from casadi_galerkin.solution.path import Path
@@ -60,11 +61,6 @@ def check_reference(problem: Problem, given: Reference) -> None:
         raise ValueError(f"the reference must run from {span[0]} to {span[1]}, got {given.t[0]} to {given.t[-1]}")
 
 
-def _marks_of(problem: object, joints: np.ndarray) -> np.ndarray:
-    """Ends of the time scale and, between them, the breakpoints."""
-    return np.array([joints[0], *getattr(problem, "breakpoints", ()), joints[-1]])
-
-
 class ReferenceSolution:
     """What errors are differences to: path, action and energy by parts of the time span, and their sizes.
 
@@ -75,44 +71,36 @@ class ReferenceSolution:
     def __init__(
         self, problem: Problem, given: Reference, parameters: tuple[float, ...] | None, measure: Measure | None
     ) -> None:
+        self._path: Path
+        self._at: Callable[[np.ndarray], np.ndarray]
+        mesh = given.t if isinstance(given, Trajectory) else np.linspace(*problem.t_span, SAMPLES // 4 + 1)
+        calculus = DiscreteCalculus(Galerkin(LEAST_DEGREE), mesh)
         if isinstance(given, Trajectory):
-            self._path, self._exact, parameters = given.polynomial, None, given.parameters
+            self._path, self._at, self._marks, parameters = given, given, marks(given.problem), given.parameters
         else:
-            calculus = DiscreteCalculus(Galerkin(LEAST_DEGREE), np.linspace(*problem.t_span, SAMPLES // 4 + 1))
-            self._exact, self._dimension = given, problem.dimension
-            self._path = calculus.emb(self._sampled(calculus.node_times))
-        self._marks = _marks_of(given.problem if isinstance(given, Trajectory) else problem, self._path.mesh)
+            self._at = partial(sampled, "the reference", given, dimension=problem.dimension)
+            self._path, self._marks = Path(calculus.emb(self._at(calculus.node_times))), marks(problem)
         self._lagrangian = with_parameters(problem.lagrangian, parameters)
-        times = times_at(self._path.mesh, np.array(gauss(LEAST_DEGREE).points))
-        weights = np.outer(np.diff(self._path.mesh), gauss(LEAST_DEGREE).weights).ravel()
-        values, kinetic = self._terms(times)
-        self._functional, self._functional_size = float(weights @ values), float(weights @ np.abs(values))
+        values, kinetic = self._terms(calculus.quadrature_times)
+        self._functional = float(calculus.weights @ values)
+        self._functional_size = float(calculus.weights @ np.abs(values))
         if isinstance(given, Trajectory):
             self._functional = given.action
         if isinstance(problem, ControlProblem):  # a callable has no controls, so no cost
             self._functional = given.cost if isinstance(given, ControlTrajectory) else np.nan
             self._functional_size = abs(self._functional) or 1.0
         self.energy_size = float(np.max(np.abs(values) + np.abs(kinetic)))
-        self.sizes = component_sizes(self._path.values)[:, None]
+        self.sizes = component_sizes(self._path.polynomial.values)[:, None]
         self._measure = measure
         if measure is not None:
-            self._quantity = measured(measure, given if isinstance(given, Trajectory) else Path(self._path))
-
-    def _sampled(self, times: np.ndarray) -> np.ndarray:
-        """Values (d, K) of a callable reference."""
-        assert self._exact is not None
-        return sampled("the reference", self._exact, times, self._dimension)
+            self._quantity = measured(measure, self._path)
 
     def _matching(self, path: Trajectory, times: np.ndarray) -> np.ndarray:
         """Times of the reference at the same parts of the durations between breakpoints."""
-        own, its = self._marks, _marks_of(path.problem, path.t)
+        own, its = self._marks, marks(path.problem)
         if len(own) != len(its):
-            own, its = own[[0, -1]], its[[0, -1]]
-        return times if np.array_equal(own, its) else np.interp(times, its, own)
-
-    def _at(self, times: np.ndarray) -> np.ndarray:
-        """Positions (d, K)."""
-        return self._path(times) if self._exact is None else self._sampled(times)
+            own, its = [own[0], own[-1]], [its[0], its[-1]]
+        return times if own == its else np.interp(times, its, own)
 
     def _terms(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """L and p·v along the path, (K,) each."""

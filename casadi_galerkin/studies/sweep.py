@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.branches import jumps
 from casadi_galerkin.calculus.galerkin import Galerkin
@@ -67,7 +69,12 @@ class Sweep(Table):
     @property
     def failures(self) -> dict[int, Exception]:
         """Number of the variation -> exception, for those without an answer."""
-        return {i: answer for i, answer in enumerate(self.answers) if not isinstance(answer, Trajectory)}
+        return {i: answer for i, answer in enumerate(self.answers) if isinstance(answer, Exception)}
+
+    @lazy
+    def _paths(self) -> dict[int, Trajectory]:
+        """Number of the variation -> path, for those with an answer."""
+        return {i: answer for i, answer in enumerate(self.answers) if isinstance(answer, Trajectory)}
 
     @lazy
     def t(self) -> np.ndarray:
@@ -96,22 +103,18 @@ class Sweep(Table):
 
     def table(self) -> dict[str, np.ndarray]:
         """A row for each variation: why it failed, or an empty word; action, cost, duration, and both ends."""
-        paths = [answer if isinstance(answer, Trajectory) else None for answer in self.answers]
-        size, failures = max((len(path.x) for path in paths if path is not None), default=0), self.failures
-        names = [name for name in ("action", "cost") if any(hasattr(path, name) for path in paths)]
+        size, failures = max((len(path.x) for path in self._paths.values()), default=0), self.failures
+        names = [name for name in ("action", "cost") if any(hasattr(path, name) for path in self._paths.values())]
 
         def ends(name: str) -> dict[str, np.ndarray]:
             """Values at the start and at the end."""
-            found = np.full((len(paths), size, 2), np.nan)
-            for i, path in enumerate(paths):
-                if path is not None:
-                    found[i] = getattr(path, name)[:, [0, -1]]
+            found = self._rows(lambda path: getattr(path, name)[:, [0, -1]], (size, 2))
             return by_component(f"start_{name}", found[..., 0].T) | by_component(f"end_{name}", found[..., 1].T)
 
         return {
             "failure": np.array([str(failures.get(i, "")) for i in range(len(self))]),
-            **{name: np.array([np.nan if path is None else getattr(path, name) for path in paths]) for name in names},
-            "duration": np.array([np.nan if path is None else path.t[-1] - path.t[0] for path in paths]),
+            **{name: self._rows(attrgetter(name)) for name in names},
+            "duration": self._rows(lambda path: path.t[-1] - path.t[0]),
             **ends("x"),
             **ends("momentum"),
         }
@@ -125,24 +128,26 @@ class Sweep(Table):
         Branches that differ in neither, such as mirror images, are not told apart; under constraints, end conditions,
         forces and a given energy only the index counts.
         """
-        found = {}
-        for i, answer in enumerate(self.answers):
-            if isinstance(answer, Trajectory):
-                if not isinstance(answer.problem, BoundaryProblem):
-                    raise ValueError("jumps between branches are told for boundary problems only")
-                found[i] = answer.problem, answer
-        return jumps(found)
+        if not self._of_boundary_problems():
+            raise ValueError("jumps between branches are told for boundary problems only")
+        return jumps(self._paths)
+
+    def _of_boundary_problems(self) -> bool:
+        return all(isinstance(path.problem, BoundaryProblem) for path in self._paths.values())
 
     def _stacked(self, name: str) -> np.ndarray:
-        found = {i: np.asarray(getattr(a, name)) for i, a in enumerate(self.answers) if isinstance(a, Trajectory)}
-        shapes = {value.shape for value in found.values()}
+        shapes = {np.shape(getattr(path, name)) for path in self._paths.values()}
         if len(shapes) != 1:
             came = "the paths have different meshes" if shapes else "no variation has an answer"
             raise ValueError(f"{came}, so there is no array of their {name}: see answers and failures")
-        stacked = np.full((len(self.answers), *shapes.pop()), np.nan)
-        for i, value in found.items():
-            stacked[i] = value
-        return stacked
+        return self._rows(attrgetter(name), shapes.pop())
+
+    def _rows(self, find: Callable[[Trajectory], ArrayLike], shape: tuple[int, ...] = ()) -> np.ndarray:
+        """What is found of every path, (variations,) + shape; NaN where there is no answer."""
+        rows = np.full((len(self.answers), *shape), np.nan)
+        for i, path in self._paths.items():
+            rows[i] = find(path)
+        return rows
 
     def __repr__(self) -> str:
         """Summarize the sweep, with the first jump between branches and the reason of the first failure."""
@@ -151,8 +156,7 @@ class Sweep(Table):
         cut_short = sum(isinstance(error, CutShort) for error in failures.values())
         if cut_short:
             text += f", {cut_short} cut short"
-        boundary = all(isinstance(a.problem, BoundaryProblem) for a in self.answers if isinstance(a, Trajectory))
-        if boundary and self.jumps:
+        if self._of_boundary_problems() and self.jumps:
             i, neighbor = next(iter(self.jumps.items()))
             text += f"\n  on another branch than their neighbors: {len(self.jumps)}, first {i} beside {neighbor}"
         if not failures:

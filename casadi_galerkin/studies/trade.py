@@ -23,7 +23,7 @@ from casadi_galerkin.control.transcription import check_solver
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import check_types, marks
+from casadi_galerkin.problems.problem import check_types, flag, marks
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, guess_values
 from casadi_galerkin.solution.limits import check_tolerance
@@ -103,10 +103,7 @@ def _repeated(problem: Problem, row: Row, guess: Guess | None) -> Callable[[], T
 def _on_its_mesh(problem: Problem, cell: _Cell) -> Row:
     """The way on a fixed mesh that a tolerance has found; where durations are free, over those guessed."""
     assert cell.path is not None
-    solved, joints, row = cell.path.problem, cell.path.t, cell.row
-    assert isinstance(solved, (BoundaryProblem, ControlProblem)), "no other is solved to a tolerance"
-    assert isinstance(problem, (BoundaryProblem, ControlProblem))
-    found, guessed = marks(solved), marks(problem)
+    joints, row, found, guessed = cell.path.t, cell.row, marks(cell.path.problem), marks(problem)
     if found != guessed:
         joints = np.interp(joints, found, guessed)
     return Row(row.method, row.intervals, row.solver, row.tol, mesh=tuple(joints.tolist()))
@@ -125,9 +122,7 @@ def _check_given(problem: Problem, guess: Guess | None, shooting: bool, measure:
     """Refuse what would fail in each way, or in the reference."""
     if measure is not None and not callable(measure):
         raise TypeError(f"measure must be a callable path -> number, got {measure!r}")
-    if not isinstance(shooting, bool):
-        raise TypeError(f"shooting must be True or False, got {shooting!r}")
-    if shooting and not isinstance(problem, BoundaryProblem):
+    if flag("shooting", shooting) and not isinstance(problem, BoundaryProblem):
         raise ValueError(f"only a BoundaryProblem is solved by shooting, got a {type(problem).__name__}")
     if guess is None:
         return
@@ -179,7 +174,7 @@ def _ways(
         )
     for method, count in grid:
         check_types(problem, method, BoundaryProblem, InitialProblem, ControlProblem)
-        mesh = mesh_of(problem.t_span, count, None, getattr(problem, "breakpoints", ()))
+        mesh = mesh_of(problem.t_span, count, None, problem.breakpoints)
         if guess is not None:
             guess_values(guess, DiscreteCalculus(method, mesh), problem.dimension)
     if tolerances and isinstance(problem, InitialProblem):

@@ -3,38 +3,26 @@
 import casadi as ca
 import numpy as np
 import pytest
-from constrained import (
-    of_rods,
-    on_circle,
-    on_sphere,
-    pendulum,
-    planar,
-    rods,
-    spatial,
-    spherical_pendulum,
-    two_masses,
-    unit_length,
-)
-from motions import double_pendulum
+from constrained import MECHANISMS, on_circle, on_sphere, planar, spatial, unit_length
 from rules import OF_DEGREE
-from scenes import oscillator_problem
+from scenes import oscillator_problem, pendulum
 
 import casadi_galerkin as cg
 
 JOINTS = 1e-11  # two discretizations of one path, both converged
 HELD = 1e-13  # |g| at the joints
 METHOD = cg.Galerkin(10)
-MECHANISMS = {  # in angles; in Cartesian coordinates; positions of angles; constraint; duration, angles at the ends
-    "pendulum": (pendulum, planar, lambda a: on_circle(a[0]), unit_length, 1.5, [0.2], [1.3]),
-    "spherical pendulum": (spherical_pendulum, spatial, on_sphere, unit_length, 2.0, [1.0, 0.0], [1.3, 2.0]),
-    "double pendulum": (double_pendulum, two_masses, of_rods, rods, 0.5, [1.0, 1.2], [0.34, 0.675]),
+ENDS = {  # duration, angles at both ends
+    "pendulum": (1.5, [0.2], [1.3]),
+    "spherical pendulum": (2.0, [1.0, 0.0], [1.3, 2.0]),
+    "double pendulum": (0.5, [1.0, 1.2], [0.34, 0.675]),
 }
 
 
 def both_ways(name, method=METHOD, intervals=12, **changes):
     """The path in angles, and that in Cartesian coordinates from the guess that turns the angles evenly."""
-    angular, cartesian, place, constraint, duration, first, last = MECHANISMS[name]
-    first, last = np.array(first), np.array(last)
+    (angular, cartesian, place, constraint), (duration, *ends) = MECHANISMS[name], ENDS[name]
+    first, last = np.array(ends)
     angles = cg.solve(cg.BoundaryProblem(angular, (0, duration), first, last), METHOD, intervals=intervals)
     problem = cg.BoundaryProblem(cartesian, (0, duration), place(first), place(last), constraint=constraint)
     guess = lambda t: place(first + (last - first) * t / duration)  # noqa: E731
@@ -60,7 +48,7 @@ def test_a_constraint_holds_at_joints_and_nodes_whatever_the_degree(name, degree
 @pytest.mark.parametrize("name", MECHANISMS)
 @pytest.mark.parametrize("degree", [1, 3])
 def test_velocities_are_tangent_at_the_joints_whatever_the_degree(name, degree):
-    path, d = both_ways(name, cg.Galerkin(degree))[1], len(MECHANISMS[name][2](MECHANISMS[name][5]))
+    path, d = both_ways(name, cg.Galerkin(degree))[1], len(MECHANISMS[name][2](ENDS[name][1]))
     x = ca.SX.sym("x", d)
     slope = ca.Function("slope", [x], [ca.jacobian(MECHANISMS[name][3](0, x), x)])
     off = [np.array(slope(x)) @ v for x, v in zip(path.x.T, path.velocity.T, strict=True)]
@@ -347,8 +335,8 @@ def test_fifty_coupled_rods_are_solved():
 @pytest.mark.parametrize("tol", [1e-4, 1e-7, 1e-10])
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_a_constrained_path_found_to_a_tolerance_meets_it(name, tol):
-    angular, cartesian, place, constraint, duration, first, last = MECHANISMS[name]
-    first, last = np.array(first), np.array(last)
+    (angular, cartesian, place, constraint), (duration, *ends) = MECHANISMS[name], ENDS[name]
+    first, last = np.array(ends)
     problem = cg.BoundaryProblem(cartesian, (0, duration), place(first), place(last), constraint=constraint)
     path = cg.solve(problem, tol=tol, guess=lambda t: place(first + (last - first) * t / duration))
     exact = cg.solve(cg.BoundaryProblem(angular, (0, duration), first, last), cg.Galerkin(14), intervals=12)

@@ -4,18 +4,12 @@ import casadi as ca
 import numpy as np
 import pytest
 from constrained import on_circle
-from scenes import DAMPED, bratu_theta, pendulum
+from scenes import DAMPED, bratu_problem, bratu_theta, pendulum
 
 import casadi_galerkin as cg
 
 FOLD = 3.513830719125162  # exact: λ = 8 / sinh²(θ/4) where θ/4 tanh(θ/4) = 1
 DISCRETE = 1e-10  # relative; what degree 8 on ten intervals leaves of Bratu's paths
-
-
-def bratu(start=1.0):
-    return cg.BoundaryProblem(
-        lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0]), (0, 1), [0.0], [0.0], parameters=[start]
-    )
 
 
 def height(rate, upper):
@@ -24,7 +18,7 @@ def height(rate, upper):
 
 @pytest.fixture(scope="module")
 def round_the_fold():
-    return cg.continuation(bratu(), [4.0], intervals=10)
+    return cg.continuation(bratu_problem(), [4.0], intervals=10)
 
 
 def test_bratus_fold_is_located(round_the_fold):
@@ -46,7 +40,7 @@ def test_the_walk_comes_back_on_the_upper_branch(round_the_fold):
 
 
 def test_a_target_before_the_fold_is_reached():
-    branch = cg.continuation(bratu(), [3.5], cg.Galerkin(8), 10)
+    branch = cg.continuation(bratu_problem(), [3.5], cg.Galerkin(8), 10)
     assert branch.reached
     assert branch.folds == ()
     assert branch.parameters[-1, 0] == 3.5
@@ -55,7 +49,7 @@ def test_a_target_before_the_fold_is_reached():
 
 
 def test_a_walk_may_begin_on_the_upper_branch_and_go_down_in_the_parameter():
-    branch = cg.continuation(bratu(2.0), [1.0], intervals=10, guess=lambda t: [12 * t * (1 - t)])
+    branch = cg.continuation(bratu_problem(2.0), [1.0], intervals=10, guess=lambda t: [12 * t * (1 - t)])
     assert branch.reached
     np.testing.assert_allclose(branch.trajectories[-1](0.5), height(1.0, upper=True), rtol=1e-7, atol=0)
 
@@ -86,7 +80,7 @@ def test_a_branch_is_summarized(round_the_fold):
 
 
 def test_bad_input_is_refused():
-    problem = bratu()
+    problem = bratu_problem()
     plain = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0])
     with pytest.raises(ValueError, match="continuation changes the parameters of a problem, and this one has none"):
         cg.continuation(plain, [1.0], intervals=4)

@@ -6,7 +6,8 @@ Free particles and an oscillator have paths that are known for any two condition
 import casadi as ca
 import numpy as np
 import pytest
-from motions import double_pendulum
+from motions import double_pendulum, kepler
+from scenes import free_particle, oscillator
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, minimize_scalar
 
@@ -17,18 +18,6 @@ TRANSVERSAL = 1e-11
 METHOD = cg.Galerkin(10)
 SWUNG = [0.34020240315987093, 0.67472456539636882]  # a double pendulum 0.5 s after rest at (1, 1.2), computed
 SWINGING = [-1.7298716095965868, -2.9142006209385097]  # its velocity then
-
-
-def oscillator(t, x, v):
-    return v[0] ** 2 / 2 - x[0] ** 2 / 2
-
-
-def free(t, x, v):
-    return ca.sumsqr(v) / 2
-
-
-def kepler(t, x, v):
-    return ca.sumsqr(v) / 2 + 1 / ca.norm_2(x)
 
 
 def rotation(angle):
@@ -109,7 +98,7 @@ def test_another_kind_of_end_cannot_be_given_later(changes, message):
 
 @pytest.mark.parametrize(("stiffness", "duration"), [(3.0, 2.0), (1e-3, 1.0), (1e6, 5.0)])
 def test_a_spring_at_the_end_of_a_free_particle_has_its_closed_form(stiffness, duration):
-    problem = ended(free, (0, duration), start=[1.0], end_action=lambda x0, x1: stiffness * x1[0] ** 2 / 2)
+    problem = ended(free_particle, (0, duration), start=[1.0], end_action=lambda x0, x1: stiffness * x1[0] ** 2 / 2)
     path, fall = cg.solve(problem, cg.Galerkin(2), intervals=4), stiffness / (1 + stiffness * duration)
     np.testing.assert_allclose(path.x[0], 1 - fall * path.t, rtol=0, atol=CLOSED_FORM)
     assert path.action == pytest.approx(fall / 2, rel=CLOSED_FORM)  # of path and spring together
@@ -125,7 +114,9 @@ def test_springs_at_both_ends_are_robin_conditions():
 
 def test_an_action_of_both_ends_couples_them():
     """A spring between the ends of a free particle's way: x_N - x_0 = v T, p_0 = p_N = -k (x_N - x_0 - 1)."""
-    problem = ended(free, (0, 2), [None, 0.0], [0.5, None], end_action=lambda x0, x1: 2 * ca.sumsqr(x1 - x0 - 1))
+    problem = ended(
+        free_particle, (0, 2), [None, 0.0], [0.5, None], end_action=lambda x0, x1: 2 * ca.sumsqr(x1 - x0 - 1)
+    )
     path = cg.solve(problem, cg.Galerkin(2), intervals=3)
     np.testing.assert_allclose(path.velocity, np.full((2, 4), 4 / 9), rtol=0, atol=CLOSED_FORM)
 
@@ -134,7 +125,7 @@ def test_an_action_of_both_ends_couples_them():
 
 
 def test_a_free_particle_goes_to_the_nearest_point_of_a_circle():
-    problem = ended(free, start=[3.0, 4.0], end=[None, None], end_conditions=lambda x0, x1: ca.sumsqr(x1) - 1)
+    problem = ended(free_particle, start=[3.0, 4.0], end=[None, None], end_conditions=lambda x0, x1: ca.sumsqr(x1) - 1)
     path = cg.solve(problem, cg.Galerkin(2), intervals=3)
     np.testing.assert_allclose(path.x[:, -1], [0.6, 0.8], rtol=0, atol=CLOSED_FORM)
     assert path.action == pytest.approx(8.0, rel=CLOSED_FORM)
@@ -142,7 +133,7 @@ def test_a_free_particle_goes_to_the_nearest_point_of_a_circle():
 
 
 def test_the_way_to_the_farthest_point_of_a_circle_is_a_saddle():
-    problem = ended(free, start=[3.0, 4.0], end=[None, None], end_conditions=lambda x0, x1: ca.sumsqr(x1) - 1)
+    problem = ended(free_particle, start=[3.0, 4.0], end=[None, None], end_conditions=lambda x0, x1: ca.sumsqr(x1) - 1)
     path = cg.solve(problem, cg.Galerkin(2), intervals=3, guess=lambda t: [3 - 3.6 * t, 4 - 4.8 * t])
     np.testing.assert_allclose(path.x[:, -1], [-0.6, -0.8], rtol=0, atol=CLOSED_FORM)
     assert path.morse_index == 1
@@ -174,7 +165,7 @@ def test_an_end_on_a_curve_arrives_across_it_where_the_action_is_least():
 
 def test_the_shortest_way_between_two_ellipses_is_across_both():
     problem = cg.BoundaryProblem(
-        free,
+        free_particle,
         (0, 1),
         start=[None, None],
         end=[None, None],
@@ -237,7 +228,7 @@ def test_an_end_that_is_the_mirrored_start_is_half_of_a_periodic_path():
 
 def test_two_free_particles_that_end_at_a_distance_meet_each_other_half_way():
     problem = cg.BoundaryProblem(
-        free,
+        free_particle,
         (0, 1),
         start=[0.0, 0.0, 3.0, 4.0],
         end=[None] * 4,

@@ -3,8 +3,9 @@
 import casadi as ca
 import numpy as np
 import pytest
-from constrained import on_circle, pendulum, planar, unit_length
-from scenes import oscillator_problem
+from constrained import on_circle, planar, unit_length
+from motions import henon_heiles, kepler
+from scenes import oscillator_problem, pendulum
 from scipy.integrate import quad, solve_ivp
 from scipy.special import ellipk
 
@@ -13,10 +14,6 @@ import casadi_galerkin as cg
 PERIOD = 1e-12
 CLOSED = 1e-11  # when integrated independently
 METHOD = cg.Galerkin(10)
-
-
-def kepler(t, x, v):
-    return ca.sumsqr(v) / 2 + 1 / ca.norm_2(x)
 
 
 def half_orbit(eccentricity, energy=-0.5):
@@ -134,10 +131,6 @@ def test_a_projectile_of_given_energy_hits_by_the_low_and_by_the_high_arc(high):
 
 
 # orbits that close
-
-
-def henon_heiles(t, x, v):
-    return ca.sumsqr(v) / 2 - ca.sumsqr(x) / 2 - x[0] ** 2 * x[1] + x[1] ** 3 / 3
 
 
 def returned(path, accelerate):

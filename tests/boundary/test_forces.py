@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from scenes import oscillator_problem
+from scenes import oscillator_problem, pendulum
 from scipy.integrate import solve_ivp
 
 import casadi_galerkin as cg
@@ -12,10 +12,6 @@ CLOSED_FORM = 1e-13  # of values of size 1
 SAME = 1e-13  # two ways of solving the same equations
 DIGITS = 1e-11  # reference numbers are given to twelve decimals, of sizes up to 35
 METHOD = cg.Galerkin(10)
-
-
-def pendulum(t, x, v):
-    return v[0] ** 2 / 2 + ca.cos(x[0])
 
 
 def friction(t, x, v):

@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from scenes import bratu_problem
 
 import casadi_galerkin as cg
 
@@ -271,24 +272,17 @@ def test_function_maps_over_many_data():
 # nothing unverified
 
 
-def bratu():
-    def lagrangian(t, x, v, p):
-        return v[0] ** 2 / 2 - p[0] * ca.exp(x[0])
-
-    return cg.BoundaryProblem(lagrangian, (0.0, 1.0), [0.0], [0.0], parameters=[1.0])
-
-
 @pytest.mark.parametrize("rate", [3.514, 3.6, 10.0])
 def test_without_a_solution_every_output_is_nan(rate, capfd):
-    f, path = solved(bratu())
+    f, path = solved(bratu_problem())
     result = f(start=[0], end=[0], parameters=[rate], guess=path.polynomial.values)
     assert all(np.isnan(dense(value)).all() for value in result.values())
     assert capfd.readouterr() == ("", "")
 
 
 def test_just_below_the_critical_value_there_is_a_solution():
-    f, path = solved(bratu())
-    near = cg.solve(bratu().varied({"parameters": [3.51]}, (0.0, 1.0)), cg.Galerkin(8), 10)
+    f, path = solved(bratu_problem())
+    near = cg.solve(bratu_problem().varied({"parameters": [3.51]}, (0.0, 1.0)), cg.Galerkin(8), 10)
     result = f(start=[0], end=[0], parameters=[3.51], guess=path.polynomial.values)
     np.testing.assert_allclose(result["x"], near.x, rtol=0, atol=1e-9)  # next to the fold, condition number 1e3
 

@@ -5,7 +5,8 @@ import pickle
 import casadi as ca
 import numpy as np
 import pytest
-from scenes import BY_NAME
+from control_problems import double_integrator
+from scenes import BY_NAME, pendulum
 
 import casadi_galerkin as cg
 
@@ -108,7 +109,7 @@ def test_a_trade_counts_the_known_error_of_its_reference():
 
 @pytest.mark.parametrize(("degree", "few", "many"), [(1, 6, 400), (2, 5, 60), (4, 4, 30), (8, 2, 10)])
 def test_a_path_that_is_plainly_not_resolved_says_so(degree, few, many):
-    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0, 10), [0.0], [1.0])
+    problem = cg.BoundaryProblem(pendulum, (0, 10), [0.0], [1.0])
     coarse = cg.solve(problem, cg.Galerkin(degree), few)
     fine = cg.solve(problem, cg.Galerkin(degree), many)
     assert "NOT RESOLVED" in str(coarse)
@@ -124,16 +125,5 @@ def test_the_balance_of_energy_is_printed_also_where_the_energy_changes():
 
 
 def test_an_optimal_path_refers_to_its_tolerance():
-    problem = cg.ControlProblem(
-        lambda t, x, v: v[0] ** 2 / 2,
-        (0, 1),
-        [0.0],
-        [1.0],
-        start_velocity=[0.0],
-        end_velocity=[0.0],
-        controls=1,
-        force=lambda t, x, v, u: u,
-        running_cost=lambda t, x, v, u: u[0] ** 2,
-    )
     with pytest.raises(TypeError, match="give tol"):
-        cg.solve(problem, cg.Galerkin(3), 4).estimate_error()
+        cg.solve(double_integrator(), cg.Galerkin(3), 4).estimate_error()

@@ -3,8 +3,9 @@
 import io
 import sys
 
-import casadi as ca
 import pytest
+from control_problems import double_integrator
+from scenes import bratu_problem
 
 import casadi_galerkin as cg
 from casadi_galerkin.solution import progress
@@ -15,26 +16,13 @@ class Terminal(io.StringIO):
         return True
 
 
-def bratu(**given):
-    return cg.BoundaryProblem(
-        lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0]), (0, 1), [0.0], [0.0], parameters=[1.0], **given
-    )
-
-
-def cart():
-    return cg.ControlProblem(
-        lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0], [0.0], [0.0],
-        force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u[0] ** 2, controls=1,
-    )  # fmt: skip
-
-
 LONG = {
-    "refinement": lambda: cg.solve(bratu(), tol=1e-6),
-    "sweep": lambda: cg.sweep(bratu(), [{"parameters": [2.0]}], cg.Galerkin(3), 4),
-    "trade": lambda: cg.trade(bratu(), [cg.Galerkin(3)], [4]),
-    "paths": lambda: cg.paths(bratu(), cg.Galerkin(8), 10, count=2),
-    "continuation": lambda: cg.continuation(bratu(), [2.0], cg.Galerkin(3), 4),
-    "starts": lambda: cg.solve(cart(), cg.Galerkin(3), 4, starts=2),
+    "refinement": lambda: cg.solve(bratu_problem(), tol=1e-6),
+    "sweep": lambda: cg.sweep(bratu_problem(), [{"parameters": [2.0]}], cg.Galerkin(3), 4),
+    "trade": lambda: cg.trade(bratu_problem(), [cg.Galerkin(3)], [4]),
+    "paths": lambda: cg.paths(bratu_problem(), cg.Galerkin(8), 10, count=2),
+    "continuation": lambda: cg.continuation(bratu_problem(), [2.0], cg.Galerkin(3), 4),
+    "starts": lambda: cg.solve(double_integrator(), cg.Galerkin(3), 4, starts=2),
 }
 
 

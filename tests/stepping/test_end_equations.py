@@ -3,7 +3,8 @@
 import casadi as ca
 import numpy as np
 import pytest
-from constrained import on_circle, pendulum, planar, unit_length
+from constrained import on_circle, planar, unit_length
+from scenes import free_particle, oscillator, pendulum, saddle
 
 import casadi_galerkin as cg
 from casadi_galerkin.stepping.shooting import Shooting, _met
@@ -14,16 +15,8 @@ CLOSED = 1e-12
 IN_ANGLES = 1e-11
 
 
-def oscillator(t, x, v):
-    return ca.sumsqr(v) / 2 - ca.sumsqr(x) / 2
-
-
 def coupled(t, x, v):
     return ca.sumsqr(v) / 2 + v[0] * v[1] / 3
-
-
-def free(t, x, v):
-    return ca.sumsqr(v) / 2
 
 
 def off_center(t, x, v):
@@ -102,13 +95,13 @@ KINDS = {
     ),
     "spring between the ends": (
         cg.BoundaryProblem(
-            free, (0, 1), [None], [None], end_action=lambda x0, x1: (x1[0] - x0[0] - 1) ** 2 + (x0[0] - 2) ** 2
+            free_particle, (0, 1), [None], [None], end_action=lambda x0, x1: (x1[0] - x0[0] - 1) ** 2 + (x0[0] - 2) ** 2
         ),
         lambda t: [2 + 2 / 3 * t],
     ),
     "shortest way to a circle": (
         cg.BoundaryProblem(
-            free,
+            free_particle,
             (0, 1),
             [0.0, 0.0],
             [None, None],
@@ -128,7 +121,7 @@ KINDS = {
     ),
     "on the circle, up to a momentum": (  # its normal part counts nothing
         cg.BoundaryProblem(
-            free,
+            free_particle,
             (0, 1),
             on_circle(0.7).tolist(),
             [None, None],
@@ -139,7 +132,7 @@ KINDS = {
     ),
     "on the circle, up to a line": (
         cg.BoundaryProblem(
-            free,
+            free_particle,
             (0, 1),
             on_circle(0.7).tolist(),
             [None, None],
@@ -246,9 +239,6 @@ def test_a_multiplier_that_is_off_is_a_miss():
 
 
 def test_growth_fails_any_ends():
-    def saddle(t, x, v):
-        return v[0] ** 2 / 2 + x[0] ** 2 / 2
-
     problem = cg.BoundaryProblem(saddle, (0, 40), [1.0], [None], end_action=lambda x0, x1: 2 * (x1[0] - 1) ** 2)
     with pytest.raises(cg.ConvergenceError, match=r"the end is missed by .* grows up to 1.2e\+17 times"):
         cg.shoot(problem, METHOD, 80)
@@ -256,7 +246,7 @@ def test_growth_fails_any_ends():
 
 def test_ends_that_leave_the_start_open_are_conjugate():
     problem = cg.BoundaryProblem(
-        free, (0, 1), [None, 0.0], [None, 1.0], end_conditions=lambda x0, x1: x1[0] - x0[0] - 1
+        free_particle, (0, 1), [None, 0.0], [None, 1.0], end_conditions=lambda x0, x1: x1[0] - x0[0] - 1
     )
     with pytest.raises(cg.ConjugatePointError, match="the end does not depend on the start"):
         cg.shoot(problem, METHOD, INTERVALS)

@@ -3,29 +3,19 @@
 import casadi as ca
 import numpy as np
 import pytest
-from constrained import on_circle, pendulum, planar, unit_length
+from constrained import on_circle, planar, unit_length
+from motions import henon_heiles, kepler
+from scenes import free_particle, pendulum
 from scipy.integrate import quad
 from scipy.special import ellipk
 
 import casadi_galerkin as cg
-from casadi_galerkin.stepping.initial_value import stepper_of
 from casadi_galerkin.stepping.shooting import chain
+from casadi_galerkin.stepping.stepper import Stepper
 
 METHOD = cg.Galerkin(8)
 SAME = 1e-12  # the same discrete equations solved in two ways
 DURATION = 1e-12
-
-
-def kepler(t, x, v):
-    return ca.sumsqr(v) / 2 + 1 / ca.norm_2(x)
-
-
-def henon_heiles(t, x, v):
-    return ca.sumsqr(v) / 2 - ca.sumsqr(x) / 2 - x[0] ** 2 * x[1] + x[1] ** 3 / 3
-
-
-def line(t, x, v):
-    return ca.sumsqr(v) / 2
 
 
 def of_anomaly(eccentricity, anomaly):
@@ -178,7 +168,7 @@ def test_a_periodic_path_of_given_energy_is_closed(problem, guess, period):
 
 def test_derivatives_by_the_stretch_are_those_of_the_whole_path():
     problem, mesh, difference = cg.InitialProblem(pendulum, (0, 2), [0.5], momentum=[1.0]), np.linspace(0, 2, 8), 1e-5
-    stepper = stepper_of(problem, cg.Galerkin(3), stretched=True)
+    stepper = Stepper(problem, cg.Galerkin(3), stretched=True)
     roll = lambda stretch: stepper.roll(np.array([0.5, stretch]), np.array([1.0, 0.0]), np.array([1.0, 0.0]), mesh)  # noqa: E731
     states = lambda stretch: np.concatenate((roll(stretch).x, roll(stretch).p))  # noqa: E731
     middle = roll(1.2)
@@ -204,7 +194,7 @@ def test_a_guess_gives_the_duration_too():
 @pytest.mark.parametrize("velocity", [-1.0, -1e-3])
 def test_a_duration_is_never_negative(velocity):
     """Backward in time, the free motion to the left would meet the end on the right."""
-    problem = cg.BoundaryProblem(line, (0, 1), [0.0], [1.0], energy=0.5)
+    problem = cg.BoundaryProblem(free_particle, (0, 1), [0.0], [1.0], energy=0.5)
     with pytest.raises(cg.ConvergenceError, match="shooting failed"):
         cg.shoot(problem, METHOD, 4, guess=launched(problem, [velocity], 4))
 
@@ -233,7 +223,7 @@ def test_a_path_that_turns_back_where_it_began_is_not_periodic():
 
 def test_a_guess_that_rests_tells_no_duration():
     problem = cg.BoundaryProblem(
-        line, (0, 1), [0.0, 0.0], [None, None], end_conditions=lambda x0, x1: ca.sumsqr(x1) - 4, energy=0.5
+        free_particle, (0, 1), [0.0, 0.0], [None, None], end_conditions=lambda x0, x1: ca.sumsqr(x1) - 4, energy=0.5
     )
     with pytest.raises(cg.ConjugatePointError, match="or the guess rests at its start: give one that moves"):
         cg.shoot(problem, METHOD, 4)

@@ -3,24 +3,14 @@
 import casadi as ca
 import numpy as np
 import pytest
+from motions import kepler
+from scenes import pendulum, saddle
 
 import casadi_galerkin as cg
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.stepping.shooting import MISS, Shooting, _met, chain
 
 SAME = 1e-12  # the same discrete equations solved in two ways; conditions below 100
-
-
-def pendulum(t, x, v):
-    return v[0] ** 2 / 2 + ca.cos(x[0])
-
-
-def saddle(t, x, v):
-    return v[0] ** 2 / 2 + x[0] ** 2 / 2
-
-
-def kepler(t, x, v):
-    return ca.dot(v, v) / 2 + 1 / ca.norm_2(x)
 
 
 def varying_mass(t, x, v):

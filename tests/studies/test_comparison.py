@@ -3,26 +3,14 @@
 from importlib import import_module
 
 import casadi as ca
-import matplotlib as mpl
 import numpy as np
 import pytest
-from scenes import BY_NAME
+from motions import kepler
+from scenes import pendulum, saddle
 
 import casadi_galerkin as cg
 
 METHOD = cg.Galerkin(8)
-
-
-def saddle(t, x, v):
-    return v[0] ** 2 / 2 + x[0] ** 2 / 2
-
-
-def pendulum(t, x, v):
-    return v[0] ** 2 / 2 + ca.cos(x[0])
-
-
-def kepler(t, x, v):
-    return ca.dot(v, v) / 2 + 1 / ca.norm_2(x)
 
 
 def exact(t, horizon):
@@ -75,6 +63,7 @@ def parted():
     return cg.compare(cg.BoundaryProblem(pendulum, (0, 10), [0.0], [1.0]), cg.Galerkin(6), intervals=40)
 
 
+@pytest.mark.usefixtures("headless")
 def test_another_stationary_path_is_told_in_words(parted):
     path, another = parted.global_path, parted.another
     np.testing.assert_allclose(another.x, parted.shooting.path.x, rtol=0, atol=1e-12)
@@ -86,7 +75,6 @@ def test_another_stationary_path_is_told_in_words(parted):
     assert words in str(parted).splitlines()
     names = [text.get_text() for text in parted.plot().get_legend().get_texts()]
     assert names == ["stepped from the global start", "shooting (another path)"]
-    mpl.pyplot.close("all")
 
 
 def test_a_path_that_parts_between_the_joints_only_is_another():
@@ -260,27 +248,21 @@ def test_the_table_holds_all_ways(forty):
         assert part in text
 
 
+@pytest.mark.usefixtures("headless")
 def test_the_plot_shows_the_gap(forty):
-    axes = forty.plot()
+    axes = forty.plot(time="t in s")
     (line,) = [line for line in axes.lines if line.get_label().startswith("stepped")]
-    assert axes.get_yscale() == "log"
+    assert (axes.get_yscale(), axes.get_xlabel()) == ("log", "t in s")
     assert line.get_ydata()[-1] == forty.stepped.gap[-1]
     names = [text.get_text() for text in axes.get_legend().get_texts()]
     assert names == ["stepped from the global start", "shooting (failed)"]
     assert forty.plot(axes) is axes
-    mpl.pyplot.close("all")
 
 
 def test_a_global_failure_is_raised():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, np.pi), [0.0], [1.0])
     with pytest.raises(cg.ConvergenceError):
         cg.compare(problem, cg.Galerkin(6), intervals=10)
-
-
-@pytest.mark.usefixtures("headless")
-def test_a_comparison_names_its_time():
-    compared = cg.compare(BY_NAME["uniform gravity"].problem, cg.Galerkin(3), 5)
-    assert compared.plot(time="t in s").get_xlabel() == "t in s"
 
 
 def test_only_a_boundary_problem_is_compared():

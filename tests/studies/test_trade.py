@@ -9,17 +9,13 @@ import mpmath
 import numpy as np
 import pytest
 from control_problems import double_integrator, pendulum_in_three
+from scenes import oscillator_problem, pendulum
 
 import casadi_galerkin as cg
 
 INTERVALS = (4, 8, 16, 32)
 BAND = 0.2  # of a fitted order
 REFERENCE = 1e-12  # own error of a solved reference, with room to its roundoff of some 1e-15
-
-
-@pytest.fixture(scope="module")
-def pendulum():
-    return cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0.0, 1.0), [0.0], [1.0])
 
 
 def test_every_cell_has_its_row(measured):
@@ -41,7 +37,7 @@ def test_order_is_not_fitted_to_roundoff(oscillator):
 @pytest.fixture(scope="module")
 def every_way():
     """The pendulum nearly over the top, in ten seconds, and its trade over every way there is."""
-    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0.0, 10.0), [0.0], [1.0])
+    problem = cg.BoundaryProblem(pendulum, (0.0, 10.0), [0.0], [1.0])
     guess = cg.solve(problem, cg.Galerkin(3), 12, guess=lambda t: [t / 10 + 3 * np.sin(np.pi * t / 10)])
     rules = [(m, rule) for m in (4, 12) for rule in (cg.gauss(m), cg.lobatto(m + 1))]
     measured = cg.trade(
@@ -126,7 +122,7 @@ def test_a_mesh_that_a_tolerance_has_found_is_solved_on_again(every_way):
 
 def test_a_way_that_fails_is_a_row_that_says_why():
     """Beyond half a period the path of an oscillator is a saddle of the action, which no minimizer finds."""
-    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0.0, 4.0), [0.0], [1.0])
+    problem = oscillator_problem(t_span=(0.0, 4.0))
     measured = cg.trade(problem, [cg.Galerkin(4)], [8], tolerances=[1e-6], solvers=[cg.newton, cg.minimizer])
     failed = {row.way for row in measured.rows if row.failure is not None}
     assert failed == {"minimizer", "minimizer, tol 1e-06"}
@@ -153,14 +149,10 @@ def test_a_trade_in_which_nothing_is_solved_raises():
         cg.trade(none, [cg.Galerkin(2)], (4,))
 
 
-def test_an_empty_grid_is_refused(pendulum):
-    with pytest.raises(ValueError, match="at least one method"):
-        cg.trade(pendulum, [], (4,))
-
-
 @pytest.mark.parametrize(
     ("methods", "intervals", "changes", "error", "message"),
     [
+        ([], [4], {}, ValueError, "give at least one method and one number of intervals, or a tolerance, got"),
         ([], [], {"tolerances": [1e-3, 1.5]}, ValueError, "tol must be a number between 0 and 1, got 1.5"),
         ([cg.Galerkin(2)], [4], {"solvers": [cg.newton, "ipopt"]}, TypeError, "solvers must be Solvers.*got 'ipopt'"),
         (cg.Galerkin(2), [4], {}, TypeError, "methods must be several, in a list, got Galerkin"),
@@ -191,13 +183,11 @@ def test_an_empty_grid_is_refused(pendulum):
         ([cg.Galerkin(2)], [4], {"guess": "line"}, TypeError, "must fit every mesh: .* got 'line'"),
     ],
 )
-def test_what_does_not_fit_is_refused_before_any_cell(
-    pendulum, methods, intervals, changes, error, message, monkeypatch
-):
+def test_what_does_not_fit_is_refused_before_any_cell(methods, intervals, changes, error, message, monkeypatch):
     module = import_module("casadi_galerkin.studies.trade")
     monkeypatch.setattr(module, "_cell", lambda *given: pytest.fail("solved before the input was checked"))
     with pytest.raises(error, match=message):
-        cg.trade(pendulum, methods, intervals, **changes)
+        cg.trade(oscillator_problem(), methods, intervals, **changes)
 
 
 def test_a_trade_of_no_problem_is_refused():
@@ -226,7 +216,7 @@ def test_a_control_problem_is_not_traded_by_solvers_of_equations():
 
 
 def test_guess_chooses_the_branch():
-    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0.0, 10.0), [0.0], [1.0])
+    problem = cg.BoundaryProblem(pendulum, (0.0, 10.0), [0.0], [1.0])
     over = cg.trade(problem, [cg.Galerkin(6)], (30, 60), guess=lambda t: [3 * np.sin(np.pi * t / 10) + t / 10])
     path = cg.solve(problem, cg.Galerkin(6), 60)
     other = cg.trade(problem, [cg.Galerkin(6)], (60,), reference=path, guess=lambda t: [3 * np.sin(np.pi * t / 10)])
@@ -296,7 +286,7 @@ def test_energy_error_is_relative_to_the_whole_path():
 
 
 def test_shooting_a_given_energy_has_the_errors_of_the_global_path():
-    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0.0, 0.8), [0.0], [1.0], energy=0.5)
+    problem = cg.BoundaryProblem(pendulum, (0.0, 0.8), [0.0], [1.0], energy=0.5)
     whole, shot = cg.trade(problem, [cg.Galerkin(3)], [6], shooting=True).rows
     assert (shot.way, shot.failure) == ("shooting", None)
     assert shot.error == pytest.approx(whole.error, rel=1e-6)

@@ -1,6 +1,5 @@
-"""The table of a trade: front, cheapest row, CSV, plot."""
+"""The table of a trade: front, cheapest row, plot."""
 
-import csv
 from dataclasses import replace
 
 import pytest
@@ -35,8 +34,8 @@ def test_errors_within_the_floor_are_equal_on_the_front():
     assert cg.Trade((fast, finer), "solved", 1e-13).front() == [fast]
 
 
-def test_a_quantity_that_is_named_has_a_column_and_the_axis(monkeypatch):
-    monkeypatch.setenv("MPLBACKEND", "Agg")
+@pytest.mark.usefixtures("headless")
+def test_a_quantity_that_is_named_has_a_column_and_the_axis():
     rows = (row(1.0, 1e-3, path_error=1e-5),)
     named, path = cg.Trade(rows, "given", 0.0, "reach"), cg.Trade(rows, "given", 0.0)
     assert "1.0e-03     1.0e-05" in str(named)
@@ -44,9 +43,6 @@ def test_a_quantity_that_is_named_has_a_column_and_the_axis(monkeypatch):
     assert "1.0e-03" not in str(path)
     axes = named.plot()
     assert axes.get_ylabel() == "relative error of reach"
-    import matplotlib.pyplot as plt
-
-    plt.close(axes.figure)
 
 
 def test_cheapest_is_the_fastest_row_within_the_tolerance():
@@ -64,14 +60,9 @@ def test_table_holds_every_row_and_the_reference(measured):
     text = str(measured)
     assert len(text.splitlines()) == 3 + len(measured.rows)
     assert f"own error {measured.reference_error:.1e}" in text
-
-
-def test_csv_holds_every_row(measured, tmp_path):
-    measured.to_csv(tmp_path / "trade.csv")
-    with (tmp_path / "trade.csv").open(encoding="utf-8", newline="") as file:
-        read = list(csv.DictReader(file))
-    assert [float(line["error"]) for line in read] == [row.error for row in measured.rows]
-    assert [int(line["degree"]) for line in read] == [row.method.degree for row in measured.rows]
+    table = measured.to_dict()
+    assert table["error"] == [row.error for row in measured.rows]
+    assert table["degree"] == [row.method.degree for row in measured.rows]
 
 
 def test_many_rows_are_shown_by_their_front_and_failures():
@@ -124,8 +115,8 @@ def test_rules_have_short_names(method, name, relative):
     assert rule_of(method, relative=True) == relative
 
 
-def test_a_legend_names_what_is_drawn_and_nothing_else(monkeypatch):
-    monkeypatch.setenv("MPLBACKEND", "Agg")
+@pytest.mark.usefixtures("headless")
+def test_a_legend_names_what_is_drawn_and_nothing_else():
     rows = [
         row(1.0, 1e-3, solver=cg.newton),
         row(2.0, 1e-3, method=cg.Galerkin(4), solver=cg.newton),
@@ -140,31 +131,22 @@ def test_a_legend_names_what_is_drawn_and_nothing_else(monkeypatch):
         *("the front", "degree 2", "degree 4", "to a tolerance", "on its mesh"),
         *("Gauss(m)", "Lobatto(m+1)", "newton", "shooting", repr(SOLVER).removeprefix("cg.")),
     ]
-    import matplotlib.pyplot as plt
-
-    plt.close(axes.figure)
 
 
-def test_lines_of_one_name_are_all_drawn(monkeypatch):
+@pytest.mark.usefixtures("headless")
+def test_lines_of_one_name_are_all_drawn():
     """Rules of the same ends and order differ within."""
-    monkeypatch.setenv("MPLBACKEND", "Agg")
     rules = [cg.Quadrature([0.0, 0.5 - s, 0.5 + s, 1.0], [0.25, 0.25, 0.25, 0.25]) for s in (0.1, 0.2)]
     rows = tuple(row(1.0, 1e-3, method=cg.Galerkin(2, quadrature=rule)) for rule in rules)
     axes = cg.Trade(rows, "given", 0.0).plot()
     assert len(axes.lines) == 1 + 2  # and the front
-    import matplotlib.pyplot as plt
-
-    plt.close(axes.figure)
 
 
-def test_plot_shows_the_floor_on_logarithmic_axes_and_a_low_legend(measured, monkeypatch):
-    monkeypatch.setenv("MPLBACKEND", "Agg")
+@pytest.mark.usefixtures("headless")
+def test_plot_shows_the_floor_on_logarithmic_axes_and_a_low_legend(measured):
     axes = measured.plot()
     axes.figure.draw_without_rendering()
     assert axes.get_legend().get_window_extent().height < axes.figure.bbox.height / 4
     assert axes.get_xscale() == axes.get_yscale() == "log"
     assert "reference" in axes.texts[0].get_text()
     assert axes.get_ylabel() == "relative error of the path"
-    import matplotlib.pyplot as plt
-
-    plt.close(axes.figure)
