@@ -300,7 +300,7 @@ def newton_iteration(system: ca.Function) -> ca.Function:
     does the iterations of the one before, and does them again if they did not end: of all conditionals only a few are
     evaluated.
     """
-    names = [system.name_in(i) for i in range(5)]
+    names = system.name_in()[:5]
     inputs = [ca.MX.sym(name, *system.size_in(i)) for i, name in enumerate(names)]
     (rows, m), d = inputs[0].shape, inputs[1].numel()
     s, ds, x, before = ca.SX.sym("s", rows, m), ca.SX.sym("ds", rows, m), ca.SX.sym("x", d), ca.SX.sym("before")

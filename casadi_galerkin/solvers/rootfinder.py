@@ -37,7 +37,7 @@ def casadi_newton(functional: Functional, options: Mapping[str, Any]) -> tuple[c
     the rows of ∇S = 0: one over the sizes of the terms that they sum.
     """
     derivatives = functional.function("derivatives")
-    symbols, names = derivatives.mx_in(), [derivatives.name_in(i) for i in range(derivatives.n_in())]
+    symbols, names = derivatives.mx_in(), derivatives.name_in()
     matrix, gradient = derivatives.call(symbols)
     rows = ca.MX.sym("rows", gradient.numel())
     symbols, names = [*symbols, rows], [*names, "rows"]
@@ -67,7 +67,7 @@ def embeddable(functional: Functional, weights: np.ndarray) -> ca.Function:
     """
     near, last = casadi_newton(functional, {})
     derivatives = functional.function("derivatives")
-    symbols, names = derivatives.mx_in(), [derivatives.name_in(i) for i in range(derivatives.n_in())]
+    symbols, names = derivatives.mx_in(), derivatives.name_in()
     rows = ca.DM(weights)
     root = last(near(*symbols, rows), *symbols[1:], rows)
     return ca.Function("root", symbols, [root], ["guess", *names[1:]], ["unknowns"])
