@@ -19,36 +19,34 @@ ROUNDED = 0.2  # of eps: what rounding to the nearest double changes in the root
 SIGNS = 4  # random signs of the rounding of the equations, from which its effect on the path is estimated
 
 
-def corrections(graph: BoundaryGraph, path: PiecewisePolynomial) -> list[PiecewisePolynomial]:
-    """Two Newton steps from a path on the same mesh, of any degree up to this one's; zero if it is critical here.
+def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial, tol: float = 0.0) -> float:
+    """Largest error of a path of a lower degree than the graph's, relative to the size of its components.
 
-    With a higher degree than the path's the first estimates the path's error, in the joints as well as between
-    them, and the second how far to trust the first.  Where the duration is free, a step of it counts by how far the
-    path moves in that time.
+    The first Newton step from it on the same mesh estimates its error, in the joints as well as between them, and the
+    second tells how far to trust the first: both are summed as a geometric series.  It makes the first at most
+    1 / (1 - `SLOWEST`) times as large, so where that is below `tol` anyway, it is not taken.  Where the duration is
+    free, a step of it counts by how far the path moves in that time.
+
+    Returns infinity where a step is not finite.
     """
-    nodes, steps = graph.method.element.nodes, []
+    nodes, sizes = graph.method.element.nodes, component_sizes(path.values)[:, None]
     data = graph.data(path.mesh, None, graph.plane(path))
     unknowns = graph.unknowns(path.at(nodes).T, data)
+
+    def moved(step: np.ndarray) -> float:
+        """Largest change of the path by a step."""
+        change = graph.change(step)
+        if graph.numbering.stretched:
+            times = path.times(nodes[:-1])
+            change = change - step[-1] * path(times, 1) * (times - times[0])
+        return float(np.max(interval_maxima(PiecewisePolynomial(path.mesh, nodes, change)) / sizes))
+
+    second = 0.0
     with graph.stationarity.linearization() as at:
-        for _ in range(2):
-            found = at.newton_step(unknowns, data)
-            steps.append(found.step if np.isfinite(found.norm) else np.full_like(unknowns, np.nan))
-            unknowns = unknowns + steps[-1]
-    changes = [graph.change(step) for step in steps]
-    if graph.numbering.stretched:
-        times = path.times(nodes[:-1])
-        by_stretch = path(times, 1) * (times - times[0])
-        changes = [change - step[-1] * by_stretch for change, step in zip(changes, steps, strict=True)]
-    return [PiecewisePolynomial(path.mesh, nodes, change) for change in changes]
-
-
-def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial) -> float:
-    """Largest error of a path of a lower degree, relative to the size of its components.
-
-    The two Newton steps from it are summed as a geometric series; infinite where one is not finite.
-    """
-    sizes = component_sizes(path.values)[:, None]
-    first, second = (float(np.max(interval_maxima(step) / sizes)) for step in corrections(graph, path))
+        (step,) = at.solve(at.relinearize(unknowns, data))
+        first = moved(step)
+        if first > (1 - SLOWEST) * tol:
+            second = moved(*at.solve(at.relinearize(unknowns + step, data)))
     if not math.isfinite(first + second):
         return math.inf
     return first / (1 - min(SLOWEST, second / first)) if first > 0 else 0.0

@@ -13,12 +13,13 @@ from numpy.polynomial.legendre import legfit, legval
 from casadi_galerkin.boundary.action_descent import descend
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.levels import Levels
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, with_breakpoints
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import equidistributed, of_degree, truncation
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.guess import FAR, Guess, apart, guess_values
+from casadi_galerkin.solution.guess import FAR, Guess, apart
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.ipopt import rescue
 from casadi_galerkin.solvers.newton import damped_newton
@@ -48,31 +49,31 @@ def following(solver: SolverLike) -> SolverLike:
     return partial(damped_newton, **{"max_iter": ITERATIONS, **own})
 
 
-def mesh_for_guess(levels: Levels, method: Galerkin, guess: Guess, mesh: np.ndarray, tol: float) -> np.ndarray:
-    """Joints on which the guess itself is resolved to a tolerance: where it turns sharply, so may the path."""
-    path = levels.transcription(method, mesh).guess_on_mesh(guess, mesh)
-    given = guess.polynomial if isinstance(guess, Path) else guess
+def resolved(
+    levels: Levels, method: Galerkin, guess: Guess | None, mesh: np.ndarray, tol: float
+) -> PiecewisePolynomial:
+    """A guess on joints on which it is resolved to a tolerance: where it turns sharply, so may the path."""
+    graph = levels.transcription(method, mesh)
+    path = graph.guess_on_mesh(guess, mesh)
     for _ in range(GUESS_LEVELS):
-        error = truncation(path)
-        if not callable(given) or np.max(error) <= tol or len(mesh) > GUESS_INTERVALS:
+        if not callable(guess) or len(path.mesh) > GUESS_INTERVALS:
             break  # there is nothing between the values of an array
-        mesh = equidistributed(mesh, error, method.degree + 1, tol)
-        calculus = DiscreteCalculus(method, mesh)
-        path = calculus.emb(guess_values(given, calculus, len(path.values)))
-    return mesh
+        error = truncation(path)
+        if np.max(error) <= tol:
+            break
+        finer = equidistributed(path.mesh, error, method.degree + 1, tol)
+        path = graph.guess_on_mesh(guess, with_breakpoints(finer, levels.problem.breakpoints))
+    return path
 
 
-def _from_smoothed(
-    levels: Levels, method: Galerkin, mesh: np.ndarray, guess: Guess, solver: SolverLike
-) -> CriticalPoint:
+def _from_smoothed(levels: Levels, method: Galerkin, given: PiecewisePolynomial, solver: SolverLike) -> CriticalPoint:
     """Begin with the cubic polynomial nearest to a guess, which has none of the guess's corners and noise.
 
     It keeps little of the guess's shape either.  So a path far from the guess is refused: another one was meant.
     """
-    given = levels.transcription(method, mesh).guess_on_mesh(guess, mesh)
-    parts = 2 * DiscreteCalculus(method, mesh).node_parts - 1
+    parts = 2 * DiscreteCalculus(method, given.mesh).node_parts - 1
     cubic = legval(parts, legfit(parts, given.values.T, 3))
-    point = levels.solve(method, mesh, cubic, solver)
+    point = levels.solve(method, given.mesh, cubic, solver)
     distance = apart(point.polynomial.values, given.values)
     if distance > FAR:
         found = f"a path up to {distance:.2g} of the guess's size away from the guess"
@@ -95,18 +96,16 @@ def first_path_strategies(
     finer mesh, which resolves the guess; without a guess a minimum of the action on the coarse mesh; a descent of the
     action with moving joints; and whatever `solver` tries.
     """
-    if guess is not None:
-        mesh = mesh_for_guess(levels, method, guess, mesh, ROUGHLY)
-    solved = partial(levels.solve, method)
+    given = resolved(levels, method, guess, mesh, ROUGHLY)
+    mesh, solved = given.mesh, partial(levels.solve, method)
     if isinstance(solver, Solver) and solver.name == newton.name:
         plain = partial(damped_newton, **solver.options)
         brief = partial(plain, max_iter=ITERATIONS)
-        yield Strategy("Newton's method", partial(solved, mesh, guess, plain), PATIENCE)
+        yield Strategy("Newton's method", partial(solved, mesh, given.values, plain), PATIENCE)
         if guess is not None:
-            found = partial(_from_smoothed, levels, method, mesh, guess, brief)
+            found = partial(_from_smoothed, levels, method, given, brief)
             yield Strategy("Newton's method from the guess smoothed", found, PATIENCE)
-        fine = mesh if guess is None else mesh_for_guess(levels, method, guess, mesh, WELL)
-        fine = _with_more(fine, MORE * (len(mesh) - 1))
+        fine = _with_more(resolved(levels, method, guess, mesh, WELL).mesh, MORE * (len(mesh) - 1))
         found = partial(solved, fine, guess, brief)
         yield Strategy(f"Newton's method on {len(fine) - 1} intervals", found, PATIENCE)
         graph = levels.transcription(method, mesh)

@@ -54,8 +54,9 @@ class Levels:
         """Solve one level, of the problem or of one that is `varied` from it; its breakpoints become joints."""
         mesh = with_breakpoints(mesh, self.problem.breakpoints)
         graph = self.transcription(method, mesh)
+        other = None if np.array_equal(mesh, graph.mesh) else mesh
         try:
-            point = (graph.of(problem) if problem else graph).critical_point(guess=guess, mesh=mesh, solver=solver)
+            point = (graph.of(problem) if problem else graph).critical_point(guess=guess, mesh=other, solver=solver)
         except ConvergenceError as failure:
             self.iterations += failure.iterations
             raise

@@ -260,9 +260,6 @@ class Functional:
         """
         if name in self._functions:
             return self._functions[name]
-        inertia, parameters = ca.MX.sym("inertia"), ca.vertcat(*self._parameters)
-        ways = {name: ca.MX.sym(name, self.numbering.free) for name in ("left", "right")}
-        change = ca.MX.sym("direction", parameters.numel())
         builders: dict[str, Callable[[], Parts]] = {
             "action": lambda: ({}, ["action"], [self.action()]),
             "gradient": lambda: ({}, ["gradient"], [self.gradient()]),
@@ -274,15 +271,25 @@ class Functional:
                 ["by_joint", "twice_by_joint", "by_neighbors"],
                 list(self.joint_time_derivatives()),
             ),
-            "heavier": lambda: ({"inertia": inertia}, ["matrix"], [self.heavier(inertia)]),
-            "curvature": lambda: (ways, ["signed", "positive"], list(self.curvature(*ways.values()))),
-            "sensitivity": lambda: (
-                {"direction": change},
-                ["change"],
-                [ca.densify(ca.jtimes(self.gradient(), parameters, change))],  # few rows may depend on parameters
-            ),
+            "heavier": self._heavier,
+            "curvature": self._curvature,
+            "sensitivity": self._sensitivity,
         }
         return self.keep(name, builders[name])
+
+    def _heavier(self) -> Parts:
+        inertia = ca.MX.sym("inertia")
+        return {"inertia": inertia}, ["matrix"], [self.heavier(inertia)]
+
+    def _curvature(self) -> Parts:
+        ways = {name: ca.MX.sym(name, self.numbering.free) for name in ("left", "right")}
+        return ways, ["signed", "positive"], list(self.curvature(*ways.values()))
+
+    def _sensitivity(self) -> Parts:
+        parameters = ca.vertcat(*self._parameters)
+        direction = ca.MX.sym("direction", parameters.numel())
+        change = ca.jtimes(self.gradient(), parameters, direction)
+        return {"direction": direction}, ["change"], [ca.densify(change)]  # few rows may depend on parameters
 
     def keep(self, name: str, build: Callable[[], Parts]) -> ca.Function:
         """Build a Function of the graph when it is first asked for."""
@@ -290,8 +297,7 @@ class Functional:
             began = time.perf_counter()
             further, names, outputs = build()
             symbols = self.symbols | further
-            self._functions[name] = ca.Function(
-                name.split()[0], list(symbols.values()), list(outputs), list(symbols), names
-            )
+            expressions = symbols | dict(zip(names, outputs, strict=True))  # taken faster by name than in lists
+            self._functions[name] = ca.Function(name.split()[0], expressions, list(symbols), names)
             self.build_seconds += time.perf_counter() - began
         return self._functions[name]

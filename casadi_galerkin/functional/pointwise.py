@@ -111,7 +111,7 @@ class Pointwise:
     @lazy
     def supplied(self) -> ca.Function | None:
         """∂L̂/∂t - h F·v, by which the energy falls; None where it is kept."""
-        if self.symmetric and not ca.depends_on(self._value, self._inputs["t"]):
+        if self.symmetric and not self.derivatives.jac_sparsity(0, 0).nnz():  # L̂ by t; `depends_on` takes far longer
             return None
         falls = ca.gradient(self._value, self._inputs["t"])
         if not self.symmetric:
@@ -133,8 +133,7 @@ class Pointwise:
         return ca.Function("time_derivatives", list(self._inputs.values()), [ca.densify(entry) for entry in entries])
 
     def _function(self, name: str, outputs: dict[str, ca.SX], **options: bool) -> ca.Function:
-        inputs = self._inputs
-        return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs), options)
+        return ca.Function(name, self._inputs | outputs, list(self._inputs), list(outputs), options)
 
 
 @lru_cache(KEPT)

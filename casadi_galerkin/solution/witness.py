@@ -14,6 +14,7 @@ does where a path jumps over a singularity between two points, though the energi
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import pairwise
 
 import casadi as ca
@@ -89,6 +90,13 @@ def witnesses(
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
+@lru_cache(64)
+def _rules(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Parts of an interval, its ends before the points of both rules; weights of the finer rule and of the path's."""
+    finer, own = gauss(degree + 1), gauss(degree)
+    return np.array([0.0, 1.0, *finer.points, *own.points]), np.array(finer.weights), np.array(own.weights)
+
+
 def _between_breakpoints(
     pointwise: Pointwise,
     path: PiecewisePolynomial,
@@ -102,52 +110,46 @@ def _between_breakpoints(
     Where the momentum p of a joint differs from ∂L/∂v at the path's own slope v there by δ, the energy is
     p·v - L + δᵀ(∂²L/∂v²)⁻¹δ/2 up to terms of third order.
     """
-    coarse, fine, steps = gauss(path.degree), gauss(path.degree + 1), np.diff(path.mesh)
-    parts = np.array([0.0, 1.0, *fine.points, *coarse.points])
-    x, v = path.at_parts(parts)
+    steps, (parts, fine, coarse) = np.diff(path.mesh), _rules(path.degree)
+    x, v = (values.reshape(len(values), -1) for values in path.at_parts(parts))
     h = np.repeat(steps, len(parts))
+    joints = np.append(np.arange(0, len(h), len(parts)), len(h) - len(parts) + 1)  # all starts, and the last end
     times = np.minimum(times_at(path.mesh, parts), np.nextafter(path.mesh[-1], path.mesh[0]))  # before a step there
-    x, v = x.reshape(len(x), -1), v.reshape(len(v), -1)
     given = [times, h, x.ravel(order="F"), (v * h).ravel(order="F")]
     given += [] if parameters is None else [np.array(parameters)]
 
     def evaluate(function: ca.Function) -> list[np.ndarray]:
-        """One value at every part of every interval, (..., N, 2m + 3)."""
+        """Its values at all parts of all intervals, (N (2m + 3), ...)."""
         found = Evaluator(one_by_one(function, len(h), () if parameters is None else (4,)))(*given)
-        return [value.reshape(len(h), -1).T.reshape(-1, len(steps), len(parts)) for value in found]
-
-    def at_joints(values: np.ndarray) -> np.ndarray:
-        """Values at the start of every interval and at the end of the last, (..., N + 1)."""
-        return np.append(values[:, :, 0], values[:, -1:, 1], axis=1)
+        return [value.reshape(len(h), -1) for value in found]
 
     def integral(values: np.ndarray) -> np.ndarray:
         """∫ over every interval by the finer rule, (N,)."""
-        return np.asarray(values[0, :, 2 : 2 + len(fine)] @ np.array(fine.weights))
+        return np.asarray(values.reshape(len(steps), -1)[:, 2 : 2 + len(fine)] @ fine)
 
     lagrangian, _, slope, *blocks = evaluate(pointwise.derivatives)
-    of_steps = np.append(steps, steps[-1])
-    mass = pointwise.mass([at_joints(block) * of_steps for block in blocks])
-    velocity, missing = at_joints(v.reshape(len(v), len(steps), -1)), momentum - at_joints(slope)
+    of_steps = h[joints]
+    mass = pointwise.mass([of_steps * block[joints].T for block in blocks])
+    velocity, missing = v[:, joints], momentum - slope[joints].T
     values, vectors = np.linalg.eigh(mass)
     regular = np.abs(values) > EPS * np.max(np.abs(values), axis=1, keepdims=True)
     inverse = np.divide(1.0, values, out=np.zeros_like(values), where=regular)
     roots = np.einsum("it,tij->tj", missing, vectors) * np.sqrt(np.abs(inverse))  # squares of momenta may overflow
     correction = np.sum(np.sign(values) * roots**2, axis=1) / 2
     kinetic = np.sum(momentum * velocity, axis=0)
-    energy = kinetic - at_joints(lagrangian)[0] / of_steps + correction
+    energy = kinetic - lagrangian[joints, 0] / of_steps + correction
     supplied = 0 * steps if pointwise.supplied is None else integral(evaluate(pointwise.supplied)[0])
     if moving is not None:
         rate = work_of_constraint(moving, times, x, v)
-        supplied = supplied + steps * integral(rate.reshape(1, len(steps), len(parts)))
-    speed, mass = np.abs(velocity), np.abs(mass)
-    # p·v may be a small difference of its terms
-    local = np.abs(kinetic) + np.abs(energy) + np.einsum("it,tij,jt->t", speed, mass, speed)
+        supplied = supplied + steps * integral(rate)
+    speed = np.abs(velocity)
+    pushed = np.einsum("tij,jt->it", np.abs(mass), speed)
+    local = np.abs(kinetic) + np.abs(energy) + np.sum(speed * pushed, axis=0)  # p·v may be a small difference of terms
     mean = max(float(steps @ (local[1:] + local[:-1])) / 2 / float(np.sum(steps)), TINY)
     scale = np.maximum(local, mean)
-    moved = np.einsum("it,tij,j->t", speed, mass, component_sizes(path.values))
-    floor = EPS * (moved / np.append(steps[0], steps) + scale)
+    floor = EPS * (component_sizes(path.values) @ pushed / np.append(steps[0], steps) + scale)
     missed = missed_balance(energy + np.append(0.0, np.cumsum(supplied)), scale, floor, tol)
-    coarser = lagrangian[0, :, 2 + len(fine) :] @ np.array(coarse.weights)
+    coarser = lagrangian.reshape(len(steps), -1)[:, 2 + len(fine) :] @ coarse
     change = np.abs(integral(lagrangian) - coarser) / (mean * float(np.sum(steps)))
     change = np.where(np.isfinite(change), change, np.inf)
     return {"balance of energy": missed / BALANCE, "action by a finer rule": change / ACTION}

@@ -56,6 +56,19 @@ def test_noise_does_not_hide_a_great_circle(seed):
     assert "first path by Newton's method from the guess smoothed" in path.solver
 
 
+def test_a_guess_is_put_on_the_first_mesh_once():
+    calls = []
+
+    def guess(t):
+        calls.append(t)
+        return np.array([t, t**2])
+
+    fall = cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2 + x[1], (0, 1), [0.0, 0.0], [1.0, 1.0])
+    path = cg.solve(fall, tol=TOL, guess=guess)
+    assert path.solver == "Newton"
+    assert len(calls) == 4  # all times at once, and three of them to see whether that is what it means
+
+
 def test_a_path_on_the_other_side_of_the_sun_is_not_taken_for_the_one_meant():
     """The cubic nearest to this guess leads to the path on the other side."""
     problem, exact = kepler(0.9)

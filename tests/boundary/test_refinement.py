@@ -8,6 +8,7 @@ import pytest
 from scenes import BY_NAME, TROESCH, boundary_layer, bratu, bratu_theta, oscillator, pendulum, troesch
 
 import casadi_galerkin as cg
+from casadi_galerkin.boundary.error_estimate import SLOWEST, discretization_error
 from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.boundary.refinement import BoundaryRefinement
 
@@ -316,6 +317,17 @@ def test_an_estimate_without_a_newton_step_is_infinite():
     refinement = BoundaryRefinement(Levels(problem), 1e-3, method, cg.newton, cg.Limits(), verbose=0)
     line = cg.transcribe(problem, method, 4).guess_on_mesh(None, np.linspace(0, 1, 5))
     assert refinement.error(line) == np.inf
+
+
+def test_an_estimate_takes_its_second_newton_step_only_where_that_decides():
+    """A long swing on two intervals is far from its limit: the second step says that the first tells too little."""
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0, 5), [0.0], [1.0])
+    mesh, levels = np.linspace(0, 5, 3), Levels(problem)
+    path = levels.solve(cg.Galerkin(4), mesh, None, cg.newton).polynomial
+    higher = levels.transcription(cg.Galerkin(8), mesh)
+    both, first = discretization_error(higher, path), discretization_error(higher, path, 1.0)
+    assert 1.0001 * first < both <= first / (1 - SLOWEST)
+    assert discretization_error(higher, path, both) == both  # the first might be off by more
 
 
 def kink(half):
