@@ -39,7 +39,6 @@ class Pointwise:
     stored : the same, or its lower triangle where that tells all: in a symmetric J without a block of x and x'
     blocks : which of (0, 0), (0, 1), (1, 0), (1, 1) are not structurally zero; 0 stands for x and 1 for x'
     kinetic : whether no ∂²L̂/∂x'_i² is structurally zero
-    quadratic : whether second derivatives depend on neither x nor x', so that Newton's equations have but one matrix
     """
 
     def __init__(self, lagrangian: ca.Function, force: ca.Function | None = None) -> None:
@@ -69,7 +68,6 @@ class Pointwise:
         self.stored = ca.tril(self.pattern) if self.symmetric and (0, 1) not in self.blocks else self.pattern
         kinetic = self._cells[1, 1].sparsity()
         self.kinetic = all(kinetic.has_nz(i, i) for i in range(d))
-        self.quadratic = not ca.depends_on(self._jacobian, both)
 
     @lazy
     def first(self) -> ca.Function:

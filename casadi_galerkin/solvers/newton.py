@@ -97,7 +97,7 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
         last, trial, forecast = at.norm, None, 1.0
         short = last < SHORT
         if damping == 1.0 and (short or iteration == 1):
-            trial = linear.newton_step(at.unknowns + at.step, data, again=True)
+            trial = linear.newton_step(at.unknowns + at.step, data)
             contracts = trial.norm <= last * (CONTRACTION if short else STRONG_CONTRACTION)
             if not (contracts or (last < LOCAL and math.isfinite(trial.norm))):
                 trial = None
@@ -106,7 +106,7 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
             if short and damping > NEARLY_FULL:
                 damping = 1.0
             x, simplified, damping = _line_search(linear, at, damping, data, iteration)
-            trial = linear.newton_step(x, data, again=True)
+            trial = linear.newton_step(x, data)
             forecast = min(1.0, damping * _forecast(at.step, simplified, trial))
         _report(iteration, last, damping, verbose)
         at, damping = trial, forecast

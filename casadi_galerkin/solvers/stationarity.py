@@ -59,17 +59,14 @@ class Stationarity:
     linear_solver : LinearSolver for the functional's Hessian
     linear_methods : how ∇²S is solved with: LDLᵀ, and QR where that fails; QR alone where ∂²L/∂v_i² is structurally
         zero for some i, or where ∇²S is not symmetric, as with a force
-    quadratic : whether the Hessian depends on the data alone
     variational : whether the conditions are those of an action that may be lowered, under conditions if there are some
     """
 
     def __init__(self, functional: Functional) -> None:
         self.functional = functional
         self.linear_solver = linear_solver(functional)
-        pointwise, plain = functional.pointwise, not (functional.terms or functional.numbering.stretched)
         self.variational = functional.symmetric and not functional.numbering.stretched
-        self.linear_methods = METHODS if pointwise.kinetic and functional.symmetric else METHODS[1:]
-        self.quadratic = pointwise.quadratic and plain
+        self.linear_methods = METHODS if functional.pointwise.kinetic and functional.symmetric else METHODS[1:]
         self._workspaces = Lender(lambda: Linearization(self))
 
     @contextmanager
@@ -93,16 +90,6 @@ class Stationarity:
             return self._solved({}, known, self.linear_solver.newton_step(method))
 
         return self.functional.keep(f"newton_step {method}", parts)
-
-    def newton_step_again(self, method: str) -> ca.Function:
-        """The same with ∇²S as a further input, for a quadratic Lagrangian, whose ∇²S is that of the last iterate."""
-
-        def parts() -> Parts:
-            inputs = self.linear_solver.symbols("matrix")
-            known = {"gradient": self.functional.gradient()}
-            return self._solved(inputs, known, self.linear_solver.newton_step(method))
-
-        return self.functional.keep(f"newton_step_again {method}", parts)
 
     def simplified_step(self, method: str) -> ca.Function:
         """(ξ, data, matrix, step, sizes, damping) -> ∇S, and what `LinearSolver.simplified_step` gives."""
@@ -231,14 +218,12 @@ class Linearization:
         """Evaluate a Function on the arrays of the names of its inputs and outputs."""
         self._run(self._evaluators.get((name,)) or self._bind((name,), build()), unknowns, data)
 
-    def newton_step(self, unknowns: np.ndarray, data: Data, again: bool = False) -> Iterate:
+    def newton_step(self, unknowns: np.ndarray, data: Data) -> Iterate:
         """The Newton step and its measures; its norm is NaN where the Hessian is singular to the last digit.
 
-        ∇²S is left; if it was already that of the same data, `again` spares a quadratic Lagrangian its evaluation.
+        ∇²S is left.
         """
-        kept = again and self.stationarity.quadratic
-        build = self.stationarity.newton_step_again if kept else self.stationarity.newton_step
-        self._solve(build, unknowns, data, "step", "norm")
+        self._solve(self.stationarity.newton_step, unknowns, data, "step", "norm")
         arrays = self._arrays
         return Iterate(unknowns, arrays["step"].copy(), arrays["sizes"].copy(), arrays["norm"].item())
 
