@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping as Named
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -147,7 +147,7 @@ class Transcription(BoundaryGraph):
         return Trajectory(
             polynomial=point.polynomial,
             momentum=point.momentum,
-            action=solution.action - self._work(point),
+            action=solution.action - work_of_momenta(point.problem, *point.polynomial.values[:, [0, -1]].T),
             iterations=solution.iterations,
             residual=solution.residual,
             solver=solution.report,
@@ -158,17 +158,6 @@ class Transcription(BoundaryGraph):
             second_variation=SecondVariation(self, point.problem, point.polynomial),
             find_error=error_between_ends,
         )
-
-    def _work(self, point: CriticalPoint) -> float:
-        """p_0·x_0 - p_N·x_N of given momenta, which the graph adds to the action."""
-        if not self.functional.terms:
-            return 0.0
-        ends = point.polynomial.values[:, [0, -1]].T
-        given = point.problem.start_momentum, point.problem.end_momentum
-        sums = [
-            sum(p * x for p, x in zip(*pair, strict=True) if p is not None) for pair in zip(given, ends, strict=True)
-        ]
-        return float(sums[0] - sums[1])
 
     def refuse_conjugate(self, point: CriticalPoint) -> None:
         """Raise if the second variation vanishes at a critical point."""
@@ -196,6 +185,13 @@ def check_given(given: Named[str, object]) -> None:
     for name in given:
         if name not in (*RATES, "energy"):
             raise TypeError(f"solve takes {', '.join(RATES)} or energy beside its own arguments, got {name}")
+
+
+def work_of_momenta(problem: BoundaryProblem, start: np.ndarray | ca.MX, end: np.ndarray | ca.MX) -> Any:
+    """p_0·x_0 - p_N·x_N of given momenta at given positions, which the graph adds to the action."""
+    pairs = (problem.start_momentum, start), (problem.end_momentum, end)
+    at_start, at_end = (sum(p * x[i] for i, p in enumerate(given) if p is not None) for given, x in pairs)
+    return at_start - at_end
 
 
 class SecondVariation:
