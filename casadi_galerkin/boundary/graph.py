@@ -109,8 +109,6 @@ class BoundaryGraph:
         turned = turned_back(path, plane)
         if turned is not None:
             raise ConvergenceError(turned, Path(path), solution.residual, solution.iterations)
-        if self.numbering.stretched:  # the duration asked for was a guess
-            problem = problem.varied({}, (float(path.mesh[0]), float(path.mesh[-1])))
         return CriticalPoint(solution, problem, data, path)
 
     def guess_on_mesh(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:

@@ -144,18 +144,21 @@ class Transcription(BoundaryGraph):
         solution, data = point.solution, point.data
         refuse_undefined(self.functional, solution, point.polynomial, data)
         self.refuse_conjugate(point)
+        problem, path = point.problem, point.polynomial
+        if self.numbering.stretched:  # the duration asked for was a guess
+            problem = problem.varied({}, (float(path.mesh[0]), float(path.mesh[-1])))
         return Trajectory(
-            polynomial=point.polynomial,
+            polynomial=path,
             momentum=point.momentum,
-            action=solution.action - work_of_momenta(point.problem, *point.polynomial.values[:, [0, -1]].T),
+            action=solution.action - work_of_momenta(problem, *path.values[:, [0, -1]].T),
             iterations=solution.iterations,
             residual=solution.residual,
             solver=solution.report,
             build_seconds=self.build_seconds,
             solve_seconds=solve_seconds,
             method=self.method,
-            problem=point.problem,
-            second_variation=SecondVariation(self, point.problem, point.polynomial),
+            problem=problem,
+            second_variation=SecondVariation(self, problem, path),
             find_error=error_between_ends,
         )
 

@@ -150,3 +150,4 @@ def test_the_attraction_of_an_orbit_of_given_energy_is_walked():
     branch = cg.continuation(problem, [1.2], cg.Galerkin(10), 12, guess=guess)
     for (mu,), path in zip(branch.parameters, branch.trajectories, strict=True):
         assert path.t[-1] == pytest.approx(np.pi * mu, rel=1e-11)
+        assert path.problem.t_span == (path.t[0], path.t[-1])
