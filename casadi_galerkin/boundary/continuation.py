@@ -21,6 +21,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import numbers
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.functional.statement import refuse_free_phase
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.guess import Guess
@@ -164,6 +165,7 @@ def continuation(
     if np.array_equal(aim, problem.parameters):
         raise ValueError(f"the target must differ from the problem's parameters, got {target!r} for both")
     transcription = transcribed(problem, method or Galerkin(8), intervals, mesh)
+    refuse_free_phase("continuation", problem)
     return Walk(transcription, aim).run(guess)
 
 

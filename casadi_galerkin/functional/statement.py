@@ -41,6 +41,15 @@ def has_phase(problem: BoundaryProblem) -> bool:
     return problem.energy is not None and problem.periodic and all(value is None for value in problem.start)
 
 
+def refuse_free_phase(name: str, problem: BoundaryProblem) -> None:
+    """Refuse a free phase for what has no one guess that fixes it."""
+    if has_phase(problem):
+        raise ValueError(
+            f"{name} takes no periodic problem of given energy: its paths have a phase that only a guess fixes; give "
+            "one component of start"
+        )
+
+
 def phase_plane(path: PiecewisePolynomial) -> np.ndarray:
     """Normal and point, (2d,), of the plane through the start of a path across its velocity, by component sizes."""
     sizes = component_sizes(path.values)

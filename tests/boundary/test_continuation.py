@@ -151,3 +151,16 @@ def test_the_attraction_of_an_orbit_of_given_energy_is_walked():
     for (mu,), path in zip(branch.parameters, branch.trajectories, strict=True):
         assert path.t[-1] == pytest.approx(np.pi * mu, rel=1e-11)
         assert path.problem.t_span == (path.t[0], path.t[-1])
+
+
+def test_the_free_phase_of_a_periodic_path_is_refused():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0] ** 2 / 2,
+        (0, 6),
+        [None],
+        parameters=[1.0],
+        periodic=True,
+        energy=1.0,
+    )
+    with pytest.raises(ValueError, match="continuation takes no periodic problem of given energy"):
+        cg.continuation(problem, [1.2], cg.Galerkin(6), 8, guess=lambda t: [np.sin(t)])
