@@ -117,12 +117,10 @@ def plot_path(
     return axes
 
 
-def plot_family(
-    times: np.ndarray, lines: Sequence[tuple[str, np.ndarray]], axes: Axes | None, label: str, time: str
-) -> Axes:
-    """Draw one component of several paths over the same times (K,); `lines` are their names and values (K,)."""
+def plot_family(lines: Sequence[tuple[str, np.ndarray, np.ndarray]], axes: Axes | None, label: str, time: str) -> Axes:
+    """Draw one component of several paths; `lines` are their names, times (K,) and values (K,)."""
     axes = axes_or_new(axes, (SIZE[0], SIZE[1] + 0.2 * len(lines)))
-    for i, (name, values) in enumerate(lines):
+    for i, (name, times, values) in enumerate(lines):
         axes.plot(times, values, color=COLORS[i % len(COLORS)], label=name)
     axes.set(xlabel=time, ylabel=label)
     if len(lines) <= len(COLORS):

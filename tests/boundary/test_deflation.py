@@ -345,3 +345,9 @@ def test_paths_of_given_energy_say_when_they_end(throws):
     durations = [path.t[-1] for path in throws]
     np.testing.assert_allclose(np.sort(durations), [0.23115958593, 0.88196038917], rtol=1e-10)
     assert [path.problem.t_span for path in throws] == [(0.0, duration) for duration in durations]
+
+
+def test_paths_of_given_energy_are_drawn_up_to_their_own_ends(throws):
+    for path, line in zip(throws, throws.plot().lines, strict=True):
+        assert line.get_xdata()[-1] == path.t[-1]
+        np.testing.assert_array_equal(line.get_ydata(), path(line.get_xdata())[0])
