@@ -43,7 +43,10 @@ Measure: TypeAlias = Callable[[Any], float]  # of a path, a Trajectory unless th
 def check_reference(problem: Problem, given: Reference) -> None:
     """Refuse a reference that is no path of the problem."""
     d, span = problem.dimension, problem.t_span
+    free = any(getattr(problem, name, None) is not None for name in ("duration_bounds", "energy"))
     if not isinstance(given, Trajectory) and callable(given):
+        if free:
+            raise TypeError(f"where the duration is free, the reference must be a Trajectory, got {given!r}")
         values = sampled("the reference", given, np.linspace(*span, LOOKS), d)
         if not np.all(np.isfinite(values)):
             raise ValueError(f"the reference must be finite on {span}, got {values.tolist()}")
@@ -55,7 +58,6 @@ def check_reference(problem: Problem, given: Reference) -> None:
     wanted, got = (len(parameters or ()) for parameters in (problem.parameters, given.parameters))
     if wanted != got:
         raise ValueError(f"the reference must have {wanted} parameter(s), got {got}")
-    free = isinstance(problem, ControlProblem) and problem.duration_bounds is not None
     if not free and not np.allclose(given.t[[0, -1]], span, rtol=0, atol=SLACK * (span[1] - span[0])):
         raise ValueError(f"the reference must run from {span[0]} to {span[1]}, got {given.t[0]} to {given.t[-1]}")
 

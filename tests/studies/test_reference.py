@@ -109,3 +109,22 @@ def test_a_callable_reference_has_no_cost():
     measured = cg.trade(double_integrator(), [cg.Galerkin(3)], [4], lambda t: [3 * t**2 - 2 * t**3])
     assert np.isnan(measured.rows[0].functional_error)
     assert measured.rows[0].error < 1e-9  # IPOPT's tolerance
+
+
+def free_durations():
+    """A ball thrown up with a given energy, at 6 m/s, and a move of free duration."""
+    fall = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 10 * x[0], (0.0, 1.0), [0.0], [1.0], energy=18.0)
+    return [fall, double_integrator(running_cost=lambda t, x, v, u: 1 + u[0] ** 2 / 2, duration_bounds=(0.1, 5.0))]
+
+
+@pytest.mark.parametrize("problem", free_durations(), ids=["energy", "bounds"])
+def test_where_the_duration_is_free_a_reference_has_its_own(problem):
+    fine = cg.solve(problem, tol=1e-10)
+    assert fine.t[-1] != problem.t_span[1]
+    assert cg.trade(problem, [cg.Galerkin(4)], [8], fine).rows[0].error < 1e-8
+
+
+@pytest.mark.parametrize("problem", free_durations(), ids=["energy", "bounds"])
+def test_where_the_duration_is_free_a_callable_is_no_reference(problem):
+    with pytest.raises(TypeError, match="where the duration is free, the reference must be a Trajectory, got"):
+        cg.trade(problem, [cg.Galerkin(2)], [4], lambda t: [6 * t - 5 * t**2])
