@@ -88,13 +88,13 @@ class ReferenceSolution:
         times = times_at(self._path.mesh, np.array(gauss(LEAST_DEGREE).points))
         weights = np.outer(np.diff(self._path.mesh), gauss(LEAST_DEGREE).weights).ravel()
         values, kinetic = self._terms(times)
-        self._functional, self._functional_size = float(weights @ values), float(weights @ np.abs(values))
+        self._functional, self._functional_size = float(weights @ values), float(weights @ np.abs(values)) or 1.0
         if isinstance(given, Trajectory):
             self._functional = given.action
         if isinstance(problem, ControlProblem):  # a callable has no controls, so no cost
             self._functional = given.cost if isinstance(given, ControlTrajectory) else np.nan
             self._functional_size = abs(self._functional) or 1.0
-        self.energy_size = float(np.max(np.abs(values) + np.abs(kinetic)))
+        self.energy_size = float(np.max(np.abs(values) + np.abs(kinetic))) or 1.0  # zero at rest
         self.sizes = component_sizes(self._path.values)[:, None]
         self._measure = measure
         if measure is not None:

@@ -128,3 +128,18 @@ def test_where_the_duration_is_free_a_reference_has_its_own(problem):
 def test_where_the_duration_is_free_a_callable_is_no_reference(problem):
     with pytest.raises(TypeError, match="where the duration is free, the reference must be a Trajectory, got"):
         cg.trade(problem, [cg.Galerkin(2)], [4], lambda t: [6 * t - 5 * t**2])
+
+
+@pytest.mark.parametrize("kind", ["boundary", "initial", "rates"])
+def test_paths_without_energy_are_compared(kind):
+    """At rest, and where all components follow rates, action and energy are zero."""
+    still = lambda t, x, v: v[0] ** 2 / 2  # noqa: E731
+    problem = {
+        "boundary": lambda: cg.BoundaryProblem(still, (0.0, 1.0), [1.0], [1.0]),
+        "initial": lambda: cg.InitialProblem(still, (0.0, 1.0), [1.0], velocity=[0.0]),
+        "rates": lambda: double_integrator(
+            lagrangian=None, force=None, start_velocity=[None], end_velocity=[None], rates=lambda t, x, v, u: u
+        ),
+    }[kind]()
+    row = cg.trade(problem, [cg.Galerkin(2)], [4]).rows[0]
+    assert max(row.error, row.functional_error, row.energy_error) < REFERENCE
