@@ -89,6 +89,9 @@ class ReferenceSolution:
         weights = np.outer(np.diff(self._path.mesh), gauss(LEAST_DEGREE).weights).ravel()
         values, kinetic = self._terms(times)
         self._functional, self._functional_size = float(weights @ values), float(weights @ np.abs(values)) or 1.0
+        if isinstance(problem, BoundaryProblem) and problem.end_action is not None:
+            ends = self._path.values[:, [0, -1]].T
+            self._functional += float(with_parameters(problem.end_action, parameters)(*ends))
         if isinstance(given, Trajectory):
             self._functional = given.action
         if isinstance(problem, ControlProblem):  # a callable has no controls, so no cost

@@ -130,6 +130,15 @@ def test_where_the_duration_is_free_a_callable_is_no_reference(problem):
         cg.trade(problem, [cg.Galerkin(2)], [4], lambda t: [6 * t - 5 * t**2])
 
 
+def test_a_callable_reference_has_the_action_of_the_end():
+    """x = t / 2 ends at a spring of energy (x - 1)²/2, whose force 1/2 is the momentum."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2, (0.0, 1.0), [0.0], [None], end_action=lambda a, b: (b[0] - 1) ** 2 / 2
+    )
+    row = cg.trade(problem, [cg.Galerkin(1)], [4], lambda t: [t / 2]).rows[0]
+    assert max(row.error, row.functional_error) < REFERENCE
+
+
 @pytest.mark.parametrize("kind", ["boundary", "initial", "rates"])
 def test_paths_without_energy_are_compared(kind):
     """At rest, and where all components follow rates, action and energy are zero."""
