@@ -18,7 +18,7 @@ from casadi_galerkin.problems.callables import (
     trace_lagrangian,
 )
 from casadi_galerkin.problems.constrained_motion import check_constraint
-from casadi_galerkin.problems.problem import finite, shown, varied_values
+from casadi_galerkin.problems.problem import check_inside, finite, shown, varied_values
 
 Given = tuple[float | None, ...]
 ENDS = ("start", "end")
@@ -173,8 +173,9 @@ class BoundaryProblem:
         Parameters
         ----------
         changes : new values by name, one of `VARIED`: with None exactly where the problem has None
-        t_span : (t_0, t_N), checked before
+        t_span : (t_0, t_N), checked before; with the breakpoints inside
         """
+        check_inside(self, t_span)
         other = object.__new__(type(self))  # copy.copy takes 50 µs
         other.__dict__.update(vars(self), t_span=t_span, **varied_values(self, changes))
         if self.constraint is not None:

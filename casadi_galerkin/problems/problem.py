@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import casadi as ca
 
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import components, number, numbers
+from casadi_galerkin.calculus.numbers import components, number, numbers, times_inside
 
 
 class Problem(Protocol):
@@ -47,6 +47,12 @@ class Spanned(Protocol):
 def marks(problem: Spanned) -> list[float]:
     """Times of both ends and, between them, of the breakpoints: what joints keep their numbers between."""
     return [problem.t_span[0], *problem.breakpoints, problem.t_span[1]]
+
+
+def check_inside(problem: Spanned, t_span: tuple[float, float]) -> None:
+    """Refuse another time span that does not hold the breakpoints."""
+    if problem.breakpoints and t_span != problem.t_span:
+        times_inside("breakpoints", problem.breakpoints, t_span)
 
 
 def check_types(problem: object, method: object, *kinds: type) -> None:
