@@ -18,7 +18,7 @@ from casadi_galerkin.boundary.arc_length import Curve
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import numbers
+from casadi_galerkin.calculus.numbers import numbers, place
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.statement import refuse_free_phase
@@ -104,6 +104,7 @@ class Branch:
         axes : Matplotlib axes to draw into, labeled by their owner; default a new figure
         parameter : which, from 0 to n - 1
         """
+        place("parameter", parameter, self.parameters.shape[1])
         heights = np.array([height(path) for path in self.trajectories])
         indices = [path.morse_index for path in self.trajectories]
         values = self.parameters[:, parameter]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from casadi_galerkin.calculus.numbers import place
 from casadi_galerkin.solution.plotting import Pictured, plot_family
 from casadi_galerkin.solution.trajectory import Trajectory
 
@@ -68,8 +69,7 @@ class Paths(Pictured):
         label : name of the component with its unit
         time : name of the time with its unit
         """
-        if not 0 <= component < len(self[0].x):
-            raise ValueError(f"component must be from 0 to {len(self[0].x) - 1}, got {component!r}")
+        place("component", component, len(self[0].x))
         parts = np.linspace(0, 1, max(2, SMOOTH // (len(self[0].t) - 1)), endpoint=False)
         lines = []
         for path in self:

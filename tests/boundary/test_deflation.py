@@ -223,7 +223,7 @@ def test_one_picture_shows_all(swings, geodesics):
     for line, path in zip(axes.lines, swings, strict=True):
         np.testing.assert_array_equal(line.get_ydata()[[0, -1]], path.x[0, [0, -1]])
     assert geodesics.plot(component=1).get_legend() is None  # more than there are colors
-    with pytest.raises(ValueError, match="component must be from 0 to 1, got 2"):
+    with pytest.raises(ValueError, match="component must be a whole number from 0 to 1, got 2"):
         geodesics.plot(component=2)
 
 
