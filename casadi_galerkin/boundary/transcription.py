@@ -20,11 +20,14 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import Mapping, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.functional.statement import turned_back
 from casadi_galerkin.problems.boundary_problem import RATES, BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
 from casadi_galerkin.problems.problem import check_types
+from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import plot_pattern
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.second_variation import SINGULAR, negative_eigenvalues, smallest_second_variation
@@ -142,9 +145,12 @@ class Transcription(BoundaryGraph):
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
         solution, data = point.solution, point.data
-        refuse_undefined(self.functional, solution, point.polynomial, data)
-        self.refuse_conjugate(point)
         problem, path = point.problem, point.polynomial
+        refuse_undefined(self.functional, solution, path, data)
+        turned = turned_back(problem, path, self.plane_in(data))
+        if turned is not None:
+            raise ConvergenceError(turned, Path(path), solution.residual, solution.iterations)
+        self.refuse_conjugate(point)
         if self.numbering.stretched:  # the duration asked for was a guess
             problem = problem.varied({}, (float(path.mesh[0]), float(path.mesh[-1])))
         return Trajectory(

@@ -38,7 +38,8 @@ class BoundaryProblem:
     start, end : d numbers each, in the units of x; None leaves the component free, with zero momentum there
         (natural boundary condition) unless one of the following says otherwise
     parameters : numbers passed to all callables as p, their last argument; default none
-    periodic : whether x(t_N) = x(t_0) with equal momenta; `start` may fix components of that point, `end` is left out
+    periodic : whether x(t_N) = x(t_0) with equal momenta; `end` is left out.  `start` may fix components of that point,
+        whose momenta then may differ; of one component they do not where the energy is given
     force : callable (t, x, v) -> d generalized forces, that do the virtual work F·δx (Lagrange-d'Alembert)
     constraint : callable (t, x) -> k < d values that are zero all along the path (holonomic)
     start_velocity, end_velocity, start_momentum, end_momentum : d numbers each, None where nothing is given.  They

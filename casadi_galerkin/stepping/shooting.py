@@ -251,7 +251,7 @@ def shoot(
         problem = problem.varied({}, (float(roll.mesh[0]), float(roll.mesh[-1])))
     roll = _with_tangent_start(problem, roll, shooting.velocity(roll))
     path = trajectory(problem, shooting.stepper, roll, iterations, solver, build, seconds)
-    turned = turned_back(path.polynomial, shooting.plane)
+    turned = turned_back(problem, path.polynomial, shooting.plane)
     if turned is not None:
         raise ConvergenceError(turned, Path(path.polynomial), shot.residual, iterations)
     return replace(path, action=action, residual=shot.residual, solver=solver + _far(guess, path))
