@@ -18,10 +18,12 @@ from casadi_galerkin.boundary.arc_length import Curve
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import numbers
+from casadi_galerkin.calculus.numbers import numbers, place
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.functional.statement import refuse_free_phase
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.path import Path
@@ -103,6 +105,7 @@ class Branch:
         axes : Matplotlib axes to draw into, labeled by their owner; default a new figure
         parameter : which, from 0 to n - 1
         """
+        place("parameter", parameter, self.parameters.shape[1])
         heights = np.array([height(path) for path in self.trajectories])
         indices = [path.morse_index for path in self.trajectories]
         values = self.parameters[:, parameter]
@@ -156,6 +159,8 @@ def continuation(
     >>> continuation(problem, [4.0], intervals=10).folds[0].parameters.round(6)
     array([3.513831])
     """
+    method = method or Galerkin(8)
+    check_types(problem, method, BoundaryProblem)
     if problem.parameters is None:
         raise ValueError(
             "continuation changes the parameters of a problem, and this one has none: state it with parameters"
@@ -163,7 +168,8 @@ def continuation(
     aim = np.array(numbers("target", target, len(problem.parameters)))
     if np.array_equal(aim, problem.parameters):
         raise ValueError(f"the target must differ from the problem's parameters, got {target!r} for both")
-    transcription = transcribed(problem, method or Galerkin(8), intervals, mesh)
+    transcription = transcribed(problem, method, intervals, mesh)
+    refuse_free_phase("continuation", problem)
     return Walk(transcription, aim).run(guess)
 
 

@@ -34,7 +34,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import whole_number
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.numbering import Data
-from casadi_galerkin.functional.statement import has_phase
+from casadi_galerkin.functional.statement import refuse_free_phase
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.guess import waves
@@ -107,11 +107,7 @@ def paths(
     [(-1.046517, 0), (16.440013, 1)]
     """
     transcription = transcribed(problem, method, intervals, mesh)
-    if has_phase(problem):
-        raise ValueError(
-            "paths takes no periodic problem of given energy: its paths have a phase that only a guess fixes; give one "
-            "component of start"
-        )
+    refuse_free_phase("paths", problem)
     count, patience = whole_number("count", count), whole_number("patience", patience)
     search = Search(transcription, whole_number("seed", seed, 0), _checked(symmetries, transcription))
     return search.run(count, patience)

@@ -15,12 +15,10 @@ from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import Mapping, by_rows
 from casadi_galerkin.functional.numbering import Data, joints_of
-from casadi_galerkin.functional.statement import functional_of, given_values, has_phase, phase_plane, turned_back
+from casadi_galerkin.functional.statement import functional_of, given_values, has_phase, phase_plane
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import motion_of, tangent_momenta
-from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
-from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
 from casadi_galerkin.solvers.solver import SolverLike, newton
 from casadi_galerkin.solvers.stationarity import Stationarity, joined
@@ -106,11 +104,6 @@ class BoundaryGraph:
             path = self.emb(failure.unknowns, data)
             raise explained(self.stationarity, failure, path, data) from None
         path = self.emb(solution.unknowns, data)
-        turned = turned_back(path, plane)
-        if turned is not None:
-            raise ConvergenceError(turned, Path(path), solution.residual, solution.iterations)
-        if self.numbering.stretched:  # the duration asked for was a guess
-            problem = problem.varied({}, (float(path.mesh[0]), float(path.mesh[-1])))
         return CriticalPoint(solution, problem, data, path)
 
     def guess_on_mesh(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:
@@ -159,6 +152,10 @@ class BoundaryGraph:
     def plane(self, path: PiecewisePolynomial) -> np.ndarray | None:
         """The plane that fixes the phase of a path, if one is needed."""
         return phase_plane(path) if self.phase else None
+
+    def plane_in(self, data: Data) -> np.ndarray | None:
+        """The plane that the data hold, if one is needed: before the energy, which comes last."""
+        return data[-1][-2 * self.problem.dimension - 1 : -1] if self.phase else None
 
     def unknowns(self, values: np.ndarray, data: Data) -> np.ndarray:
         """Unknowns ξ out of node values (N m + 1, d); multipliers are those that the Newton step from there finds."""

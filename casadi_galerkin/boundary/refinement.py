@@ -216,8 +216,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     @property
     def at_once(self) -> SolverLike:
         """What solves near a path that is known: Newton's method, unless another solver is asked for."""
-        own = isinstance(self.solver, Solver) and self.solver.name != newton.name
-        return self.solver if own else self.following
+        plain = isinstance(self.solver, Solver) and self.solver.name == newton.name
+        return self.following if plain else self.solver
 
     def resume(self, level: CriticalPoint) -> Trajectory:
         """Refine a path that was found on a mesh that served another."""

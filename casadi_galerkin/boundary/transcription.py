@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping as Named
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -20,11 +20,14 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import Mapping, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.functional.statement import turned_back
 from casadi_galerkin.problems.boundary_problem import RATES, BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
 from casadi_galerkin.problems.problem import check_types
+from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import plot_pattern
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.second_variation import SINGULAR, negative_eigenvalues, smallest_second_variation
@@ -142,33 +145,28 @@ class Transcription(BoundaryGraph):
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
         solution, data = point.solution, point.data
-        refuse_undefined(self.functional, solution, point.polynomial, data)
+        problem, path = point.problem, point.polynomial
+        refuse_undefined(self.functional, solution, path, data)
+        turned = turned_back(problem, path, self.plane_in(data))
+        if turned is not None:
+            raise ConvergenceError(turned, Path(path), solution.residual, solution.iterations)
         self.refuse_conjugate(point)
+        if self.numbering.stretched:  # the duration asked for was a guess
+            problem = problem.varied({}, (float(path.mesh[0]), float(path.mesh[-1])))
         return Trajectory(
-            polynomial=point.polynomial,
+            polynomial=path,
             momentum=point.momentum,
-            action=solution.action - self._work(point),
+            action=solution.action - work_of_momenta(problem, *path.values[:, [0, -1]].T),
             iterations=solution.iterations,
             residual=solution.residual,
             solver=solution.report,
             build_seconds=self.build_seconds,
             solve_seconds=solve_seconds,
             method=self.method,
-            problem=point.problem,
-            second_variation=SecondVariation(self, point.problem, point.polynomial),
+            problem=problem,
+            second_variation=SecondVariation(self, problem, path),
             find_error=error_between_ends,
         )
-
-    def _work(self, point: CriticalPoint) -> float:
-        """p_0·x_0 - p_N·x_N of given momenta, which the graph adds to the action."""
-        if not self.functional.terms:
-            return 0.0
-        ends = point.polynomial.values[:, [0, -1]].T
-        given = point.problem.start_momentum, point.problem.end_momentum
-        sums = [
-            sum(p * x for p, x in zip(*pair, strict=True) if p is not None) for pair in zip(given, ends, strict=True)
-        ]
-        return float(sums[0] - sums[1])
 
     def refuse_conjugate(self, point: CriticalPoint) -> None:
         """Raise if the second variation vanishes at a critical point."""
@@ -196,6 +194,13 @@ def check_given(given: Named[str, object]) -> None:
     for name in given:
         if name not in (*RATES, "energy"):
             raise TypeError(f"solve takes {', '.join(RATES)} or energy beside its own arguments, got {name}")
+
+
+def work_of_momenta(problem: BoundaryProblem, start: np.ndarray | ca.MX, end: np.ndarray | ca.MX) -> Any:
+    """p_0·x_0 - p_N·x_N of given momenta at given positions, which the graph adds to the action."""
+    pairs = (problem.start_momentum, start), (problem.end_momentum, end)
+    at_start, at_end = (sum(p * x[i] for i, p in enumerate(given) if p is not None) for given, x in pairs)
+    return at_start - at_end
 
 
 class SecondVariation:

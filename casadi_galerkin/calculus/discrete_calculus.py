@@ -21,6 +21,9 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.numbers import real_array, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
+from casadi_galerkin.calculus.roundoff import EPS
+
+NEAREST = 64 * EPS  # relative difference of two joints up to which they are one, rounded in two ways
 
 
 def time_scale(mesh: ArrayLike) -> np.ndarray:
@@ -30,10 +33,13 @@ def time_scale(mesh: ArrayLike) -> np.ndarray:
         raise ValueError(f"a mesh is a sequence of at least 2 joints, got shape {joints.shape}")
     if not np.all(np.isfinite(joints)):
         raise ValueError("the joints of a mesh must be finite")
-    if np.any(np.diff(joints) <= 0):
-        i = int(np.argmax(np.diff(joints) <= 0))
+    sizes = np.abs(joints)
+    near = np.diff(joints) <= NEAREST * np.maximum(sizes[1:], sizes[:-1])
+    if np.any(near):
+        i = int(np.argmax(near))
         raise ValueError(
-            f"the joints of a mesh must increase, got t[{i}] = {joints[i]} and t[{i + 1}] = {joints[i + 1]}"
+            f"the joints of a mesh must increase by more than roundoff, got t[{i}] = {joints[i]} and "
+            f"t[{i + 1}] = {joints[i + 1]}"
         )
     joints.flags.writeable = False  # transcriptions and paths share them
     return joints

@@ -49,6 +49,14 @@ def whole_number(name: str, value: object, least: int = 1) -> int:
     return checked
 
 
+def place(name: str, value: object, count: int) -> int:
+    """Check the number of one of so many, from 0 on."""
+    checked = whole(value)
+    if checked is None or not 0 <= checked < count:
+        raise ValueError(f"{name} must be a whole number from 0 to {count - 1}, got {value!r}")
+    return checked
+
+
 def real_array(name: str, values: Any, free: bool = False) -> np.ndarray:
     """Array of floats from whatever holds real numbers, read by position.
 

@@ -35,6 +35,8 @@ def first_values(
     mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical
     (everywhere, marks), degree = chain.marks(problem, mesh), chain.method.degree
     if isinstance(guess, ControlTrajectory):
+        if len(guess.x) != problem.dimension:
+            raise ValueError(f"the guess must be a path of {problem.dimension} component(s), got {len(guess.x)}")
         path_guess = near.polynomial.values if near else _earlier(guess, guess, everywhere, times)
     path = _path(problem, calculus, path_guess)
     nodes = path[1:].reshape(n, degree, -1).copy()

@@ -65,4 +65,4 @@ class LocalTerm:
     def matrix(self, numbering: Numbering, jacobian: ca.MX) -> ca.MX:
         """What the term adds to the matrix, from the nonzeros of its jacobian at all places."""
         sparsity, order = self._pattern(numbering)
-        return ca.MX(sparsity, ca.vec(jacobian).get_nz(False, order.tolist()))
+        return ca.MX(sparsity, ca.vec(ca.vec(jacobian).get_nz(False, order.tolist())))  # of none it is a row

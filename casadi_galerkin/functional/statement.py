@@ -41,6 +41,15 @@ def has_phase(problem: BoundaryProblem) -> bool:
     return problem.energy is not None and problem.periodic and all(value is None for value in problem.start)
 
 
+def refuse_free_phase(name: str, problem: BoundaryProblem) -> None:
+    """Refuse a free phase for what has no one guess that fixes it."""
+    if has_phase(problem):
+        raise ValueError(
+            f"{name} takes no periodic problem of given energy: its paths have a phase that only a guess fixes; give "
+            "one component of start"
+        )
+
+
 def phase_plane(path: PiecewisePolynomial) -> np.ndarray:
     """Normal and point, (2d,), of the plane through the start of a path across its velocity, by component sizes."""
     sizes = component_sizes(path.values)
@@ -54,19 +63,23 @@ def phase_plane(path: PiecewisePolynomial) -> np.ndarray:
     return np.concatenate((normal / np.linalg.norm(normal), path.values[:, 0]))
 
 
-def turned_back(path: PiecewisePolynomial, plane: np.ndarray | None) -> str | None:
-    """Say so if a path comes back to the plane that fixes its phase against the way it left.
+def turned_back(problem: BoundaryProblem, path: PiecewisePolynomial, plane: np.ndarray | None) -> str | None:
+    """Say so if a periodic path of given energy comes back to where its phase is fixed against the way it left.
 
-    There the plane's multiplier, else zero, makes up for a momentum that has changed its sign.
+    That is at a plane, or at the one component that its start fixes.  All other momenta are equal there, and a given
+    energy leaves two values for this one: the multiplier of the plane, or of the component, else zero, makes up for a
+    momentum that has changed its sign.
     """
-    if plane is None:
+    fixed = np.array([value is not None for value in problem.start])
+    if plane is None and (not problem.periodic or problem.energy is None or np.count_nonzero(fixed) != 1):
         return None
-    left, back = plane[: len(path.values)] @ path(path.mesh[[0, -1]], 1)
+    normal = fixed if plane is None else plane[: len(fixed)]
+    left, back = normal @ path(path.mesh[[0, -1]], 1)
     if left * back > 0:
         return None
     return (
-        "the path found is not periodic: it comes back to its start against the way it left. Give a guess that starts "
-        "further from a turning point, where it moves faster"
+        "the path found is not periodic: it comes back to its start against the way it left. Give a guess of a whole "
+        "turn that starts further from a turning point, where it moves faster"
     )
 
 

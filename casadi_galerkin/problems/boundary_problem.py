@@ -17,7 +17,7 @@ from casadi_galerkin.problems.callables import (
     trace_lagrangian,
 )
 from casadi_galerkin.problems.constrained_motion import check_constraint
-from casadi_galerkin.problems.problem import finite, flag, shown, varied_values
+from casadi_galerkin.problems.problem import check_inside, finite, flag, shown, varied_values
 
 Given = tuple[float | None, ...]
 ENDS = ("start", "end")
@@ -37,7 +37,8 @@ class BoundaryProblem:
     start, end : d numbers each, in the units of x; None leaves the component free, with zero momentum there
         (natural boundary condition) unless one of the following says otherwise
     parameters : numbers passed to all callables as p, their last argument; default none
-    periodic : whether x(t_N) = x(t_0) with equal momenta; `start` may fix components of that point, `end` is left out
+    periodic : whether x(t_N) = x(t_0) with equal momenta; `end` is left out.  `start` may fix components of that point,
+        whose momenta then may differ; of one component they do not where the energy is given
     force : callable (t, x, v) -> d generalized forces, that do the virtual work F·δx (Lagrange-d'Alembert)
     constraint : callable (t, x) -> k < d values that are zero all along the path (holonomic)
     start_velocity, end_velocity, start_momentum, end_momentum : d numbers each, None where nothing is given.  They
@@ -168,8 +169,9 @@ class BoundaryProblem:
         Parameters
         ----------
         changes : new values by name, one of `VARIED`: with None exactly where the problem has None
-        t_span : (t_0, t_N), checked before
+        t_span : (t_0, t_N), checked before; with the breakpoints inside
         """
+        check_inside(self, t_span)
         other = object.__new__(type(self))  # copy.copy takes 50 µs
         other.__dict__.update(vars(self), t_span=t_span, **varied_values(self, changes))
         check_constraint(other)

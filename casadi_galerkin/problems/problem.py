@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import components, number, numbers
+from casadi_galerkin.calculus.numbers import components, number, numbers, times_inside
 
 
 class Problem(Protocol):
@@ -44,6 +44,12 @@ class Problem(Protocol):
 def marks(problem: Problem) -> list[float]:
     """Times of both ends and, between them, of the breakpoints: what joints keep their numbers between."""
     return [problem.t_span[0], *problem.breakpoints, problem.t_span[1]]
+
+
+def check_inside(problem: Problem, t_span: tuple[float, float]) -> None:
+    """Refuse another time span that does not hold the breakpoints."""
+    if problem.breakpoints and t_span != problem.t_span:
+        times_inside("breakpoints", problem.breakpoints, t_span)
 
 
 def check_types(problem: object, method: object, *kinds: type) -> None:

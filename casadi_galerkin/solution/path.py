@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.numbers import whole
+from casadi_galerkin.calculus.numbers import whole, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.solution.export import Table, by_component
 from casadi_galerkin.solution.plotting import Pictured, plot_path, plot_plane, plot_poses
@@ -103,13 +103,15 @@ class Path(Table, Pictured):
         count : number of instants, evenly from start to end
         apart : how far every pose is moved to the right of the one before; a strip of them needs no trail
         """
-        poses = self.places(points, np.linspace(self.t[0], self.t[-1], count))
+        poses = self.places(points, np.linspace(self.t[0], self.t[-1], whole_number("count", count)))
         poses[:, 0] += apart * np.arange(count)
         trail = np.empty((2, 0)) if apart else self.places(points, self._fine())[-1]
         return plot_poses(poses, trail, axes)
 
     def places(self, points: Callable[[np.ndarray], ArrayLike], times: np.ndarray) -> np.ndarray:
         """Where the ends of the bars of a mechanism are at times (K,); (n, 2, K)."""
+        if not callable(points):
+            raise TypeError(f"points must be a callable of positions, got {points!r}")
         places = np.array(points(self(times)), dtype=float)
         if places.ndim != 3 or places.shape[1:] != (2, len(times)):
             raise ValueError(f"points must return an array of shape (n, 2, {len(times)}), got {places.shape}")

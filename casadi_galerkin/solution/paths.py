@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from casadi_galerkin.calculus.numbers import place
 from casadi_galerkin.solution.plotting import Pictured, plot_family
 from casadi_galerkin.solution.trajectory import Trajectory
 
@@ -68,12 +69,13 @@ class Paths(Pictured):
         label : name of the component with its unit
         time : name of the time with its unit
         """
-        if not 0 <= component < len(self[0].x):
-            raise ValueError(f"component must be from 0 to {len(self[0].x) - 1}, got {component!r}")
-        first = self[0].polynomial
-        times = first.times(np.linspace(0, 1, max(2, SMOOTH // (len(first.mesh) - 1)), endpoint=False))
-        lines = [(f"action {path.action:.6g}, {_index(path)}", path(times)[component]) for path in self]
-        return plot_family(times, lines, axes, label or f"x[{component}]", time)
+        place("component", component, len(self[0].x))
+        parts = np.linspace(0, 1, max(2, SMOOTH // (len(self[0].t) - 1)), endpoint=False)
+        lines = []
+        for path in self:
+            times = path.polynomial.times(parts)
+            lines.append((f"action {path.action:.6g}, {_index(path)}", times, path(times)[component]))
+        return plot_family(lines, axes, label or f"x[{component}]", time)
 
     def __repr__(self) -> str:
         """Tabulate the paths, and say how many were dropped and why the search ended."""

@@ -107,12 +107,10 @@ def plot_path(
     return axes
 
 
-def plot_family(
-    times: np.ndarray, lines: Sequence[tuple[str, np.ndarray]], axes: Axes | None, label: str, time: str
-) -> Axes:
-    """Draw one component of several paths over the same times (K,); `lines` are their names and values (K,)."""
+def plot_family(lines: Sequence[tuple[str, np.ndarray, np.ndarray]], axes: Axes | None, label: str, time: str) -> Axes:
+    """Draw one component of several paths; `lines` are their names, times (K,) and values (K,)."""
     axes = axes_or_new(axes, (SIZE[0], SIZE[1] + 0.2 * len(lines)))
-    for i, (name, values) in enumerate(lines):
+    for i, (name, times, values) in enumerate(lines):
         axes.plot(times, values, color=COLORS[i % len(COLORS)], label=name)
     axes.set(xlabel=time, ylabel=label)
     if len(lines) <= len(COLORS):
@@ -129,11 +127,12 @@ def plot_plane(
     places: np.ndarray, joints: np.ndarray, axes: Axes | None = None, labels: Sequence[str] = ("x[0]", "x[1]")
 ) -> Axes:
     """Draw a way through the plane on equal axes: a line through places (2, K), joints (2, N + 1) as dots."""
+    names, _ = _named("x", 2, labels)
     axes = axes_or_new(axes, (SIZE[0], 0.9 * SIZE[0]))
     (line,) = axes.plot(*places)
     if joints.shape[1] <= DOTS:
         axes.plot(*joints, ".", color=line.get_color())
-    axes.set(xlabel=labels[0], ylabel=labels[1], aspect="equal")
+    axes.set(xlabel=names[0], ylabel=names[1], aspect="equal")
     return axes
 
 
@@ -201,13 +200,14 @@ def plot_phase(
     axes: Axes | None = None,
 ) -> Axes:
     """Draw one component in phase space: a line through (x, p), all (K,), joints as dots, the first one larger."""
+    names, _ = _named("x and p", 2, labels)
     axes = axes_or_new(axes)
     if not axes.lines:
         axes.set_prop_cycle(color=COLORS)
     (line,) = axes.plot(x, p)
     axes.plot(joint_x, joint_p, ".", color=line.get_color())
     axes.plot(joint_x[:1], joint_p[:1], "o", color=line.get_color())
-    axes.set(xlabel=labels[0], ylabel=labels[1])
+    axes.set(xlabel=names[0], ylabel=names[1])
     return axes
 
 

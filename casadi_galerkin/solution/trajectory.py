@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.mesh_adaptation import truncation
+from casadi_galerkin.calculus.numbers import number, place
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.callables import with_parameters
@@ -122,8 +124,9 @@ class Trajectory(Path):
     def morse_index(self) -> int | None:
         """Number of negative eigenvalues of the action's Hessian, 0 for a local minimum; found when first asked for.
 
-        It is None for a path that was found step by step; under a force, because the path is then a critical point of
-        no action; and where ∂²L/∂v² is not positive at every joint, because no finer mesh then has a finite index.
+        It is None for a path that was found step by step; under a force, and where the momentum of a given velocity
+        depends on more than that, because the path is then a critical point of no action; and where ∂²L/∂v² is not
+        positive at every joint, because no finer mesh then has a finite index.
         """
         return None if self.second_variation is None else self.second_variation.negative()
 
@@ -211,8 +214,7 @@ class Trajectory(Path):
         axes : Matplotlib axes to draw into, so that several paths make one portrait; default a new figure
         labels : names of position and momentum with units
         """
-        if not 0 <= component < len(self.x):
-            raise ValueError(f"component must be from 0 to {len(self.x) - 1}, got {component!r}")
+        place("component", component, len(self.x))
         times = self._fine()
         along = legendre_transform(self._lagrangian).map(len(times))(times[None, :], self(times), self(times, 1))
         x, p = self(times)[component], np.array(along[0])[component]
@@ -236,7 +238,9 @@ class Trajectory(Path):
         seconds : how long it runs; default the duration of the path, taken as seconds
         unit : of the time shown in the title
         """
-        duration = float(self.t[-1] - self.t[0]) if seconds is None else seconds
+        duration = float(self.t[-1] - self.t[0]) if seconds is None else number(seconds)
+        if duration is None or not 0 < duration < math.inf:
+            raise ValueError(f"seconds must be a positive number, got {seconds!r}")
         count = max(2, round(FRAMES_A_SECOND * duration))
         times = np.linspace(self.t[0], self.t[-1], count)
         return animate_linkage(times, self.places(points, times), duration / count, axes, unit)

@@ -144,8 +144,9 @@ def _end(linear: Linearization, at: Iterate, last: float, data: Data) -> np.ndar
     soft, quotient = softest(linear, at.unknowns, data)
     if quotient > max(SINGULAR, EPS / at.norm):
         return None
-    soft, step = soft / at.sizes, at.step / at.sizes
-    return np.asarray(at.unknowns + at.sizes * (step - soft * ((soft @ step) / max(soft @ soft, TINY))))
+    with np.errstate(over="ignore", invalid="ignore"):  # of a singular Hessian it may be of any size
+        soft, step = soft / at.sizes, at.step / at.sizes
+        return np.asarray(at.unknowns + at.sizes * (step - soft * ((soft @ step) / max(soft @ soft, TINY))))
 
 
 def _forecast(step: np.ndarray, simplified: np.ndarray, now: Iterate) -> float:

@@ -255,7 +255,7 @@ def shoot(
     first = tangent_momenta(motion_of(problem), *at, roll.p[:, :1], shooting.velocity(roll)[:, None])
     roll = replace(roll, p=np.column_stack((first, roll.p[:, 1:])))
     path = trajectory(problem, shooting.stepper, roll, iterations, solver, build, seconds)
-    turned = turned_back(path.polynomial, shooting.plane)
+    turned = turned_back(problem, path.polynomial, shooting.plane)
     if turned is not None:
         raise ConvergenceError(turned, Path(path.polynomial), shot.residual, iterations)
     return replace(path, action=action, residual=shot.residual, solver=solver + _far(guess, path))

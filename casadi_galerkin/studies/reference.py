@@ -44,7 +44,10 @@ Measure: TypeAlias = Callable[[Any], float]  # of a path, a Trajectory unless th
 def check_reference(problem: Problem, given: Reference) -> None:
     """Refuse a reference that is no path of the problem."""
     d, span = problem.dimension, problem.t_span
+    free = any(getattr(problem, name, None) is not None for name in ("duration_bounds", "energy"))
     if not isinstance(given, Trajectory) and callable(given):
+        if free:
+            raise TypeError(f"where the duration is free, the reference must be a Trajectory, got {given!r}")
         values = sampled("the reference", given, np.linspace(*span, LOOKS), d)
         if not np.all(np.isfinite(values)):
             raise ValueError(f"the reference must be finite on {span}, got {values.tolist()}")
@@ -56,7 +59,6 @@ def check_reference(problem: Problem, given: Reference) -> None:
     wanted, got = (len(parameters or ()) for parameters in (problem.parameters, given.parameters))
     if wanted != got:
         raise ValueError(f"the reference must have {wanted} parameter(s), got {got}")
-    free = isinstance(problem, ControlProblem) and problem.duration_bounds is not None
     if not free and not np.allclose(given.t[[0, -1]], span, rtol=0, atol=SLACK * (span[1] - span[0])):
         raise ValueError(f"the reference must run from {span[0]} to {span[1]}, got {given.t[0]} to {given.t[-1]}")
 
@@ -83,13 +85,16 @@ class ReferenceSolution:
         self._lagrangian = with_parameters(problem.lagrangian, parameters)
         values, kinetic = self._terms(calculus.quadrature_times)
         self._functional = float(calculus.weights @ values)
-        self._functional_size = float(calculus.weights @ np.abs(values))
+        self._functional_size = float(calculus.weights @ np.abs(values)) or 1.0
+        if isinstance(problem, BoundaryProblem) and problem.end_action is not None:
+            ends = self._path.x[:, [0, -1]].T
+            self._functional += float(with_parameters(problem.end_action, parameters)(*ends))
         if isinstance(given, Trajectory):
             self._functional = given.action
         if isinstance(problem, ControlProblem):  # a callable has no controls, so no cost
             self._functional = given.cost if isinstance(given, ControlTrajectory) else np.nan
             self._functional_size = abs(self._functional) or 1.0
-        self.energy_size = float(np.max(np.abs(values) + np.abs(kinetic)))
+        self.energy_size = float(np.max(np.abs(values) + np.abs(kinetic))) or 1.0  # zero at rest
         self.sizes = component_sizes(self._path.polynomial.values)[:, None]
         self._measure = measure
         if measure is not None:

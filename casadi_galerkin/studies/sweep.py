@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.boundary.branches import jumps
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.numbers import time_span, times_inside
+from casadi_galerkin.calculus.numbers import time_span
 from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -250,7 +250,6 @@ def _checked(problem: BoundaryProblem | ControlProblem, number: int, variation: 
     try:
         if "t_span" in checked:
             checked["t_span"] = time_span(checked["t_span"])
-            times_inside("breakpoints", problem.breakpoints, checked["t_span"])
         given = {name: checked[name] for name in VARIED if name in checked}
         varied = problem.varied(given, checked.get("t_span", problem.t_span))
         checked |= {name: getattr(varied, name) for name in given}

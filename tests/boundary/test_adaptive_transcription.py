@@ -109,6 +109,14 @@ def test_a_constraint_is_kept_from_path_to_path():
     np.testing.assert_allclose(np.arctan2(path.x[0], -path.x[1]), swing(path.t)[0], atol=1e-5)
 
 
+def test_what_is_no_solver_is_refused_every_time():
+    transcription = cg.transcribe(bratu(), tol=TOL)
+    for _ in range(2):
+        with pytest.raises(TypeError, match="solver must be newton, rootfinder, ipopt or minimizer, got 'newton'"):
+            transcription.solve(solver="newton")
+        transcription.solve()
+
+
 def test_another_solver_is_asked_every_time():
     scene = BY_NAME["long pendulum, index 1"]
     transcription = cg.transcribe(scene.problem, tol=1e-6)

@@ -4,6 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from constrained import on_circle
+from control_problems import double_integrator
 from scenes import DAMPED, bratu_problem, bratu_theta, pendulum
 
 import casadi_galerkin as cg
@@ -144,3 +145,23 @@ def test_the_attraction_of_an_orbit_of_given_energy_is_walked():
     branch = cg.continuation(problem, [1.2], cg.Galerkin(10), 12, guess=guess)
     for (mu,), path in zip(branch.parameters, branch.trajectories, strict=True):
         assert path.t[-1] == pytest.approx(np.pi * mu, rel=1e-11)
+        assert path.problem.t_span == (path.t[0], path.t[-1])
+
+
+@pytest.mark.parametrize("problem", [double_integrator(), 3], ids=["ControlProblem", "int"])
+def test_only_boundary_problems_are_continued(problem):
+    with pytest.raises(TypeError, match=f"problem must be a BoundaryProblem, got {type(problem).__name__}"):
+        cg.continuation(problem, [1.2])
+
+
+def test_the_free_phase_of_a_periodic_path_is_refused():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0] ** 2 / 2,
+        (0, 6),
+        [None],
+        parameters=[1.0],
+        periodic=True,
+        energy=1.0,
+    )
+    with pytest.raises(ValueError, match="continuation takes no periodic problem of given energy"):
+        cg.continuation(problem, [1.2], cg.Galerkin(6), 8, guess=lambda t: [np.sin(t)])

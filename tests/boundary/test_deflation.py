@@ -223,7 +223,7 @@ def test_one_picture_shows_all(swings, geodesics):
     for line, path in zip(axes.lines, swings, strict=True):
         np.testing.assert_array_equal(line.get_ydata()[[0, -1]], path.x[0, [0, -1]])
     assert geodesics.plot(component=1).get_legend() is None  # more than there are colors
-    with pytest.raises(ValueError, match="component must be from 0 to 1, got 2"):
+    with pytest.raises(ValueError, match="component must be a whole number from 0 to 1, got 2"):
         geodesics.plot(component=2)
 
 
@@ -330,3 +330,24 @@ def test_a_periodic_problem_of_given_energy_needs_a_guess():
     problem = cg.BoundaryProblem(pendulum, (0.0, 7.0), [None], periodic=True, energy=-0.5)
     with pytest.raises(ValueError, match="paths takes no periodic problem of given energy"):
         cg.paths(problem, cg.Galerkin(4), 10)
+
+
+@pytest.fixture(scope="module")
+def throws():
+    """The flat throw and the high one of the same energy, which last differently."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2 - 9.81 * x[1], (0.0, 0.5), [0.0, 0.0], [1.0, 0.0], energy=10.0
+    )
+    return cg.paths(problem, cg.Galerkin(4), 6, count=2)
+
+
+def test_paths_of_given_energy_say_when_they_end(throws):
+    durations = [path.t[-1] for path in throws]
+    np.testing.assert_allclose(np.sort(durations), [0.23115958593, 0.88196038917], rtol=1e-10)
+    assert [path.problem.t_span for path in throws] == [(0.0, duration) for duration in durations]
+
+
+def test_paths_of_given_energy_are_drawn_up_to_their_own_ends(throws):
+    for path, line in zip(throws, throws.plot().lines, strict=True):
+        assert line.get_xdata()[-1] == path.t[-1]
+        np.testing.assert_array_equal(line.get_ydata(), path(line.get_xdata())[0])

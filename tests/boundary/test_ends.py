@@ -69,6 +69,19 @@ def test_a_given_velocity_of_a_nonlinear_momentum_is_met():
     assert path.momentum[0, -1] == pytest.approx(1.3 + 1.3**3 / 3, abs=CLOSED_FORM)
 
 
+@pytest.mark.parametrize("solver", [cg.newton, cg.rootfinder, cg.ipopt])
+def test_a_given_velocity_whose_momentum_depends_on_a_given_position_alone_is_met(solver):
+    """A charge on a circle: the term of the ends adds nothing to the Hessian."""
+    charge = ended(
+        lambda t, x, v: ca.sumsqr(v) / 2 + (x[0] * v[1] - x[1] * v[0]) / 2,
+        start=[0.0, 0.0],
+        end=[None, np.cos(1) - 1],
+        end_velocity=[np.cos(1), None],
+    )
+    path = cg.solve(charge, METHOD, intervals=4, solver=solver)
+    np.testing.assert_allclose(path.x, [np.sin(path.t), np.cos(path.t) - 1], rtol=0, atol=CLOSED_FORM)
+
+
 def test_given_ends_change_from_solve_to_solve():
     transcription = cg.transcribe(ended(start_velocity=[0.7], end_momentum=[-0.3]), METHOD, 4)
     for v, p in ((0.7, -0.3), (0.1, 2.0)):

@@ -273,6 +273,27 @@ def test_a_path_that_turns_back_where_it_began_is_not_periodic(phase, way):
         cg.solve(problem, guess=lambda t: [0.95 * np.sin(np.pi * t / 3 + phase)], **way)
 
 
+def level():
+    """A swing up to 90° on either side, which begins below."""
+    return cg.BoundaryProblem(pendulum, (0, 7.0), [0.0], periodic=True, energy=0.0)
+
+
+@pytest.mark.parametrize("way", [{"method": METHOD, "intervals": 12}, {"tol": 1e-8}], ids=["mesh", "tolerance"])
+def test_half_a_swing_through_a_given_start_is_not_periodic(way):
+    with pytest.raises(cg.ConvergenceError, match="not periodic: it comes back to its start against the way it left"):
+        cg.solve(level(), guess=lambda t: [1.5 * np.sin(np.pi * t / 7)], **way)
+    whole = cg.solve(level(), guess=lambda t: [1.5 * np.sin(2 * np.pi * t / 7)], **way)
+    assert whole.t[-1] == pytest.approx(4 * ellipk(0.5), rel=1e-8)
+
+
+def test_a_search_through_a_given_start_finds_whole_swings():
+    found = cg.paths(level(), cg.Galerkin(8), 12, count=2)
+    for path in found:
+        swings = path.t[-1] / (4 * ellipk(0.5))
+        assert swings == pytest.approx(round(swings), abs=1e-6)
+        np.testing.assert_allclose(path.momentum[:, 0], path.momentum[:, -1], rtol=1e-8)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -269,6 +269,15 @@ def test_function_maps_over_many_data():
         np.testing.assert_array_equal(x, np.array(one))
 
 
+@pytest.mark.parametrize("side", ["start", "end"])
+def test_action_is_that_of_the_path_where_a_momentum_is_given(side):
+    given = {"start": [0.4], "end": [0.4], side: [None], f"{side}_momentum": [0.3]}
+    problem = cg.BoundaryProblem(lambda t, x, v: (v[0] ** 2 - x[0] ** 2) / 2, (0.0, 1.2), **given)
+    path = cg.solve(problem, cg.Galerkin(4), 6)
+    f = cg.solution_function(problem, cg.Galerkin(4), 6)
+    assert float(f(0.4, path.polynomial.values)[2]) == pytest.approx(path.action, rel=1e-12)
+
+
 # nothing unverified
 
 

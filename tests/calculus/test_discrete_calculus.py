@@ -249,8 +249,21 @@ METHOD = cg.Galerkin(2)
         ({"intervals": "3"}, TypeError, "intervals must be a whole number, got '3'"),
         ({}, ValueError, "give either intervals or mesh, got intervals=None and mesh=None"),
         ({"intervals": 2, "mesh": [0, 1]}, ValueError, "give either intervals or mesh, got intervals=2"),
-        ({"mesh": [0, 0.7, 0.4, 1]}, ValueError, r"must increase, got t\[1\] = 0.7 and t\[2\] = 0.4"),
-        ({"mesh": [0, 0.5, 0.5, 1]}, ValueError, r"must increase, got t\[1\] = 0.5 and t\[2\] = 0.5"),
+        (
+            {"mesh": [0, 0.7, 0.4, 1]},
+            ValueError,
+            r"must increase by more than roundoff, got t\[1\] = 0.7 and t\[2\] = 0.4",
+        ),
+        (
+            {"mesh": [0, 0.6, 1.5 * 0.4, 1]},
+            ValueError,
+            r"more than roundoff, got t\[1\] = 0.6 and t\[2\] = 0.6000000000000001",
+        ),
+        (
+            {"mesh": [0, 0.5, 0.5, 1]},
+            ValueError,
+            r"must increase by more than roundoff, got t\[1\] = 0.5 and t\[2\] = 0.5",
+        ),
         ({"mesh": [0, np.nan, 1]}, ValueError, "joints of a mesh must be finite"),
         ({"mesh": [0.1, 1]}, ValueError, "the mesh must run from 0.0 to 1.0, got 0.1 to 1.0"),
         ({"mesh": [0]}, ValueError, r"a sequence of at least 2 joints, got shape \(1,\)"),

@@ -196,3 +196,13 @@ def test_velocities_that_a_constraint_would_not_keep_are_refused(name):
             constraint=lambda t, x: ca.dot(x, x) - 1,
             **{name: [1.0, 1.0]},
         )
+
+
+@pytest.mark.parametrize("t_span", [(0.0, 0.5), (1.0, 2.0), (0.0, 0.7), (0.7, 2.0)])
+def test_another_time_span_must_hold_the_breakpoints(t_span):
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0.0, 2.0), [0.0], [1.0], breakpoints=[0.7])
+    with pytest.raises(ValueError, match=r"breakpoints must increase inside of .*, got \(0.7,\)"):
+        problem.varied({}, t_span)
+    with pytest.raises(ValueError, match=r"breakpoints must increase inside of .*, got \(0.7,\)"):
+        cg.transcribe(problem, tol=1e-6).solve(t_span=t_span)
+    assert problem.varied({}, (0.5, 1.0)).t_span == (0.5, 1.0)

@@ -42,7 +42,11 @@ sine = ca.Function("sine", [TIME], [ca.sin(TIME)])
             r"\(times, values\) with values of shape \(1, 2\) for 2 times, got \(1, 3\)",
         ),
         (([0, 1], [0, 1]), ValueError, r"\(times, values\) with values of shape \(1, 2\) for 2 times, got \(2,\)"),
-        (([1, 0], [[0, 1]]), ValueError, r"its times are no mesh: .* must increase, got t\[0\] = 1.0 and t\[1\] = 0.0"),
+        (
+            ([1, 0], [[0, 1]]),
+            ValueError,
+            r"its times are no mesh: .* must increase by more than roundoff, got t\[0\] = 1.0 and t\[1\] = 0.0",
+        ),
         ((lambda t: [t], lambda t: [t]), TypeError, r"a pair as guess is \(times, values\), and its times are no mesh"),
         (([0, 1], [[0, np.nan]]), ValueError, "the guess must be finite"),
         ([[0, 0, 0, 0, True]], TypeError, r"the guess must be real numbers, got True at \[0, 4\]"),

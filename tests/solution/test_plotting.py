@@ -105,9 +105,9 @@ def test_colors_are_those_of_the_package_on_the_users_axes_too():
     assert planar().solve().plot_phase(0, axes).get_lines()[0].get_color() == COLORS[0]
 
 
-@pytest.mark.parametrize("component", [2, -1])
+@pytest.mark.parametrize("component", [2, -1, 0.5, "x"])
 def test_a_component_that_is_not_there_is_refused(component):
-    with pytest.raises(ValueError, match=f"component must be from 0 to 1, got {component}"):
+    with pytest.raises(ValueError, match=f"component must be a whole number from 0 to 1, got {component!r}"):
         planar().solve().plot_phase(component)
 
 
@@ -122,6 +122,26 @@ def test_a_way_through_the_plane_has_equal_axes_and_all_joints():
     np.testing.assert_allclose(
         height, width / 2 + width * (1 - width) / 2, atol=1e-12
     )  # a throw, one wide in unit time
+
+
+@pytest.mark.parametrize(
+    ("draw", "kind", "message"),
+    [
+        (
+            lambda path: path.plot_phase(labels=("x",)),
+            ValueError,
+            r"labels of x and p must be 2 name\(s\).*got \('x',\)",
+        ),
+        (lambda path: path.plot_plane(labels=("x",)), ValueError, r"labels of x must be 2 name\(s\).*got \('x',\)"),
+        (lambda path: path.animate(rods, seconds=0), ValueError, "seconds must be a positive number, got 0"),
+        (lambda path: path.animate(rods, seconds=-1.0), ValueError, r"seconds must be a positive number, got -1\.0"),
+        (lambda path: path.animate(3), TypeError, "points must be a callable of positions, got 3"),
+        (lambda path: path.plot_poses(rods, count=0), ValueError, "count must be at least 1, got 0"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(draw, kind, message):
+    with pytest.raises(kind, match=message):
+        draw(planar().solve())
 
 
 @pytest.mark.parametrize("components", [(0, 2), (0,), (0, 1, 0), (0.0, 1.0), (-1, 0)])
@@ -149,6 +169,8 @@ def test_a_branch_is_drawn_by_morse_index_with_its_folds():
     assert [part.get_label() for part in parts] == ["Morse index 0", "Morse index 1"]
     assert sum(len(part.get_xdata()) for part in parts) == len(branch.trajectories)
     np.testing.assert_allclose(fold.get_xydata(), [[3.5138307, 1.1868]], rtol=1e-4)
+    with pytest.raises(ValueError, match="parameter must be a whole number from 0 to 0, got 1"):
+        branch.plot(lambda path: path(0.5)[0], parameter=1)
 
 
 def test_an_answer_shows_its_words_and_its_picture_in_a_notebook():

@@ -107,6 +107,20 @@ def test_components_of_very_different_size_are_solved_together():
     np.testing.assert_allclose(path.x, np.outer([1e-12, 1e12], np.sin(path.t) / np.sin(1)), rtol=1e-13, atol=0)
 
 
+def test_ends_that_are_conjugate_fail_without_a_warning():
+    """The end is the start turned by the oscillator's own phase: the softest direction is of any size."""
+    c, s = np.cos(np.pi / 3), np.sin(np.pi / 3)
+    turned = cg.BoundaryProblem(
+        lambda t, x, v: (ca.sumsqr(v) - ca.sumsqr(x)) / 2 - x[0] * ca.cos(3 * t) - x[1] * ca.sin(3 * t),
+        (0.0, np.pi / 3),
+        [None, None],
+        [None, None],
+        end_conditions=lambda a, b: b - ca.vertcat(c * a[0] - s * a[1], s * a[0] + c * a[1]),
+    )
+    with pytest.raises(cg.ConvergenceError):
+        cg.solve(turned, cg.Galerkin(6), 8)
+
+
 def test_a_search_that_ends_at_a_singular_hessian_fails_without_a_warning():
     """The next damping is not forecast from a step that does not exist."""
     problem = cg.BoundaryProblem(

@@ -221,6 +221,13 @@ def test_a_path_that_turns_back_where_it_began_is_not_periodic():
         cg.shoot(problem, METHOD, 12, guess=cg.solve(there, METHOD, 12))
 
 
+def test_half_a_swing_through_a_given_start_is_not_periodic():
+    problem = cg.BoundaryProblem(pendulum, (0, 3.7), [0.0], periodic=True, energy=0.0)
+    there = cg.InitialProblem(pendulum, (0, 3.7), [0.0], momentum=[1.4])
+    with pytest.raises(cg.ConvergenceError, match="not periodic: it comes back to its start against the way it left"):
+        cg.shoot(problem, METHOD, 12, guess=cg.solve(there, METHOD, 12))
+
+
 def test_a_guess_that_rests_tells_no_duration():
     problem = cg.BoundaryProblem(
         free_particle, (0, 1), [0.0, 0.0], [None, None], end_conditions=lambda x0, x1: ca.sumsqr(x1) - 4, energy=0.5

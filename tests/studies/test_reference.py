@@ -109,3 +109,46 @@ def test_a_callable_reference_has_no_cost():
     measured = cg.trade(double_integrator(), [cg.Galerkin(3)], [4], lambda t: [3 * t**2 - 2 * t**3])
     assert np.isnan(measured.rows[0].functional_error)
     assert measured.rows[0].error < 1e-9  # IPOPT's tolerance
+
+
+def free_durations():
+    """A ball thrown up with a given energy, at 6 m/s, and a move of free duration."""
+    fall = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 10 * x[0], (0.0, 1.0), [0.0], [1.0], energy=18.0)
+    return [fall, double_integrator(running_cost=lambda t, x, v, u: 1 + u[0] ** 2 / 2, duration_bounds=(0.1, 5.0))]
+
+
+@pytest.mark.parametrize("problem", free_durations(), ids=["energy", "bounds"])
+def test_where_the_duration_is_free_a_reference_has_its_own(problem):
+    fine = cg.solve(problem, tol=1e-10)
+    assert fine.t[-1] != problem.t_span[1]
+    assert cg.trade(problem, [cg.Galerkin(4)], [8], fine).rows[0].error < 1e-8
+
+
+@pytest.mark.parametrize("problem", free_durations(), ids=["energy", "bounds"])
+def test_where_the_duration_is_free_a_callable_is_no_reference(problem):
+    with pytest.raises(TypeError, match="where the duration is free, the reference must be a Trajectory, got"):
+        cg.trade(problem, [cg.Galerkin(2)], [4], lambda t: [6 * t - 5 * t**2])
+
+
+def test_a_callable_reference_has_the_action_of_the_end():
+    """x = t / 2 ends at a spring of energy (x - 1)²/2, whose force 1/2 is the momentum."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2, (0.0, 1.0), [0.0], [None], end_action=lambda a, b: (b[0] - 1) ** 2 / 2
+    )
+    row = cg.trade(problem, [cg.Galerkin(1)], [4], lambda t: [t / 2]).rows[0]
+    assert max(row.error, row.functional_error) < REFERENCE
+
+
+@pytest.mark.parametrize("kind", ["boundary", "initial", "rates"])
+def test_paths_without_energy_are_compared(kind):
+    """At rest, and where all components follow rates, action and energy are zero."""
+    still = lambda t, x, v: v[0] ** 2 / 2  # noqa: E731
+    problem = {
+        "boundary": lambda: cg.BoundaryProblem(still, (0.0, 1.0), [1.0], [1.0]),
+        "initial": lambda: cg.InitialProblem(still, (0.0, 1.0), [1.0], velocity=[0.0]),
+        "rates": lambda: double_integrator(
+            lagrangian=None, force=None, start_velocity=[None], end_velocity=[None], rates=lambda t, x, v, u: u
+        ),
+    }[kind]()
+    row = cg.trade(problem, [cg.Galerkin(2)], [4]).rows[0]
+    assert max(row.error, row.functional_error, row.energy_error) < REFERENCE
