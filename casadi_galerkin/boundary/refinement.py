@@ -39,9 +39,7 @@ from casadi_galerkin.calculus.mesh_adaptation import (
 )
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.constrained_motion import moving_motion_of
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
@@ -122,7 +120,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             return Estimate(largest, False, "Legendre coefficients", left_out)
         error = math.hypot(self.error(path), floor)
         self.roundoff_level = NOISE * floor
-        source, missed = max(self.witnesses(level).items(), key=lambda item: float(np.max(item[1])))
+        said = witnesses(self.levels.problem, path, level.momentum, self.tol)
+        source, missed = max(said.items(), key=lambda item: float(np.max(item[1])))
         if np.max(missed) > max(self.tol, TELLS):
             self.check_stubborn(level, source, missed, STUBBORN)
             return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed, path.degree))
@@ -146,12 +145,6 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             reason = f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here, on any mesh: {cause}"
             raise self.stopped(reason, level, floor)
         return floor
-
-    def witnesses(self, level: CriticalPoint) -> dict[str, np.ndarray]:
-        """What two degrees may miss alike, a kink of L or a jump over a singularity, by interval; (N,) each."""
-        problem = self.levels.problem
-        given = level.polynomial, level.momentum, problem.parameters, self.tol, problem.breakpoints
-        return witnesses(pointwise(problem.lagrangian, problem.force), *given, moving_motion_of(problem))
 
     def _left_out_for(self, missed: np.ndarray, degree: int) -> np.ndarray:
         """What would have intervals split in proportion to the energy they miss, which at a kink falls like h."""

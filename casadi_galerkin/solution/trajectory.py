@@ -16,9 +16,8 @@ from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.mesh_adaptation import truncation
 from casadi_galerkin.calculus.numbers import number, place
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.constrained_motion import motion_of, moving_motion_of, multipliers
+from casadi_galerkin.problems.constrained_motion import motion_of, multipliers
 from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solution.export import by_component
@@ -116,8 +115,7 @@ class Trajectory(Path):
 
     def _missed(self, tol: float) -> dict[str, float]:
         """The largest of what each witness says against this path."""
-        given = self.polynomial, self.momentum, self.parameters, tol, self.problem.breakpoints
-        said = witnesses(pointwise(self.lagrangian, self.problem.force), *given, moving_motion_of(self.problem))
+        said = witnesses(self.problem, self.polynomial, self.momentum, tol)
         return {name: float(np.max(said[name])) for name in said}
 
     @lazy

@@ -13,7 +13,6 @@ does where a path jumps over a singularity between two points, though the energi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
 
@@ -25,8 +24,9 @@ from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.mapping import one_by_one
-from casadi_galerkin.functional.pointwise import Pointwise
-from casadi_galerkin.problems.constrained_motion import work_of_constraint
+from casadi_galerkin.functional.pointwise import pointwise
+from casadi_galerkin.problems.constrained_motion import moving_motion_of, work_of_constraint
+from casadi_galerkin.problems.problem import Problem
 
 BALANCE = 0.3  # part of the tolerance by which the energy may be missed; smooth paths were measured below 0.25
 ACTION = 0.1  # part of the tolerance by which an action may change; smooth paths were measured below 0.03
@@ -61,31 +61,21 @@ def missed_balance(kept: np.ndarray, scale: np.ndarray, floor: np.ndarray, tol: 
     return missed
 
 
-def witnesses(
-    pointwise: Pointwise,
-    path: PiecewisePolynomial,
-    momentum: np.ndarray,
-    parameters: tuple[float, ...] | None,
-    tol: float,
-    breakpoints: Sequence[float] = (),
-    moving: ca.Function | None = None,
-) -> dict[str, np.ndarray]:
+def witnesses(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray, tol: float) -> dict[str, np.ndarray]:
     """What each witness says against a path, by interval and relative to the sizes of its terms; (N,) each.
+
+    The balance is drawn up between breakpoints: at a step of L in time the energy jumps.
 
     Parameters
     ----------
-    pointwise : Pointwise, of the Lagrangian
+    problem : Problem
     path : PiecewisePolynomial of degree m
     momentum : (d, N + 1), at the joints
-    parameters : values of p
     tol : relative tolerance
-    breakpoints : joints between which the balance is drawn up; at a step of L in time the energy jumps
-    moving : `moving_motion_of` the problem
     """
-    joints = [0, *np.searchsorted(path.mesh, breakpoints), len(path.mesh) - 1]
+    joints = [0, *np.searchsorted(path.mesh, problem.breakpoints), len(path.mesh) - 1]
     parts = [
-        _between_breakpoints(pointwise, path.between(i, j), momentum[:, i : j + 1], parameters, tol, moving)
-        for i, j in pairwise(joints)
+        _between_breakpoints(problem, path.between(i, j), momentum[:, i : j + 1], tol) for i, j in pairwise(joints)
     ]
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
@@ -98,38 +88,34 @@ def _rules(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _between_breakpoints(
-    pointwise: Pointwise,
-    path: PiecewisePolynomial,
-    momentum: np.ndarray,
-    parameters: tuple[float, ...] | None,
-    tol: float,
-    moving: ca.Function | None,
+    problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray, tol: float
 ) -> dict[str, np.ndarray]:
     """The same without breakpoints.
 
     Where the momentum p of a joint differs from ∂L/∂v at the path's own slope v there by δ, the energy is
     p·v - L + δᵀ(∂²L/∂v²)⁻¹δ/2 up to terms of third order.
     """
+    terms, moving = pointwise(problem.lagrangian, problem.force), moving_motion_of(problem)
     steps, (parts, fine, coarse) = np.diff(path.mesh), _rules(path.degree)
     x, v = (values.reshape(len(values), -1) for values in path.at_parts(parts))
     h = np.repeat(steps, len(parts))
     joints = np.append(np.arange(0, len(h), len(parts)), len(h) - len(parts) + 1)  # all starts, and the last end
     times = np.minimum(times_at(path.mesh, parts), np.nextafter(path.mesh[-1], path.mesh[0]))  # before a step there
     given = [times, h, x.ravel(order="F"), (v * h).ravel(order="F")]
-    given += [] if parameters is None else [np.array(parameters)]
+    given += [] if problem.parameters is None else [np.array(problem.parameters)]
 
     def evaluate(function: ca.Function) -> list[np.ndarray]:
         """Its values at all parts of all intervals, (N (2m + 3), ...)."""
-        found = Evaluator(one_by_one(function, len(h), () if parameters is None else (4,)))(*given)
+        found = Evaluator(one_by_one(function, len(h), () if problem.parameters is None else (4,)))(*given)
         return [value.reshape(len(h), -1) for value in found]
 
     def integral(values: np.ndarray) -> np.ndarray:
         """∫ over every interval by the finer rule, (N,)."""
         return np.asarray(values.reshape(len(steps), -1)[:, 2 : 2 + len(fine)] @ fine)
 
-    lagrangian, _, slope, *blocks = evaluate(pointwise.derivatives)
+    lagrangian, _, slope, *blocks = evaluate(terms.derivatives)
     of_steps = h[joints]
-    mass = pointwise.mass([of_steps * block[joints].T for block in blocks])
+    mass = terms.mass([of_steps * block[joints].T for block in blocks])
     velocity, missing = v[:, joints], momentum - slope[joints].T
     values, vectors = np.linalg.eigh(mass)
     regular = np.abs(values) > EPS * np.max(np.abs(values), axis=1, keepdims=True)
@@ -138,7 +124,7 @@ def _between_breakpoints(
     correction = np.sum(np.sign(values) * roots**2, axis=1) / 2
     kinetic = np.sum(momentum * velocity, axis=0)
     energy = kinetic - lagrangian[joints, 0] / of_steps + correction
-    supplied = 0 * steps if pointwise.supplied is None else integral(evaluate(pointwise.supplied)[0])
+    supplied = 0 * steps if terms.supplied is None else integral(evaluate(terms.supplied)[0])
     if moving is not None:
         rate = work_of_constraint(moving, times, x, v)
         supplied = supplied + steps * integral(rate)

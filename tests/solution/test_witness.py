@@ -10,7 +10,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import casadi_galerkin as cg
-from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.solution.witness import missed_balance, witnesses
 
 SMOOTH = ["short pendulum", "long pendulum, index 2", "Troesch 5", "boundary layer 0.0001", "damped oscillator"]
@@ -117,7 +116,7 @@ def test_no_path_over_a_pole_on_its_line_is_returned(duration, tol):
 def test_nothing_is_said_against_a_smooth_path(name, tol):
     scene = BY_NAME[name]
     path = cg.solve(scene.problem, tol=tol, guess=scene.guess)
-    said = witnesses(pointwise(path.lagrangian, None), path.polynomial, path.momentum, scene.problem.parameters, tol)
+    said = witnesses(scene.problem, path.polynomial, path.momentum, tol)
     assert all(np.max(values) < tol for values in said.values())
 
 
