@@ -36,12 +36,12 @@ LOOKS, SLACK = 5, 1e-12  # times at which a callable is tried; part of the time 
 FINER_DEGREE, LEAST_DEGREE = 4, 8  # degrees that a reference has more than the methods, and its least one
 FINER, ROUNDOFF, DOUBLINGS = 1e-2, 1e-14, 4  # part of the least error that a reference's own may be; its floor
 
-Problem: TypeAlias = BoundaryProblem | InitialProblem | ControlProblem
+AnyProblem: TypeAlias = BoundaryProblem | InitialProblem | ControlProblem
 Reference: TypeAlias = Trajectory | Callable[[float], ArrayLike]
 Measure: TypeAlias = Callable[[Any], float]  # of a path, a Trajectory unless the reference is a callable
 
 
-def check_reference(problem: Problem, given: Reference) -> None:
+def check_reference(problem: AnyProblem, given: Reference) -> None:
     """Refuse a reference that is no path of the problem."""
     d, span = problem.dimension, problem.t_span
     free = any(getattr(problem, name, None) is not None for name in ("duration_bounds", "energy"))
@@ -71,7 +71,7 @@ class ReferenceSolution:
     """
 
     def __init__(
-        self, problem: Problem, given: Reference, parameters: tuple[float, ...] | None, measure: Measure | None
+        self, problem: AnyProblem, given: Reference, parameters: tuple[float, ...] | None, measure: Measure | None
     ) -> None:
         self._path: Path
         self._at: Callable[[np.ndarray], np.ndarray]
@@ -148,7 +148,7 @@ def measured(measure: Measure, path: Path) -> float:
 
 
 def finer(
-    problem: Problem, paths: Sequence[Trajectory], guess: Guess | None, measure: Measure | None
+    problem: AnyProblem, paths: Sequence[Trajectory], guess: Guess | None, measure: Measure | None
 ) -> tuple[Trajectory, float]:
     """A path several digits finer than the given ones, and its own error from a second one of another degree."""
     degree = max(LEAST_DEGREE, FINER_DEGREE + max(path.method.degree for path in paths))

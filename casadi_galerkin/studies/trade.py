@@ -31,8 +31,8 @@ from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
 from casadi_galerkin.studies.reference import (
+    AnyProblem,
     Measure,
-    Problem,
     Reference,
     ReferenceSolution,
     check_reference,
@@ -65,7 +65,7 @@ class _Cell:
         self.row = replace(self.row, solve_seconds=float(np.fmin(self.row.solve_seconds, seconds)))
 
 
-def _cell(problem: Problem, row: Row, guess: Guess | None, measure: Measure | None) -> _Cell:
+def _cell(problem: AnyProblem, row: Row, guess: Guess | None, measure: Measure | None) -> _Cell:
     """Solve in one way for the first time, twice where that does not take long, and build what its repeats need.
 
     The second time finds CasADi's plugins loaded.
@@ -88,7 +88,7 @@ def _cell(problem: Problem, row: Row, guess: Guess | None, measure: Measure | No
     return _Cell(row, path, again)
 
 
-def _repeated(problem: Problem, row: Row, guess: Guess | None) -> Callable[[], Trajectory]:
+def _repeated(problem: AnyProblem, row: Row, guess: Guess | None) -> Callable[[], Trajectory]:
     """A solve that can be repeated, on a graph that is built and has built its solver where it is of all intervals."""
     if row.method is None or row.solver is None:
         return partial(row.solve, problem, guess)
@@ -100,7 +100,7 @@ def _repeated(problem: Problem, row: Row, guess: Guess | None) -> Callable[[], T
     return again
 
 
-def _on_its_mesh(problem: Problem, cell: _Cell) -> Row:
+def _on_its_mesh(problem: AnyProblem, cell: _Cell) -> Row:
     """The way on a fixed mesh that a tolerance has found; where durations are free, over those guessed."""
     assert cell.path is not None
     joints, row, found, guessed = cell.path.t, cell.row, marks(cell.path.problem), marks(problem)
@@ -109,7 +109,7 @@ def _on_its_mesh(problem: Problem, cell: _Cell) -> Row:
     return Row(row.method, row.intervals, row.solver, row.tol, mesh=tuple(joints.tolist()))
 
 
-def _unknowns(problem: Problem, path: Trajectory) -> int:
+def _unknowns(problem: AnyProblem, path: Trajectory) -> int:
     """Node values and controls that were solved for."""
     ends = [getattr(problem, name, None) or () for name in ("start", "end", "position")]
     fixed = sum(value is not None for end in ends for value in end)
@@ -118,7 +118,7 @@ def _unknowns(problem: Problem, path: Trajectory) -> int:
     return path.polynomial.values.size - fixed - periodic + controls
 
 
-def _check_given(problem: Problem, guess: Guess | None, shooting: bool, measure: Measure | None) -> None:
+def _check_given(problem: AnyProblem, guess: Guess | None, shooting: bool, measure: Measure | None) -> None:
     """Refuse what would fail in each way, or in the reference."""
     if measure is not None and not callable(measure):
         raise TypeError(f"measure must be a callable path -> number, got {measure!r}")
@@ -142,7 +142,7 @@ def _listed(name: str, given: Iterable[Any]) -> list[Any]:
         raise TypeError(f"{name} must be several, in a list, got {given!r}") from error
 
 
-def _solvers(problem: Problem, solvers: Iterable[Solver]) -> Sequence[Solver | None]:
+def _solvers(problem: AnyProblem, solvers: Iterable[Solver]) -> Sequence[Solver | None]:
     """The solvers, or the default one; none where a path is found step by step."""
     given = _listed("solvers", solvers)
     for solver in given:
@@ -158,7 +158,7 @@ def _solvers(problem: Problem, solvers: Iterable[Solver]) -> Sequence[Solver | N
 
 
 def _ways(
-    problem: Problem,
+    problem: AnyProblem,
     methods: Sequence[Galerkin],
     counts: Sequence[int],
     tolerances: Sequence[float],
@@ -185,7 +185,7 @@ def _ways(
 
 
 def trade(
-    problem: Problem,
+    problem: AnyProblem,
     methods: Iterable[Galerkin],
     intervals: Iterable[int],
     reference: Reference | None = None,

@@ -18,7 +18,7 @@ from casadi_galerkin.solution.plotting import Pictured, plot_work_precision
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver
 from casadi_galerkin.stepping.shooting import shoot
-from casadi_galerkin.studies.reference import ROUNDOFF, Problem
+from casadi_galerkin.studies.reference import ROUNDOFF, AnyProblem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -84,7 +84,7 @@ class Row:
     energy_error: float = np.nan
     failure: str | None = None
 
-    def solve(self, problem: Problem, guess: Guess | None = None) -> Trajectory:
+    def solve(self, problem: AnyProblem, guess: Guess | None = None) -> Trajectory:
         """Solve a problem in this way, the one that was traded or another; arguments and errors as for `solve`.
 
         By shooting, `guess` is a Trajectory.

@@ -5,16 +5,11 @@ import numpy as np
 import pytest
 from control_problems import double_integrator
 from scenes import BY_NAME, bratu_theta, pendulum
+from scenes import bratu_problem as bratu
 
 import casadi_galerkin as cg
 
 TOL = 1e-8
-
-
-def bratu():
-    return cg.BoundaryProblem(
-        lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0]), (0.0, 1.0), [0.0], [0.0], parameters=[1.0]
-    )
 
 
 def bratu_error(path, rate, upper=False):
