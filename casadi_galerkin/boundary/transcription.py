@@ -153,10 +153,13 @@ class Transcription(BoundaryGraph):
         self.refuse_conjugate(point)
         if self.numbering.stretched:  # the duration asked for was a guess
             problem = problem.varied({}, (float(path.mesh[0]), float(path.mesh[-1])))
+        action = solution.action
+        if self.functional.terms:  # given momenta are one of them
+            action -= work_of_momenta(problem, path.values[:, 0], path.values[:, -1])
         return Trajectory(
             polynomial=path,
             momentum=point.momentum,
-            action=solution.action - work_of_momenta(problem, *path.values[:, [0, -1]].T),
+            action=action,
             iterations=solution.iterations,
             residual=solution.residual,
             solver=solution.report,

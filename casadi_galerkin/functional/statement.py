@@ -70,8 +70,10 @@ def turned_back(problem: BoundaryProblem, path: PiecewisePolynomial, plane: np.n
     energy leaves two values for this one: the multiplier of the plane, or of the component, else zero, makes up for a
     momentum that has changed its sign.
     """
+    if not problem.periodic or problem.energy is None:
+        return None
     fixed = np.array([value is not None for value in problem.start])
-    if plane is None and (not problem.periodic or problem.energy is None or np.count_nonzero(fixed) != 1):
+    if plane is None and np.count_nonzero(fixed) != 1:
         return None
     normal = fixed if plane is None else plane[: len(fixed)]
     left, back = normal @ path(path.mesh[[0, -1]], 1)
