@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.control.chain import Chain, largest_of
 from casadi_galerkin.control.graph import Report
 from casadi_galerkin.control.optimizer import Optimum, ProgramBounds
@@ -14,6 +13,7 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import is_limited
 
 NOTHING = 1e-20  # terms that are what rounding leaves of a component that is zero; the solvers' tolerances are absolute
+FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
 VANISHED = 1e-13  # part of its terms along the guess below which a component's are taken for their roundoff
 
 
@@ -124,74 +124,3 @@ def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray
 def _or_one(sizes: np.ndarray) -> np.ndarray:
     """Sizes, and 1 for zero."""
     return np.asarray(np.where(sizes > 0, sizes, 1.0))
-
-
-def name_equation(chain: Chain, row: int) -> tuple[str, float]:
-    """What an equation is called, and where it stands, in intervals since the start."""
-    names = {
-        "x": "the continuity of x",
-        "momentum": "the equation of motion of x",
-        "constants": "the continuity of the duration or parameter",
-        "motion": "the equation of motion of x",
-        "start": "the equation of motion of x",
-        "end": "the equation of motion of x",
-        "rates": "the rate of x",
-        "path": "path constraint",
-        "ends": "end condition",
-        "held": "constraint",
-        "start_held": "constraint",
-        "start_tangent": "the rate of constraint",
-        "end_tangent": "the rate of constraint",
-        "arrival": "the equation of motion of x",
-        "waypoint": "condition",
-    }
-    name, found = _found(chain.rows, row)
-    shift = chain.mechanical if name == "rates" else 0
-    words = names[name.split()[0]]
-    counted = words.endswith(("constraint", "condition"))
-    label = f"{words} {found[-1]}" if counted else f"{words}[{shift + found[-1]}]"
-    return label, _place(chain, name, found) + (name in ("x", "momentum", "constants"))  # which tie the next state
-
-
-def name_unknown(chain: Chain, index: int) -> tuple[str, float]:
-    """What an unknown is called, and where it stands, in intervals since the start."""
-    names = {
-        "nodes": "x",
-        "controls": "u",
-        "durations": "the duration",
-        "parameters": "p",
-        "momentum": "the momentum",
-        "velocity": "the velocity",
-    }
-    name, found = _found(chain.fields, index)
-    single = name == "durations" and chain.fields[name].shape[1] == 1
-    return names.get(name, name) + ("" if single else f"[{found[-1]}]"), _place(chain, name, found)
-
-
-def _found(arrays: dict[str, np.ndarray], number: int) -> tuple[str, tuple[int, ...]]:
-    for name, array in arrays.items():
-        found = np.argwhere(array == number)
-        if len(found):
-            return name, tuple(found[0].tolist())
-    raise IndexError(number)
-
-
-def _place(chain: Chain, name: str, found: tuple[int, ...]) -> float:
-    """Where an entry of a field or of the equations stands, in intervals since the start."""
-    method = chain.method
-    parts = {
-        "nodes": method.element.nodes[1:],
-        "motion": method.element.nodes,
-        "rates": np.array(gauss(method.degree).points),
-        "held": method.element.nodes[1:],
-        "impulses": method.element.nodes[1:],
-        "path": method.element.points,
-        "controls": chain.control_times,
-    }
-    if name in ("velocity", "arrival"):
-        return float(chain.crossed[found[0]])
-    if name.startswith("waypoint"):
-        return float(chain.crossed[int(name.split()[1])])
-    if name.startswith(("start", "end")):
-        return float(chain.intervals if name.startswith("end") else 0)
-    return float(found[0] + (parts[name][found[1]] if name in parts else 0.0))

@@ -20,17 +20,12 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_b
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.constraint_violation import (
-    cost_change,
-    limits_of,
-    name_equation,
-    name_unknown,
-    violations,
-)
+from casadi_galerkin.control.constraint_violation import FEASIBLE, cost_change, limits_of, violations
 from casadi_galerkin.control.counts import check_count, check_stages
+from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
 from casadi_galerkin.control.graph import ControlGraph, Report
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
-from casadi_galerkin.control.optimizer import RELAXED, Optimum, ProgramBounds, optimize, with_fatrop, with_ipopt
+from casadi_galerkin.control.optimizer import RELAXED, Optimum, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.functional.statement import refuse_points
 from casadi_galerkin.problems.constrained_motion import tangent_momenta, unforced_motion_of
@@ -40,24 +35,12 @@ from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 
-FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
 WILD = 10.0  # terms along a guess over those on the straight line; noise has more, a way round has less
 UNSEEN = 1e-6  # part of the cost that it may change by without a word; optima near one were measured below 1e-9
 SHORTEST = 1e-10  # interval over the duration; at 1e-9 to 1e-12 IPOPT was seen to fail, and at 1e-13 to be wrong
-INVALID = "Invalid Number Detected"
-HINTS = {
-    "Diverging Iterates": "The cost may have no lower bound: bound the controls, the positions or the duration",
-    "Infeasible Problem Detected": "There may be no path within these ends and bounds; else try a guess nearer to it",
-    INVALID: "A callable or one of its derivatives is not finite there",
-    "Maximum WallTime Exceeded": "Allow more seconds, or give a guess nearer to the path",
-    "Solve Succeeded": "Its tolerances are absolute: take units in which lengths, times and masses are near one",
-    "Restoration Failed": "There may be no path within these ends and bounds; else try a guess nearer to it",
-}
-OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"
 NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
 
 
@@ -184,13 +167,13 @@ class ControlTranscription:
         way = self._kept_program(solver, bool(duals), verbose)
         optimum = optimize(way, RELAXED[solver.name], unknowns, data, limits, *duals)
         if optimum.status == INVALID:
-            self._check_derivatives(unknowns, data, mesh)
+            refuse_derivatives(self.graph, unknowns, data, mesh)
         report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
         relative = violations(chain, limits, optimum.unknowns, report, before)
         found = chain.unpack(optimum.unknowns, data)
         joints = self._joints(found, mesh)
         if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
-            raise self._error(solver, optimum, limits, report.cost, relative, found, joints)
+            raise explained(NAMES[solver.name], chain, optimum, report.cost, relative, chain.path(found, joints))
         change, told = cost_change(chain, limits, optimum, report), optimum.status
         if change > UNSEEN * abs(report.cost):
             told += f"; its tolerances are absolute, and may hide a change of the cost by {change:.1e}"
@@ -249,22 +232,6 @@ class ControlTranscription:
             self._solvers[key] = lender
         return lender
 
-    def _check_derivatives(self, unknowns: np.ndarray, data: np.ndarray, mesh: np.ndarray) -> None:
-        """Name a first derivative that is not finite at the guess."""
-        gradient = np.array(self.graph.gradient(unknowns, data)[1]).ravel()
-        matrix = self.graph.jacobian(unknowns, data)[1]
-        entries = np.isfinite(np.array(matrix.nonzeros()))
-        if not np.all(np.isfinite(gradient)):
-            name, place = name_unknown(self.chain, int(np.argmax(~np.isfinite(gradient))))
-            what = f"the derivative of the cost by {name}"
-        elif not np.all(entries):
-            name, place = name_equation(self.chain, matrix.sparsity().row()[int(np.argmax(~entries))])
-            what = f"a derivative of {name}"
-        else:
-            return
-        when = np.interp(place, np.arange(len(mesh)), mesh)
-        raise ValueError(f"{what} is not finite at the guess at t = {when:.6g}. Give a guess that avoids it")
-
     def _joints(self, values: dict[str, np.ndarray], mesh: np.ndarray) -> np.ndarray:
         """The time scale with the durations found; exactly the mesh where the duration is given."""
         if self.problem.duration_bounds is None:
@@ -272,32 +239,6 @@ class ControlTranscription:
         marks = np.append(values["begin"], values["begin"] + np.cumsum(values["durations"]))
         phases = self.chain.phases
         return np.append(marks[phases] + values["durations"][phases] * values["left"], marks[-1])
-
-    def _error(
-        self,
-        solver: Solver,
-        optimum: Optimum,
-        limits: ProgramBounds,
-        cost: float,
-        relative: np.ndarray,
-        values: dict[str, np.ndarray],
-        joints: np.ndarray,
-    ) -> ConvergenceError:
-        """Say how the solver ended, what is violated worst and when, and what to try."""
-        worst = int(np.argmax(relative))
-        rows = len(limits.equations_lower)
-        name, place = name_equation(self.chain, worst) if worst < rows else name_unknown(self.chain, worst - rows)
-        when = np.interp(place, np.arange(len(joints)), joints)
-        what = name if worst < rows else f"the bound of {name}"
-        if relative[worst] <= FEASIBLE:
-            state = f"all constraints hold, with a cost of {cost:.6g}"
-        else:
-            state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
-        hint = HINTS.get(optimum.status, OTHER_HINT)
-        stopped = f"{NAMES[solver.name]} stopped with '{optimum.status}' after {optimum.iterations} iterations"
-        message = f"{stopped}; {state}. {hint}"
-        path = Path(self.chain.path(values, joints))
-        return ConvergenceError(message, path, float(relative[worst] / EPS), optimum.iterations)
 
     def _trajectory(
         self,

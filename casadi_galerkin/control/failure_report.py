@@ -1,0 +1,131 @@
+"""What is told of an optimization that failed: how the solver ended, what is violated worst and when, what to try."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.quadrature import gauss
+from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.control.constraint_violation import FEASIBLE
+from casadi_galerkin.control.graph import ControlGraph
+from casadi_galerkin.control.optimizer import Optimum
+from casadi_galerkin.solution.errors import ConvergenceError
+from casadi_galerkin.solution.path import Path
+
+INVALID = "Invalid Number Detected"
+HINTS = {
+    "Diverging Iterates": "The cost may have no lower bound: bound the controls, the positions or the duration",
+    "Infeasible Problem Detected": "There may be no path within these ends and bounds; else try a guess nearer to it",
+    INVALID: "A callable or one of its derivatives is not finite there",
+    "Maximum WallTime Exceeded": "Allow more seconds, or give a guess nearer to the path",
+    "Solve Succeeded": "Its tolerances are absolute: take units in which lengths, times and masses are near one",
+    "Restoration Failed": "There may be no path within these ends and bounds; else try a guess nearer to it",
+}
+OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"
+
+
+def explained(
+    solver: str, chain: Chain, optimum: Optimum, cost: float, relative: np.ndarray, path: PiecewisePolynomial
+) -> ConvergenceError:
+    """Report how a solver ended; `relative` are the `violations` there, `path` is its last iterate."""
+    worst, rows = int(np.argmax(relative)), chain.equations
+    name, place = name_equation(chain, worst) if worst < rows else name_unknown(chain, worst - rows)
+    when = np.interp(place, np.arange(len(path.mesh)), path.mesh)
+    what = name if worst < rows else f"the bound of {name}"
+    if relative[worst] <= FEASIBLE:
+        state = f"all constraints hold, with a cost of {cost:.6g}"
+    else:
+        state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
+    hint = HINTS.get(optimum.status, OTHER_HINT)
+    stopped = f"{solver} stopped with '{optimum.status}' after {optimum.iterations} iterations"
+    return ConvergenceError(f"{stopped}; {state}. {hint}", Path(path), float(relative[worst] / EPS), optimum.iterations)
+
+
+def refuse_derivatives(graph: ControlGraph, unknowns: np.ndarray, data: np.ndarray, mesh: np.ndarray) -> None:
+    """Name a first derivative that is not finite at the guess."""
+    chain, gradient = graph.chain, np.array(graph.gradient(unknowns, data)[1]).ravel()
+    matrix = graph.jacobian(unknowns, data)[1]
+    entries = np.isfinite(np.array(matrix.nonzeros()))
+    if not np.all(np.isfinite(gradient)):
+        name, place = name_unknown(chain, int(np.argmax(~np.isfinite(gradient))))
+        what = f"the derivative of the cost by {name}"
+    elif not np.all(entries):
+        name, place = name_equation(chain, matrix.sparsity().row()[int(np.argmax(~entries))])
+        what = f"a derivative of {name}"
+    else:
+        return
+    when = np.interp(place, np.arange(len(mesh)), mesh)
+    raise ValueError(f"{what} is not finite at the guess at t = {when:.6g}. Give a guess that avoids it")
+
+
+def name_equation(chain: Chain, row: int) -> tuple[str, float]:
+    """What an equation is called, and where it stands, in intervals since the start."""
+    names = {
+        "x": "the continuity of x",
+        "momentum": "the equation of motion of x",
+        "constants": "the continuity of the duration or parameter",
+        "motion": "the equation of motion of x",
+        "start": "the equation of motion of x",
+        "end": "the equation of motion of x",
+        "rates": "the rate of x",
+        "path": "path constraint",
+        "ends": "end condition",
+        "held": "constraint",
+        "start_held": "constraint",
+        "start_tangent": "the rate of constraint",
+        "end_tangent": "the rate of constraint",
+        "arrival": "the equation of motion of x",
+        "waypoint": "condition",
+    }
+    name, found = _found(chain.rows, row)
+    shift = chain.mechanical if name == "rates" else 0
+    words = names[name.split()[0]]
+    counted = words.endswith(("constraint", "condition"))
+    label = f"{words} {found[-1]}" if counted else f"{words}[{shift + found[-1]}]"
+    return label, _place(chain, name, found) + (name in ("x", "momentum", "constants"))  # which tie the next state
+
+
+def name_unknown(chain: Chain, index: int) -> tuple[str, float]:
+    """What an unknown is called, and where it stands, in intervals since the start."""
+    names = {
+        "nodes": "x",
+        "controls": "u",
+        "durations": "the duration",
+        "parameters": "p",
+        "momentum": "the momentum",
+        "velocity": "the velocity",
+    }
+    name, found = _found(chain.fields, index)
+    single = name == "durations" and chain.fields[name].shape[1] == 1
+    return names.get(name, name) + ("" if single else f"[{found[-1]}]"), _place(chain, name, found)
+
+
+def _found(arrays: dict[str, np.ndarray], number: int) -> tuple[str, tuple[int, ...]]:
+    for name, array in arrays.items():
+        found = np.argwhere(array == number)
+        if len(found):
+            return name, tuple(found[0].tolist())
+    raise IndexError(number)
+
+
+def _place(chain: Chain, name: str, found: tuple[int, ...]) -> float:
+    """Where an entry of a field or of the equations stands, in intervals since the start."""
+    method = chain.method
+    parts = {
+        "nodes": method.element.nodes[1:],
+        "motion": method.element.nodes,
+        "rates": np.array(gauss(method.degree).points),
+        "held": method.element.nodes[1:],
+        "impulses": method.element.nodes[1:],
+        "path": method.element.points,
+        "controls": chain.control_times,
+    }
+    if name in ("velocity", "arrival"):
+        return float(chain.crossed[found[0]])
+    if name.startswith("waypoint"):
+        return float(chain.crossed[int(name.split()[1])])
+    if name.startswith(("start", "end")):
+        return float(chain.intervals if name.startswith("end") else 0)
+    return float(found[0] + (parts[name][found[1]] if name in parts else 0.0))
