@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import overload
 
 import casadi as ca
@@ -37,6 +38,7 @@ def solve(
     intervals: int | None = None,
     *,
     tol: float | None = None,
+    cost_tol: float | None = None,
     mesh: ArrayLike | None = None,
     guess: Guess | None = None,
     solver: Solver | None = None,
@@ -67,6 +69,7 @@ def solve(
     intervals: int | None = None,
     *,
     tol: float | None = None,
+    cost_tol: float | None = None,
     mesh: ArrayLike | None = None,
     guess: Guess | None = None,
     solver: Solver | None = None,
@@ -82,8 +85,9 @@ def solve(
     are where refinement begins.
 
     An `InitialProblem` is solved step by step, with `method` and `intervals` or `mesh`; a `ControlProblem`, whose
-    answer is a ControlTrajectory, by IPOPT or fatrop, with these or `tol`, and a `guess`.  Its `tol` bounds the
-    relative errors of cost and duration as well.
+    answer is a ControlTrajectory, by IPOPT or fatrop, with these or a tolerance, and a `guess`.  Its `tol` bounds the
+    relative errors of cost and duration as well.  `cost_tol` bounds that of the cost alone, which is known long before
+    the path, and even where many paths cost the same.
 
     Parameters
     ----------
@@ -92,14 +96,15 @@ def solve(
     intervals : number of equal intervals; or
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     tol : relative tolerance between 0 and 1; for boundary and control problems
+    cost_tol : in place of `tol`, for a ControlProblem
     guess : as for `Transcription.solve` and `ControlTranscription.solve`; for boundary and control problems
     solver : newton (the default), rootfinder, ipopt or minimizer for a BoundaryProblem, ipopt (the default) or
         fatrop for a ControlProblem; each also ``.with_options(...)``
-    limits : Limits that stop a refinement; only with `tol`
+    limits : Limits that stop a refinement; only with a tolerance
     starts : how often to solve a ControlProblem, from `guess` first and then from random paths, always the same ones;
         the cheapest optimum is returned, and its `solver` says how many were met.  Limits hold for every start.
         (`paths` finds several paths of a BoundaryProblem.)
-    verbose : 1 prints a summary and, with `tol`, a line per level; 2 also the solver's lines
+    verbose : 1 prints a summary and, with a tolerance, a line per level; 2 also the solver's lines
 
     Returns
     -------
@@ -124,50 +129,51 @@ def solve(
     if not isinstance(problem, ControlProblem) and starts != 1:
         several = "`paths` finds several paths of a BoundaryProblem"
         raise ValueError(f"starts is for a ControlProblem, got {starts!r}; {several}")
+    if cost_tol is not None and not isinstance(problem, ControlProblem):
+        raise ValueError(f"cost_tol is for a ControlProblem, the only one with a cost, got {cost_tol!r}")
+    if cost_tol is not None and tol is not None:
+        raise ValueError(f"tol bounds the error of the cost, too: give tol={tol!r} or cost_tol={cost_tol!r}")
     if isinstance(problem, InitialProblem):
         if guess is not None or tol is not None or limits is not None or solver is not None:
             raise ValueError("an initial problem takes no tol, limits, guess or solver: it is solved step by step")
         if method is None:
             raise ValueError("give a method and intervals, got no method")
         return integrate(problem, method, mesh_of(problem.t_span, intervals, mesh), verbose)
-    _check_limits(limits, tol)
-    if tol is not None:
-        path = _to_tolerance(
-            problem, method, intervals, check_tolerance(tol), mesh, guess, solver, limits or Limits(), starts, verbose
-        )
-        if verbose:
-            print(path)
-        return path
+    of_cost = cost_tol is not None
+    tolerance = cost_tol if of_cost else tol
+    _check_limits(limits, tolerance)
+    if tolerance is None:
+        return _on_a_mesh(problem, method, intervals, mesh, guess, solver, starts, verbose)
+    tolerance, limits = check_tolerance(tolerance, "cost_tol" if of_cost else "tol"), limits or Limits()
+    path: Trajectory
+    if isinstance(problem, ControlProblem):
+        check_solver(way := solver or ipopt)
+        given, how = (problem, tolerance, of_cost, method, intervals, mesh), (limits, way, verbose)
+        path = best_of(starts, problem, guess, lambda guess: solve_control_to_tolerance(*given, guess, *how))
+    else:
+        path = solve_to_tolerance(problem, tolerance, method, intervals, mesh, guess, solver or newton, limits, verbose)
+    if verbose:
+        print(path)
+    return path
+
+
+def _on_a_mesh(
+    problem: BoundaryProblem | ControlProblem,
+    method: Galerkin | None,
+    intervals: int | None,
+    mesh: ArrayLike | None,
+    guess: Guess | None,
+    solver: Solver | None,
+    starts: int,
+    verbose: int,
+) -> Trajectory:
     if method is None:
         raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
     if isinstance(problem, ControlProblem):
         program = transcribed_control(problem, method, intervals, mesh)
-
-        def solved(start: Guess | None) -> ControlTrajectory:
-            return program.solve(guess=start, solver=solver or ipopt, verbose=verbose)
-
-        return best_of(starts, problem, guess, solved)
+        return best_of(starts, problem, guess, partial(program.solve, solver=solver or ipopt, verbose=verbose))
     transcription = transcribed(problem, method, intervals, mesh, one_by_one)
     return transcription.solve(guess=guess, solver=solver or newton, verbose=verbose)
-
-
-def _to_tolerance(
-    problem: BoundaryProblem | ControlProblem,
-    method: Galerkin | None,
-    intervals: int | None,
-    tol: float,
-    mesh: ArrayLike | None,
-    guess: Guess | None,
-    solver: Solver | None,
-    limits: Limits,
-    starts: int,
-    verbose: int,
-) -> Trajectory:
-    if isinstance(problem, ControlProblem):
-        check_solver(solver or ipopt)
-        given, how = (tol, method, intervals, mesh), (limits, solver or ipopt, verbose)
-        return best_of(starts, problem, guess, lambda start: solve_control_to_tolerance(problem, *given, start, *how))
-    return solve_to_tolerance(problem, tol, method, intervals, mesh, guess, solver or newton, limits, verbose)
 
 
 def _check_limits(limits: Limits | None, tol: float | None) -> None:

@@ -2,7 +2,7 @@
 
 The relative changes of cost and duration and the largest change of x, at the same fraction of the duration and relative
 to the size of its component, make D; with q the ratio of what the two paths leave out (`truncation`), the estimated
-error is D / (1 - q).
+error is D / (1 - q).  The error of the cost alone is far smaller, of the order of D².
 
 Two errors that both degrees share are added.  A switch from bound to bound is due where the switching function
 ∂(ℓ + λ·(F, ρ))/∂u, with forces F and rates ρ, is zero; if the next joint lies elsewhere, there may be no quadrature
@@ -88,10 +88,8 @@ class HigherDegree:
 
     @lazy
     def cost_change(self) -> float:
-        """Relative change of cost and duration."""
-        path, higher = self.path, self.higher
-        cost = abs(higher.cost - path.cost) / (abs(higher.cost) or 1.0)
-        return float(max(cost, abs(np.ptp(higher.t) / np.ptp(path.t) - 1)))
+        """Relative change of the cost."""
+        return abs(self.higher.cost - self.path.cost) / (abs(self.higher.cost) or 1.0)
 
     @lazy
     def change(self) -> float:
@@ -102,18 +100,29 @@ class HigherDegree:
         coarse, fine = (float(np.max(truncation(p.polynomial))) for p in (path, higher))
         at_points = path.problem.path_constraint is not None or len(self.found) > 0
         ratio = SLOWEST if at_points else min(fine / max(coarse, fine, 1e-300), SLOWEST)
-        return float(max(self.cost_change, np.max(change)) / (1 - ratio))
+        duration = abs(np.ptp(higher.t) / np.ptp(path.t) - 1)
+        return float(max(self.cost_change, duration, np.max(change)) / (1 - ratio))
 
     @lazy
     def outside(self) -> np.ndarray:
         """Distances √ε by which positions that leave their bounds by ε move the path, (N,)."""
         return np.asarray(np.sqrt(excess(self.path)))
 
+    @lazy
+    def shared(self) -> float:
+        """What both degrees miss alike of the path: distances by which switches are late or bounds move it."""
+        late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.found]
+        return float(max(*late, np.max(self.outside), 0.0))
+
     @property
     def error(self) -> float:
-        """Relative error of cost, duration and positions, with what both degrees miss alike."""
-        late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.found]
-        return float(max(self.change, *late, np.max(self.outside), 0.0))
+        """Relative error of cost, duration and positions."""
+        return max(self.change, self.shared)
+
+    @property
+    def cost_error(self) -> float:
+        """Relative error of the cost; what both degrees miss of the path changes it in second order."""
+        return max(self.cost_change / (1 - SLOWEST), self.shared**2)
 
     def better_mesh(self, tol: float) -> np.ndarray:
         """Joints, in the time of the higher path, on which the error should be below the tolerance."""

@@ -21,7 +21,7 @@ SAME = 1e-6  # relative difference of costs up to which two optima count as one
 
 
 def best_of(
-    starts: int, problem: ControlProblem, guess: Guess | None, solved: Callable[[Guess | None], ControlTrajectory]
+    starts: int, problem: ControlProblem, guess: Guess | None, solve: Callable[..., ControlTrajectory]
 ) -> ControlTrajectory:
     """Return the cheapest of the optima that are found from a guess and from random paths.
 
@@ -33,7 +33,7 @@ def best_of(
     starts : how often to solve, the first time from `guess`
     problem : ControlProblem
     guess : for the first start, as for `ControlTranscription.solve`
-    solved : what finds an optimum from a guess, or raises a ConvergenceError
+    solve : what finds an optimum from a guess, or raises a ConvergenceError
 
     Raises
     ------
@@ -43,7 +43,7 @@ def best_of(
         for input that does not fit, and for a first guess on which a callable is not finite
     """
     if whole_number("starts", starts) == 1:
-        return solved(guess)
+        return solve(guess=guess)
     begin, end = problem.t_span
     ends = np.array([problem.start, problem.end], dtype=float)  # NaN for None
     sizes = np.max(np.nan_to_num(np.abs(ends)), axis=0)
@@ -58,7 +58,7 @@ def best_of(
     with progress("starts", starts) as advance:
         for k in range(starts):
             try:
-                optima.append(solved(guess if k == 0 else another()))
+                optima.append(solve(guess=guess if k == 0 else another()))
             except (ConvergenceError, ValueError) as failure:
                 if k == 0 and isinstance(failure, ValueError):
                     raise

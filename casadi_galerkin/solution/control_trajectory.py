@@ -41,6 +41,7 @@ class ControlTrajectory(Trajectory):
     ----------
     problem : ControlProblem
     cost : value of the discrete cost, a local minimum: paths that differ much from this one may cost less
+    cost_error : estimated relative error of the cost; None without a tolerance
     control : callable, ``control(t)`` -> (number of controls,) + t.shape
     costate : multipliers λ of the equations of motion, and of the rates, as a path: ``costate(t)`` -> (d,) + t.shape.
         The cost of a small extra force (or rate) δF(t) is ∫ λ·δF dt to first order
@@ -90,6 +91,7 @@ class ControlTrajectory(Trajectory):
     start_velocity: np.ndarray
     end_velocity: np.ndarray
     arrival_velocity: np.ndarray
+    cost_error: float | None = None
 
     def replay(self) -> ca.Function:
         """Return the force (t, x, v[, p]) -> (d,) of the optimized controls, for an `InitialProblem`.
@@ -321,11 +323,18 @@ class ControlTrajectory(Trajectory):
                 f"  method      {self.method}",
                 f"  cost        {self.cost:.12g}",
                 f"  Hamiltonian {self.hamiltonian[0]:.9g} at the start, varies by {np.ptp(self.hamiltonian):.1e}",
+                *self._accuracy(),
                 *self._between_points(),
                 f"  solver      {self.solver}, {self.iterations} iterations, violation {self.violation:.1e}",
                 f"  seconds     {self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve",
             ]
         )
+
+    def _accuracy(self) -> list[str]:
+        """A line on the errors of cost and path, as far as they are known."""
+        known = [(self.cost_error, "of the cost"), (self.error_estimate, "of the path")]
+        told = ", ".join(f"{error:.1e} {whose}" for error, whose in known if error is not None)
+        return [f"  error       {told}, estimated"] if told else []
 
     def _between_points(self) -> list[str]:
         """Lines on what the points do not see: the defect, and what leaves its bounds there."""

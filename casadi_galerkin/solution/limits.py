@@ -52,9 +52,9 @@ class Limits:
         return range(sys.maxsize if self.levels == math.inf else int(self.levels))
 
 
-def check_tolerance(tol: float) -> float:
+def check_tolerance(tol: float, name: str = "tol") -> float:
     """Refuse a relative tolerance that is none."""
     checked = number(tol)
     if checked is None or not 0 < checked < 1:
-        raise ValueError(f"tol must be a number between 0 and 1, got {tol!r}")
+        raise ValueError(f"{name} must be a number between 0 and 1, got {tol!r}")
     return checked

@@ -104,6 +104,29 @@ def test_a_loose_tolerance_takes_less_work():
     assert loose.error_estimate > tight.error_estimate
 
 
+@pytest.mark.parametrize("tol", [1e-3, 1e-5, 1e-7])
+@pytest.mark.parametrize("name", ["minimum time, moving", "pendulum in 5", "cart-pole"])
+def test_tolerance_of_the_cost_alone_bounds_its_error_with_less_work(name, tol):
+    make, known = SCENES[name]
+    path, whole = cg.solve(make(), cost_tol=tol), cg.solve(make(), tol=tol)
+    assert path.cost_error <= tol
+    assert abs(path.cost / known()[0] - 1) <= tol
+    assert path.iterations <= whole.iterations
+    assert whole.cost_error <= whole.error_estimate <= tol
+    assert path.error_estimate >= true_error(path, *known()) / 2
+    assert f"{path.cost_error:.1e} of the cost, {path.error_estimate:.1e} of the path" in repr(path)
+
+
+def test_error_of_the_cost_is_told_where_a_limit_is_reached(monkeypatch):
+    with pytest.raises(cg.LimitReached, match="estimated error of") as caught:
+        cg.solve(cart_pole(), cost_tol=1e-12, limits=cg.Limits(levels=1))
+    assert 1e-12 < caught.value.path.cost_error < 1e-6
+    monkeypatch.syspath_prepend(EXAMPLES)
+    rocket = importlib.import_module("goddard")
+    with pytest.raises(cg.LimitReached, match=r"only the path changes: .* which is all that cost_tol asks for"):
+        cg.solve(rocket.problem(), tol=1e-5, limits=cg.Limits(levels=1))
+
+
 def test_lines_of_the_levels(capsys):
     cg.solve(cart_pole(), tol=1e-4, verbose=1)
     lines = capsys.readouterr().out.splitlines()
@@ -174,6 +197,12 @@ def test_infeasible_problem_is_refused_in_ipopts_words():
 def test_bad_arguments_are_named():
     with pytest.raises(ValueError, match="tol must be a number between 0 and 1, got 2"):
         cg.solve(double_integrator(), tol=2)
+    with pytest.raises(ValueError, match="cost_tol must be a number between 0 and 1, got 0"):
+        cg.solve(double_integrator(), cost_tol=0)
+    with pytest.raises(ValueError, match=r"give tol=0\.1 or cost_tol=0\.2"):
+        cg.solve(double_integrator(), tol=0.1, cost_tol=0.2)
+    with pytest.raises(ValueError, match=r"cost_tol is for a ControlProblem, the only one with a cost, got 0\.1"):
+        cg.solve(cg.BoundaryProblem(lambda t, x, v: v[0] ** 2, (0, 1), [0.0], [1.0]), cost_tol=0.1)
     with pytest.raises(ValueError, match="limits stop a refinement"):
         cg.solve(double_integrator(), cg.Galerkin(3), intervals=4, limits=cg.Limits())
     with pytest.raises(TypeError, match="or give tol instead"):

@@ -612,6 +612,23 @@ def layers_at_both_ends(module, path):
     np.testing.assert_allclose(costate, np.sqrt(drop**6 + drop**2) - drop**3, rtol=0, atol=1e-5)
 
 
+def as_high_as_published(module, path):
+    assert -path.cost == pytest.approx(module.HIGHEST, rel=path.cost_error)
+    assert path.cost_error <= 1e-6
+
+    def rates(y, u):
+        height, speed, mass = y
+        push = u[0] - module.drag(height, speed)
+        return [speed, float(push) / mass - 1 / height**2, -u[0] / module.EXHAUST]
+
+    missed = np.abs(flown(rates, path, [1.0, 0.0, 1.0]) - [-path.cost, 0.0, module.EMPTY])
+    assert np.all(missed < [1e-6, 1e-5, 1e-9])
+    thrust = path.control.values.reshape(len(path.t) - 1, -1) @ path.method.quadrature.weights
+    early, late = thrust[path.t[1:] < 0.018], thrust[path.t[:-1] > 0.08]
+    np.testing.assert_allclose(early, module.LARGEST, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(late, 0.0, rtol=0, atol=1e-3)
+
+
 def over_and_over(module, path):
     def rates(y, u):
         slope = -2 * np.pi / module.HILL * np.sin(2 * np.pi * y[0] / module.HILL)
@@ -727,7 +744,7 @@ TABLE = [
         (name, constraints_are_met, f"{name} meets its constraints")
         for name in (
             *("cart_pole", "minimum_time", "two_link_arm", "low_thrust", "obstacle"),
-            *("moon_landing", "hypersensitive", "rolling_hills"),
+            *("moon_landing", "hypersensitive", "rolling_hills", "goddard"),
         )
     ),
     ("cart_pole", kellys_cost, "the cart-pole costs what Kelly found"),
@@ -754,6 +771,7 @@ TABLE = [
     ("two_stage_rocket", steered_by_a_linear_tangent, "the rocket of two stages steers by a linear tangent"),
     ("two_stage_rocket", both_solvers_drop_the_stage, "fatrop drops the stage as IPOPT does"),
     ("hypersensitive", layers_at_both_ends, "the hypersensitive problem has its two layers at the exact cost"),
+    ("goddard", as_high_as_published, "Goddard's rocket gets as high as published, and flies there when integrated"),
     ("rolling_hills", over_and_over, "the car goes over the hills for ever, from wherever it begins"),
     ("swing_up_loop", a_sample_of_the_plant, "the plant of the loop moves as its Lagrangian says"),
 ]
