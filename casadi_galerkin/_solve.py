@@ -18,7 +18,7 @@ from casadi_galerkin.control.control_function import control_function
 from casadi_galerkin.control.refinement import solve_control_to_tolerance
 from casadi_galerkin.control.several_starts import best_of
 from casadi_galerkin.control.transcription import ControlTranscription, check_solver, transcribed_control
-from casadi_galerkin.functional.mapping import one_by_one
+from casadi_galerkin.functional.mapping import by_rows, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
@@ -170,7 +170,8 @@ def _on_a_mesh(
     if method is None:
         raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
     if isinstance(problem, ControlProblem):
-        program = transcribed_control(problem, method, intervals, mesh)
+        mapping = one_by_one if starts == 1 else by_rows
+        program = transcribed_control(problem, method, intervals, mesh, mapping)
         return best_of(starts, problem, guess, partial(program.solve, solver=solver or ipopt, verbose=verbose))
     transcription = transcribed(problem, method, intervals, mesh, one_by_one)
     return transcription.solve(guess=guess, solver=solver or newton, verbose=verbose)

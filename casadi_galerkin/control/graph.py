@@ -21,6 +21,7 @@ from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.embedding import ChainEmbedding
 from casadi_galerkin.control.pointwise import places
 from casadi_galerkin.functional.buffers import Evaluator, Lender
+from casadi_galerkin.functional.mapping import Mapping
 from casadi_galerkin.problems.control_problem import ControlProblem
 
 RESTING = 1e-13  # terms of motion below this part of what cancels in them are its roundoff
@@ -53,6 +54,7 @@ class ControlGraph:
     ----------
     problem : ControlProblem
     chain : Chain
+    mapping : how L, cost and forces are evaluated at the points, as for `Functional`
 
     Attributes
     ----------
@@ -61,9 +63,9 @@ class ControlGraph:
     places : kinds of places
     """
 
-    def __init__(self, problem: ControlProblem, chain: Chain) -> None:
+    def __init__(self, problem: ControlProblem, chain: Chain, mapping: Mapping) -> None:
         self.chain, self.embedding = chain, ChainEmbedding(chain)
-        self.places = places(problem, self.embedding)
+        self.places = places(problem, self.embedding, mapping)
         weights = ca.repmat(ca.DM(chain.method.element.weights).T, 1, chain.intervals)
         self.weights = [weights, *[ca.DM(1)] * (len(self.places) - 1)]
         self.unknowns = ca.MX.sym("unknowns", chain.unknowns)

@@ -22,6 +22,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.control.embedding import ChainEmbedding, Place
+from casadi_galerkin.functional.mapping import Mapping
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import Crossing
 
@@ -34,12 +35,14 @@ class PointwiseTerms:
 
     Parameters
     ----------
+    mapping : how a Function is evaluated at all places
     count : number of places
     z : SX, what is known at the place
     active : rows of z that are differentiated by
     cost, action, rows : SX expressions in z
     """
 
+    mapping: Mapping
     count: int
     z: ca.SX
     active: np.ndarray
@@ -54,8 +57,9 @@ class PointwiseTerms:
     def _function(self, inputs: list[ca.SX], output: ca.SX) -> Callable[..., ca.MX]:
         if output.nnz() == 0:  # as of the cost at all places but few
             return lambda *_: ca.MX(output.numel(), self.count)
-        function: Callable[..., ca.MX] = ca.Function("terms", inputs, [ca.densify(output)]).map(self.count)
-        return function
+        function = ca.Function("terms", inputs, [ca.densify(output)])
+        evaluated: Callable[..., ca.MX] = self.mapping(function, self.count, ())
+        return evaluated
 
     @lazy
     def value(self) -> Callable[..., ca.MX]:
@@ -126,7 +130,7 @@ class PointwiseTerms:
         return self._function(inputs, ca.jacobian(value, self.z[row]))
 
 
-def places(problem: ControlProblem, embedding: ChainEmbedding) -> list[PointwiseTerms]:
+def places(problem: ControlProblem, embedding: ChainEmbedding, mapping: Mapping) -> list[PointwiseTerms]:
     """The terms at all kinds of places that there are."""
     make: dict[Place, Callable[..., Terms]] = {
         embedding.points: _at_points,
@@ -141,7 +145,8 @@ def places(problem: ControlProblem, embedding: ChainEmbedding) -> list[Pointwise
     found = []
     for place, active in zip(embedding.places, embedding.active, strict=True):
         z = ca.SX.sym("z", place.width)
-        found.append(PointwiseTerms(place.count, z, active, *make[place](problem, *ca.vertsplit(z, _offsets(place)))))
+        terms = make[place](problem, *ca.vertsplit(z, _offsets(place)))
+        found.append(PointwiseTerms(mapping, place.count, z, active, *terms))
     return found
 
 

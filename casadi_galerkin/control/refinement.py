@@ -38,6 +38,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.transcription import transcribed_control
+from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import check_types, marks
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
@@ -118,7 +119,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Solve with one degree on one mesh, in the times of the problem."""
-        transcription = transcribed_control(self.problem, method, None, mesh)
+        transcription = transcribed_control(self.problem, method, None, mesh, one_by_one)
         solver = self.following if isinstance(guess, ControlTrajectory) else self.solver
         try:
             with until(self.deadline):

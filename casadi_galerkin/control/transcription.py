@@ -27,6 +27,7 @@ from casadi_galerkin.control.graph import ControlGraph, Report
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
 from casadi_galerkin.control.optimizer import RELAXED, Optimum, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.functional.buffers import Evaluator, Lender
+from casadi_galerkin.functional.mapping import Mapping, by_rows
 from casadi_galerkin.functional.statement import refuse_points
 from casadi_galerkin.problems.constrained_motion import tangent_momenta, unforced_motion_of
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -54,6 +55,7 @@ class ControlTranscription:
     problem : ControlProblem
     method : Galerkin
     mesh : (N + 1,), the joints used unless others are given to `solve`; with a free duration they scale with it
+    mapping : how L, cost and forces are evaluated at the points, as for `Functional`
 
     Attributes
     ----------
@@ -72,7 +74,7 @@ class ControlTranscription:
     [6.0, 6.0]
     """
 
-    def __init__(self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray) -> None:
+    def __init__(self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray, mapping: Mapping = by_rows) -> None:
         began = time.perf_counter()
         self.problem, self.method, self.mesh = problem, method, mesh
         if problem.constraint is not None:
@@ -80,7 +82,7 @@ class ControlTranscription:
         _check_steps(mesh)
         self.chain = Chain(problem, method, mesh)
         self.calculus = DiscreteCalculus(method, mesh)
-        self.graph = ControlGraph(problem, self.chain)
+        self.graph = ControlGraph(problem, self.chain, mapping)
         check_count(self.chain, limits_of(problem, self.chain))
         self._solvers: dict[str, Lender[Evaluator]] = {}
         self.build_seconds = time.perf_counter() - began
@@ -338,8 +340,12 @@ def _or_with_ipopt(solver: Solver, solved: Callable[[Solver], ControlTrajectory]
 
 
 def transcribed_control(
-    problem: ControlProblem, method: Galerkin, intervals: int | None, mesh: ArrayLike | None
+    problem: ControlProblem,
+    method: Galerkin,
+    intervals: int | None,
+    mesh: ArrayLike | None,
+    mapping: Mapping = by_rows,
 ) -> ControlTranscription:
-    """Check what is given, and build the nonlinear program; arguments as for `transcribe`."""
+    """Check what is given, and build the program; arguments as for `transcribe`, and how terms are evaluated."""
     check_types(problem, method, ControlProblem)
-    return ControlTranscription(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints))
+    return ControlTranscription(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), mapping)
