@@ -4,10 +4,12 @@ The relative changes of cost and duration and the largest change of x, at the sa
 to the size of its component, make D; with q the ratio of what the two paths leave out (`truncation`), the estimated
 error is D / (1 - q).  The error of the cost alone is far smaller, of the order of D².
 
-Two errors that both degrees share are added.  A switch from bound to bound is due where the switching function
+Three errors that both degrees share are looked for.  A switch from bound to bound is due where the switching function
 ∂(ℓ + λ·(F, ρ))/∂u, with forces F and rates ρ, is zero; if the next joint lies elsewhere, there may be no quadrature
-point between the two that shows it.  And bounds of positions hold at nodes only: a path that passes one by ε between
-them is moved by about √ε.
+point between the two that shows it.  Bounds of positions hold at nodes only: a path that passes one by ε between them
+is moved by about √ε.  And where nothing depends on time the Hamiltonian is constant: what it varies by, times time over
+cost, was measured to be of the order of D where both degrees put a switch at the wrong place.  To the error of the cost
+all three add their squares.
 
 The new mesh spreads what the finer path has beyond degree m evenly.  Where a higher degree does not help the path has
 a kink, and intervals are split as for order 2.  Where a control switches inside an interval its impulse ∫ u dt tells
@@ -114,15 +116,24 @@ class HigherDegree:
         late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.found]
         return float(max(*late, np.max(self.outside), 0.0))
 
+    @lazy
+    def unbalanced(self) -> float:
+        """Variation of the Hamiltonian between breakpoints, where it should be constant, times time over cost."""
+        path = self.path
+        if not path.problem.autonomous:
+            return 0.0
+        parts = np.split(path.hamiltonian, np.searchsorted(path.t, path.problem.breakpoints))
+        return float(max(np.ptp(part) for part in parts) * np.ptp(path.t) / (abs(path.cost) or 1.0))
+
     @property
     def error(self) -> float:
         """Relative error of cost, duration and positions."""
-        return max(self.change, self.shared)
+        return max(self.change, self.shared, self.cost_error)
 
     @property
     def cost_error(self) -> float:
         """Relative error of the cost; what both degrees miss of the path changes it in second order."""
-        return max(self.cost_change / (1 - SLOWEST), self.shared**2)
+        return max(self.cost_change / (1 - SLOWEST), self.shared**2, self.unbalanced**2)
 
     def better_mesh(self, tol: float) -> np.ndarray:
         """Joints, in the time of the higher path, on which the error should be below the tolerance."""

@@ -229,6 +229,17 @@ class ControlProblem:
         """Breakpoints where the velocity counts: those of jumps, and of waypoints that are functions."""
         return crossings_of(self.waypoints, self.jumps)
 
+    @property
+    def _along(self) -> list[ca.Function]:
+        """What acts, counts or bounds along the path, of (t, x, v, u)."""
+        return [self.force, self.rates, self.running_cost, *(self.path_constraint or ())[:1]]
+
+    @property
+    def autonomous(self) -> bool:
+        """Whether nothing along the path depends on time: between breakpoints the Hamiltonian is then constant."""
+        functions = [f for f in (*self._along, self.lagrangian, self.constraint) if f is not None]
+        return not any(f.sparsity_jac(0, 0).nnz() for f in functions)
+
     def found(
         self, t_span: tuple[float, float], parameters: tuple[float, ...] | None, breakpoints: tuple[float, ...]
     ) -> ControlProblem:
@@ -250,7 +261,6 @@ class ControlProblem:
         return other
 
     def _check_dependence(self) -> None:
-        along = [self.force, self.rates, self.running_cost, *(self.path_constraint or ())[:1]]
         of_velocities = [
             ("force", self.force, [2]),
             ("rates", self.rates, [2]),
@@ -264,10 +274,10 @@ class ControlProblem:
             for i in own:
                 if getattr(self, name)[i] is not None:
                     raise ValueError(f"x[{i}] follows a rate: {name}[{i}] must be None, got {getattr(self, name)[i]}")
-        check_controls(along, self.controls)
+        check_controls(self._along, self.controls)
         check_absolute_values(self.running_cost, self.control_bounds)
         functions = [function for _, function, _ in of_velocities]
-        check_parameters([*along, *functions, self.lagrangian, self.constraint], self.parameter_bounds)
+        check_parameters([*self._along, *functions, self.lagrangian, self.constraint], self.parameter_bounds)
 
     def _check_ends(self) -> None:
         low, high = self.position_bounds

@@ -117,6 +117,23 @@ def test_tolerance_of_the_cost_alone_bounds_its_error_with_less_work(name, tol):
     assert f"{path.cost_error:.1e} of the cost, {path.error_estimate:.1e} of the path" in repr(path)
 
 
+@pytest.mark.parametrize("asked", ["tol", "cost_tol"])
+def test_the_hamiltonian_tells_what_both_degrees_miss(asked):
+    """Where the speed limit is met the control jumps; here degrees 6 and 8 agree to 1e-12 on a time 3e-6 too short."""
+    problem = double_integrator(
+        end=[1.5],
+        running_cost=lambda t, x, v, u: 1,
+        control_bounds=(-1.0, 1.0),
+        duration_bounds=(0.1, 10.0),
+        path_constraint=(lambda t, x, v, u: v[0], -1.0, 1.0),
+    )
+    path = cg.solve(problem, **{asked: 1e-5})
+    assert abs(path.cost / 2.5 - 1) <= path.cost_error <= 1e-5
+    assert path.cost_error <= path.error_estimate or asked == "cost_tol"
+    assert problem.autonomous
+    assert not double_integrator(force=lambda t, x, v, u: u * (1 + t)).autonomous
+
+
 def test_error_of_the_cost_is_told_where_a_limit_is_reached(monkeypatch):
     with pytest.raises(cg.LimitReached, match="estimated error of") as caught:
         cg.solve(cart_pole(), cost_tol=1e-12, limits=cg.Limits(levels=1))
