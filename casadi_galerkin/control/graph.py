@@ -73,8 +73,8 @@ class ControlGraph:
         everything = ca.mtimes(self.embedding.matrix, ca.vertcat(self.unknowns, self.data))
         self.at = self._split(everything, [place.z.numel() for place in self.places])
         self.cost = self._total("value")
-        pointwise = ca.veccat(*self._evaluate("equations", self.at))
-        self.equations = ca.mtimes(self.embedding.test.T, pointwise) + ca.mtimes(self.embedding.linear, self.unknowns)
+        linear = ca.mtimes(self.embedding.linear, self.unknowns)
+        self.equations = ca.mtimes(self.embedding.test.T, self._rows) + linear
 
     def _total(self, name: str) -> ca.MX:
         """Sum of a weighted pointwise scalar over all places."""
@@ -96,25 +96,35 @@ class ControlGraph:
         blocks = [p for pattern, place in zip(patterns, self.places, strict=True) for p in [pattern] * place.count]
         return ca.MX(ca.diagcat(*blocks), ca.veccat(*entries))
 
+    @lazy
+    def _rows(self) -> ca.MX:
+        """[e_k]."""
+        return ca.veccat(*self._evaluate("equations", self.at))
+
+    @lazy
+    def _gradients(self) -> ca.MX:
+        """[w_k ∇c_k]."""
+        return ca.veccat(*self._evaluate("gradient", self.at, self.weights))
+
+    @lazy
+    def _derivatives(self) -> ca.MX:
+        """blockdiag(∇e_k)."""
+        return self._blocks([place.jacobian_pattern for place in self.places], self._evaluate("jacobian", self.at))
+
     def _name(self, name: str, outputs: list[ca.MX], *extra: ca.MX) -> ca.Function:
         return ca.Function(name, [self.unknowns, self.data, *extra], outputs)
 
     @lazy
     def gradient(self) -> ca.Function:
         """(unknowns, data) -> f, ∇f."""
-        gradients = ca.veccat(*self._evaluate("gradient", self.at, self.weights))
-        total = ca.mtimes(self.embedding.derivative.T, gradients)
+        total = ca.mtimes(self.embedding.derivative.T, self._gradients)
         return self._name("gradient", [self.cost, ca.densify(total)])
-
-    def _derivatives(self) -> ca.MX:
-        """blockdiag(∇e_k)."""
-        return self._blocks([place.jacobian_pattern for place in self.places], self._evaluate("jacobian", self.at))
 
     @lazy
     def jacobian(self) -> ca.Function:
         """(unknowns, data) -> G, ∇G."""
         embedding = self.embedding
-        matrix = ca.mtimes(embedding.test.T, ca.mtimes(self._derivatives(), embedding.derivative)) + embedding.linear
+        matrix = ca.mtimes(embedding.test.T, ca.mtimes(self._derivatives, embedding.derivative)) + embedding.linear
         return self._name("nlp_jac_g", [self.equations, matrix])
 
     def _along(self, multipliers: ca.MX) -> list[ca.MX]:
@@ -160,10 +170,9 @@ class ControlGraph:
         chain, embedding, point = self.chain, self.embedding, self.places[0]
         everything = ca.fabs(ca.vertcat(self.unknowns, self.data))
         linear = ca.mtimes(ca.fabs(embedding.linear), everything[: chain.unknowns])
-        rows, derivatives = ca.fabs(ca.veccat(*self._evaluate("equations", self.at))), self._derivatives()
-        canceled = ca.mtimes(ca.fabs(derivatives), ca.mtimes(ca.fabs(embedding.differentiated), everything))
+        canceled = ca.mtimes(ca.fabs(self._derivatives), ca.mtimes(ca.fabs(embedding.differentiated), everything))
         multipliers = ca.MX.sym("multipliers", chain.equations)
-        gradients, along = ca.veccat(*self._evaluate("gradient", self.at, self.weights)), self._along(multipliers)
+        along = self._along(multipliers)
         part = int(embedding.points.row("part")[0, 0])
         shares = point.derivative(part)(self.at[0], self.weights[0], along[0])
         durations = self.at[0][int(embedding.points.row("duration")[0, 0]), :]
@@ -171,9 +180,9 @@ class ControlGraph:
             self.cost,
             self._total("weighted_action"),
             self.equations,
-            ca.mtimes(ca.fabs(embedding.test.T), rows) + linear,
+            ca.mtimes(ca.fabs(embedding.test.T), ca.fabs(self._rows)) + linear,
             ca.mtimes(ca.fabs(embedding.test.T), canceled) + linear,
-            self._slope(gradients + ca.mtimes(derivatives.T, ca.veccat(*along)), multipliers),
+            self._slope(self._gradients + ca.mtimes(self._derivatives.T, ca.veccat(*along)), multipliers),
             ca.sum1(ca.reshape(shares / durations, -1, chain.intervals)),
         ]
         verification = self._name("verification", [ca.densify(ca.veccat(*told))], multipliers)
