@@ -152,7 +152,8 @@ class Trajectory(Path):
     def velocity(self) -> np.ndarray:
         """Velocities at the joints that belong to the momenta, p = ∂L/∂v; (d, N + 1), of order min(2m, u).
 
-        NaN where none was found.  The derivative of the polynomial itself, ``path(t, 1)``, is of order m only.
+        NaN where none was found.  Where a mass vanishes, as at a center, they are ``path(t, 1)``, the derivative of the
+        polynomial, which is of order m only.
         """
         transform = legendre_transform(self._lagrangian)
         return velocities(transform, self.t, self.x, self.momentum, self(self.t, 1))
