@@ -72,7 +72,7 @@ def real_array(name: str, values: Any, free: bool = False) -> np.ndarray:
         naming what came, where it stands and what was expected
     """
     convert = getattr(values, "to_numpy", None) or getattr(values, "full", None)  # of a Series, which has labels; of DM
-    expected = "a sequence of numbers, one for each component" if free else "real numbers"
+    expected = "a sequence of numbers" if free else "real numbers"
     try:
         given = convert() if callable(convert) else values
         if isinstance(given, Mapping):  # NumPy would take the keys of some

@@ -19,7 +19,7 @@ from casadi_galerkin.calculus.numbers import number
 Traceable: TypeAlias = Callable[..., Any]  # a casadi Function is one
 Rows: TypeAlias = Literal["scalar", "any"]
 
-ADVICE = "Write it with CasADi's functions, such as casadi.cos, not with math or NumPy ones"
+ADVICE = "Write it with CasADi's functions, such as casadi.cos and casadi.if_else, not with math or NumPy ones"
 
 
 def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | Rows) -> ca.Function:
@@ -98,7 +98,8 @@ def _called(name: str, function: Traceable, arguments: Mapping[str, ca.SX], shap
         if isinstance(error, IndexError) or "out of bounds" in str(error).lower():
             counts = ", ".join(f"{key} has {symbol.numel()}" for key, symbol in arguments.items())
             raise ValueError(f"{failed}: an index is out of range of so many components, {counts}") from error
-        raise kind(f"{failed}: {error}. {ADVICE}") from error
+        reason = " ".join(str(error).split()).rstrip(".")  # CasADi breaks and indents its lines
+        raise kind(f"{failed}: {reason}. {ADVICE}") from error
 
 
 def _about_p(arguments: Mapping[str, object]) -> str:

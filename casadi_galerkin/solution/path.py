@@ -70,7 +70,7 @@ class Path(Table, Pictured):
         """
         drawn = plot_path(*self.polynomial.line(self._fine()), self.t, self.x, axes, labels, time)
         if axes is None:
-            drawn.set_title(self._title())
+            drawn.set_title(self._title(), wrap=True)
         return drawn
 
     def plot_plane(

@@ -22,7 +22,7 @@ BADLY_STATED = {
     ),
     "half a control": ({"controls": 1.0}, TypeError, "controls must be the number of controls, got 1.0"),
     "start as a table": ({"start": {"x": 0}}, TypeError, "start must be a sequence of numbers.* got {'x': 0}"),
-    "no end": ({"end": None}, TypeError, "end must be a sequence of numbers, one for each component, got None"),
+    "no end": ({"end": None}, TypeError, "end must be a sequence of numbers, got None"),
     "cost of parameters": (
         {"running_cost": lambda t, x, v, u, p: u**2},
         TypeError,
