@@ -49,6 +49,21 @@ def whole_number(name: str, value: object, least: int = 1) -> int:
     return checked
 
 
+def finite(name: str, value: object) -> float:
+    """Check a finite number."""
+    checked = number(value)
+    if checked is None or not math.isfinite(checked):
+        raise ValueError(f"{name} must be a finite number, got {value!r}")
+    return checked
+
+
+def flag(name: str, value: object) -> bool:
+    """Check a truth."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise TypeError(f"{name} must be True or False, got {value!r}")
+    return bool(value)
+
+
 def place(name: str, value: object, count: int) -> int:
     """Check the number of one of so many, from 0 on."""
     checked = whole(value)

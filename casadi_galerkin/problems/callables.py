@@ -127,23 +127,6 @@ def _column(name: str, values: Iterable[Any]) -> Any:
         raise TypeError(f"{name} must return one CasADi expression per component, got {values!r}") from error
 
 
-def in_absolute_values(function: ca.Function, argument: int) -> set[int]:
-    """Which entries of an argument the absolute values in a traced Function depend on."""
-    held: dict[int, set[int]] = {}
-    found: set[int] = set()
-    for k in range(function.n_instructions()):
-        operation, inputs = function.instruction_id(k), function.instruction_input(k)
-        if operation == ca.OP_INPUT:
-            entries = {inputs[1]} if inputs[0] == argument else set()
-        else:
-            entries = set().union(*(held.get(i, set()) for i in inputs))
-        if operation == ca.OP_FABS:
-            found |= entries
-        if operation != ca.OP_OUTPUT:
-            held[function.instruction_output(k)[0]] = entries
-    return found
-
-
 def _sizes(dimension: int, parameters: tuple[float, ...] | None) -> dict[str, int]:
     """Lengths of t, x, v and, if there are some, parameters p."""
     return {"t": 1, "x": dimension, "v": dimension} | ({} if parameters is None else {"p": len(parameters)})

@@ -18,11 +18,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import components, numbers, time_span, times_inside, whole
+from casadi_galerkin.calculus.numbers import components, flag, numbers, time_span, times_inside, whole
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.bounds import (
     Bounds,
     Limit,
+    Limited,
     bounds,
     duration_bounds_of,
     limited_values,
@@ -32,7 +33,6 @@ from casadi_galerkin.problems.callables import Traceable, trace, trace_constrain
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
 from casadi_galerkin.problems.crossings import (
     Crossing,
-    Limited,
     Pairs,
     Waypoint,
     crossings_of,
@@ -40,7 +40,7 @@ from casadi_galerkin.problems.crossings import (
     waypoints_of,
 )
 from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
-from casadi_galerkin.problems.problem import check_inside, flag, marks, shown, varied_values
+from casadi_galerkin.problems.problem import check_inside, marks, shown, varied_values, with_values
 
 ROUNDED = 1e-8  # of a condition that the ends given meet, as much as a solve may leave
 
@@ -110,12 +110,12 @@ class ControlProblem:
     terminal_cost: ca.Function | None
     control_bounds: Bounds
     position_bounds: Bounds
-    path_constraint: tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None
+    path_constraint: Limited | None
     duration_bounds: Bounds | None
     parameters: tuple[float, ...] | None
     parameter_bounds: Bounds | None
     rates: ca.Function
-    end_conditions: tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None
+    end_conditions: Limited | None
     breakpoints: tuple[float, ...]
     waypoints: tuple[tuple[float, Pairs | Limited], ...]
     jumps: tuple[tuple[float, ca.Function], ...]
@@ -164,12 +164,12 @@ class ControlProblem:
         here = {name: size for name, size in sizes.items() if name in ("x", "v", "p")}
         within = bounds("position_bounds", position_bounds, d)
         passed, laws = waypoints_of(waypoints, here, within), jumps_of(jumps, here, mechanical)
-        inner = times_inside("breakpoints", breakpoints, time_span(t_span))
-        inner = tuple(sorted({*inner, *dict(passed), *dict(laws)}))
-        inner = times_inside("breakpoints, waypoints and jumps", inner, time_span(t_span))
+        span = time_span(t_span)
+        named = {*times_inside("breakpoints", breakpoints, span), *dict(passed), *dict(laws)}
+        inner = times_inside("breakpoints, waypoints and jumps", sorted(named), span)
         values: dict[str, Any] = {
             "lagrangian": trace_lagrangian(lagrangian or _nothing, d, given, mechanical),
-            "t_span": time_span(t_span),
+            "t_span": span,
             **{name: components(name, end, d) for name, end in ends.items()},
             "force": trace("force", force, sizes, mechanical) if force else _none_of("force", sizes),
             "running_cost": trace("running_cost", running_cost, sizes, "scalar"),
@@ -233,18 +233,14 @@ class ControlProblem:
         self, t_span: tuple[float, float], parameters: tuple[float, ...] | None, breakpoints: tuple[float, ...]
     ) -> ControlProblem:
         """Copy with the times and parameters that an optimization found, still free if they were; checks nothing."""
-        other = object.__new__(type(self))  # copy.copy takes 50 µs
         moved = dict(zip(self.breakpoints, breakpoints, strict=True))
         timed = {name: tuple((moved[t], what) for t, what in getattr(self, name)) for name in ("waypoints", "jumps")}
-        found = {"t_span": t_span, "parameters": parameters, "breakpoints": breakpoints}
-        other.__dict__.update(vars(self), **found, **timed)
-        return other
+        return with_values(self, t_span=t_span, parameters=parameters, breakpoints=breakpoints, **timed)
 
     def varied(self, changes: Mapping[str, Any], t_span: tuple[float, float]) -> ControlProblem:
         """Copy with other ends, velocities or parameters, by name, and other times; see `BoundaryProblem.varied`."""
         check_inside(self, t_span)
-        other = self.found(t_span, self.parameters, self.breakpoints)
-        other.__dict__.update(varied_values(self, changes))
+        other = with_values(self, t_span=t_span, **varied_values(self, changes))
         other._check_ends()
         other._check_guesses()
         return other

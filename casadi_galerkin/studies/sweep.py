@@ -18,6 +18,7 @@ from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.numbers import time_span
 from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.problem import check_kind
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table, by_component
 from casadi_galerkin.solution.progress import progress
@@ -211,8 +212,7 @@ def sweep(
     >>> throws.momentum[:, 0, 0].round(6).tolist()
     [6.0, 7.0, 8.0]
     """
-    if not isinstance(problem, (BoundaryProblem, ControlProblem)):
-        raise TypeError(f"problem must be a BoundaryProblem or a ControlProblem, got {type(problem).__name__}")
+    check_kind(problem, BoundaryProblem, ControlProblem)
     if isinstance(variations, (str, Mapping)) or not isinstance(variations, Iterable):
         raise TypeError(f"variations must be a sequence of dicts, got {variations!r}")
     if isinstance(executor, ThreadPoolExecutor):

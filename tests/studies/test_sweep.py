@@ -523,7 +523,7 @@ def test_a_refinement_that_does_not_fit_is_refused_before_any_solve(arguments, e
 
 
 def test_a_problem_is_asked_for():
-    with pytest.raises(TypeError, match="must be a BoundaryProblem or a ControlProblem, got str"):
+    with pytest.raises(TypeError, match="must be a BoundaryProblem or ControlProblem, got str"):
         cg.sweep("bratu", VARIATIONS, METHOD, INTERVALS)
 
 
