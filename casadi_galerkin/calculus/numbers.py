@@ -159,3 +159,8 @@ def times_inside(name: str, values: Sequence[float], span: tuple[float, float]) 
         if late - early <= APART * max(abs(early), abs(late)):
             raise ValueError(f"{name} must increase inside of {span}, got {times}: by more than roundoff")
     return times
+
+
+def counted(count: int, what: str) -> str:
+    """A number of things in words, such as "1 interval" and "2 intervals"."""
+    return f"{count} {what}{'s' * (count != 1)}"

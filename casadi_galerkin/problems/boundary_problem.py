@@ -8,7 +8,7 @@ from typing import Any
 
 import casadi as ca
 
-from casadi_galerkin.calculus.numbers import components, finite, flag, numbers, time_span, times_inside
+from casadi_galerkin.calculus.numbers import components, counted, finite, flag, numbers, time_span, times_inside
 from casadi_galerkin.problems.callables import (
     Traceable,
     trace_constraint,
@@ -141,16 +141,12 @@ class BoundaryProblem:
 
     def __repr__(self) -> str:
         """State the problem without its Lagrangian."""
-        ends = "periodic, " if self.periodic else f"end {shown(self.end)}, "
-        further = [f"energy {self.energy:g}"] if self.energy is not None else []
-        further += [name for name in ("force", "constraint", "end_action", "end_conditions") if getattr(self, name)]
-        further += [
-            f"{name} {shown(getattr(self, name))}" for name in RATES if any(a is not None for a in getattr(self, name))
-        ]
-        return (
-            f"BoundaryProblem of {self.dimension} component(s) on {self.t_span}: start {shown(self.start)}, {ends}"
-            f"parameters {shown(self.parameters)}" + "".join(f", {words}" for words in further)
-        )
+        said = [f"start {shown(self.start)}", "periodic" if self.periodic else f"end {shown(self.end)}"]
+        said += [f"parameters {shown(self.parameters)}"]
+        said += [f"energy {self.energy:g}"] if self.energy is not None else []
+        said += [name for name in ("force", "constraint", "end_action", "end_conditions") if getattr(self, name)]
+        said += [f"{name} {shown(getattr(self, name))}" for name in RATES if says(getattr(self, name))]
+        return f"BoundaryProblem of {counted(self.dimension, 'component')} on {self.t_span}: {', '.join(said)}"
 
     @property
     def dimension(self) -> int:

@@ -18,7 +18,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import components, flag, numbers, time_span, times_inside, whole
+from casadi_galerkin.calculus.numbers import components, counted, flag, numbers, time_span, times_inside, whole
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.bounds import (
     Bounds,
@@ -200,10 +200,11 @@ class ControlProblem:
         """State the problem without its callables."""
         free = "" if self.duration_bounds is None else f", duration within {self.duration_bounds}"
         others = self.dimension - self.mechanical
-        rates, held = f", {others} of which follow rates," if others else "", "held " if self.hold else ""
+        rates = f", {others} of which follow rates," if others else ""
+        controls = counted(self.controls, "held control" if self.hold else "control")
         return (
-            f"ControlProblem of {self.dimension} component(s){rates} and {self.controls} {held}control(s) "
-            f"on {self.t_span}{free}:\n"
+            f"ControlProblem of {counted(self.dimension, 'component')}{rates} and {controls} on "
+            f" {self.t_span}{free}:\n"
             f"  start {shown(self.start)}, velocity {shown(self.start_velocity)}\n"
             f"  end {shown(self.end)}, velocity {shown(self.end_velocity)}\n"
             f"  parameters {shown(self.parameters)}"

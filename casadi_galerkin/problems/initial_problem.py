@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from casadi_galerkin.calculus.numbers import numbers, time_span
+from casadi_galerkin.calculus.numbers import counted, numbers, time_span
 from casadi_galerkin.problems.callables import Traceable, trace_constraint, trace_force, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint
 from casadi_galerkin.problems.problem import shown
@@ -85,8 +85,8 @@ class InitialProblem:
         """State the problem without its Lagrangian."""
         start = f"velocity {shown(self.velocity)}" if self.momentum is None else f"momentum {shown(self.momentum)}"
         return (
-            f"InitialProblem of {self.dimension} component(s) on {self.t_span}: position {shown(self.position)}, "
-            f"{start}, {'no force' if self.force is None else 'with a force'}, "
+            f"InitialProblem of {counted(self.dimension, 'component')} on {self.t_span}: "
+            f"position {shown(self.position)}, {start}, {'no force' if self.force is None else 'with a force'}, "
             f"{'' if self.constraint is None else 'with a constraint, '}parameters {shown(self.parameters)}"
         )
 

@@ -8,6 +8,7 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.nodes import lagrange_values
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import times_at, times_within
 from casadi_galerkin.calculus.roundoff import EPS
 
@@ -34,7 +35,7 @@ class ControlPath:
     ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1)
     >>> control = cg.solve(move, cg.Galerkin(degree=3), intervals=4).control
     >>> control
-    ControlPath of 1 component(s) at 3 points in each of 4 intervals of [0, 1]
+    ControlPath of 1 component at 3 points in each of 4 intervals of [0, 1]
     >>> control([0.25, 1.0]).round(6).tolist()
     [[3.0, -6.0]]
     """
@@ -54,9 +55,10 @@ class ControlPath:
 
     def __repr__(self) -> str:
         """How many functions these are, and where they are given."""
+        size, points = counted(len(self.values), "component"), counted(len(self.points), "point")
         return (
-            f"ControlPath of {len(self.values)} component(s) at {len(self.points)} points in each of "
-            f"{len(self.mesh) - 1} intervals of [{self.mesh[0]:g}, {self.mesh[-1]:g}]"
+            f"ControlPath of {size} at {points} in each of {counted(len(self.mesh) - 1, 'interval')} of "
+            f"[{self.mesh[0]:g}, {self.mesh[-1]:g}]"
         )
 
     @property

@@ -11,6 +11,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import lagrange_values
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import component_sizes
@@ -313,11 +314,11 @@ class ControlTrajectory(Trajectory):
 
     def __repr__(self) -> str:
         """Summarize path and solve in a few lines."""
-        size, n = len(self.x), len(self.control.values)
+        size, n = counted(len(self.x), "component"), counted(len(self.control.values), "control")
         return "\n".join(
             [
-                f"ControlTrajectory of {size} component{'s' if size > 1 else ''} and {n} control{'s' if n > 1 else ''} "
-                f"on [{self.t[0]:g}, {self.t[-1]:g}], {len(self.t) - 1} intervals",
+                f"ControlTrajectory of {size} and {n} on [{self.t[0]:g}, {self.t[-1]:g}], "
+                f"{counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
                 f"  cost        {self.cost:.12g}",
                 f"  Hamiltonian {self.hamiltonian[0]:.9g} at the start, varies by {np.ptp(self.hamiltonian):.1e}",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import place
+from casadi_galerkin.calculus.numbers import counted, place
 from casadi_galerkin.solution.plotting import Pictured, plot_family
 from casadi_galerkin.solution.trajectory import Trajectory
 
@@ -80,7 +80,7 @@ class Paths(Pictured):
     def __repr__(self) -> str:
         """Tabulate the paths, and say how many were dropped and why the search ended."""
         count = len(self)
-        lines = [f"Paths: {count} stationary path{'s' * (count > 1)} in {self.solves} solves; {self.stopped}"]
+        lines = [f"Paths: {counted(count, 'stationary path')} in {counted(self.solves, 'solve')}; {self.stopped}"]
         for path in self.trajectories[:SHOWN]:
             lines.append(
                 f"  action {path.action:<18.12g} {_index(path):15} error {path.error_estimate:.0e}  {path.solver}"

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.mesh_adaptation import truncation
-from casadi_galerkin.calculus.numbers import number, place
+from casadi_galerkin.calculus.numbers import counted, number, place
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, multipliers
@@ -268,18 +268,17 @@ class Trajectory(Path):
 
     def __repr__(self) -> str:
         """Summarize path and solve in a few lines."""
-        size, energy = len(self.x), self.energy
         kind = "a local minimum" if self.morse_index == 0 else f"a saddle of Morse index {self.morse_index}"
         if self.morse_index is None:
             least = "" if self.regularity is None else f", its smallest variation is {self.regularity:.0e} of its terms"
             kind = f"no Morse index{least}"
         return "\n".join(
             [
-                f"Trajectory of {size} component{'s' if size > 1 else ''} on [{self.t[0]:g}, {self.t[-1]:g}], "
-                f"{len(self.t) - 1} intervals",
+                f"Trajectory of {counted(len(self.x), 'component')} on [{self.t[0]:g}, {self.t[-1]:g}], "
+                f"{counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
                 f"  action      {self.action:.15g}, {kind}",
-                f"  energy      {energy[0]:.12g} at the start, {self._balance()}",
+                f"  energy      {self.energy[0]:.12g} at the start, {self._balance()}",
                 *self._accuracy(),
                 f"  solver      {self.solver}, {self.iterations} iterations, residual {self.residual:.1g} times its "
                 "roundoff floor",
