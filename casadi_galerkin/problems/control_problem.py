@@ -156,7 +156,7 @@ class ControlProblem:
         both = {"x0": d, "v0": d, "x1": d, "v1": d} | {name: size for name, size in sizes.items() if name == "p"}
         if _is_of_none(force):
             lagrangian = force = None
-        own = _none_of("rates", sizes) if rates is None or _is_of_none(rates) else trace("rates", rates, sizes, "any")
+        own = trace("rates", _none if rates is None or _is_of_none(rates) else rates, sizes, "any")
         mechanical = d - own.numel_out(0)
         if mechanical < 0:
             raise ValueError(f"rates must be those of at most all {d} component(s), got {d - mechanical} values")
@@ -171,7 +171,7 @@ class ControlProblem:
             "lagrangian": trace_lagrangian(lagrangian or _nothing, d, given, mechanical),
             "t_span": span,
             **{name: components(name, end, d) for name, end in ends.items()},
-            "force": trace("force", force, sizes, mechanical) if force else _none_of("force", sizes),
+            "force": trace("force", force or _none, sizes, mechanical),
             "running_cost": trace("running_cost", running_cost, sizes, "scalar"),
             "controls": count,
             "terminal_cost": None
@@ -358,14 +358,13 @@ def _nothing(*_: ca.SX) -> float:
     return 0.0
 
 
-def _none_of(name: str, sizes: Mapping[str, int]) -> ca.Function:
+def _none(*_: ca.SX) -> ca.SX:
     """Forces or rates of no component."""
-    symbols = [ca.SX.sym(symbol, size) for symbol, size in sizes.items()]
-    return ca.Function(name, symbols, [ca.SX(0, 1)], list(sizes), ["value"])
+    return ca.SX(0, 1)
 
 
 def _is_of_none(function: object) -> bool:
-    """Whether it is what `_none_of` makes, which comes back where a field of a problem is replaced."""
+    """Whether it is `_none`, traced, which comes back where a field of a problem is replaced."""
     return isinstance(function, ca.Function) and function.n_out() == 1 and function.numel_out(0) == 0
 
 
