@@ -247,6 +247,11 @@ class ControlProblem:
         return other
 
     def _check_dependence(self) -> None:
+        """Refuse callables that do not go together, or depend on what they must not; ends do not matter."""
+        if self.constraints and self.mechanical < self.dimension:
+            raise ValueError("a constraint has no place beside rates: write it as a path_constraint (g, 0, 0)")
+        if self.constraints and self.crossings:
+            raise ValueError("a problem with a constraint takes no jumps, and no functions as waypoints")
         along = [self.force, self.rates, self.running_cost, *(self.path_constraint or ())[:1]]
         of_velocities = [
             ("force", self.force, [2]),
@@ -281,10 +286,6 @@ class ControlProblem:
                         f"{name}[{i}] = {value} lies on its position_bounds [{low[i]}, {high[i]}], and "
                         f"{name}_velocity[{i}] = {velocity} puts the path outside beside it"
                     )
-        if self.constraints and self.mechanical < self.dimension:
-            raise ValueError("a constraint has no place beside rates: write it as a path_constraint (g, 0, 0)")
-        if self.constraints and self.crossings:
-            raise ValueError("a problem with a constraint takes no jumps, and no functions as waypoints")
         if self.duration_bounds is None and self.parameter_bounds is None:
             check_constraint(self)
             self._check_constraint("start", self.t_span[0])

@@ -119,19 +119,16 @@ def solver_of(
     return solved
 
 
-def _answer(solver: Solve, variation: Variation, known: Sequence[Known]) -> Answer:
-    try:
-        return solver(variation, known)
-    except Exception as error:  # a guess may raise anything
-        error.__cause__ = error.__context__ = None  # their frames, like those of the error, would keep arrays alive
-        return error.with_traceback(None)
-
-
 def _answers(solver: Solve, variations: Sequence[Variation], known: Sequence[Known]) -> Iterator[Answer]:
     """Answers one after the other; each may start from those before and from paths that are known."""
     paths = list(known)
     for variation in variations:
-        answer = _answer(solver, variation, paths)
+        answer: Answer
+        try:
+            answer = solver(variation, paths)
+        except Exception as error:  # a guess may raise anything
+            error.__cause__ = error.__context__ = None  # their frames, like those of the error, would keep arrays alive
+            answer = error.with_traceback(None)
         paths += _known(answer)
         yield answer
 
