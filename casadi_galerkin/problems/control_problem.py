@@ -204,7 +204,7 @@ class ControlProblem:
         controls = counted(self.controls, "held control" if self.hold else "control")
         return (
             f"ControlProblem of {counted(self.dimension, 'component')}{rates} and {controls} on "
-            f" {self.t_span}{free}:\n"
+            f"{self.t_span}{free}:\n"
             f"  start {shown(self.start)}, velocity {shown(self.start_velocity)}\n"
             f"  end {shown(self.end)}, velocity {shown(self.end_velocity)}\n"
             f"  parameters {shown(self.parameters)}"

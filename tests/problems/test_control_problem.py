@@ -277,4 +277,4 @@ def test_fields_of_problems_with_and_without_rates_are_replaced():
     longer = replace(double_integrator(**FIRST_ORDER), t_span=(0.0, 3.0))
     assert longer.t_span == (0.0, 3.0)
     assert longer.mechanical == 0
-    assert "1 of which follow rates, and 1 held control " in str(replace(longer, hold=True))
+    assert "1 of which follow rates, and 1 held control on (0.0, 3.0)" in str(replace(longer, hold=True))
