@@ -9,13 +9,7 @@ from typing import Any
 import casadi as ca
 
 from casadi_galerkin.calculus.numbers import components, counted, finite, flag, numbers, time_span, times_inside
-from casadi_galerkin.problems.callables import (
-    Traceable,
-    trace_constraint,
-    trace_ends,
-    trace_force,
-    trace_lagrangian,
-)
+from casadi_galerkin.problems.callables import Traceable, arguments, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint
 from casadi_galerkin.problems.problem import check_inside, shown, varied_values, with_values
 
@@ -118,20 +112,22 @@ class BoundaryProblem:
             "start_momentum": start_momentum,
             "end_momentum": end_momentum,
         }
-        traced, span = (dimension, checked), time_span(t_span)
+        along = arguments(checked, t=1, x=dimension, v=dimension)
+        at_ends = arguments(checked, x0=dimension, x1=dimension)
+        span = time_span(t_span)
         values = {
-            "lagrangian": trace_lagrangian(lagrangian, *traced),
+            "lagrangian": trace_lagrangian(lagrangian, along),
             "t_span": span,
             "breakpoints": times_inside("breakpoints", breakpoints, span),
             "start": checked_start,
             "end": checked_end,
             "parameters": checked,
             "periodic": closed,
-            "force": trace_force(force, *traced),
-            "constraint": trace_constraint(constraint, *traced),
+            "force": trace_if("force", force, along, dimension),
+            "constraint": trace_if("constraint", constraint, arguments(checked, t=1, x=dimension), "any"),
             **{name: (None,) * dimension if a is None else components(name, a, dimension) for name, a in given.items()},
-            "end_action": trace_ends("end_action", end_action, "scalar", *traced),
-            "end_conditions": trace_ends("end_conditions", end_conditions, "any", *traced),
+            "end_action": trace_if("end_action", end_action, at_ends, "scalar"),
+            "end_conditions": trace_if("end_conditions", end_conditions, at_ends, "any"),
             "energy": None if energy is None else finite("energy", energy),
         }
         self.__dict__.update(values)  # the class is frozen

@@ -127,51 +127,32 @@ def _column(name: str, values: Iterable[Any]) -> Any:
         raise TypeError(f"{name} must return one CasADi expression per component, got {values!r}") from error
 
 
-def _sizes(dimension: int, parameters: tuple[float, ...] | None) -> dict[str, int]:
-    """Lengths of t, x, v and, if there are some, parameters p."""
-    return {"t": 1, "x": dimension, "v": dimension} | ({} if parameters is None else {"p": len(parameters)})
+def arguments(parameters: tuple[float, ...] | None, **sizes: int) -> dict[str, int]:
+    """Lengths of the arguments of a callable by name, in order; the parameters p, where there are some, come last."""
+    return sizes if parameters is None else sizes | {"p": len(parameters)}
 
 
-def trace_lagrangian(
-    lagrangian: Traceable, dimension: int, parameters: tuple[float, ...] | None, mechanical: int | None = None
-) -> ca.Function:
+def trace_if(name: str, function: Traceable | None, sizes: Mapping[str, int], rows: int | Rows) -> ca.Function | None:
+    """`trace` what may be left out; None stays None."""
+    return None if function is None else trace(name, function, sizes, rows)
+
+
+def trace_lagrangian(lagrangian: Traceable, sizes: Mapping[str, int], mechanical: int | None = None) -> ca.Function:
     """Trace L(t, x, v[, p]) and check that it is regular at least by structure: every v[i] must occur.
 
     Of the `mechanical` first components only, where some follow rates; those of the others must not.
     """
-    function = trace("lagrangian", lagrangian, _sizes(dimension, parameters), "scalar")
+    function = trace("lagrangian", lagrangian, sizes, "scalar")
     used = function.sparsity_jac(2, 0)
-    count = dimension if mechanical is None else mechanical
+    count = sizes["v"] if mechanical is None else mechanical
     ignored = [i for i in range(count) if not used.has_nz(0, i)]
     if ignored:
         names = ", ".join(f"v[{i}]" for i in ignored)
         raise ValueError(f"the lagrangian ignores {names}: without a velocity there is no equation of motion for it")
-    for i in range(count, dimension):
+    for i in range(count, sizes["v"]):
         if used.has_nz(0, i):
             raise ValueError(f"the lagrangian depends on v[{i}], but x[{i}] follows a rate and has no momentum")
     return function
-
-
-def trace_force(force: Traceable | None, dimension: int, parameters: tuple[float, ...] | None) -> ca.Function | None:
-    """Trace F(t, x, v[, p]) -> (d,); None stays None."""
-    return None if force is None else trace("force", force, _sizes(dimension, parameters), dimension)
-
-
-def trace_constraint(
-    constraint: Traceable | None, dimension: int, parameters: tuple[float, ...] | None
-) -> ca.Function | None:
-    """Trace g(t, x[, p]) -> (k,); None stays None."""
-    sizes = _sizes(dimension, parameters)
-    del sizes["v"]
-    return None if constraint is None else trace("constraint", constraint, sizes, "any")
-
-
-def trace_ends(
-    name: str, function: Traceable | None, rows: Rows, dimension: int, parameters: tuple[float, ...] | None
-) -> ca.Function | None:
-    """Trace a function of the ends, (x_0, x_N[, p]) -> (rows,); None stays None."""
-    sizes = {"x0": dimension, "x1": dimension} | ({} if parameters is None else {"p": len(parameters)})
-    return None if function is None else trace(name, function, sizes, rows)
 
 
 def with_parameters(function: ca.Function, parameters: tuple[float, ...] | None) -> ca.Function:

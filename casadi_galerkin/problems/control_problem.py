@@ -29,7 +29,7 @@ from casadi_galerkin.problems.bounds import (
     limited_values,
     parameter_bounds_of,
 )
-from casadi_galerkin.problems.callables import Traceable, trace, trace_constraint, trace_lagrangian
+from casadi_galerkin.problems.callables import Traceable, arguments, trace, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
 from casadi_galerkin.problems.crossings import (
     Crossing,
@@ -151,9 +151,8 @@ class ControlProblem:
         d, count = len(components("start", start)), _control_count(controls)
         given = None if parameters is None else numbers("parameters", parameters)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
-        sizes = {"t": 1, "x": d, "v": d, "u": count} | ({} if given is None else {"p": len(given)})
-        at_the_end = {name: size for name, size in sizes.items() if name != "u"}
-        both = {"x0": d, "v0": d, "x1": d, "v1": d} | {name: size for name, size in sizes.items() if name == "p"}
+        sizes, moving = arguments(given, t=1, x=d, v=d, u=count), arguments(given, t=1, x=d, v=d)
+        here, both = arguments(given, x=d, v=d), arguments(given, x0=d, v0=d, x1=d, v1=d)
         if _is_of_none(force):
             lagrangian = force = None
         own = trace("rates", _none if rates is None or _is_of_none(rates) else rates, sizes, "any")
@@ -161,22 +160,19 @@ class ControlProblem:
         if mechanical < 0:
             raise ValueError(f"rates must be those of at most all {d} component(s), got {d - mechanical} values")
         _check_mechanics(mechanical, lagrangian, force)
-        here = {name: size for name, size in sizes.items() if name in ("x", "v", "p")}
         within = bounds("position_bounds", position_bounds, d)
         passed, laws = waypoints_of(waypoints, here, within), jumps_of(jumps, here, mechanical)
         span = time_span(t_span)
         named = {*times_inside("breakpoints", breakpoints, span), *dict(passed), *dict(laws)}
         inner = times_inside("breakpoints, waypoints and jumps", sorted(named), span)
         values: dict[str, Any] = {
-            "lagrangian": trace_lagrangian(lagrangian or _nothing, d, given, mechanical),
+            "lagrangian": trace_lagrangian(lagrangian or _nothing, moving, mechanical),
             "t_span": span,
             **{name: components(name, end, d) for name, end in ends.items()},
             "force": trace("force", force or _none, sizes, mechanical),
             "running_cost": trace("running_cost", running_cost, sizes, "scalar"),
             "controls": count,
-            "terminal_cost": None
-            if terminal_cost is None
-            else trace("terminal_cost", terminal_cost, at_the_end, "scalar"),
+            "terminal_cost": trace_if("terminal_cost", terminal_cost, moving, "scalar"),
             "control_bounds": bounds("control_bounds", control_bounds, count),
             "position_bounds": within,
             "path_constraint": limited_values("path_constraint", path_constraint, sizes),
@@ -189,7 +185,7 @@ class ControlProblem:
             "waypoints": passed,
             "jumps": laws,
             "hold": flag("hold", hold),
-            "constraint": trace_constraint(constraint, d, given),
+            "constraint": trace_if("constraint", constraint, arguments(given, t=1, x=d), "any"),
         }
         self.__dict__.update(values)  # the class is frozen
         self._check_dependence()
