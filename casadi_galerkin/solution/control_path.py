@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import accumulate
+from operator import mul
+
 import casadi as ca
 import numpy as np
-from numpy.polynomial.legendre import legvander
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.nodes import lagrange_values
+from casadi_galerkin.calculus.nodes import barycentric_weights, lagrange_values
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import times_at, times_within
 from casadi_galerkin.calculus.roundoff import EPS
@@ -78,23 +80,15 @@ class ControlPath:
         return self.mesh[1:-1] + (SAME_TIME * np.max(np.abs(self.mesh)) if before else 0.0)
 
     def expression(self, t: ca.SX) -> ca.SX:
-        """The same as a CasADi expression of a scalar t, (n,).
-
-        Legendre series, summed by Clenshaw's recurrence, with coefficients that switch at joints: those of monomials
-        leave two or three digits at degree 40.
-        """
-        r, changes, steps = len(self.points), self._changes.tolist(), np.diff(self.mesh)
-        local = self.values.reshape(len(self.values), len(steps), r)
-        coefficients = np.linalg.solve(legvander(2 * self.points - 1, r - 1), local.reshape(-1, r).T)
+        """The same as a CasADi expression of a scalar t, (n,): Lagrange's form, with values that switch at joints."""
+        changes = self._changes.tolist()
 
         def switched(values: np.ndarray) -> ca.SX:
             return ca.pw_const(t, changes, values.tolist()) if changes else ca.SX(values[0])
 
-        s = 2 * (t - switched(self.mesh[:-1])) / switched(steps) - 1
-        total = after = [ca.SX(0) for _ in self.values]
-        for k in reversed(range(r)):
-            first, second = (2 * k + 1) / (k + 1) * s, (k + 1) / (k + 2)
-            rows = coefficients[k].reshape(len(self.values), -1)
-            following = [switched(row) + first * b - second * c for row, b, c in zip(rows, total, after, strict=True)]
-            total, after = following, total
-        return ca.vertcat(*total)
+        s = (t - switched(self.mesh[:-1])) / switched(np.diff(self.mesh))
+        gaps = [s - point for point in self.points.tolist()]
+        before, after = (list(accumulate(some, initial=ca.SX(1), func=mul)) for some in (gaps[:-1], gaps[:0:-1]))
+        basis = barycentric_weights(self.points) * ca.vertcat(*map(mul, before, reversed(after)))
+        local = self.values.reshape(len(self.values), -1, len(gaps))
+        return ca.vertcat(*(ca.dot(ca.vertcat(*map(switched, rows.T)), basis) for rows in local)) / ca.sum1(basis)
