@@ -202,7 +202,7 @@ def _check_end_function(name: str, function: ca.Function, taken: list[list[str]]
     """Refuse a function of the ends that says something where all is said; `taken` lists what is given there."""
     d = len(taken) // 2
     pattern = ca.horzcat(function.sparsity_jac(0, 0), function.sparsity_jac(1, 0))
-    depends = [bool(pattern.get_col() and i in pattern.get_col()) for i in range(2 * d)]
+    depends = [i in pattern.get_col() for i in range(2 * d)]
     for i, (given, used) in enumerate(zip(taken, depends, strict=True)):
         if used and given and given[0] not in ENDS:
             raise ValueError(

@@ -13,7 +13,7 @@ Used = tuple[str, ca.Function | None, Sequence[int]]  # its name, and which of i
 
 def _entries(function: ca.Function, argument: int) -> set[int]:
     """Which entries of an argument the values of a Function depend on."""
-    return {i for k in range(function.n_out()) for i in function.sparsity_jac(argument, k).T.row()}
+    return {i for k in range(function.n_out()) for i in function.sparsity_jac(argument, k).get_col()}
 
 
 def check_rates(users: Iterable[Used], own: range) -> None:
