@@ -23,7 +23,7 @@ from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import FRAMES_A_SECOND, animate_linkage, plot_phase
-from casadi_galerkin.solution.witness import ACTION, BALANCE, witnesses
+from casadi_galerkin.solution.witness import doubts
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -110,13 +110,11 @@ class Trajectory(Path):
 
     def doubted(self, error: float) -> float:
         """The larger of an error and of what the balance of energy and the action by a finer rule are violated by."""
-        missed = self._missed(max(error, EPS))
-        return max(error, missed["balance of energy"] * BALANCE, missed["action by a finer rule"] * ACTION)
+        return max(error, *self._doubts(max(error, EPS)))
 
-    def _missed(self, tol: float) -> dict[str, float]:
-        """The largest of what each witness says against this path."""
-        said = witnesses(self.problem, self.polynomial, self.momentum, tol)
-        return {name: float(np.max(said[name])) for name in said}
+    def _doubts(self, tol: float) -> list[float]:
+        """How far the balance of energy and the action by a finer rule are missed at most."""
+        return [float(np.max(missed)) for missed in doubts(self.problem, self.polynomial, self.momentum, tol)]
 
     @lazy
     def morse_index(self) -> int | None:
@@ -246,7 +244,7 @@ class Trajectory(Path):
 
     def _balance(self) -> str:
         """Words on how well the balance of energy is kept."""
-        return f"its balance kept to {self._missed(TELLS)['balance of energy'] * BALANCE:.1e} of its terms"
+        return f"its balance kept to {self._doubts(TELLS)[0]:.1e} of its terms"
 
     def _accuracy(self) -> list[str]:
         """A line on the error of x, if it is known, or if this mesh plainly does not resolve the path."""
