@@ -18,7 +18,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import components, counted, flag, numbers, time_span, times_inside, whole
+from casadi_galerkin.calculus.numbers import components, counted, flag, numbers, time_span, times_inside, whole_number
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.bounds import (
     Bounds,
@@ -148,7 +148,7 @@ class ControlProblem:
         hold: bool = False,
         constraint: Traceable | None = None,
     ) -> None:
-        d, count = len(components("start", start)), _control_count(controls)
+        d, count = len(components("start", start)), whole_number("controls", controls)
         given = None if parameters is None else numbers("parameters", parameters)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         sizes, moving = arguments(given, t=1, x=d, v=d, u=count), arguments(given, t=1, x=d, v=d)
@@ -339,15 +339,6 @@ class ControlProblem:
         for i, (low, value, high) in enumerate(zip(sides[0], self.parameters or (), sides[1], strict=False)):
             if not low <= value <= high:
                 raise ValueError(f"parameters[{i}] = {value} lies outside its bounds [{low}, {high}]")
-
-
-def _control_count(controls: int) -> int:
-    count = whole(controls)
-    if count is None:
-        raise TypeError(f"controls must be the number of controls, got {controls!r}")
-    if count < 1:
-        raise ValueError(f"a ControlProblem needs at least one control, got {count}; without, see BoundaryProblem")
-    return count
 
 
 def _nothing(*_: ca.SX) -> float:
