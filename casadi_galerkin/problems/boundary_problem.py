@@ -11,7 +11,7 @@ import casadi as ca
 from casadi_galerkin.calculus.numbers import components, counted, finite, flag, numbers, time_span, times_inside
 from casadi_galerkin.problems.callables import Traceable, arguments, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint
-from casadi_galerkin.problems.problem import check_inside, shown, varied_values, with_values
+from casadi_galerkin.problems.problem import shown, with_changes
 
 Given = tuple[float | None, ...]
 ENDS = ("start", "end")
@@ -163,8 +163,7 @@ class BoundaryProblem:
         changes : new values by name, one of `VARIED`: with None exactly where the problem has None
         t_span : (t_0, t_N), checked before; with the breakpoints inside
         """
-        check_inside(self, t_span)
-        other = with_values(self, t_span=t_span, **varied_values(self, changes))
+        other = with_changes(self, changes, t_span)
         check_constraint(other)
         return other
 

@@ -40,7 +40,7 @@ from casadi_galerkin.problems.crossings import (
     waypoints_of,
 )
 from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
-from casadi_galerkin.problems.problem import check_inside, marks, shown, varied_values, with_values
+from casadi_galerkin.problems.problem import marks, shown, with_changes, with_values
 
 ROUNDED = 1e-8  # of a condition that the ends given meet, as much as a solve may leave
 
@@ -236,8 +236,7 @@ class ControlProblem:
 
     def varied(self, changes: Mapping[str, Any], t_span: tuple[float, float]) -> ControlProblem:
         """Copy with other ends, velocities or parameters, by name, and other times; see `BoundaryProblem.varied`."""
-        check_inside(self, t_span)
-        other = with_values(self, t_span=t_span, **varied_values(self, changes))
+        other = with_changes(self, changes, t_span)
         other._check_ends()
         other._check_guesses()
         return other

@@ -10,8 +10,6 @@ import casadi as ca
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import components, finite, numbers, times_inside
 
-Stated = TypeVar("Stated")
-
 
 class Problem(Protocol):
     """What an answer keeps of the problem that it solves."""
@@ -41,15 +39,12 @@ class Problem(Protocol):
         """Times of joints that every mesh has."""
 
 
+Stated = TypeVar("Stated", bound=Problem)
+
+
 def marks(problem: Problem) -> list[float]:
     """Times of both ends and, between them, of the breakpoints: what joints keep their numbers between."""
     return [problem.t_span[0], *problem.breakpoints, problem.t_span[1]]
-
-
-def check_inside(problem: Problem, t_span: tuple[float, float]) -> None:
-    """Refuse another time span that does not hold the breakpoints."""
-    if problem.breakpoints and t_span != problem.t_span:
-        times_inside("breakpoints", problem.breakpoints, t_span)
 
 
 def check_kind(problem: object, *kinds: type) -> None:
@@ -73,14 +68,15 @@ def check_types(problem: object, method: object, *kinds: type) -> None:
         raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
 
 
-def varied_values(problem: Problem, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Check other values for what a problem gives, by name: with None exactly where the problem has None."""
+def with_changes(problem: Stated, changes: Mapping[str, Any], t_span: tuple[float, float]) -> Stated:
+    """Copy with other times around its breakpoints, and other values by name: None exactly where the problem has it."""
+    if t_span != problem.t_span:
+        times_inside("breakpoints", problem.breakpoints, t_span)
     values: dict[str, Any] = {}
     for name, value in changes.items():
         before = getattr(problem, name, None)
         if before is None:
-            kind = "no parameters" if name == "parameters" else f"no {name}"
-            raise ValueError(f"the problem has {kind}, got {name}={value!r}")
+            raise ValueError(f"the problem has no {name}, got {name}={value!r}")
         if isinstance(before, float):
             values[name] = finite(name, value)
         elif name == "parameters":
@@ -89,7 +85,7 @@ def varied_values(problem: Problem, changes: Mapping[str, Any]) -> dict[str, Any
             values[name] = components(name, value, len(before))
             if [a is None for a in values[name]] != [a is None for a in before]:
                 raise ValueError(f"{name} must have None where the problem has it, {before}, got {values[name]}")
-    return values
+    return with_values(problem, t_span=t_span, **values)
 
 
 MOST_SHOWN = 6  # numbers of a repr
