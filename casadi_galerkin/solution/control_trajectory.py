@@ -328,7 +328,8 @@ class ControlTrajectory(Trajectory):
 
     def _between_points(self) -> list[str]:
         """Lines on what the points do not see: the defect, and what leaves its bounds there."""
-        lines = [f"  defect      {self._worst(self.dynamics_defect)}, of the largest momentum"]
+        what = "momentum" if self.problem.mechanical else "value"
+        lines = [f"  defect      {self._worst(self.dynamics_defect)}, of the largest {what}"]
         if np.max(self.control_overshoot) > SHOWN_OVERSHOOT:
             lines.append(f"  overshoot   {self._worst(self.control_overshoot)}, of the bounds' width")
         if np.max(self.constraint_excess) > SHOWN_EXCESS:
