@@ -49,6 +49,21 @@ def whole_number(name: str, value: object, least: int = 1) -> int:
     return checked
 
 
+def finite(name: str, value: object) -> float:
+    """Check a finite number."""
+    checked = number(value)
+    if checked is None or not math.isfinite(checked):
+        raise ValueError(f"{name} must be a finite number, got {value!r}")
+    return checked
+
+
+def flag(name: str, value: object) -> bool:
+    """Check a truth."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise TypeError(f"{name} must be True or False, got {value!r}")
+    return bool(value)
+
+
 def place(name: str, value: object, count: int) -> int:
     """Check the number of one of so many, from 0 on."""
     checked = whole(value)
@@ -72,7 +87,7 @@ def real_array(name: str, values: Any, free: bool = False) -> np.ndarray:
         naming what came, where it stands and what was expected
     """
     convert = getattr(values, "to_numpy", None) or getattr(values, "full", None)  # of a Series, which has labels; of DM
-    expected = "a sequence of numbers, one for each component" if free else "real numbers"
+    expected = "a sequence of numbers" if free else "real numbers"
     try:
         given = convert() if callable(convert) else values
         if isinstance(given, Mapping):  # NumPy would take the keys of some
@@ -144,3 +159,8 @@ def times_inside(name: str, values: Sequence[float], span: tuple[float, float]) 
         if late - early <= APART * max(abs(early), abs(late)):
             raise ValueError(f"{name} must increase inside of {span}, got {times}: by more than roundoff")
     return times
+
+
+def counted(count: int, what: str) -> str:
+    """A number of things in words, such as "1 interval" and "2 intervals"."""
+    return f"{count} {what}{'s' * (count != 1)}"

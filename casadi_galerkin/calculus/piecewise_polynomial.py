@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
-from casadi_galerkin.calculus.numbers import real_array, whole
+from casadi_galerkin.calculus.numbers import counted, real_array, whole
 
 
 def times_within(mesh: np.ndarray, t: ArrayLike) -> np.ndarray:
@@ -140,6 +140,6 @@ class PiecewisePolynomial:
     def __repr__(self) -> str:
         """Say of what degree it is, and over which time."""
         return (
-            f"PiecewisePolynomial of {len(self.values)} component(s) and degree {self.degree} on "
-            f"[{self.mesh[0]:g}, {self.mesh[-1]:g}], {len(self.mesh) - 1} intervals"
+            f"PiecewisePolynomial of {counted(len(self.values), 'component')} and degree {self.degree} on "
+            f"[{self.mesh[0]:g}, {self.mesh[-1]:g}], {counted(len(self.mesh) - 1, 'interval')}"
         )

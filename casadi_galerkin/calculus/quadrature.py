@@ -19,7 +19,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.numbers import real_array, whole
+from casadi_galerkin.calculus.numbers import counted, real_array, whole
 
 SUM_TOLERANCE = 1e-12  # weights come from tables with about 13 digits, or from arithmetic to 1e-15
 EXACTNESS_TOLERANCE = 1e-10  # on Legendre polynomials, of slopes up to n (n + 1), so that 12 digits of a table do
@@ -68,8 +68,8 @@ class Quadrature:
 
     def __repr__(self) -> str:
         """Number of points, where they begin and end, and order."""
-        size = len(self)
-        return f"Quadrature of {size} point(s) from {self.points[0]:.4g} to {self.points[-1]:.4g}, order {self.order}"
+        first, last = self.points[0], self.points[-1]
+        return f"Quadrature of {counted(len(self), 'point')} from {first:.4g} to {last:.4g}, order {self.order}"
 
     @property
     def exactness(self) -> int:
@@ -151,7 +151,7 @@ def gauss(n: int) -> Quadrature:
     Examples
     --------
     >>> gauss(3)
-    Quadrature of 3 point(s) from 0.1127 to 0.8873, order 6
+    Quadrature of 3 points from 0.1127 to 0.8873, order 6
     """
     return _from_symmetric_interval(*legendre.leggauss(n))
 
@@ -187,7 +187,7 @@ def radau(n: int) -> Quadrature:
     Examples
     --------
     >>> radau(2)
-    Quadrature of 2 point(s) from 0.3333 to 1, order 3
+    Quadrature of 2 points from 0.3333 to 1, order 3
     """
 
     def value(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -228,6 +228,6 @@ def left_rectangle() -> Quadrature:
     Examples
     --------
     >>> left_rectangle()
-    Quadrature of 1 point(s) from 0 to 0, order 1
+    Quadrature of 1 point from 0 to 0, order 1
     """
     return Quadrature((0.0,), (1.0,))

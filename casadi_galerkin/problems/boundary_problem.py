@@ -8,16 +8,10 @@ from typing import Any
 
 import casadi as ca
 
-from casadi_galerkin.calculus.numbers import components, numbers, time_span, times_inside
-from casadi_galerkin.problems.callables import (
-    Traceable,
-    trace_constraint,
-    trace_ends,
-    trace_force,
-    trace_lagrangian,
-)
+from casadi_galerkin.calculus.numbers import components, counted, finite, flag, numbers, time_span, times_inside
+from casadi_galerkin.problems.callables import Traceable, arguments, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint
-from casadi_galerkin.problems.problem import check_inside, finite, flag, shown, varied_values
+from casadi_galerkin.problems.problem import shown, with_changes
 
 Given = tuple[float | None, ...]
 ENDS = ("start", "end")
@@ -118,20 +112,22 @@ class BoundaryProblem:
             "start_momentum": start_momentum,
             "end_momentum": end_momentum,
         }
-        traced, span = (dimension, checked), time_span(t_span)
+        along = arguments(checked, t=1, x=dimension, v=dimension)
+        at_ends = arguments(checked, x0=dimension, x1=dimension)
+        span = time_span(t_span)
         values = {
-            "lagrangian": trace_lagrangian(lagrangian, *traced),
+            "lagrangian": trace_lagrangian(lagrangian, along),
             "t_span": span,
             "breakpoints": times_inside("breakpoints", breakpoints, span),
             "start": checked_start,
             "end": checked_end,
             "parameters": checked,
             "periodic": closed,
-            "force": trace_force(force, *traced),
-            "constraint": trace_constraint(constraint, *traced),
+            "force": trace_if("force", force, along, dimension),
+            "constraint": trace_if("constraint", constraint, arguments(checked, t=1, x=dimension), "any"),
             **{name: (None,) * dimension if a is None else components(name, a, dimension) for name, a in given.items()},
-            "end_action": trace_ends("end_action", end_action, "scalar", *traced),
-            "end_conditions": trace_ends("end_conditions", end_conditions, "any", *traced),
+            "end_action": trace_if("end_action", end_action, at_ends, "scalar"),
+            "end_conditions": trace_if("end_conditions", end_conditions, at_ends, "any"),
             "energy": None if energy is None else finite("energy", energy),
         }
         self.__dict__.update(values)  # the class is frozen
@@ -141,16 +137,12 @@ class BoundaryProblem:
 
     def __repr__(self) -> str:
         """State the problem without its Lagrangian."""
-        ends = "periodic, " if self.periodic else f"end {shown(self.end)}, "
-        further = [f"energy {self.energy:g}"] if self.energy is not None else []
-        further += [name for name in ("force", "constraint", "end_action", "end_conditions") if getattr(self, name)]
-        further += [
-            f"{name} {shown(getattr(self, name))}" for name in RATES if any(a is not None for a in getattr(self, name))
-        ]
-        return (
-            f"BoundaryProblem of {self.dimension} component(s) on {self.t_span}: start {shown(self.start)}, {ends}"
-            f"parameters {shown(self.parameters)}" + "".join(f", {words}" for words in further)
-        )
+        said = [f"start {shown(self.start)}", "periodic" if self.periodic else f"end {shown(self.end)}"]
+        said += [f"parameters {shown(self.parameters)}"]
+        said += [f"energy {self.energy:g}"] if self.energy is not None else []
+        said += [name for name in ("force", "constraint", "end_action", "end_conditions") if getattr(self, name)]
+        said += [f"{name} {shown(getattr(self, name))}" for name in RATES if says(getattr(self, name))]
+        return f"BoundaryProblem of {counted(self.dimension, 'component')} on {self.t_span}: {', '.join(said)}"
 
     @property
     def dimension(self) -> int:
@@ -164,16 +156,14 @@ class BoundaryProblem:
         return self.force is None and not any(f.sparsity_jac(0, 0).nnz() for f in functions)
 
     def varied(self, changes: Mapping[str, Any], t_span: tuple[float, float]) -> BoundaryProblem:
-        """Copy with other given values; unlike ``dataclasses.replace`` it traces nothing.
+        """Copy with other given values.
 
         Parameters
         ----------
         changes : new values by name, one of `VARIED`: with None exactly where the problem has None
         t_span : (t_0, t_N), checked before; with the breakpoints inside
         """
-        check_inside(self, t_span)
-        other = object.__new__(type(self))  # copy.copy takes 50 µs
-        other.__dict__.update(vars(self), t_span=t_span, **varied_values(self, changes))
+        other = with_changes(self, changes, t_span)
         check_constraint(other)
         return other
 
@@ -211,7 +201,7 @@ def _check_end_function(name: str, function: ca.Function, taken: list[list[str]]
     """Refuse a function of the ends that says something where all is said; `taken` lists what is given there."""
     d = len(taken) // 2
     pattern = ca.horzcat(function.sparsity_jac(0, 0), function.sparsity_jac(1, 0))
-    depends = [bool(pattern.get_col() and i in pattern.get_col()) for i in range(2 * d)]
+    depends = [i in pattern.get_col() for i in range(2 * d)]
     for i, (given, used) in enumerate(zip(taken, depends, strict=True)):
         if used and given and given[0] not in ENDS:
             raise ValueError(

@@ -13,6 +13,7 @@ from casadi_galerkin.problems.callables import Traceable, trace
 
 Limit: TypeAlias = float | Sequence[float]
 Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
+Limited: TypeAlias = tuple[ca.Function, tuple[float, ...], tuple[float, ...]]  # g, lo, hi
 
 
 def bounds(name: str, value: Any, size: int) -> Bounds:
@@ -66,9 +67,7 @@ def parameter_bounds_of(given: tuple[Limit, Limit] | None, parameters: tuple[flo
     return bounds("parameter_bounds", given, len(parameters))
 
 
-def limited_values(
-    name: str, given: tuple[Traceable, Limit, Limit] | None, sizes: Mapping[str, int]
-) -> tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None:
+def limited_values(name: str, given: tuple[Traceable, Limit, Limit] | None, sizes: Mapping[str, int]) -> Limited | None:
     """Trace a function and check the bounds of its values, (g, lo, hi)."""
     if given is None:
         return None

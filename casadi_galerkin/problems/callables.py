@@ -19,7 +19,7 @@ from casadi_galerkin.calculus.numbers import number
 Traceable: TypeAlias = Callable[..., Any]  # a casadi Function is one
 Rows: TypeAlias = Literal["scalar", "any"]
 
-ADVICE = "Write it with CasADi's functions, such as casadi.cos, not with math or NumPy ones"
+ADVICE = "Write it with CasADi's functions, such as casadi.cos and casadi.if_else, not with math or NumPy ones"
 
 
 def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | Rows) -> ca.Function:
@@ -98,7 +98,8 @@ def _called(name: str, function: Traceable, arguments: Mapping[str, ca.SX], shap
         if isinstance(error, IndexError) or "out of bounds" in str(error).lower():
             counts = ", ".join(f"{key} has {symbol.numel()}" for key, symbol in arguments.items())
             raise ValueError(f"{failed}: an index is out of range of so many components, {counts}") from error
-        raise kind(f"{failed}: {error}. {ADVICE}") from error
+        reason = " ".join(str(error).split()).rstrip(".")  # CasADi breaks and indents its lines
+        raise kind(f"{failed}: {reason}. {ADVICE}") from error
 
 
 def _about_p(arguments: Mapping[str, object]) -> str:
@@ -126,68 +127,32 @@ def _column(name: str, values: Iterable[Any]) -> Any:
         raise TypeError(f"{name} must return one CasADi expression per component, got {values!r}") from error
 
 
-def in_absolute_values(function: ca.Function, argument: int) -> set[int]:
-    """Which entries of an argument the absolute values in a traced Function depend on."""
-    held: dict[int, set[int]] = {}
-    found: set[int] = set()
-    for k in range(function.n_instructions()):
-        operation, inputs = function.instruction_id(k), function.instruction_input(k)
-        if operation == ca.OP_INPUT:
-            entries = {inputs[1]} if inputs[0] == argument else set()
-        else:
-            entries = set().union(*(held.get(i, set()) for i in inputs))
-        if operation == ca.OP_FABS:
-            found |= entries
-        if operation != ca.OP_OUTPUT:
-            held[function.instruction_output(k)[0]] = entries
-    return found
+def arguments(parameters: tuple[float, ...] | None, **sizes: int) -> dict[str, int]:
+    """Lengths of the arguments of a callable by name, in order; the parameters p, where there are some, come last."""
+    return sizes if parameters is None else sizes | {"p": len(parameters)}
 
 
-def _sizes(dimension: int, parameters: tuple[float, ...] | None) -> dict[str, int]:
-    """Lengths of t, x, v and, if there are some, parameters p."""
-    return {"t": 1, "x": dimension, "v": dimension} | ({} if parameters is None else {"p": len(parameters)})
+def trace_if(name: str, function: Traceable | None, sizes: Mapping[str, int], rows: int | Rows) -> ca.Function | None:
+    """`trace` what may be left out; None stays None."""
+    return None if function is None else trace(name, function, sizes, rows)
 
 
-def trace_lagrangian(
-    lagrangian: Traceable, dimension: int, parameters: tuple[float, ...] | None, mechanical: int | None = None
-) -> ca.Function:
+def trace_lagrangian(lagrangian: Traceable, sizes: Mapping[str, int], mechanical: int | None = None) -> ca.Function:
     """Trace L(t, x, v[, p]) and check that it is regular at least by structure: every v[i] must occur.
 
     Of the `mechanical` first components only, where some follow rates; those of the others must not.
     """
-    function = trace("lagrangian", lagrangian, _sizes(dimension, parameters), "scalar")
+    function = trace("lagrangian", lagrangian, sizes, "scalar")
     used = function.sparsity_jac(2, 0)
-    count = dimension if mechanical is None else mechanical
+    count = sizes["v"] if mechanical is None else mechanical
     ignored = [i for i in range(count) if not used.has_nz(0, i)]
     if ignored:
         names = ", ".join(f"v[{i}]" for i in ignored)
         raise ValueError(f"the lagrangian ignores {names}: without a velocity there is no equation of motion for it")
-    for i in range(count, dimension):
+    for i in range(count, sizes["v"]):
         if used.has_nz(0, i):
             raise ValueError(f"the lagrangian depends on v[{i}], but x[{i}] follows a rate and has no momentum")
     return function
-
-
-def trace_force(force: Traceable | None, dimension: int, parameters: tuple[float, ...] | None) -> ca.Function | None:
-    """Trace F(t, x, v[, p]) -> (d,); None stays None."""
-    return None if force is None else trace("force", force, _sizes(dimension, parameters), dimension)
-
-
-def trace_constraint(
-    constraint: Traceable | None, dimension: int, parameters: tuple[float, ...] | None
-) -> ca.Function | None:
-    """Trace g(t, x[, p]) -> (k,); None stays None."""
-    sizes = _sizes(dimension, parameters)
-    del sizes["v"]
-    return None if constraint is None else trace("constraint", constraint, sizes, "any")
-
-
-def trace_ends(
-    name: str, function: Traceable | None, rows: Rows, dimension: int, parameters: tuple[float, ...] | None
-) -> ca.Function | None:
-    """Trace a function of the ends, (x_0, x_N[, p]) -> (rows,); None stays None."""
-    sizes = {"x0": dimension, "x1": dimension} | ({} if parameters is None else {"p": len(parameters)})
-    return None if function is None else trace(name, function, sizes, rows)
 
 
 def with_parameters(function: ca.Function, parameters: tuple[float, ...] | None) -> ca.Function:

@@ -157,11 +157,13 @@ def check_constraint(problem: Problem) -> None:
         if None in where:
             continue
         held, slope = (np.array(a) for a in both(when, where))
-        missed = np.abs(held.ravel()) / (np.abs(slope) @ np.abs(where) + TINY)
-        if not np.all(missed <= HELD):
+        rounded = HELD * (np.abs(slope) @ np.abs(where)) + TINY
+        missed = np.abs(held.ravel()) / rounded
+        if not np.all(missed <= 1):
             i = int(np.argmax(missed))
             raise ValueError(
-                f"the constraint must be zero at the given {name}, x = {list(where)}: its value {i} is {held[i, 0]:g}"
+                f"the constraint must be zero at the given {name}, x = {list(where)}: its value {i} is {held[i, 0]:g}, "
+                f"and only rounding, up to {rounded[i]:.0e}, is accepted"
             )
         rows = np.linalg.norm(slope, axis=1)
         if np.linalg.matrix_rank(slope / np.where(rows > 0, rows, 1)[:, None], tol=1e3 * EPS) < k:

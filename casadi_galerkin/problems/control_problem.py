@@ -18,21 +18,21 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import components, numbers, time_span, times_inside, whole
+from casadi_galerkin.calculus.numbers import components, counted, flag, numbers, time_span, times_inside, whole_number
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.bounds import (
     Bounds,
     Limit,
+    Limited,
     bounds,
     duration_bounds_of,
     limited_values,
     parameter_bounds_of,
 )
-from casadi_galerkin.problems.callables import Traceable, trace, trace_constraint, trace_lagrangian
+from casadi_galerkin.problems.callables import Traceable, arguments, trace, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
 from casadi_galerkin.problems.crossings import (
     Crossing,
-    Limited,
     Pairs,
     Waypoint,
     crossings_of,
@@ -40,7 +40,7 @@ from casadi_galerkin.problems.crossings import (
     waypoints_of,
 )
 from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
-from casadi_galerkin.problems.problem import check_inside, flag, marks, shown, varied_values
+from casadi_galerkin.problems.problem import marks, shown, with_changes, with_values
 
 ROUNDED = 1e-8  # of a condition that the ends given meet, as much as a solve may leave
 
@@ -110,12 +110,12 @@ class ControlProblem:
     terminal_cost: ca.Function | None
     control_bounds: Bounds
     position_bounds: Bounds
-    path_constraint: tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None
+    path_constraint: Limited | None
     duration_bounds: Bounds | None
     parameters: tuple[float, ...] | None
     parameter_bounds: Bounds | None
     rates: ca.Function
-    end_conditions: tuple[ca.Function, tuple[float, ...], tuple[float, ...]] | None
+    end_conditions: Limited | None
     breakpoints: tuple[float, ...]
     waypoints: tuple[tuple[float, Pairs | Limited], ...]
     jumps: tuple[tuple[float, ca.Function], ...]
@@ -148,35 +148,31 @@ class ControlProblem:
         hold: bool = False,
         constraint: Traceable | None = None,
     ) -> None:
-        d, count = len(components("start", start)), _control_count(controls)
+        d, count = len(components("start", start)), whole_number("controls", controls)
         given = None if parameters is None else numbers("parameters", parameters)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
-        sizes = {"t": 1, "x": d, "v": d, "u": count} | ({} if given is None else {"p": len(given)})
-        at_the_end = {name: size for name, size in sizes.items() if name != "u"}
-        both = {"x0": d, "v0": d, "x1": d, "v1": d} | {name: size for name, size in sizes.items() if name == "p"}
+        sizes, moving = arguments(given, t=1, x=d, v=d, u=count), arguments(given, t=1, x=d, v=d)
+        here, both = arguments(given, x=d, v=d), arguments(given, x0=d, v0=d, x1=d, v1=d)
         if _is_of_none(force):
             lagrangian = force = None
-        own = _none_of("rates", sizes) if rates is None or _is_of_none(rates) else trace("rates", rates, sizes, "any")
+        own = trace("rates", _none if rates is None or _is_of_none(rates) else rates, sizes, "any")
         mechanical = d - own.numel_out(0)
         if mechanical < 0:
             raise ValueError(f"rates must be those of at most all {d} component(s), got {d - mechanical} values")
         _check_mechanics(mechanical, lagrangian, force)
-        here = {name: size for name, size in sizes.items() if name in ("x", "v", "p")}
         within = bounds("position_bounds", position_bounds, d)
         passed, laws = waypoints_of(waypoints, here, within), jumps_of(jumps, here, mechanical)
-        inner = times_inside("breakpoints", breakpoints, time_span(t_span))
-        inner = tuple(sorted({*inner, *dict(passed), *dict(laws)}))
-        inner = times_inside("breakpoints, waypoints and jumps", inner, time_span(t_span))
+        span = time_span(t_span)
+        named = {*times_inside("breakpoints", breakpoints, span), *dict(passed), *dict(laws)}
+        inner = times_inside("breakpoints, waypoints and jumps", sorted(named), span)
         values: dict[str, Any] = {
-            "lagrangian": trace_lagrangian(lagrangian or _nothing, d, given, mechanical),
-            "t_span": time_span(t_span),
+            "lagrangian": trace_lagrangian(lagrangian or _nothing, moving, mechanical),
+            "t_span": span,
             **{name: components(name, end, d) for name, end in ends.items()},
-            "force": trace("force", force, sizes, mechanical) if force else _none_of("force", sizes),
+            "force": trace("force", force or _none, sizes, mechanical),
             "running_cost": trace("running_cost", running_cost, sizes, "scalar"),
             "controls": count,
-            "terminal_cost": None
-            if terminal_cost is None
-            else trace("terminal_cost", terminal_cost, at_the_end, "scalar"),
+            "terminal_cost": trace_if("terminal_cost", terminal_cost, moving, "scalar"),
             "control_bounds": bounds("control_bounds", control_bounds, count),
             "position_bounds": within,
             "path_constraint": limited_values("path_constraint", path_constraint, sizes),
@@ -189,7 +185,7 @@ class ControlProblem:
             "waypoints": passed,
             "jumps": laws,
             "hold": flag("hold", hold),
-            "constraint": trace_constraint(constraint, d, given),
+            "constraint": trace_if("constraint", constraint, arguments(given, t=1, x=d), "any"),
         }
         self.__dict__.update(values)  # the class is frozen
         self._check_dependence()
@@ -200,10 +196,11 @@ class ControlProblem:
         """State the problem without its callables."""
         free = "" if self.duration_bounds is None else f", duration within {self.duration_bounds}"
         others = self.dimension - self.mechanical
-        rates, held = f", {others} of which follow rates," if others else "", "held " if self.hold else ""
+        rates = f", {others} of which follow rates," if others else ""
+        controls = counted(self.controls, "held control" if self.hold else "control")
         return (
-            f"ControlProblem of {self.dimension} component(s){rates} and {self.controls} {held}control(s) "
-            f"on {self.t_span}{free}:\n"
+            f"ControlProblem of {counted(self.dimension, 'component')}{rates} and {controls} on "
+            f"{self.t_span}{free}:\n"
             f"  start {shown(self.start)}, velocity {shown(self.start_velocity)}\n"
             f"  end {shown(self.end)}, velocity {shown(self.end_velocity)}\n"
             f"  parameters {shown(self.parameters)}"
@@ -244,23 +241,23 @@ class ControlProblem:
         self, t_span: tuple[float, float], parameters: tuple[float, ...] | None, breakpoints: tuple[float, ...]
     ) -> ControlProblem:
         """Copy with the times and parameters that an optimization found, still free if they were; checks nothing."""
-        other = object.__new__(type(self))  # copy.copy takes 50 µs
         moved = dict(zip(self.breakpoints, breakpoints, strict=True))
         timed = {name: tuple((moved[t], what) for t, what in getattr(self, name)) for name in ("waypoints", "jumps")}
-        found = {"t_span": t_span, "parameters": parameters, "breakpoints": breakpoints}
-        other.__dict__.update(vars(self), **found, **timed)
-        return other
+        return with_values(self, t_span=t_span, parameters=parameters, breakpoints=breakpoints, **timed)
 
     def varied(self, changes: Mapping[str, Any], t_span: tuple[float, float]) -> ControlProblem:
         """Copy with other ends, velocities or parameters, by name, and other times; see `BoundaryProblem.varied`."""
-        check_inside(self, t_span)
-        other = self.found(t_span, self.parameters, self.breakpoints)
-        other.__dict__.update(varied_values(self, changes))
+        other = with_changes(self, changes, t_span)
         other._check_ends()
         other._check_guesses()
         return other
 
     def _check_dependence(self) -> None:
+        """Refuse callables that do not go together, or depend on what they must not; ends do not matter."""
+        if self.constraints and self.mechanical < self.dimension:
+            raise ValueError("a constraint has no place beside rates: write it as a path_constraint (g, 0, 0)")
+        if self.constraints and self.crossings:
+            raise ValueError("a problem with a constraint takes no jumps, and no functions as waypoints")
         of_velocities = [
             ("force", self.force, [2]),
             ("rates", self.rates, [2]),
@@ -294,10 +291,6 @@ class ControlProblem:
                         f"{name}[{i}] = {value} lies on its position_bounds [{low[i]}, {high[i]}], and "
                         f"{name}_velocity[{i}] = {velocity} puts the path outside beside it"
                     )
-        if self.constraints and self.mechanical < self.dimension:
-            raise ValueError("a constraint has no place beside rates: write it as a path_constraint (g, 0, 0)")
-        if self.constraints and self.crossings:
-            raise ValueError("a problem with a constraint takes no jumps, and no functions as waypoints")
         if self.duration_bounds is None and self.parameter_bounds is None:
             check_constraint(self)
             self._check_constraint("start", self.t_span[0])
@@ -357,28 +350,18 @@ class ControlProblem:
                 raise ValueError(f"parameters[{i}] = {value} lies outside its bounds [{low}, {high}]")
 
 
-def _control_count(controls: int) -> int:
-    count = whole(controls)
-    if count is None:
-        raise TypeError(f"controls must be the number of controls, got {controls!r}")
-    if count < 1:
-        raise ValueError(f"a ControlProblem needs at least one control, got {count}; without, see BoundaryProblem")
-    return count
-
-
 def _nothing(*_: ca.SX) -> float:
     """The Lagrangian where all components follow rates."""
     return 0.0
 
 
-def _none_of(name: str, sizes: Mapping[str, int]) -> ca.Function:
+def _none(*_: ca.SX) -> ca.SX:
     """Forces or rates of no component."""
-    symbols = [ca.SX.sym(symbol, size) for symbol, size in sizes.items()]
-    return ca.Function(name, symbols, [ca.SX(0, 1)], list(sizes), ["value"])
+    return ca.SX(0, 1)
 
 
 def _is_of_none(function: object) -> bool:
-    """Whether it is what `_none_of` makes, which comes back where a field of a problem is replaced."""
+    """Whether it is `_none`, traced, which comes back where a field of a problem is replaced."""
     return isinstance(function, ca.Function) and function.n_out() == 1 and function.numel_out(0) == 0
 
 

@@ -10,13 +10,12 @@ from typing import Any, TypeAlias, TypeGuard, TypeVar
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.problems.bounds import Bounds, Limit, bounds, limited_values
+from casadi_galerkin.calculus.numbers import finite
+from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, limited_values
 from casadi_galerkin.problems.callables import Traceable, trace
-from casadi_galerkin.problems.problem import finite
 
 Positions: TypeAlias = Sequence[float | tuple[float, float] | None]
 Waypoint: TypeAlias = tuple[float, Positions | tuple[Traceable, Limit, Limit]]
-Limited: TypeAlias = tuple[ca.Function, tuple[float, ...], tuple[float, ...]]
 Pairs: TypeAlias = tuple[tuple[float, float], ...]
 Place = TypeVar("Place")
 

@@ -7,14 +7,13 @@ from collections.abc import Iterable, Sequence
 import casadi as ca
 
 from casadi_galerkin.problems.bounds import Bounds
-from casadi_galerkin.problems.callables import in_absolute_values
 
 Used = tuple[str, ca.Function | None, Sequence[int]]  # its name, and which of its arguments are velocities
 
 
 def _entries(function: ca.Function, argument: int) -> set[int]:
     """Which entries of an argument the values of a Function depend on."""
-    return {i for k in range(function.n_out()) for i in function.sparsity_jac(argument, k).T.row()}
+    return {i for k in range(function.n_out()) for i in function.sparsity_jac(argument, k).get_col()}
 
 
 def check_rates(users: Iterable[Used], own: range) -> None:
@@ -36,7 +35,7 @@ def check_controls(users: Iterable[ca.Function], count: int) -> None:
 def check_absolute_values(running_cost: ca.Function, bounds: Bounds) -> None:
     """Refuse |u| in the cost where u may change its sign, since a solver that takes derivatives stalls there."""
     low, high = bounds
-    for i in sorted(in_absolute_values(running_cost, 3)):
+    for i in sorted(_in_absolute_values(running_cost, 3)):
         if low[i] < 0 < high[i]:
             raise ValueError(
                 f"running_cost holds the absolute value of u[{i}], whose derivative jumps at zero: replace u[{i}] "
@@ -53,3 +52,20 @@ def check_parameters(users: Iterable[ca.Function | None], bounds: Bounds | None)
     for i, (low, high) in enumerate(zip(*bounds, strict=True)):
         if low < high and i not in used:
             raise ValueError(f"the free parameter p[{i}] occurs in no lagrangian, force, cost or constraint")
+
+
+def _in_absolute_values(function: ca.Function, argument: int) -> set[int]:
+    """Which entries of an argument the absolute values in a traced Function depend on."""
+    held: dict[int, set[int]] = {}
+    found: set[int] = set()
+    for k in range(function.n_instructions()):
+        operation, inputs = function.instruction_id(k), function.instruction_input(k)
+        if operation == ca.OP_INPUT:
+            entries = {inputs[1]} if inputs[0] == argument else set()
+        else:
+            entries = set().union(*(held.get(i, set()) for i in inputs))
+        if operation == ca.OP_FABS:
+            found |= entries
+        if operation != ca.OP_OUTPUT:
+            held[function.instruction_output(k)[0]] = entries
+    return found

@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import casadi as ca
 
-from casadi_galerkin.calculus.numbers import numbers, time_span
-from casadi_galerkin.problems.callables import Traceable, trace_constraint, trace_force, trace_lagrangian
+from casadi_galerkin.calculus.numbers import counted, numbers, time_span
+from casadi_galerkin.problems.callables import Traceable, arguments, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint
 from casadi_galerkin.problems.problem import shown
 
@@ -68,15 +68,16 @@ class InitialProblem:
         if (momentum is None) == (velocity is None):
             raise ValueError(f"give either momentum or velocity, got momentum={momentum!r} and velocity={velocity!r}")
         checked_parameters = None if parameters is None else numbers("parameters", parameters)
+        along = arguments(checked_parameters, t=1, x=d, v=d)
         values = {
-            "lagrangian": trace_lagrangian(lagrangian, d, checked_parameters),
+            "lagrangian": trace_lagrangian(lagrangian, along),
             "t_span": time_span(t_span),
             "position": checked_position,
             "momentum": None if momentum is None else numbers("momentum", momentum, d),
             "velocity": None if velocity is None else numbers("velocity", velocity, d),
             "parameters": checked_parameters,
-            "force": trace_force(force, d, checked_parameters),
-            "constraint": trace_constraint(constraint, d, checked_parameters),
+            "force": trace_if("force", force, along, d),
+            "constraint": trace_if("constraint", constraint, arguments(checked_parameters, t=1, x=d), "any"),
         }
         self.__dict__.update(values)  # the class is frozen
         check_constraint(self)
@@ -85,8 +86,8 @@ class InitialProblem:
         """State the problem without its Lagrangian."""
         start = f"velocity {shown(self.velocity)}" if self.momentum is None else f"momentum {shown(self.momentum)}"
         return (
-            f"InitialProblem of {self.dimension} component(s) on {self.t_span}: position {shown(self.position)}, "
-            f"{start}, {'no force' if self.force is None else 'with a force'}, "
+            f"InitialProblem of {counted(self.dimension, 'component')} on {self.t_span}: "
+            f"position {shown(self.position)}, {start}, {'no force' if self.force is None else 'with a force'}, "
             f"{'' if self.constraint is None else 'with a constraint, '}parameters {shown(self.parameters)}"
         )
 

@@ -103,6 +103,7 @@ def velocities(
         v, last = trial, length
     rounded = np.abs(v) + EPS / FOUND * np.max(np.abs(v), axis=0)  # a component near zero is as good as the others
     sizes = np.abs(momentum) + np.abs(found) + 4 * np.einsum("kij,jk->ik", np.abs(masses), rounded)
+    sizes += EPS / FOUND * np.max(np.abs(momentum), axis=1, keepdims=True)  # where a mass vanishes, p is only rounding
     missed = (np.abs(momentum - found) > FOUND * sizes).any(axis=0)  # where ∂²L/∂v² vanishes, there are no steps
     return np.where(at_rest | (settled & ~missed), v, np.nan)
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import accumulate
+from operator import mul
+
 import casadi as ca
 import numpy as np
-from numpy.polynomial.legendre import legvander
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.nodes import lagrange_values
+from casadi_galerkin.calculus.nodes import barycentric_weights, lagrange_values
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import times_at, times_within
 from casadi_galerkin.calculus.roundoff import EPS
 
@@ -34,7 +37,7 @@ class ControlPath:
     ...     force=lambda t, x, v, u: u, running_cost=lambda t, x, v, u: u**2 / 2, controls=1)
     >>> control = cg.solve(move, cg.Galerkin(degree=3), intervals=4).control
     >>> control
-    ControlPath of 1 component(s) at 3 points in each of 4 intervals of [0, 1]
+    ControlPath of 1 component at 3 points in each of 4 intervals of [0, 1]
     >>> control([0.25, 1.0]).round(6).tolist()
     [[3.0, -6.0]]
     """
@@ -54,9 +57,10 @@ class ControlPath:
 
     def __repr__(self) -> str:
         """How many functions these are, and where they are given."""
+        size, points = counted(len(self.values), "component"), counted(len(self.points), "point")
         return (
-            f"ControlPath of {len(self.values)} component(s) at {len(self.points)} points in each of "
-            f"{len(self.mesh) - 1} intervals of [{self.mesh[0]:g}, {self.mesh[-1]:g}]"
+            f"ControlPath of {size} at {points} in each of {counted(len(self.mesh) - 1, 'interval')} of "
+            f"[{self.mesh[0]:g}, {self.mesh[-1]:g}]"
         )
 
     @property
@@ -76,23 +80,15 @@ class ControlPath:
         return self.mesh[1:-1] + (SAME_TIME * np.max(np.abs(self.mesh)) if before else 0.0)
 
     def expression(self, t: ca.SX) -> ca.SX:
-        """The same as a CasADi expression of a scalar t, (n,).
-
-        Legendre series, summed by Clenshaw's recurrence, with coefficients that switch at joints: those of monomials
-        leave two or three digits at degree 40.
-        """
-        r, changes, steps = len(self.points), self._changes.tolist(), np.diff(self.mesh)
-        local = self.values.reshape(len(self.values), len(steps), r)
-        coefficients = np.linalg.solve(legvander(2 * self.points - 1, r - 1), local.reshape(-1, r).T)
+        """The same as a CasADi expression of a scalar t, (n,): Lagrange's form, with values that switch at joints."""
+        changes = self._changes.tolist()
 
         def switched(values: np.ndarray) -> ca.SX:
             return ca.pw_const(t, changes, values.tolist()) if changes else ca.SX(values[0])
 
-        s = 2 * (t - switched(self.mesh[:-1])) / switched(steps) - 1
-        total = after = [ca.SX(0) for _ in self.values]
-        for k in reversed(range(r)):
-            first, second = (2 * k + 1) / (k + 1) * s, (k + 1) / (k + 2)
-            rows = coefficients[k].reshape(len(self.values), -1)
-            following = [switched(row) + first * b - second * c for row, b, c in zip(rows, total, after, strict=True)]
-            total, after = following, total
-        return ca.vertcat(*total)
+        s = (t - switched(self.mesh[:-1])) / switched(np.diff(self.mesh))
+        gaps = [s - point for point in self.points.tolist()]
+        before, after = (list(accumulate(some, initial=ca.SX(1), func=mul)) for some in (gaps[:-1], gaps[:0:-1]))
+        basis = barycentric_weights(self.points) * ca.vertcat(*map(mul, before, reversed(after)))
+        local = self.values.reshape(len(self.values), -1, len(gaps))
+        return ca.vertcat(*(ca.dot(ca.vertcat(*map(switched, rows.T)), basis) for rows in local)) / ca.sum1(basis)

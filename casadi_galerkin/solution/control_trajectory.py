@@ -11,13 +11,15 @@ import numpy as np
 
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import lagrange_values
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.bounds import beyond
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.constrained_motion import constrained_motion
+from casadi_galerkin.problems.constrained_motion import motion_of
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.problem import with_values
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_path
@@ -211,10 +213,7 @@ class ControlTrajectory(Trajectory):
 
     def _constrained_motion(self) -> ca.Function | None:
         """What the multipliers are found from, with the forces that the controls give."""
-        if self.problem.constraint is None:
-            return None
-        held, force = (with_parameters(f, self.parameters) for f in (self.problem.constraint, self.replay()))
-        return constrained_motion(self._lagrangian, held, force)
+        return None if self.problem.constraint is None else motion_of(with_values(self.problem, force=self.replay()))
 
     def table(self) -> dict[str, np.ndarray]:
         """What a Trajectory has, controls and costate at the joints, after a jump there, by name."""
@@ -315,11 +314,11 @@ class ControlTrajectory(Trajectory):
 
     def __repr__(self) -> str:
         """Summarize path and solve in a few lines."""
-        size, n = len(self.x), len(self.control.values)
+        size, n = counted(len(self.x), "component"), counted(len(self.control.values), "control")
         return "\n".join(
             [
-                f"ControlTrajectory of {size} component{'s' if size > 1 else ''} and {n} control{'s' if n > 1 else ''} "
-                f"on [{self.t[0]:g}, {self.t[-1]:g}], {len(self.t) - 1} intervals",
+                f"ControlTrajectory of {size} and {n} on [{self.t[0]:g}, {self.t[-1]:g}], "
+                f"{counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
                 f"  cost        {self.cost:.12g}",
                 f"  Hamiltonian {self.hamiltonian[0]:.9g} at the start, varies by {np.ptp(self.hamiltonian):.1e}",
@@ -338,7 +337,8 @@ class ControlTrajectory(Trajectory):
 
     def _between_points(self) -> list[str]:
         """Lines on what the points do not see: the defect, and what leaves its bounds there."""
-        lines = [f"  defect      {self._worst(self.dynamics_defect)}, of the largest momentum"]
+        what = "momentum" if self.problem.mechanical else "value"
+        lines = [f"  defect      {self._worst(self.dynamics_defect)}, of the largest {what}"]
         if np.max(self.control_overshoot) > SHOWN_OVERSHOOT:
             lines.append(f"  overshoot   {self._worst(self.control_overshoot)}, of the bounds' width")
         if np.max(self.constraint_excess) > SHOWN_EXCESS:

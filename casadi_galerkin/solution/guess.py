@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -39,15 +40,12 @@ def sampled(name: str, function: Callable[[float], ArrayLike], times: np.ndarray
 
 def guessed(function: Callable[..., ArrayLike], times: np.ndarray, dimension: int) -> np.ndarray:
     """Values (d, K) of a guess, called once where it takes an array of times, which three of them are to confirm."""
-    try:
-        with np.errstate(all="ignore"):
-            whole = np.asarray(function(times.copy()), dtype=float)  # it may write to what it is given
-    except Exception:  # what a callable of one time makes of an array
-        return sampled("the guess", function, times, dimension)
     tried = [0, len(times) // 2, len(times) - 1]
-    if whole.shape == (dimension, len(times)) and np.isfinite(whole).all():
-        one_by_one = sampled("the guess", function, times[tried], dimension)
-        if np.allclose(whole[:, tried], one_by_one, rtol=1e-12, atol=0):
+    one_by_one = sampled("the guess", function, times[tried], dimension)
+    with suppress(Exception), np.errstate(all="ignore"):  # what a callable of one time makes of an array
+        whole = np.asarray(function(times.copy()), dtype=float)  # it may write to what it is given
+        fits = whole.shape == (dimension, len(times)) and np.isfinite(whole).all()
+        if fits and np.allclose(whole[:, tried], one_by_one, rtol=1e-12, atol=0):
             return whole
     return sampled("the guess", function, times, dimension)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.numbers import whole, whole_number
+from casadi_galerkin.calculus.numbers import counted, whole, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.solution.export import Table, by_component
 from casadi_galerkin.solution.plotting import Pictured, plot_path, plot_plane, plot_poses
@@ -68,9 +68,9 @@ class Path(Table, Pictured):
         labels : d names with units, such as "angle in rad"
         time : name of the time with its unit
         """
-        drawn = plot_path(*self.polynomial.line(self._fine()), self.t, self.x, axes, labels, time)
+        drawn = plot_path(*self._line(), self.t, self.x, axes, labels, time)
         if axes is None:
-            drawn.set_title(self._title())
+            drawn.set_title(self._title(), wrap=True)
         return drawn
 
     def plot_plane(
@@ -88,8 +88,7 @@ class Path(Table, Pictured):
         if len(given) != 2 or any(i is None or not 0 <= i < len(self.x) for i in given):
             raise ValueError(f"components must be two numbers from 0 to {len(self.x) - 1}, got {components!r}")
         chosen = list(components)
-        line = self.polynomial.line(self._fine(20))[1][chosen]
-        return plot_plane(line, self.x[chosen], axes, labels or [f"x[{i}]" for i in chosen])
+        return plot_plane(self._line(20)[1][chosen], self.x[chosen], axes, labels or [f"x[{i}]" for i in chosen])
 
     def plot_poses(
         self, points: Callable[[np.ndarray], ArrayLike], axes: Axes | None = None, count: int = 8, apart: float = 0.0
@@ -120,14 +119,18 @@ class Path(Table, Pictured):
     def _title(self) -> str:
         return f"A path of degree {self.polynomial.degree} on {len(self.t) - 1} intervals, not an answer"
 
+    def _line(self, least: int = 2) -> tuple[np.ndarray, np.ndarray]:
+        """Times (K,) and positions (d, K) of a smooth line, both of them where it jumps; `least` as for `_fine`."""
+        return self.polynomial.line(self._fine(least))
+
     def _fine(self, least: int = 2) -> np.ndarray:
         """Times that make a smooth line, at least so many on every interval; all joints are among them."""
         return self.polynomial.times(np.linspace(0, 1, max(least, SMOOTH // (len(self.t) - 1)), endpoint=False))
 
     def __repr__(self) -> str:
         """Say what it is and over which time."""
-        d, size = len(self.polynomial.values), len(self.t) - 1
+        size, intervals = counted(len(self.x), "component"), counted(len(self.t) - 1, "interval")
         return (
-            f"Path of {d} component{'s' * (d > 1)} on [{self.t[0]:g}, {self.t[-1]:g}], degree "
-            f"{self.polynomial.degree} on {size} interval{'s' * (size > 1)}; not an answer"
+            f"Path of {size} on [{self.t[0]:g}, {self.t[-1]:g}], degree {self.polynomial.degree} on {intervals}; "
+            "not an answer"
         )

@@ -6,9 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from casadi_galerkin.calculus.numbers import place
+from casadi_galerkin.calculus.numbers import counted, place
 from casadi_galerkin.solution.plotting import Pictured, plot_family
 from casadi_galerkin.solution.trajectory import Trajectory
 
@@ -16,7 +14,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SHOWN = 6  # paths in a repr
-SMOOTH = 600  # times of a line
 FINER = "a higher degree or more intervals may"
 
 
@@ -70,17 +67,14 @@ class Paths(Pictured):
         time : name of the time with its unit
         """
         place("component", component, len(self[0].x))
-        parts = np.linspace(0, 1, max(2, SMOOTH // (len(self[0].t) - 1)), endpoint=False)
-        lines = []
-        for path in self:
-            times = path.polynomial.times(parts)
-            lines.append((f"action {path.action:.6g}, {_index(path)}", times, path(times)[component]))
+        drawn = [(f"action {path.action:.6g}, {_index(path)}", path._line()) for path in self]
+        lines = [(name, times, values[component]) for name, (times, values) in drawn]
         return plot_family(lines, axes, label or f"x[{component}]", time)
 
     def __repr__(self) -> str:
         """Tabulate the paths, and say how many were dropped and why the search ended."""
         count = len(self)
-        lines = [f"Paths: {count} stationary path{'s' * (count > 1)} in {self.solves} solves; {self.stopped}"]
+        lines = [f"Paths: {counted(count, 'stationary path')} in {counted(self.solves, 'solve')}; {self.stopped}"]
         for path in self.trajectories[:SHOWN]:
             lines.append(
                 f"  action {path.action:<18.12g} {_index(path):15} error {path.error_estimate:.0e}  {path.solver}"

@@ -6,7 +6,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from html import escape
 from io import StringIO
-from textwrap import fill
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -21,7 +20,6 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#00
 STYLE: Any = {"axes.grid": True, "grid.color": "0.92", "axes.axisbelow": True, "axes.titlesize": "medium"}
 SIZE = (4.6, 3.2)  # inches, legible where three stand side by side on a page
 DOTS = 200  # joints beyond which their dots would hide the line
-WIDTH = 30  # characters that fit beside the lowest panel
 FRAMES_A_SECOND = 25
 
 
@@ -92,27 +90,30 @@ def plot_path(
 ) -> Axes:
     """Draw components over time: lines (K,), (d, K), and joints or points (M,), (d, M) as dots, if at most `DOTS`.
 
-    Without labels components have the name with an index.  NaN breaks a line; `dot` is the size of a dot.
+    Without labels components have the name with an index.  Several are named by the legend, where their colors suffice.
+    NaN breaks a line; `dot` is the size of a dot.
     """
-    names, heading = _named(name, len(values), labels)
+    names = _named(name, len(values), labels)
     axes = axes_or_new(axes)
     for i, (line, dots) in enumerate(zip(values, joint_values, strict=True)):
         color = COLORS[i % len(COLORS)]
         axes.plot(times, line, color=color, label=names[i])
         if len(joints) <= DOTS:
             axes.plot(joints, dots, ".", color=color, markersize=dot)
-    axes.set(xlabel=time, ylabel=heading)
-    if 1 < len(values) <= len(COLORS):
+    alone, legend = len(values) == 1, 1 < len(values) <= len(COLORS)
+    axes.set(xlabel=time, ylabel=names[0] if alone else "" if legend and labels is not None else name)
+    if legend:
         axes.legend(fontsize="small")
     return axes
 
 
 def plot_family(lines: Sequence[tuple[str, np.ndarray, np.ndarray]], axes: Axes | None, label: str, time: str) -> Axes:
     """Draw one component of several paths; `lines` are their names, times (K,) and values (K,)."""
+    (heading,) = _named("x", 1, [label])
     axes = axes_or_new(axes, (SIZE[0], SIZE[1] + 0.2 * len(lines)))
     for i, (name, times, values) in enumerate(lines):
         axes.plot(times, values, color=COLORS[i % len(COLORS)], label=name)
-    axes.set(xlabel=time, ylabel=label)
+    axes.set(xlabel=time, ylabel=heading)
     if len(lines) <= len(COLORS):
         legend_below(axes)
     return axes
@@ -127,7 +128,7 @@ def plot_plane(
     places: np.ndarray, joints: np.ndarray, axes: Axes | None = None, labels: Sequence[str] = ("x[0]", "x[1]")
 ) -> Axes:
     """Draw a way through the plane on equal axes: a line through places (2, K), joints (2, N + 1) as dots."""
-    names, _ = _named("x", 2, labels)
+    names = _named("x", 2, labels)
     axes = axes_or_new(axes, (SIZE[0], 0.9 * SIZE[0]))
     (line,) = axes.plot(*places)
     if joints.shape[1] <= DOTS:
@@ -148,16 +149,15 @@ def plot_poses(points: np.ndarray, trail: np.ndarray, axes: Axes | None = None) 
     return axes
 
 
-def _named(name: str, count: int, labels: Sequence[str] | None) -> tuple[Sequence[str], str]:
-    """Names of the components, and what stands at their axis."""
+def _named(name: str, count: int, labels: Sequence[str] | None) -> Sequence[str]:
+    """Names of the components."""
     if labels is None:
-        names = [f"{name}[{i}]" for i in range(count)]
-        return names, names[0] if count == 1 else name
+        return [f"{name}[{i}]" for i in range(count)]
     given = np.asarray(labels, dtype=object)  # by position; a set has none
     if given.shape != (count,) or not all(isinstance(label, str) for label in given):
         raise ValueError(f"labels of {name} must be {count} name(s), one per component, got {labels!r}")
-    unbroken = ", ".join(label.replace(" ", "\N{NO-BREAK SPACE}") for label in given)
-    return given.tolist(), fill(unbroken, WIDTH).replace("\N{NO-BREAK SPACE}", " ")
+    names: list[str] = given.tolist()
+    return names
 
 
 def draw_bounds(axes: Axes, bounds: np.ndarray) -> None:
@@ -200,7 +200,7 @@ def plot_phase(
     axes: Axes | None = None,
 ) -> Axes:
     """Draw one component in phase space: a line through (x, p), all (K,), joints as dots, the first one larger."""
-    names, _ = _named("x and p", 2, labels)
+    names = _named("x and p", 2, labels)
     axes = axes_or_new(axes)
     if not axes.lines:
         axes.set_prop_cycle(color=COLORS)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.mesh_adaptation import truncation
-from casadi_galerkin.calculus.numbers import number, place
+from casadi_galerkin.calculus.numbers import counted, number, place
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, multipliers
@@ -23,7 +23,7 @@ from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import FRAMES_A_SECOND, animate_linkage, plot_phase
-from casadi_galerkin.solution.witness import ACTION, BALANCE, witnesses
+from casadi_galerkin.solution.witness import doubts
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -110,13 +110,11 @@ class Trajectory(Path):
 
     def doubted(self, error: float) -> float:
         """The larger of an error and of what the balance of energy and the action by a finer rule are violated by."""
-        missed = self._missed(max(error, EPS))
-        return max(error, missed["balance of energy"] * BALANCE, missed["action by a finer rule"] * ACTION)
+        return max(error, *self._doubts(max(error, EPS)))
 
-    def _missed(self, tol: float) -> dict[str, float]:
-        """The largest of what each witness says against this path."""
-        said = witnesses(self.problem, self.polynomial, self.momentum, tol)
-        return {name: float(np.max(said[name])) for name in said}
+    def _doubts(self, tol: float) -> list[float]:
+        """How far the balance of energy and the action by a finer rule are missed at most."""
+        return [float(np.max(missed)) for missed in doubts(self.problem, self.polynomial, self.momentum, tol)]
 
     @lazy
     def morse_index(self) -> int | None:
@@ -152,7 +150,8 @@ class Trajectory(Path):
     def velocity(self) -> np.ndarray:
         """Velocities at the joints that belong to the momenta, p = ∂L/∂v; (d, N + 1), of order min(2m, u).
 
-        NaN where none was found.  The derivative of the polynomial itself, ``path(t, 1)``, is of order m only.
+        NaN where none was found.  Where a mass vanishes, as at a center, they are ``path(t, 1)``, the derivative of the
+        polynomial, which is of order m only.
         """
         transform = legendre_transform(self._lagrangian)
         return velocities(transform, self.t, self.x, self.momentum, self(self.t, 1))
@@ -245,7 +244,7 @@ class Trajectory(Path):
 
     def _balance(self) -> str:
         """Words on how well the balance of energy is kept."""
-        return f"its balance kept to {self._missed(TELLS)['balance of energy'] * BALANCE:.1e} of its terms"
+        return f"its balance kept to {self._doubts(TELLS)[0]:.1e} of its terms"
 
     def _accuracy(self) -> list[str]:
         """A line on the error of x, if it is known, or if this mesh plainly does not resolve the path."""
@@ -267,18 +266,17 @@ class Trajectory(Path):
 
     def __repr__(self) -> str:
         """Summarize path and solve in a few lines."""
-        size, energy = len(self.x), self.energy
         kind = "a local minimum" if self.morse_index == 0 else f"a saddle of Morse index {self.morse_index}"
         if self.morse_index is None:
             least = "" if self.regularity is None else f", its smallest variation is {self.regularity:.0e} of its terms"
             kind = f"no Morse index{least}"
         return "\n".join(
             [
-                f"Trajectory of {size} component{'s' if size > 1 else ''} on [{self.t[0]:g}, {self.t[-1]:g}], "
-                f"{len(self.t) - 1} intervals",
+                f"Trajectory of {counted(len(self.x), 'component')} on [{self.t[0]:g}, {self.t[-1]:g}], "
+                f"{counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
                 f"  action      {self.action:.15g}, {kind}",
-                f"  energy      {energy[0]:.12g} at the start, {self._balance()}",
+                f"  energy      {self.energy[0]:.12g} at the start, {self._balance()}",
                 *self._accuracy(),
                 f"  solver      {self.solver}, {self.iterations} iterations, residual {self.residual:.1g} times its "
                 "roundoff floor",

@@ -62,9 +62,18 @@ def missed_balance(kept: np.ndarray, scale: np.ndarray, floor: np.ndarray, tol: 
 
 
 def witnesses(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray, tol: float) -> dict[str, np.ndarray]:
-    """What each witness says against a path, by interval and relative to the sizes of its terms; (N,) each.
+    """What each witness says against a path, in parts of what is accepted of it; arguments as for `doubts`."""
+    balance, action = doubts(problem, path, momentum, tol)
+    return {"balance of energy": balance / BALANCE, "action by a finer rule": action / ACTION}
 
-    The balance is drawn up between breakpoints: at a step of L in time the energy jumps.
+
+def doubts(
+    problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray, tol: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far the balance of energy, and the action by a finer rule, are missed on every interval; (N,) each.
+
+    Both are relative to the sizes of their terms.  The balance is drawn up between breakpoints: at a step of L in time
+    the energy jumps.
 
     Parameters
     ----------
@@ -77,7 +86,8 @@ def witnesses(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray,
     parts = [
         _between_breakpoints(problem, path.between(i, j), momentum[:, i : j + 1], tol) for i, j in pairwise(joints)
     ]
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    balance, action = (np.concatenate(values) for values in zip(*parts, strict=True))
+    return balance, action
 
 
 @lru_cache(64)
@@ -89,7 +99,7 @@ def _rules(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _between_breakpoints(
     problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray, tol: float
-) -> dict[str, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray]:
     """The same without breakpoints.
 
     Where the momentum p of a joint differs from ∂L/∂v at the path's own slope v there by δ, the energy is
@@ -137,5 +147,4 @@ def _between_breakpoints(
     missed = missed_balance(energy + np.append(0.0, np.cumsum(supplied)), scale, floor, tol)
     coarser = lagrangian.reshape(len(steps), -1)[:, 2 + len(fine) :] @ coarse
     change = np.abs(integral(lagrangian) - coarser) / (mean * float(np.sum(steps)))
-    change = np.where(np.isfinite(change), change, np.inf)
-    return {"balance of energy": missed / BALANCE, "action by a finer rule": change / ACTION}
+    return missed, np.where(np.isfinite(change), change, np.inf)

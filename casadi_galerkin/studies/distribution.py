@@ -17,7 +17,6 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TypeVar
 
@@ -43,6 +42,7 @@ Variation = Mapping[str, Any]
 Answer = Trajectory | Exception
 Answers = dict[int, Answer]  # by the number of the variation
 Known = tuple[np.ndarray, Trajectory]  # the given values of a problem, and its path
+Chunk = tuple[Sequence[int], Sequence[Known]]  # variations to solve one after the other, and paths to start from
 Solve = Callable[[Variation, Sequence[Known]], Trajectory]  # of a variation, from paths that are known
 Solved = Callable[[Sequence[Variation], Sequence[Known]], list[Answer]]
 Stated = TypeVar("Stated", BoundaryProblem, ControlProblem)
@@ -119,19 +119,16 @@ def solver_of(
     return solved
 
 
-def _answer(solver: Solve, variation: Variation, known: Sequence[Known]) -> Answer:
-    try:
-        return solver(variation, known)
-    except Exception as error:  # a guess may raise anything
-        error.__cause__ = error.__context__ = None  # their frames, like those of the error, would keep arrays alive
-        return error.with_traceback(None)
-
-
 def _answers(solver: Solve, variations: Sequence[Variation], known: Sequence[Known]) -> Iterator[Answer]:
     """Answers one after the other; each may start from those before and from paths that are known."""
     paths = list(known)
     for variation in variations:
-        answer = _answer(solver, variation, paths)
+        answer: Answer
+        try:
+            answer = solver(variation, paths)
+        except Exception as error:  # a guess may raise anything
+            error.__cause__ = error.__context__ = None  # their frames, like those of the error, would keep arrays alive
+            answer = error.with_traceback(None)
         paths += _known(answer)
         yield answer
 
@@ -175,14 +172,6 @@ def _alone(pickled: bytes, variations: Sequence[Variation], number: int) -> list
     return _chunk(pickled, variations)
 
 
-@dataclass(frozen=True)
-class Chunk:
-    """Numbers of variations that are solved one after the other, and paths that they may start from."""
-
-    numbers: Sequence[int]
-    known: Sequence[Known] = ()
-
-
 def _chunks(
     solver: Solve, variations: Sequence[Variation], answers: Answers, advance: Advance, solved: Solved
 ) -> list[Chunk]:
@@ -191,7 +180,7 @@ def _chunks(
         return _neighborhoods(solver.problem, variations, answers, advance, solved)
     count = len(variations)
     size = min(LARGEST_CHUNK, -(-count // CHUNKS) or 1)
-    return [Chunk(range(first, min(first + size, count))) for first in range(0, count, size)]
+    return [(range(first, min(first + size, count)), ()) for first in range(0, count, size)]
 
 
 def _neighborhoods(
@@ -224,19 +213,19 @@ def _neighborhoods(
         waiting[i] = np.nan
         advance(1)
     belongs = np.argmin(apart, axis=0)
-    chunks = []
+    chunks: list[Chunk] = []
     for i, begin in begins.items():
         own = np.flatnonzero(belongs == i)
         own = own[np.argsort(apart[i, own], kind="stable")]
-        chunks.append(Chunk([k for k in own.tolist() if k != centers[i]], begin))
+        chunks.append(([k for k in own.tolist() if k != centers[i]], begin))
     return chunks
 
 
 def solve_here(solver: Solve, variations: Sequence[Variation], answers: Answers, advance: Advance) -> None:
     """Solve all in this process."""
-    for chunk in _chunks(solver, variations, answers, advance, lambda *given: list(_answers(solver, *given))):
-        some = [variations[i] for i in chunk.numbers]
-        for i, answer in zip(chunk.numbers, _answers(solver, some, chunk.known), strict=True):
+    for numbers, known in _chunks(solver, variations, answers, advance, lambda *given: list(_answers(solver, *given))):
+        some = [variations[i] for i in numbers]
+        for i, answer in zip(numbers, _answers(solver, some, known), strict=True):
             answers[i] = answer
             advance(1)
 
@@ -257,9 +246,9 @@ def solve_chunks(
     chunks = _chunks(solver, variations, answers, advance, lambda *given: submitted(*given).result())
     futures: dict[Future[list[Answer]], Sequence[int]] = {}
     try:
-        for chunk in chunks:
+        for numbers, known in chunks:
             try:
-                futures[submitted([variations[i] for i in chunk.numbers], chunk.known)] = chunk.numbers
+                futures[submitted([variations[i] for i in numbers], known)] = numbers
             except Exception:
                 if not futures:
                     raise  # it has never worked

@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.boundary.branches import jumps
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.numbers import time_span
+from casadi_galerkin.calculus.numbers import counted, time_span
 from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.problem import check_kind
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table, by_component
 from casadi_galerkin.solution.progress import progress
@@ -152,7 +153,7 @@ class Sweep(Table):
     def __repr__(self) -> str:
         """Summarize the sweep, with the first jump between branches and the reason of the first failure."""
         failures = self.failures
-        text = f"Sweep of {len(self)} variation{'s' * (len(self) != 1)}, {len(self) - len(failures)} solved"
+        text = f"Sweep of {counted(len(self), 'variation')}, {len(self) - len(failures)} solved"
         cut_short = sum(isinstance(error, CutShort) for error in failures.values())
         if cut_short:
             text += f", {cut_short} cut short"
@@ -211,8 +212,7 @@ def sweep(
     >>> throws.momentum[:, 0, 0].round(6).tolist()
     [6.0, 7.0, 8.0]
     """
-    if not isinstance(problem, (BoundaryProblem, ControlProblem)):
-        raise TypeError(f"problem must be a BoundaryProblem or a ControlProblem, got {type(problem).__name__}")
+    check_kind(problem, BoundaryProblem, ControlProblem)
     if isinstance(variations, (str, Mapping)) or not isinstance(variations, Iterable):
         raise TypeError(f"variations must be a sequence of dicts, got {variations!r}")
     if isinstance(executor, ThreadPoolExecutor):

@@ -19,11 +19,12 @@ import numpy as np
 from casadi_galerkin._solve import transcribe
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.numbers import flag
 from casadi_galerkin.control.transcription import check_solver
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import check_types, flag, marks
+from casadi_galerkin.problems.problem import check_kind, check_types, marks
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, guess_values
 from casadi_galerkin.solution.limits import check_tolerance
@@ -241,7 +242,7 @@ def trade(
     >>> round(row.solve(oscillator).action, 5)
     0.32105
     """
-    check_types(problem, Galerkin(1), BoundaryProblem, InitialProblem, ControlProblem)
+    check_kind(problem, BoundaryProblem, InitialProblem, ControlProblem)
     _check_given(problem, guess, shooting, measure)
     grid = _listed("methods", methods), _listed("intervals", intervals)
     ways = _ways(problem, *grid, _listed("tolerances", tolerances), _solvers(problem, solvers), shooting, guess)

@@ -10,6 +10,7 @@ import numpy as np
 
 from casadi_galerkin._solve import solve
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.quadrature import gauss, lobatto, radau
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.export import Table
@@ -215,8 +216,8 @@ class Trade(Table, Pictured):
 
     def __repr__(self) -> str:
         """Say how much was measured, and what came out best; ``print`` shows the table."""
-        solved, ways = self._solved(), {row.way for row in self.rows}
-        text = f"Trade of {len(self.rows)} rows, {len(ways)} way(s) to solve; reference: {self.reference}"
+        solved, ways = self._solved(), counted(len({row.way for row in self.rows}), "way")
+        text = f"Trade of {counted(len(self.rows), 'row')}, {ways} to solve; reference: {self.reference}"
         if not solved:
             return text
         best = min(solved, key=lambda row: row.error)

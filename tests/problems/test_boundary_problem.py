@@ -16,7 +16,7 @@ import casadi_galerkin as cg
     [
         ({"end": [1.0, 2.0]}, ValueError, r"end must have 1 component\(s\), got 2"),
         ({"start": []}, ValueError, r"start must have at least one component\(s\), got 0"),
-        ({"start": 0.0}, TypeError, "start must be a sequence of numbers, one for each component, got 0.0"),
+        ({"start": 0.0}, TypeError, "start must be a sequence of numbers, got 0.0"),
         ({"start": "0"}, TypeError, "start must be a sequence of numbers.* got '0'"),
         ({"start": (v for v in [0.0])}, TypeError, "start must be a sequence of numbers.* got <generator"),
         ({"start": {0.0}}, TypeError, "start must be a sequence of numbers"),

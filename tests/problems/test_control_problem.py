@@ -20,9 +20,9 @@ BADLY_STATED = {
         ValueError,
         r"control_bounds must have no masked values, got one at \[1\]",
     ),
-    "half a control": ({"controls": 1.0}, TypeError, "controls must be the number of controls, got 1.0"),
+    "half a control": ({"controls": 1.0}, TypeError, "controls must be a whole number, got 1.0"),
     "start as a table": ({"start": {"x": 0}}, TypeError, "start must be a sequence of numbers.* got {'x': 0}"),
-    "no end": ({"end": None}, TypeError, "end must be a sequence of numbers, one for each component, got None"),
+    "no end": ({"end": None}, TypeError, "end must be a sequence of numbers, got None"),
     "cost of parameters": (
         {"running_cost": lambda t, x, v, u, p: u**2},
         TypeError,
@@ -75,8 +75,8 @@ BADLY_STATED = {
     "no duration": ({"t_span": (1, 1)}, ValueError, "t_span must increase"),
     "duration bound of zero": ({"duration_bounds": (0, 2)}, ValueError, "duration_bounds must be positive"),
     "duration guess outside": ({"duration_bounds": (2, 3)}, ValueError, "must hold the guess, t_span lasts 1.0"),
-    "no controls": ({"controls": 0}, ValueError, "at least one control, got 0"),
-    "controls by name": ({"controls": "u"}, TypeError, "number of controls"),
+    "no controls": ({"controls": 0}, ValueError, "controls must be at least 1, got 0"),
+    "controls by name": ({"controls": "u"}, TypeError, "controls must be a whole number, got .u."),
     "unused control": (
         {"controls": 2, "force": lambda t, x, v, u: u[0]},
         ValueError,
@@ -277,4 +277,4 @@ def test_fields_of_problems_with_and_without_rates_are_replaced():
     longer = replace(double_integrator(**FIRST_ORDER), t_span=(0.0, 3.0))
     assert longer.t_span == (0.0, 3.0)
     assert longer.mechanical == 0
-    assert "1 of which follow rates, and 1 held control(s)" in str(replace(longer, hold=True))
+    assert "1 of which follow rates, and 1 held control on (0.0, 3.0)" in str(replace(longer, hold=True))

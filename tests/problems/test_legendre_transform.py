@@ -52,3 +52,15 @@ def test_rest_is_found_from_any_slow_guess():
     guess, zero = 1e-4 * np.random.default_rng(1).normal(size=(2, count)), np.zeros((2, count))
     velocities = velocities_of_momenta(transform, zero[0], zero, zero, guess)
     np.testing.assert_allclose(velocities, 0, rtol=0, atol=1e-18)
+
+
+def test_where_the_mass_vanishes_the_velocity_is_the_slope_of_the_path():
+    """The Lane-Emden equation of index 1, θ = sin r / r: at the center any velocity has the momentum 0."""
+    problem = cg.BoundaryProblem(
+        lambda r, x, v: r**2 * (v[0] ** 2 / 2 - x[0] ** 2 / 2), (0.0, 3.0), [None], [np.sin(3.0) / 3.0]
+    )
+    path = cg.solve(problem, cg.Galerkin(8), 10)
+    r = path.t[1:]
+    np.testing.assert_allclose(path.velocity[0, 1:], np.cos(r) / r - np.sin(r) / r**2, rtol=1e-12)
+    np.testing.assert_allclose(path.velocity[0, 0], 0.0, atol=1e-8)
+    assert abs(path.energy[0]) < 1e-20

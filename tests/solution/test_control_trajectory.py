@@ -166,6 +166,14 @@ def test_summary_tells_where_the_points_do_not_see_a_jump():
     assert any(line.startswith(f"  defect      {path.dynamics_defect[2]:.1e}") and where in line for line in unseen)
 
 
+def test_the_defect_of_a_problem_without_momenta_is_of_its_values():
+    first_order = double_integrator(
+        lagrangian=None, force=None, start_velocity=[None], end_velocity=[None], rates=lambda t, x, v, u: u
+    )
+    assert "of the largest value" in str(cg.solve(first_order, cg.Galerkin(2), 4))
+    assert "of the largest momentum" in str(cg.solve(double_integrator(), cg.Galerkin(2), 4))
+
+
 @pytest.mark.usefixtures("headless")
 def test_summary_and_plot(capsys):
     path = cg.transcribe(minimum_time(), cg.Galerkin(2), 4).solve(verbose=1)

@@ -150,9 +150,9 @@ class Counted:
     [
         (lambda t: [np.sin(t), 2 * t], 4),  # all at once, and three to see whether that is what it means
         (lambda t: np.interp(t, [0.0, 1.0, 2.0], [0.0, 3.0, 1.0]) * np.ones((2, *np.shape(t))), 4),
-        (lambda t: [math.sin(t), 2 * t], 22),  # of one time only
-        (lambda t: [0.5, 2 * t], 22),
-        (lambda t: [0.5, 0.0] if t < 1 else [0.0, t], 22),
+        (lambda t: [math.sin(t), 2 * t], 25),  # of one time only
+        (lambda t: [0.5, 2 * t], 25),
+        (lambda t: [0.5, 0.0] if t < 1 else [0.0, t], 25),
         (lambda t: [t * np.max(t), t], 25),  # takes an array, but not as so many times
         (moved_in_place, 25),
     ],

@@ -31,7 +31,7 @@ def test_path_is_drawn_with_names_units_and_joints():
         "t in s",
         ["width in m", "height in m"],
     )
-    assert axes.get_ylabel() == "width in m, height in m"
+    assert axes.get_ylabel() == ""  # the legend names them
     lines = axes.get_lines()
     for i in (0, 1):
         np.testing.assert_array_equal(lines[2 * i].get_ydata(), path(lines[2 * i].get_xdata())[i])
@@ -52,9 +52,11 @@ def test_labels_that_are_not_one_a_component_are_refused(labels):
         planar().solve().plot(labels=labels)
 
 
-def test_long_labels_are_broken_between_components_only():
-    labels = ["upper arm in rad", "forearm in rad"]
-    assert planar().solve().plot(labels=labels).get_ylabel() == "upper arm in rad,\nforearm in rad"
+def test_a_long_title_stays_inside_of_the_figure():
+    axes = swing().solve().plot()
+    axes.set_title("Degree 10 on 200 intervals: action -2.93331e-11, Morse index 12", wrap=axes.title.get_wrap())
+    axes.figure.draw_without_rendering()
+    assert axes.title.get_window_extent().x1 < axes.figure.bbox.x1
 
 
 @pytest.fixture
@@ -68,7 +70,7 @@ def test_controls_and_costate_carry_names_and_units_too(driven):
     top = driven.plot(labels=names[0], time="t in s", control_labels=names[1], costate_labels=names[2])
     panels = top.figure.axes
     assert [[text.get_text() for text in axes.get_legend().get_texts()] for axes in panels] == names
-    assert [axes.get_ylabel() for axes in panels] == [", ".join(pair) for pair in names]
+    assert [axes.get_ylabel() for axes in panels] == ["", "", ""]
     assert [axes.get_xlabel() for axes in panels] == ["", "", "t in s"]
 
 

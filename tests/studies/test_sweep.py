@@ -308,7 +308,7 @@ def test_a_process_pool_takes_ends_spans_guesses_and_tolerances(pool):
 @pytest.mark.parametrize("count", [1, 63, 64, 65, 200, 3300])
 def test_chunks_hold_everything_once_whatever_their_order_of_arrival(count, monkeypatch):
     module = import_module("casadi_galerkin.studies.distribution")
-    monkeypatch.setattr(module, "_answer", lambda solver, variation, known: variation["parameters"][0])
+    monkeypatch.setattr(module, "_unpickled", lambda _: lambda variation, known: variation["parameters"][0])
     executor = Recorder()
     size = min(50, -(-count // 64))
     executor.expected = -(-count // size)
@@ -523,7 +523,7 @@ def test_a_refinement_that_does_not_fit_is_refused_before_any_solve(arguments, e
 
 
 def test_a_problem_is_asked_for():
-    with pytest.raises(TypeError, match="must be a BoundaryProblem or a ControlProblem, got str"):
+    with pytest.raises(TypeError, match="must be a BoundaryProblem or ControlProblem, got str"):
         cg.sweep("bratu", VARIATIONS, METHOD, INTERVALS)
 
 
