@@ -109,6 +109,10 @@ class ControlTrajectory(Trajectory):
             when = self.problem.jumps[0][0]
             raise ValueError(f"an InitialProblem has no jumps, but the path jumps at t = {when:.6g}")
         self._refuse_two_values()
+        return self._force()
+
+    def _force(self) -> ca.Function:
+        """The force (t, x, v[, p]) -> (d,) of the optimized controls."""
         d = len(self.x)
         symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d)]
         given = [] if self.parameters is None else [ca.SX.sym("p", len(self.parameters))]
@@ -211,7 +215,7 @@ class ControlTrajectory(Trajectory):
         """What the multipliers are found from, with the forces that the controls give."""
         if self.problem.constraint is None:
             return None
-        held, force = (with_parameters(f, self.parameters) for f in (self.problem.constraint, self.replay()))
+        held, force = (with_parameters(f, self.parameters) for f in (self.problem.constraint, self._force()))
         return constrained_motion(self._lagrangian, held, force)
 
     def table(self) -> dict[str, np.ndarray]:

@@ -121,6 +121,25 @@ def test_replay_refuses_two_values_at_one_time():
         two.replay()
 
 
+def test_what_cannot_be_replayed_is_summarized_under_a_constraint():
+    rod = cg.ControlProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - x[1],
+        (0.0, 2.0),
+        start=[0.0, -1.0],
+        end=[1.0, 0.0],
+        start_velocity=[0.0, 0.0],
+        end_velocity=[0.0, 0.0],
+        force=lambda t, x, v, u: [u[0], 0],
+        running_cost=lambda t, x, v, u: (u[0] - 10 * v[0] ** 3) ** 2,  # u follows v, which jumps
+        controls=1,
+        constraint=lambda t, x: ca.dot(x, x) - 1,
+    )
+    path = cg.solve(rod, cg.Galerkin(2, quadrature=cg.lobatto(3)), intervals=8)
+    with pytest.raises(ValueError, match="no force of time alone has both values"):
+        path.replay()
+    assert "defect" in repr(path)
+
+
 def test_the_problem_found_has_the_times_and_parameters_found_and_is_solved_by_the_same_path():
     path = cg.solve(everything(), cg.Galerkin(3), intervals=10)
     assert path.problem.t_span == (0.3, path.t[-1]) != everything().t_span
