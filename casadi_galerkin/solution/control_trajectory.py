@@ -123,7 +123,7 @@ class ControlTrajectory(Trajectory):
     def _refuse_two_values(self) -> None:
         """Raise a ValueError where the two controls at a joint differ."""
         ends, u = np.array([0.0, 1.0]), self.control
-        if not np.array_equal(u.points[[0, -1]], ends):
+        if not np.array_equal(u.rule[[0, -1]], ends):
             return
         values = u.at(ends).reshape(len(u.values), -1, 2)
         jumps = np.abs(values[:, 1:, 0] - values[:, :-1, 1])

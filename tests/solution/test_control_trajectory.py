@@ -102,7 +102,11 @@ def jumps(path):
 LEFT_RADAU = cg.Quadrature(1 - np.array(cg.radau(3).points)[::-1], cg.radau(3).weights[::-1])
 
 
-@pytest.mark.parametrize(("problem", "jump"), [(minimum_time, 1.9), (varying_mass, 5e-4)])
+def held():
+    return double_integrator(hold=True)
+
+
+@pytest.mark.parametrize(("problem", "jump"), [(minimum_time, 1.9), (varying_mass, 5e-4), (held, 0.4)])
 @pytest.mark.parametrize("rule", [cg.radau(3), LEFT_RADAU, cg.gauss(3)], ids=["radau", "left radau", "gauss"])
 def test_replay_is_the_same_path_where_controls_jump_at_a_joint(problem, jump, rule):
     path = cg.solve(problem(), cg.Galerkin(3, quadrature=rule), intervals=10)
@@ -119,6 +123,8 @@ def test_replay_refuses_two_values_at_one_time():
     when = two.t[1 + np.argmax(jumps(two))]
     with pytest.raises(ValueError, match=rf"u\[0\] jumps by .* at the joint t = {when:g}, where .* both sides"):
         two.replay()
+    with pytest.raises(ValueError, match=r"u\[0\] jumps by 1.21 at the joint .*, where .* both sides"):
+        cg.solve(held(), cg.Galerkin(3, quadrature=cg.lobatto(4)), intervals=10).replay()
 
 
 def test_what_cannot_be_replayed_is_summarized_under_a_constraint():
