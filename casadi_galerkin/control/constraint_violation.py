@@ -20,7 +20,8 @@ VANISHED = 1e-13  # part of its terms along the guess below which a component's 
 def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> ProgramBounds:
     """Bounds of the unknowns and of the equations; what is given is a bound on both sides.
 
-    Equations that the given ends meet are left out, unless `implied` ones are to be checked as well.
+    Durations and parameters are bounded at the end, and their continuity holds the others.  Equations that the given
+    ends meet are left out, unless `implied` ones are to be checked as well.
     """
     fields, arriving = chain.fields, chain.fields["nodes"][chain.crossed - 1, -1]
     sides = np.full((2, chain.size), [[-np.inf], [np.inf]])
@@ -29,7 +30,7 @@ def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
     _limit(sides, fields["controls"], problem.control_bounds)
     for name, bounds in (("durations", problem.duration_bounds), ("parameters", problem.parameter_bounds)):
         if bounds is not None:
-            _limit(sides, fields[name], bounds)
+            _limit(sides, fields[name][-1], bounds)
     for given, index in (
         (problem.start, fields["x"][0]),
         (problem.end, fields["x"][-1]),

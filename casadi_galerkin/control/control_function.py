@@ -38,11 +38,15 @@ def control_function(
     checked_by = limits_of(problem, chain, implied=True)  # ends that are data may leave a constraint
     programmed = limits.narrowed(RELAXED[solver.name])
     bounds, narrow = ([ca.MX(ca.DM(side)) for side in b.sides] for b in (checked_by, programmed))
-    inputs, finite = {}, ca.MX(1)
+    inputs, allowed = {}, ca.MX(1)
     for name, entries in _given(problem, chain).items():
         inputs[name] = ca.MX.sym(name, len(entries))
         number = ca.fabs(inputs[name]) < np.inf
-        finite = ca.logic_and(finite, ca.mmin(number))
+        allowed = ca.logic_and(allowed, ca.mmin(number))
+        if name in ("start", "end"):
+            given = [value is not None for value in getattr(problem, name)]
+            least, most = (ca.DM(side[given]) for side in np.array(problem.position_bounds))
+            allowed = ca.logic_and(allowed, ca.mmin(ca.logic_and(least <= inputs[name], inputs[name] <= most)))
         value = ca.if_else(number, inputs[name], 0.0)  # the solver refuses what is not a number
         if name == "parameters":
             data[(entries - chain.unknowns).tolist()] = value
@@ -59,7 +63,7 @@ def control_function(
     found = program(x0=first, p=data, **dict(zip(sides, narrow, strict=True)))
     multipliers = found["lam_g"], found["lam_x"]
     violation, slope = _violation(transcription.graph, sizes)(found["x"], data, *multipliers, *bounds)
-    verified = ca.logic_and(finite, ca.logic_and(violation <= FEASIBLE, slope <= STATIONARY))
+    verified = ca.logic_and(allowed, ca.logic_and(violation <= FEASIBLE, slope <= STATIONARY))
     everything = ca.vertcat(found["x"], data)
     outputs = {
         "x": ca.reshape(everything[f["x"].ravel().tolist()], chain.dimension, -1),

@@ -103,6 +103,7 @@ def with_ipopt(graph: ControlGraph, warm: bool, verbose: int, given: Mapping[str
         "tol": TOLERANCE,
         "acceptable_tol": ACCEPTABLE,
         "acceptable_iter": ACCEPTABLE_ITERATIONS,
+        "tiny_step_tol": 0.0,  # steps are tiny where roundoff keeps an optimum from TOLERANCE: no failure
         "bound_relax_factor": 0.0,
         "mu_init": FIRST_BARRIER,
         "max_iter": ITERATION_LIMIT,

@@ -278,7 +278,7 @@ class ControlTranscription:
             method=self.method,
             problem=problem,
             cost=report.cost,
-            control=ControlPath(joints, chain.control_times, values["controls"].reshape(-1, chain.controls).T),
+            control=self._over_time(joints, chain.control_times, values["controls"]),
             costate=chain.costate(multipliers, optimum.bound_multipliers, arriving, joints),
             path_multipliers=self._path_multipliers(multipliers, joints),
             duals=(multipliers, optimum.bound_multipliers),
@@ -295,7 +295,12 @@ class ControlTranscription:
             return None
         shares = np.multiply.outer(np.diff(joints), self.method.element.weights)
         values = multipliers[self.chain.rows["path"]] / shares[:, :, None]
-        return ControlPath(joints, self.method.element.points, values.reshape(-1, self.chain.constraints).T)
+        return self._over_time(joints, self.method.element.points, values)
+
+    def _over_time(self, joints: np.ndarray, points: np.ndarray, values: np.ndarray) -> ControlPath:
+        """Values (N, points, n) as functions of time."""
+        rule = self.method.element.points
+        return ControlPath(joints, points, values.reshape(-1, values.shape[-1]).T, rule)
 
     def __repr__(self) -> str:
         """Say what was built."""

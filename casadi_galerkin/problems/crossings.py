@@ -10,7 +10,7 @@ from typing import Any, TypeAlias, TypeGuard, TypeVar
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import finite
+from casadi_galerkin.calculus.numbers import finite, number
 from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, limited_values
 from casadi_galerkin.problems.callables import Traceable, trace
 
@@ -94,7 +94,7 @@ def _positions(positions: Any, within: Bounds) -> Pairs:
             f"waypoint must have {dimension} position(s), each a number, a pair or None, or be (g, lo, hi), "
             f"got {positions!r}"
         )
-    pairs = [x if x is None or isinstance(x, (tuple, list)) else (x, x) for x in positions]
+    pairs = [x if number(x) is None else (x, x) for x in positions]
     sides = [bounds(f"the bounds of x[{i}]", pair, 1) for i, pair in enumerate(pairs)]
     for i, ((least,), (most,)) in enumerate(sides):
         low, high = (side[i] for side in within)

@@ -27,8 +27,9 @@ class ControlPath:
     Parameters
     ----------
     mesh : (N + 1,), the joints
-    points : (r,), quadrature points of the reference interval
-    values : (n, N r), controls at the quadrature points in the order of time
+    points : (k,), where the values stand in the reference interval: the quadrature points, or one for held controls
+    values : (n, N k), controls at these points in the order of time
+    rule : (r,), quadrature points of the reference interval
 
     Examples
     --------
@@ -42,8 +43,8 @@ class ControlPath:
     [[3.0, -6.0]]
     """
 
-    def __init__(self, mesh: np.ndarray, points: np.ndarray, values: np.ndarray) -> None:
-        self.mesh, self.points, self.values = mesh, points, values
+    def __init__(self, mesh: np.ndarray, points: np.ndarray, values: np.ndarray, rule: np.ndarray) -> None:
+        self.mesh, self.points, self.values, self.rule = mesh, points, values, rule
 
     def __call__(self, t: ArrayLike) -> np.ndarray:
         """Controls at times t within the mesh; shape (n,) + t.shape."""
@@ -65,7 +66,7 @@ class ControlPath:
 
     @property
     def times(self) -> np.ndarray:
-        """The quadrature points in time, (N r,)."""
+        """Where the values stand in time, (N k,)."""
         return times_at(self.mesh, self.points)
 
     def at(self, s: np.ndarray) -> np.ndarray:
@@ -76,7 +77,7 @@ class ControlPath:
     @property
     def _changes(self) -> np.ndarray:
         """Times from which the next interval's polynomial holds, (N - 1,)."""
-        before = self.points[-1] == 1 and self.points[0] > 0
+        before = self.rule[-1] == 1 and self.rule[0] > 0
         return self.mesh[1:-1] + (SAME_TIME * np.max(np.abs(self.mesh)) if before else 0.0)
 
     def expression(self, t: ca.SX) -> ca.SX:

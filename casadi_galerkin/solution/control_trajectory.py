@@ -113,6 +113,10 @@ class ControlTrajectory(Trajectory):
             when = self.problem.jumps[0][0]
             raise ValueError(f"an InitialProblem has no jumps, but the path jumps at t = {when:.6g}")
         self._refuse_two_values()
+        return self._force()
+
+    def _force(self) -> ca.Function:
+        """The force (t, x, v[, p]) -> (d,) of the optimized controls."""
         d = len(self.x)
         symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d)]
         given = [] if self.parameters is None else [ca.SX.sym("p", len(self.parameters))]
@@ -123,7 +127,7 @@ class ControlTrajectory(Trajectory):
     def _refuse_two_values(self) -> None:
         """Raise a ValueError where the two controls at a joint differ."""
         ends, u = np.array([0.0, 1.0]), self.control
-        if not np.array_equal(u.points[[0, -1]], ends):
+        if not np.array_equal(u.rule[[0, -1]], ends):
             return
         values = u.at(ends).reshape(len(u.values), -1, 2)
         jumps = np.abs(values[:, 1:, 0] - values[:, :-1, 1])
@@ -213,7 +217,7 @@ class ControlTrajectory(Trajectory):
 
     def _constrained_motion(self) -> ca.Function | None:
         """What the multipliers are found from, with the forces that the controls give."""
-        return None if self.problem.constraint is None else motion_of(with_values(self.problem, force=self.replay()))
+        return None if self.problem.constraint is None else motion_of(with_values(self.problem, force=self._force()))
 
     def table(self) -> dict[str, np.ndarray]:
         """What a Trajectory has, controls and costate at the joints, after a jump there, by name."""

@@ -53,6 +53,15 @@ def test_what_is_no_answer_is_not_a_number(solver):
         assert np.isnan(float(f(**arguments(problem, path, end=[value]))["cost"]))
 
 
+@pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=str)
+def test_ends_beyond_the_bounds_of_positions_have_no_answer(solver):
+    problem = double_integrator(position_bounds=(-1.0, 2.0))
+    f, path = cg.solution_function(problem, cg.Galerkin(3), 6, solver=solver), cg.solve(problem, cg.Galerkin(3), 6)
+    assert float(f(**arguments(problem, path, end=[2.0]))["cost"]) == pytest.approx(24, rel=SOLVED)
+    for off in ({"end": [2.5]}, {"start": [-1.5]}):
+        assert np.isnan(float(f(**arguments(problem, path, **off))["cost"]))
+
+
 def test_ends_off_the_constraint_have_no_answer():
     rod = cg.ControlProblem(
         lambda t, x, v: ca.dot(v, v) / 2 - x[1],

@@ -56,3 +56,23 @@ def test_unbounded_problem_ends_with_the_solvers_own_words(changes):
     with pytest.raises(cg.ConvergenceError, match=r"Diverging Iterates.*no lower bound") as caught:
         cg.solve(double_integrator(**changes), cg.Galerkin(3), intervals=10)
     assert caught.value.iterations <= 500
+
+
+def test_an_optimum_that_roundoff_keeps_from_the_tolerance_is_found():
+    def joined(factor):
+        return cg.ControlProblem(
+            lambda t, x, v: (1 + 0.3 * x[1] ** 2) * v[0] ** 2 / 2 + v[1] ** 2 + 0.2 * v[0] * v[1] - ca.cos(x[0] + t),
+            (0.0, 2.0),
+            start=[0.0, 0.5],
+            end=[1.5, -0.3],
+            start_velocity=[0.0, 0.2],
+            end_velocity=[0.0, 0.1],
+            force=lambda t, x, v, u: [u[0] - 0.1 * v[0], u[1] - 0.2 * v[1] * v[0]],
+            running_cost=lambda t, x, v, u: factor * (u[0] ** 2 / 2 + u[1] ** 2),
+            controls=2,
+            hold=True,
+        )
+
+    factors = np.array([1, 2, 5, 10, 20, 30, 50, 70, 100, 1e3, 1e4])
+    costs = [cg.solve(joined(factor), cg.Galerkin(3), 8).cost for factor in factors]
+    np.testing.assert_allclose(costs / factors, costs[0], rtol=1e-10)

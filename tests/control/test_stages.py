@@ -206,6 +206,15 @@ def test_every_phase_keeps_its_own_bounds():
     assert path.cost == pytest.approx(6 / 0.8**3 + 80, abs=1e-6)
 
 
+@BOTH
+@pytest.mark.parametrize("count", [2, 6])
+def test_durations_that_their_bounds_give_are_as_given(count, solver):
+    given = double_integrator(breakpoints=[0.3], hold=True)
+    bounded = replace(given, duration_bounds=([0.3, 0.7], [0.3, 0.7]))
+    costs = [cg.solve(problem, cg.Galerkin(3), count, solver=solver).cost for problem in (given, bounded)]
+    assert costs[1] == pytest.approx(costs[0], rel=1e-10)
+
+
 def held_cost(count):
     """Least ∫u²/2 of the double integrator with `count` equal held values: the nearest point of two conditions on u."""
     middles = (np.arange(count) + 0.5) / count

@@ -217,6 +217,11 @@ def test_bad_waypoints_are_refused(waypoints, kind, message):
         plane(waypoints=waypoints)
 
 
+@pytest.mark.parametrize("second", [(-1, 2), np.array([-1, 2]), ca.DM([-1, 2])])
+def test_bounds_of_any_kind_are_read_at_a_waypoint(second):
+    assert plane(waypoints=[(1.0, [np.int64(1), second])]).waypoints == ((1.0, ((1.0, 1.0), (-1.0, 2.0))),)
+
+
 def test_a_waypoint_beyond_the_position_bounds_is_refused():
     with pytest.raises(ValueError, match=r"at t = 1: waypoint bounds x\[0\] by \[3.0, 4.0\], outside .* \[-1.0, 2.0\]"):
         plane(waypoints=[(1.0, [(3.0, 4.0), None])], position_bounds=(-1.0, 2.0))

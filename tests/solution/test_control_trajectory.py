@@ -102,7 +102,11 @@ def jumps(path):
 LEFT_RADAU = cg.Quadrature(1 - np.array(cg.radau(3).points)[::-1], cg.radau(3).weights[::-1])
 
 
-@pytest.mark.parametrize(("problem", "jump"), [(minimum_time, 1.9), (varying_mass, 5e-4)])
+def held():
+    return double_integrator(hold=True)
+
+
+@pytest.mark.parametrize(("problem", "jump"), [(minimum_time, 1.9), (varying_mass, 5e-4), (held, 0.4)])
 @pytest.mark.parametrize("rule", [cg.radau(3), LEFT_RADAU, cg.gauss(3)], ids=["radau", "left radau", "gauss"])
 def test_replay_is_the_same_path_where_controls_jump_at_a_joint(problem, jump, rule):
     path = cg.solve(problem(), cg.Galerkin(3, quadrature=rule), intervals=10)
@@ -119,6 +123,27 @@ def test_replay_refuses_two_values_at_one_time():
     when = two.t[1 + np.argmax(jumps(two))]
     with pytest.raises(ValueError, match=rf"u\[0\] jumps by .* at the joint t = {when:g}, where .* both sides"):
         two.replay()
+    with pytest.raises(ValueError, match=r"u\[0\] jumps by 1.21 at the joint .*, where .* both sides"):
+        cg.solve(held(), cg.Galerkin(3, quadrature=cg.lobatto(4)), intervals=10).replay()
+
+
+def test_what_cannot_be_replayed_is_summarized_under_a_constraint():
+    rod = cg.ControlProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - x[1],
+        (0.0, 2.0),
+        start=[0.0, -1.0],
+        end=[1.0, 0.0],
+        start_velocity=[0.0, 0.0],
+        end_velocity=[0.0, 0.0],
+        force=lambda t, x, v, u: [u[0], 0],
+        running_cost=lambda t, x, v, u: (u[0] - 10 * v[0] ** 3) ** 2,  # u follows v, which jumps
+        controls=1,
+        constraint=lambda t, x: ca.dot(x, x) - 1,
+    )
+    path = cg.solve(rod, cg.Galerkin(2, quadrature=cg.lobatto(3)), intervals=8)
+    with pytest.raises(ValueError, match="no force of time alone has both values"):
+        path.replay()
+    assert "defect" in repr(path)
 
 
 def test_the_problem_found_has_the_times_and_parameters_found_and_is_solved_by_the_same_path():
