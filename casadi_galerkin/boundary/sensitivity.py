@@ -147,7 +147,7 @@ def at_joints(problem: BoundaryProblem, path: Trajectory) -> Sensitivity:
     unknowns = transcription.unknowns(path.polynomial.values.T, given)
     derivative = np.array(ca.Function("sensitivity", list(symbols.values()), [change]).call([unknowns, *given])[0])
     fixed = np.eye(numbering.size - numbering.free, data.numel())
-    by_u = np.concatenate((derivative.reshape(numbering.free, -1), fixed))
+    by_u = np.concatenate((derivative.reshape(numbering.free, data.numel()), fixed))
     x = by_u[numbering.of_nodes[:: path.method.degree]].transpose(1, 0, 2)  # (d, N + 1, data)
     start, end = len(numbering.fixed_start), len(numbering.fixed_start) + len(numbering.fixed_end)
     return Sensitivity(path.t, x[:, :, end:], x[:, :, :start], x[:, :, start:end])

@@ -165,7 +165,7 @@ class Functional:
         )
         action, energy = summation(self.numbering)(self._first[0]), self._given[0][-1]
         row = ca.jtimes(action, self.symbols["unknowns"], by_stretch) + energy * (joints[-1] - joints[0])
-        rows = integration(self.numbering)(*self._first[1:])[: self.numbering.free - 1]
+        rows = integration(self.numbering)(*self._first[1:])[: self.numbering.free - 1, :]
         return row, ca.densify(ca.jtimes(ca.vertcat(rows, row), self.symbols["unknowns"], by_stretch))
 
     def _with_terms(self, total: ca.MX) -> ca.MX:
@@ -173,7 +173,7 @@ class Functional:
         for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
             total += term.gathered(self.numbering, rows)
         if self.numbering.stretched:
-            total = ca.vertcat(total[: self.numbering.free - 1], self._stretch[0])
+            total = ca.vertcat(total[: self.numbering.free - 1, :], self._stretch[0])
         return total
 
     def action(self) -> ca.MX:
@@ -225,7 +225,7 @@ class Functional:
         if self.numbering.stretched:
             column, last = self._stretch[1], self.numbering.free - 1
             added.append(ca.horzcat(ca.MX(last + 1, last), column))
-            added.append(ca.vertcat(ca.MX(last, last + 1), ca.horzcat(column[:last].T, ca.MX(1, 1))))
+            added.append(ca.vertcat(ca.MX(last, last + 1), ca.horzcat(column[:last, :].T, ca.MX(1, 1))))
         return sum(added[1:], added[0]) if added else None
 
     def joint_time_derivatives(self) -> tuple[ca.MX, ca.MX, ca.MX]:

@@ -165,8 +165,8 @@ class _Statement:
         """All terms, their multipliers one after the other."""
         numbering, terms = self.numbering, []
         multipliers = np.arange(numbering.positions, numbering.positions + numbering.multipliers)
-        if self.constraints:
-            count = len(self.constrained)
+        count = len(self.constrained)
+        if self.constraints and count:  # one interval of degree 1 between given ends has no node left to hold
             of_constraints = multipliers[: self.constraints * count].reshape(count, self.constraints)
             multipliers = multipliers[self.constraints * count :]
             entries = np.concatenate((numbering.of_nodes[self.constrained], of_constraints), axis=1).T
