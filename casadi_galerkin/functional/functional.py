@@ -175,12 +175,7 @@ class Functional:
 
     def action(self) -> ca.MX:
         """S̄ but for its multipliers and the energy: scalar."""
-        return self._with_values(summation(self.numbering)(self._first[0]))
-
-    def _with_values(self, action: ca.MX) -> ca.MX:
-        for values, _, _ in self._terms:
-            action += ca.sum2(values)
-        return action
+        return sum((ca.sum1(ca.sum2(added)) for added, _, _ in self._terms), summation(self.numbering)(self._first[0]))
 
     def gradient(self) -> ca.MX:
         """∇S with respect to the free values ξ."""
@@ -191,11 +186,12 @@ class Functional:
         return self._with_terms(integration(self.numbering)(*self._first[1:]))
 
     def first_variation(self) -> list[ca.MX]:
-        """S, momenta at the joints, ∇S with respect to the free values ξ, and sizes of the terms that it sums."""
+        """The action with that of the ends, momenta at the joints, ∇S by the free values ξ, sizes of what that sums."""
         action, momenta, gradient, sizes = variation(self.numbering).call(self._first)
         for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
             sizes += term.gathered(self.numbering, ca.fabs(rows))
-        return [self._with_values(action), momenta, self._with_terms(gradient), sizes]
+        action = sum((ca.sum2(added[0, :]) for added, _, _ in self._terms), action)
+        return [action, momenta, self._with_terms(gradient), sizes]
 
     def derivatives(self) -> tuple[ca.MX, ca.MX]:
         """∇²S, sparse with both halves stored, and ∇S with respect to the free values ξ, in one pass."""
