@@ -264,7 +264,7 @@ def test_the_rootfinder_agrees_from_nearby_on_a_path_of_given_energy():
 
 def test_the_minimizer_refuses_a_given_energy():
     problem, guess = half_orbit(0.5)
-    with pytest.raises(ValueError, match="and a given energy do not allow: take newton or ipopt"):
+    with pytest.raises(ValueError, match=r"a given energy, .* do not allow: take newton or ipopt"):
         cg.solve(problem, METHOD, 12, guess=guess, solver=cg.minimizer)
 
 
