@@ -31,7 +31,7 @@ from casadi_galerkin.boundary.loaded_curve import LoadedCurve
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import whole_number
+from casadi_galerkin.calculus.numbers import real_array, whole_number
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.statement import refuse_free_phase
@@ -121,10 +121,16 @@ def _checked(symmetries: Sequence[Symmetry], transcription: Transcription) -> tu
     for i, symmetry in enumerate(symmetries):
         if not callable(symmetry):
             raise TypeError(f"symmetries[{i}] must be a callable of node values, got {symmetry!r}")
-        shape = np.shape(symmetry(values))
-        if shape != values.shape:
-            raise ValueError(f"symmetries[{i}] must return an array of shape {values.shape}, got {shape}")
+        _image(i, symmetry, values)
     return tuple(symmetries)
+
+
+def _image(i: int, symmetry: Symmetry, values: np.ndarray) -> np.ndarray:
+    """Node values of what the i-th symmetry makes of a path; refuses what is none, as it may be of single paths."""
+    image = real_array(f"what symmetries[{i}] returns", symmetry(values.copy()))
+    if image.shape != values.shape:
+        raise ValueError(f"symmetries[{i}] must return an array of shape {values.shape}, got {image.shape}")
+    return image
 
 
 class Search:
@@ -260,8 +266,8 @@ class Search:
         """Remember a critical point with its images; whether none of them was known."""
         values, numbering = self.values(unknowns), self.transcription.numbering
         same, known = [unknowns], [self.values(each) for each in self.known]
-        for symmetry in self.symmetries:
-            image = np.asarray(symmetry(values), dtype=float).T.ravel()[numbering.place]
+        for i, symmetry in enumerate(self.symmetries):
+            image = _image(i, symmetry, values).T.ravel()[numbering.place]
             same.append(np.concatenate((image, unknowns[numbering.positions :])))
         new = [each for each in same if not any(self.same(self.values(each), other) for other in known)]
         self.known += new

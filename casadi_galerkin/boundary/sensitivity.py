@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.transcription import transcribed, work_of_momenta
+from casadi_galerkin.boundary.transcription import transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -49,8 +49,7 @@ def boundary_function(
     x = ca.reshape(u[numbering.of_nodes[:: method.degree].ravel().tolist()], problem.dimension, -1)
     verified = _check(transcription.stationarity)(unknowns=root, **joints, **data)["verified"]
     inputs = {name: symbol for name, symbol in data.items() if symbol.numel()} | {"guess": nodes}
-    action = summary["action"] - work_of_momenta(problem, x[:, 0], x[:, -1])
-    outputs = {"x": x, "momentum": summary["momentum"], "action": action}
+    outputs = {"x": x, "momentum": summary["momentum"], "action": summary["action"]}
     checked = [ca.if_else(verified, value, np.nan) for value in outputs.values()]
     return ca.Function("solution", list(inputs.values()), checked, list(inputs), list(outputs))
 
@@ -147,7 +146,7 @@ def at_joints(problem: BoundaryProblem, path: Trajectory) -> Sensitivity:
     unknowns = transcription.unknowns(path.polynomial.values.T, given)
     derivative = np.array(ca.Function("sensitivity", list(symbols.values()), [change]).call([unknowns, *given])[0])
     fixed = np.eye(numbering.size - numbering.free, data.numel())
-    by_u = np.concatenate((derivative.reshape(numbering.free, -1), fixed))
+    by_u = np.concatenate((derivative.reshape(numbering.free, data.numel()), fixed))
     x = by_u[numbering.of_nodes[:: path.method.degree]].transpose(1, 0, 2)  # (d, N + 1, data)
     start, end = len(numbering.fixed_start), len(numbering.fixed_start) + len(numbering.fixed_end)
     return Sensitivity(path.t, x[:, :, end:], x[:, :, :start], x[:, :, start:end])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping as Named
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -79,7 +79,10 @@ class Transcription(BoundaryGraph):
 
     @property
     def action(self) -> ca.Function:
-        """S of (unknowns, start, end, mesh[, parameters]); `start` and `end` hold the fixed components only."""
+        """S, and the work of given momenta, of (unknowns, start, end, mesh[, parameters]).
+
+        Of `start` and `end` the fixed components.
+        """
         return self.functional.function("action")
 
     @property
@@ -153,13 +156,10 @@ class Transcription(BoundaryGraph):
         self.refuse_conjugate(point)
         if self.numbering.stretched:  # the duration asked for was a guess
             problem = problem.varied({}, (float(path.mesh[0]), float(path.mesh[-1])))
-        action = solution.action
-        if self.functional.terms:  # given momenta are one of them
-            action -= work_of_momenta(problem, path.values[:, 0], path.values[:, -1])
         return Trajectory(
             polynomial=path,
             momentum=point.momentum,
-            action=action,
+            action=solution.action,
             iterations=solution.iterations,
             residual=solution.residual,
             solver=solution.report,
@@ -197,13 +197,6 @@ def check_given(given: Named[str, object]) -> None:
     for name in given:
         if name not in (*RATES, "energy"):
             raise TypeError(f"solve takes {', '.join(RATES)} or energy beside its own arguments, got {name}")
-
-
-def work_of_momenta(problem: BoundaryProblem, start: np.ndarray | ca.MX, end: np.ndarray | ca.MX) -> Any:
-    """p_0·x_0 - p_N·x_N of given momenta at given positions, which the graph adds to the action."""
-    pairs = (problem.start_momentum, start), (problem.end_momentum, end)
-    at_start, at_end = (sum(p * x[i] for i, p in enumerate(given) if p is not None) for given, x in pairs)
-    return at_start - at_end
 
 
 class SecondVariation:

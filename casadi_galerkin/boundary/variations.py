@@ -22,8 +22,8 @@ def _given(problem: BoundaryProblem) -> dict[str, tuple[float | None, ...]]:
 
 
 def same_statement(one: Problem, other: BoundaryProblem) -> bool:
-    """Whether two problems have the same components given, so that one may be `varied` from the other."""
-    if not isinstance(one, BoundaryProblem):
+    """Whether one of two problems may be `varied` from the other: the same components given, the same breakpoints."""
+    if not isinstance(one, BoundaryProblem) or one.breakpoints != other.breakpoints:
         return False
     patterns = [
         {name: [a is None for a in value] for name, value in _given(problem).items()} for problem in (one, other)

@@ -63,12 +63,14 @@ class Embedded:
     symbols : unknowns, start, end and mesh by name
     u : the numbering's vector, of the first three
     joints : (N + 1,), those of the mesh, stretched where the duration is free
+    duration : scalar, from the first joint to the last
     points : t (1, N r), h (1, N r), x (d, N r), x' (d, N r)
     """
 
     symbols: dict[str, ca.MX]
     u: ca.MX
     joints: ca.MX
+    duration: ca.MX
     points: list[ca.MX]
 
 
@@ -82,11 +84,13 @@ def embedded(numbering: Numbering) -> Embedded:
     }
     *values, mesh = symbols.values()
     u = ca.vertcat(*values)
-    joints = mesh[0] + ca.exp(symbols["unknowns"][-1]) * (mesh - mesh[0]) if numbering.stretched else mesh
-    steps = joints[1:] - joints[:-1]
+    joints, steps, duration = mesh, mesh[1:] - mesh[:-1], mesh[-1] - mesh[0]
+    if numbering.stretched:  # what the steps are does not depend on when they are
+        stretch = ca.exp(symbols["unknowns"][-1])
+        joints, steps, duration = mesh[0] + stretch * (mesh - mesh[0]), stretch * steps, stretch * duration
     t = ca.repmat(joints[:-1], 1, len(points)) + _times(steps, points[None, :])
     times = [ca.reshape(t, 1, numbering.points), ca.repmat(steps.T, 1, len(points))]
-    return Embedded(symbols, u, joints, [*times, *embedding(numbering).call([u])])
+    return Embedded(symbols, u, joints, duration, [*times, *embedding(numbering).call([u])])
 
 
 def _side_by_side(numbering: Numbering, *values: ca.MX) -> ca.MX:

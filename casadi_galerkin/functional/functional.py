@@ -159,13 +159,10 @@ class Functional:
     @lazy
     def _stretch(self) -> tuple[ca.MX, ca.MX]:
         """The duration's own row, ∂S/∂τ + E T with τ = log T, and the derivatives of all rows by τ."""
-        joints, by_stretch = (
-            self._embedded.joints,
-            ca.MX(ca.Sparsity.unit(self.numbering.free, self.numbering.free - 1)),
-        )
+        by_stretch = ca.MX(ca.Sparsity.unit(self.numbering.free, self.numbering.free - 1))
         action, energy = summation(self.numbering)(self._first[0]), self._given[0][-1]
-        row = ca.jtimes(action, self.symbols["unknowns"], by_stretch) + energy * (joints[-1] - joints[0])
-        rows = integration(self.numbering)(*self._first[1:])[: self.numbering.free - 1]
+        row = ca.jtimes(action, self.symbols["unknowns"], by_stretch) + energy * self._embedded.duration
+        rows = integration(self.numbering)(*self._first[1:])[: self.numbering.free - 1, :]
         return row, ca.densify(ca.jtimes(ca.vertcat(rows, row), self.symbols["unknowns"], by_stretch))
 
     def _with_terms(self, total: ca.MX) -> ca.MX:
@@ -173,17 +170,12 @@ class Functional:
         for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
             total += term.gathered(self.numbering, rows)
         if self.numbering.stretched:
-            total = ca.vertcat(total[: self.numbering.free - 1], self._stretch[0])
+            total = ca.vertcat(total[: self.numbering.free - 1, :], self._stretch[0])
         return total
 
     def action(self) -> ca.MX:
         """S̄ but for its multipliers and the energy: scalar."""
-        return self._with_values(summation(self.numbering)(self._first[0]))
-
-    def _with_values(self, action: ca.MX) -> ca.MX:
-        for values, _, _ in self._terms:
-            action += ca.sum2(values)
-        return action
+        return sum((ca.sum1(ca.sum2(added)) for added, _, _ in self._terms), summation(self.numbering)(self._first[0]))
 
     def gradient(self) -> ca.MX:
         """∇S with respect to the free values ξ."""
@@ -194,11 +186,12 @@ class Functional:
         return self._with_terms(integration(self.numbering)(*self._first[1:]))
 
     def first_variation(self) -> list[ca.MX]:
-        """S, momenta at the joints, ∇S with respect to the free values ξ, and sizes of the terms that it sums."""
+        """The action with that of the ends, momenta at the joints, ∇S by the free values ξ, sizes of what that sums."""
         action, momenta, gradient, sizes = variation(self.numbering).call(self._first)
         for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
             sizes += term.gathered(self.numbering, ca.fabs(rows))
-        return [self._with_values(action), momenta, self._with_terms(gradient), sizes]
+        action = sum((ca.sum2(added[0, :]) for added, _, _ in self._terms), action)
+        return [action, momenta, self._with_terms(gradient), sizes]
 
     def derivatives(self) -> tuple[ca.MX, ca.MX]:
         """∇²S, sparse with both halves stored, and ∇S with respect to the free values ξ, in one pass."""
@@ -225,7 +218,7 @@ class Functional:
         if self.numbering.stretched:
             column, last = self._stretch[1], self.numbering.free - 1
             added.append(ca.horzcat(ca.MX(last + 1, last), column))
-            added.append(ca.vertcat(ca.MX(last, last + 1), ca.horzcat(column[:last].T, ca.MX(1, 1))))
+            added.append(ca.vertcat(ca.MX(last, last + 1), ca.horzcat(column[:last, :].T, ca.MX(1, 1))))
         return sum(added[1:], added[0]) if added else None
 
     def joint_time_derivatives(self) -> tuple[ca.MX, ca.MX, ca.MX]:

@@ -259,7 +259,7 @@ def _held(
     fastest = ca.vertcat(*(ca.mmax(ca.fabs(unknowns[i, :])) for i in range(d)))  # h v may pass through zero
     mass = ca.fabs(ca.jacobian(momentum, last)) @ fastest
     normal = slopes[m].T @ mu
-    sizes = ca.fabs(x_at)
+    sizes = ca.repmat(ca.fabs(x), 1, m + 1) + ca.fabs(s) @ ca.DM(abs(values)).T  # x may pass through zero, too
     return _Held(
         ca.vec(pushes @ by_node),
         ca.vertcat(*(value for value, _, _ in held[1:]), momentum - before - normal, slopes[m] @ v + held[m][2]),

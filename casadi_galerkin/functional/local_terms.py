@@ -21,7 +21,8 @@ class LocalTerm:
 
     Attributes
     ----------
-    function : Function (y (n), t (q), parameters, given) -> value, rows (n,), jacobian (n, n), sparse
+    function : Function (y (n), t (q), parameters, given) -> added, rows (n,), jacobian (n, n), sparse.  Added to the
+        functional are the action of the ends and, if there is more, the work of given momenta, which no action counts
     entries : (n, K), which entries of u stand for y at every place
     times : (q K, N + 1), the times of every place as sums of joints
     symmetric : whether the jacobian is: whether the rows are the gradient of a function
@@ -33,14 +34,14 @@ class LocalTerm:
     symmetric: bool
 
     def evaluated(self, u: ca.MX, joints: ca.MX, parameters: ca.MX, given: ca.MX) -> list[ca.MX]:
-        """Values (1, K), rows (n, K) and nonzeros of the jacobian (nnz, K)."""
+        """What is added (1 or 2, K), rows (n, K) and nonzeros of the jacobian (nnz, K)."""
         size, count = self.entries.shape
         y = ca.reshape(u.get_nz(False, self.entries.ravel(order="F").tolist()), size, count)
         t = ca.reshape(ca.mtimes(ca.MX(self.times), joints), self.function.size1_in(1), count)
-        value, rows, jacobian = self.function.map(self.function.name(), "serial", count, [2, 3], []).call(
+        added, rows, jacobian = self.function.map(self.function.name(), "serial", count, [2, 3], []).call(
             [y, t, parameters, given]
         )
-        return [value, rows, ca.reshape(ca.MX(jacobian.nz[:]), -1, count)]
+        return [added, rows, ca.reshape(ca.MX(jacobian.nz[:]), -1, count)]
 
     def gathered(self, numbering: Numbering, rows: ca.MX) -> ca.MX:
         """Sums of rows (n, K) by unknown."""

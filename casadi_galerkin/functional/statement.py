@@ -1,10 +1,10 @@
 """What a boundary problem states, as one functional: its Lagrangian and force, and the terms that its ends add.
 
 ends          φ(x_0, x_N) + p_0·x_0 - p_N·x_N + μ·ψ(x_0, x_N), with given momenta p_0 and p_N
-velocities    where v is given at an end, ∂L/∂v is the momentum there.  Velocities that it depends on, but that are not
-              given, are further unknowns.  For their components, too, ∂L/∂v is the momentum: that of the natural
-              condition or, where the position is given, that of the path.  Such a position is then an unknown, too,
-              and an equation says what it is
+velocities    where v is given at an end, ∂L/∂v is the momentum there, and the term is that of a given momentum if it
+              depends on nothing else.  Velocities that it depends on, but that are not given, are further unknowns.
+              For their components, too, ∂L/∂v is the momentum: that of the natural condition or, where the position is
+              given, that of the path.  Such a position is then an unknown, too, and an equation says what it is
 constraints   Λ_a·g(t_a, x_a) at every node whose position is not given; Λ is an impulse, λ times its share of time
 phase         σ n·(x_0 - c), for a periodic path of given energy: x_0 stays in the plane through c across n
 """
@@ -165,8 +165,8 @@ class _Statement:
         """All terms, their multipliers one after the other."""
         numbering, terms = self.numbering, []
         multipliers = np.arange(numbering.positions, numbering.positions + numbering.multipliers)
-        if self.constraints:
-            count = len(self.constrained)
+        count = len(self.constrained)
+        if self.constraints and count:  # one interval of degree 1 between given ends has no node left to hold
             of_constraints = multipliers[: self.constraints * count].reshape(count, self.constraints)
             multipliers = multipliers[self.constraints * count :]
             entries = np.concatenate((numbering.of_nodes[self.constrained], of_constraints), axis=1).T
@@ -183,9 +183,9 @@ class _Statement:
             terms.append(LocalTerm(function, entries, ends, symmetric))
         return tuple(terms)
 
-    def _function(self, name: str, y: ca.SX, t: ca.SX, value: ca.SX, rows: ca.SX) -> ca.Function:
+    def _function(self, name: str, y: ca.SX, t: ca.SX, added: ca.SX, rows: ca.SX) -> ca.Function:
         """A term's Function, see `LocalTerm`."""
-        outputs = [ca.densify(value), ca.densify(rows), ca.jacobian(rows, y)]
+        outputs = [ca.densify(added), ca.densify(rows), ca.jacobian(rows, y)]
         return ca.Function(name, [y, t, self.parameters, self.given], outputs)
 
     def _called(self, function: ca.Function, *arguments: ca.SX) -> ca.SX:
@@ -233,10 +233,11 @@ class _Statement:
         parts = ca.vertsplit(self.given, [*np.cumsum([0, *sizes]).tolist(), self.given.numel()])
         values = dict(zip(RATES, parts, strict=False))  # the last part is no rate
         action = ca.SX(0) if problem.end_action is None else self._called(problem.end_action, *x)
+        work = ca.SX(0)
         for side, sign, at in (("start", 1, x[0]), ("end", -1, x[1])):
             for k, i in enumerate(np.flatnonzero(rates[f"{side}_momentum"]).tolist()):
-                action += sign * values[f"{side}_momentum"][k] * at[i]
-        rows, unknowns = ca.densify(ca.gradient(action, positions)), []
+                work += sign * values[f"{side}_momentum"][k] * at[i]
+        rows, unknowns = ca.densify(ca.gradient(action + work, positions)), []
         further = ca.SX(0, 1)
         if problem.end_conditions is not None:
             further = self._called(problem.end_conditions, *x)
@@ -255,9 +256,13 @@ class _Statement:
             for i in (*chosen, *held):
                 rows[k * d + i] = momentum[i]
             unknowns, places = [*unknowns, velocities], [*places, place]
-            symmetric = symmetric and not (unknown or ca.jacobian(momentum[chosen], positions).nnz())
+            if unknown or ca.jacobian(momentum[chosen], positions).nnz():
+                symmetric = False
+            else:
+                work += sum(momentum[i] * x[k][i] for i in chosen)
         rows = ca.vertcat(rows, further, ca.SX.zeros(sum(map(len, self.held))))
-        return self._function("ends", ca.vertcat(positions, *unknowns, *places), t, action, rows), symmetric
+        added = ca.vertcat(action, work)
+        return self._function("ends", ca.vertcat(positions, *unknowns, *places), t, added, rows), symmetric
 
     def _momentum(self, t: ca.SX, x: ca.SX, v: ca.SX) -> ca.SX:
         """∂L/∂v, (d,)."""

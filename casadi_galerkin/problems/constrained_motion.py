@@ -148,23 +148,20 @@ def check_constraint(problem: Problem) -> None:
     d, k = function.size1_in(1), function.size1_out(0)
     if k >= d:
         raise ValueError(f"a constraint must leave the path free to move: {k} value(s) for {d} component(s)")
-    t, x = function.sx_in()
-    value = function(t, x)
-    both = ca.Function("both", [t, x], [value, ca.densify(ca.jacobian(value, x))])
     first, last = problem.t_span
     for name, when in (("start", first), ("position", first), ("end", last)):
         where: Any = getattr(problem, name, (None,))
         if None in where:
             continue
-        held, slope = (np.array(a) for a in both(when, where))
-        rounded = HELD * (np.abs(slope) @ np.abs(where)) + TINY
-        missed = np.abs(held.ravel()) / rounded
+        symbols = function.sx_in()
+        values, missed, slopes = _over_terms(function(*symbols), symbols, [when, *where])
         if not np.all(missed <= 1):
             i = int(np.argmax(missed))
             raise ValueError(
-                f"the constraint must be zero at the given {name}, x = {list(where)}: its value {i} is {held[i, 0]:g}, "
-                f"and only rounding, up to {rounded[i]:.0e}, is accepted"
+                f"the constraint must be zero at the given {name}, x = {list(where)}: its value {i} is {values[i]:g}, "
+                f"and only rounding, up to {abs(values[i]) / missed[i]:.0e}, is accepted"
             )
+        slope = slopes[:, 1:]
         rows = np.linalg.norm(slope, axis=1)
         if np.linalg.matrix_rank(slope / np.where(rows > 0, rows, 1)[:, None], tol=1e3 * EPS) < k:
             raise ValueError(
@@ -173,13 +170,28 @@ def check_constraint(problem: Problem) -> None:
             )
 
 
+def _over_terms(
+    value: ca.SX, symbols: Sequence[ca.SX], at: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values (k,) that are to be zero, over `HELD` of their terms, and their derivatives (k, n) by all arguments.
+
+    A term is an argument times the derivative by it; rounding of the time counts as that of positions does.
+    """
+    arguments = ca.vertcat(*symbols)
+    both = ca.Function("both", [arguments], [value, ca.densify(ca.jacobian(value, arguments))])
+    values, slopes = (np.array(a) for a in both(at))
+    return values.ravel(), np.abs(values.ravel()) / (HELD * np.abs(slopes) @ np.abs(at) + TINY), slopes
+
+
 def rates_of_constraint(
     problem: Problem, t: float, x: Sequence[float] | np.ndarray, v: Sequence[float] | np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rates G v + ∂g/∂t of the constraint's values, (k,), and how large they are relative to `HELD` of their terms."""
-    matrix, _, _, rate, pull = (np.array(a) for a in unforced_motion_of(problem)(t, x, v))
-    terms = np.abs(matrix[len(x) :, : len(x)]) @ np.abs(v) + np.abs(pull.ravel())
-    return rate.ravel(), np.abs(rate.ravel()) / (HELD * terms + TINY)
+    function = with_parameters(problem.constraint, problem.parameters)
+    time, place = function.sx_in()
+    velocity, value = ca.SX.sym("v", place.numel()), function(time, place)
+    rate = ca.jtimes(value, place, velocity) + ca.jacobian(value, time)
+    return _over_terms(rate, [time, place, velocity], [t, *x, *v])[:2]
 
 
 def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v: tuple[float, ...]) -> None:

@@ -110,7 +110,8 @@ def _between_breakpoints(
     x, v = (values.reshape(len(values), -1) for values in path.at_parts(parts))
     h = np.repeat(steps, len(parts))
     joints = np.append(np.arange(0, len(h), len(parts)), len(h) - len(parts) + 1)  # all starts, and the last end
-    times = np.minimum(times_at(path.mesh, parts), np.nextafter(path.mesh[-1], path.mesh[0]))  # before a step there
+    inside = np.nextafter(path.mesh[[0, -1]], path.mesh[[-1, 0]])  # after a step at the start, before one at the end
+    times = np.clip(times_at(path.mesh, parts), *inside)
     given = [times, h, x.ravel(order="F"), (v * h).ravel(order="F")]
     given += [] if problem.parameters is None else [np.array(problem.parameters)]
 
@@ -128,7 +129,7 @@ def _between_breakpoints(
     mass = terms.mass([of_steps * block[joints].T for block in blocks])
     velocity, missing = v[:, joints], momentum - slope[joints].T
     values, vectors = np.linalg.eigh(mass)
-    regular = np.abs(values) > EPS * np.max(np.abs(values), axis=1, keepdims=True)
+    regular = np.abs(values) > EPS * np.max(np.abs(values), axis=1, keepdims=True) + TINY
     inverse = np.divide(1.0, values, out=np.zeros_like(values), where=regular)
     roots = np.einsum("it,tij->tj", missing, vectors) * np.sqrt(np.abs(inverse))  # squares of momenta may overflow
     correction = np.sum(np.sign(values) * roots**2, axis=1) / 2

@@ -35,8 +35,8 @@ def minimum(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: 
     """IPOPT on the action itself: finds a minimum, or fails where there is none; arguments as of a `Solver`."""
     if not stationarity.variational:
         raise ValueError(
-            "minimizer lowers the action, which a force, a velocity given at an end and a given energy do not allow: "
-            "take newton or ipopt"
+            "minimizer lowers the action, which a force, a given energy, and a given velocity whose momentum depends "
+            "on the path do not allow: take newton or ipopt"
         )
     solution = _interior_point(stationarity, guess, data, verbose, minimize=True, options=options)
     index = negative_eigenvalues(stationarity, solution.unknowns, data)

@@ -217,8 +217,8 @@ class LinearSolver:
         floor, scale, product = self.floor(matrix, u, terms)
         ratios = gradient / floor
         residual = ca.norm_inf(ratios) + 0 * ca.sum1(ratios)  # sums keep a NaN
-        path = scale[: self.numbering.positions]
-        y = y / ca.norm_inf(y[: self.numbering.positions] / path)
+        path = scale[: self.numbering.positions, :]
+        y = y / ca.norm_inf(y[: self.numbering.positions, :] / path)
         if self.numbering.free > self.numbering.positions:  # further unknowns are linear, or may be zero
             scale = ca.vertcat(path, ca.fabs(y[self.numbering.positions :]))
             product = ca.mtimes(ca.fabs(matrix), scale)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import Traceable, trace
 from casadi_galerkin.problems.constrained_motion import motion_of, tangents
@@ -30,6 +31,7 @@ class Geometry:
     momentum_map : (N + 1,), p·ξ(x) at the joints; None if no symmetry was given
     jacobians : (N, 2d, 2d), ∂(x_{i+1}, p_{i+1})/∂(x_i, p_i); under k constraints (N, 2(d - k), 2(d - k)), of the
         components along the tangents
+    unit : largest position over the largest momentum, the unit of positions over momenta for `symplecticity_defects`
 
     Examples
     --------
@@ -46,6 +48,7 @@ class Geometry:
     energy_drift: float
     momentum_map: np.ndarray | None
     jacobians: np.ndarray
+    unit: float
 
     @property
     def determinants(self) -> np.ndarray:
@@ -54,11 +57,12 @@ class Geometry:
 
     @property
     def symplecticity_defects(self) -> np.ndarray:
-        """Largest entry of AᵀΩA - Ω for the Jacobian A of each step, (N,); without forces they are 0."""
+        """Largest entry of AᵀΩA - Ω for the Jacobian A of each step, measured by `unit`, (N,); without forces 0."""
         d = self.jacobians.shape[1] // 2
+        sizes = np.repeat(np.sqrt([self.unit, 1 / self.unit]), d)
         omega = np.block([[np.zeros((d, d)), np.eye(d)], [-np.eye(d), np.zeros((d, d))]])
         defect = self.jacobians.transpose(0, 2, 1) @ omega @ self.jacobians - omega
-        return np.asarray(np.max(np.abs(defect), axis=(1, 2)))
+        return np.asarray(np.max(np.abs(defect) * np.outer(sizes, sizes), axis=(1, 2)))
 
     def __repr__(self) -> str:
         """Summarize in a few lines."""
@@ -115,7 +119,8 @@ def geometry(path: Trajectory, symmetry: Traceable | None = None) -> Geometry:
     if motion is not None:
         bases = [np.kron(np.eye(2), tangents(motion, *at)) for at in zip(path.t, path.x.T, strict=True)]
         steps = np.stack([later.T @ step @ basis for later, step, basis in zip(bases[1:], steps, bases, strict=False)])
-    return Geometry(float(np.max(np.abs(error))), float(drift), momentum, steps)
+    x, p = (component_sizes(a.reshape(1, -1))[0] for a in (path.x, path.momentum))
+    return Geometry(float(np.max(np.abs(error))), float(drift), momentum, steps, float(x / p))
 
 
 def jacobians(path: Trajectory) -> np.ndarray:

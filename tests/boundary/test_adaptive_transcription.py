@@ -75,6 +75,17 @@ def test_times_ends_and_momenta_may_be_others():
     np.testing.assert_allclose(path(0.7), alone(0.7), rtol=10 * TOL)
 
 
+@pytest.mark.parametrize("span", [(0, 3), (5, 8), (2, 3)])
+def test_a_guess_of_another_problem_need_not_have_its_breakpoints(span):
+    kinked = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - ca.fabs(t - 1) * x[0] ** 2, (0, 3), [1.0], [1.0], breakpoints=[1.0]
+    )
+    guess = cg.solve(cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 - x[0] ** 2, span, [1.0], [1.0]), tol=TOL)
+    path = cg.transcribe(kinked, tol=TOL).solve(guess=guess)
+    assert 1.0 in path.t
+    assert path.action == pytest.approx(cg.solve(kinked, tol=TOL).action, rel=TOL)
+
+
 def test_of_a_given_energy_the_duration_follows():
     orbit = cg.BoundaryProblem(
         lambda t, x, v: ca.dot(v, v) / 2 + 1 / ca.norm_2(x), (0.0, 1.5), [1.0, 0.0], [0.0, 1.0], energy=-0.5

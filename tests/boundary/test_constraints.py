@@ -353,6 +353,15 @@ def test_solvers_agree_on_a_constrained_path(name, solver):
     assert other.action == pytest.approx(newton.action, rel=1e-13)
 
 
+def test_an_end_meets_a_moving_constraint_up_to_the_rounding_of_its_time():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2, (0, np.pi), [0, 0], [1, 0], constraint=lambda t, x: x[1] - ca.sin(t)
+    )
+    path = cg.solve(problem, tol=1e-10)
+    np.testing.assert_allclose(path.x, [path.t / np.pi, np.sin(path.t)], rtol=0, atol=1e-10)
+    assert path.action == pytest.approx((1 / np.pi + np.pi / 2) / 2, rel=1e-10)
+
+
 # what does not fit
 
 

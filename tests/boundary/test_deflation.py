@@ -277,6 +277,25 @@ def test_bad_input_is_refused(given, error, message):
         cg.paths(LONG, **{"method": cg.Galerkin(4), "intervals": 2, **given})
 
 
+@pytest.mark.parametrize(
+    ("image", "error", "message"),
+    [
+        (lambda x: x[:, 1:], ValueError, r"symmetries\[0\] must return an array of shape \(1, 73\), got \(1, 72\)"),
+        (lambda x: None, TypeError, r"what symmetries\[0\] returns must be real numbers, got None"),
+    ],
+    ids=["shape", "nothing"],
+)
+def test_a_symmetry_is_checked_for_every_path(image, error, message):
+    asked = []
+
+    def symmetry(values):
+        asked.append(values)
+        return -values if len(asked) == 1 else image(values)
+
+    with pytest.raises(error, match=message):
+        cg.paths(WELL, cg.Galerkin(6), 12, symmetries=[symmetry])
+
+
 def test_only_boundary_problems_have_several_paths():
     falling = cg.InitialProblem(pendulum, (0.0, 1.0), [0.0], velocity=[1.0])
     with pytest.raises(TypeError, match="problem must be a BoundaryProblem, got InitialProblem"):

@@ -394,3 +394,21 @@ def test_the_path_to_a_parabola_is_that_of_its_first_velocity():
     np.testing.assert_allclose(end, [*path.x[:, -1], *path.velocity[:, -1]], rtol=0, atol=1e-11)
     across = path.momentum[:, -1] + [0.2, 0]
     assert abs(across @ [1, path.x[0, -1] / 2]) <= TRANSVERSAL
+
+
+@pytest.mark.parametrize(
+    "end",
+    [{"end_velocity": [0.7]}, {"end_momentum": [0.7]}, {"end_action": lambda x0, x1: x1[0] ** 3}],
+    ids=lambda end: next(iter(end)),
+)
+def test_what_a_minimizer_lowers_has_the_equations_as_its_gradient(end):
+    problem = cg.BoundaryProblem(lambda t, x, v: (1 + t) * v[0] ** 2 / 2 + ca.cos(x[0]), (0, 2), [0.3], [None], **end)
+    transcription = cg.transcribe(problem, cg.Galerkin(3), 4)
+    unknowns = np.linspace(0.5, 1.5, transcription.numbering.free)
+    data = [ca.DM(each) for each in transcription.data(transcription.mesh)]
+    given = ca.MX.sym("unknowns", len(unknowns))
+    slope = ca.Function("slope", [given], [ca.gradient(transcription.action(given, *data), given)])
+    np.testing.assert_allclose(slope(unknowns), transcription.gradient(unknowns, *data), rtol=0, atol=1e-13)
+    least = transcription.solve(solver=cg.minimizer)
+    exact = cg.solve(cg.BoundaryProblem(problem.lagrangian, (0, 2), [0.3], least.x[:, -1]), cg.Galerkin(3), 4)
+    assert least.action == pytest.approx(exact.action + (least.x[0, -1] ** 3 if "end_action" in end else 0), rel=1e-12)

@@ -243,6 +243,13 @@ def test_sensitivity_belongs_to_the_data_of_the_path_not_of_the_first_problem():
     np.testing.assert_allclose(moved.end[0, :, 0], np.sin(moved.t) / np.sin(1), rtol=0, atol=AGREEMENT)
 
 
+def test_sensitivity_without_unknowns_is_that_of_the_given_ends():
+    found = cg.sensitivity(cg.solve(spring(), cg.Galerkin(1), intervals=1))
+    np.testing.assert_array_equal(found.start[0], [[1.0], [0.0]])
+    np.testing.assert_array_equal(found.end[0], [[0.0], [1.0]])
+    np.testing.assert_array_equal(found.parameters[0], 0)
+
+
 def test_sensitivity_refuses_what_is_no_path():
     with pytest.raises(TypeError, match="takes a Trajectory, got BoundaryProblem"):
         cg.sensitivity(spring())

@@ -146,6 +146,19 @@ def test_one_interval_of_high_degree_solves_too(degree):
     np.testing.assert_allclose(path(0.5), 0.5643038922354, rtol=0, atol=2e-13)
 
 
+def test_one_chord_between_given_ends_has_nothing_free_but_perhaps_its_duration():
+    def fall(t, x, v):
+        return ca.sumsqr(v) / 2 - 10 * x[-1]
+
+    timed = cg.solve(cg.BoundaryProblem(fall, (0, 2), [0], [1], energy=18.0), cg.Galerkin(1), intervals=1)
+    assert timed.t[-1] == pytest.approx(1 / np.sqrt(2 * (18 - 10 / 2)), rel=1e-14)  # by the midpoint rule
+    ends = [0, -1], [np.sin(0.5), -np.cos(0.5)]
+    held = cg.BoundaryProblem(fall, (0, 0.5), *ends, constraint=lambda t, x: ca.sumsqr(x) - 1)
+    path, shot = (solve(held, cg.Galerkin(1), intervals=1) for solve in (cg.solve, cg.shoot))
+    assert path.action == pytest.approx(np.sum(np.diff(ends, axis=0) ** 2) - 0.5 * 10 * np.mean(ends, axis=0)[1])
+    np.testing.assert_allclose(path.momentum, shot.momentum, rtol=0, atol=1e-13)
+
+
 def test_fifty_thousand_intervals_keep_the_error_floor():
     path = cg.solve(BY_NAME["short pendulum"].problem, cg.Galerkin(2), intervals=50_000)
     assert path(0.5)[0] == pytest.approx(0.5643038922354, abs=1e-12)  # given to 13 decimals

@@ -134,6 +134,24 @@ def test_of_a_momentum_the_part_along_the_constraint_counts():
 
 
 @pytest.mark.parametrize(
+    ("constraint", "duration", "start", "velocity"),
+    [
+        (lambda t, x: x[1] - ca.sin(t), (0, 4 * np.pi), [0, 0], [0.3, 1]),
+        (lambda t, x: x[1] - ca.cos(t), (np.pi, 4 * np.pi), [0.3 * np.pi, -1], [0.3, 0]),
+    ],
+    ids=["through zero", "from a turning point"],
+)
+def test_a_moving_constraint_is_met_up_to_the_rounding_of_the_time(constraint, duration, start, velocity):
+    problem = cg.InitialProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2, duration, start, velocity=velocity, constraint=constraint
+    )
+    path = cg.solve(problem, cg.Galerkin(6), intervals=24)
+    np.testing.assert_allclose(path.x[0], 0.3 * path.t, rtol=0, atol=JOINTS)
+    off = [float(constraint(t, ca.DM(x))) for t, x in zip(path.t, path.x.T, strict=True)]
+    np.testing.assert_allclose(off, 0, rtol=0, atol=HELD)
+
+
+@pytest.mark.parametrize(
     ("changes", "message"),
     [
         (

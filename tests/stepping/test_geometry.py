@@ -62,6 +62,15 @@ def test_steps_are_symplectic(scene, method):
     np.testing.assert_allclose(measured.determinants, 1, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("length", [1e-9, 1e9])
+@pytest.mark.parametrize("mass", [1e-9, 1.0, 1e9])
+def test_steps_are_symplectic_in_any_units(length, mass):
+    orbit = cg.InitialProblem(
+        lambda t, x, v: mass * kepler(t, x / length, v / length), (0, 5), [length, 0], velocity=[0, 1.1 * length]
+    )
+    assert np.max(cg.geometry(cg.solve(orbit, cg.Galerkin(4), intervals=30)).symplecticity_defects) <= 1e-12
+
+
 @pytest.mark.parametrize("scene", ["pendulum", "kepler", "double pendulum"])
 def test_steps_of_a_reversible_lagrangian_run_back_to_their_start(scene):
     lagrangian, x, p, h = MOTIONS[scene]

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from control_problems import double_integrator
-from scenes import DAMPED, bratu_problem
+from scenes import BY_NAME, DAMPED, bratu_problem
 from sent_guesses import arched, deadly, dividing, pushed, unbuildable, unpicklable
 
 import casadi_galerkin as cg
@@ -553,6 +553,13 @@ def test_given_ends_of_any_kind_are_varied(ends, variations, exact):
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], **ends)
     sweep = cg.sweep(problem, variations, cg.Galerkin(2), 3)
     np.testing.assert_allclose(sweep.x[:, 0, -1], exact, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("kind", ["start_velocity", "start_momentum"])
+def test_paths_of_neighboring_rates_at_an_end_are_on_one_branch(kind):
+    problem = cg.BoundaryProblem(BY_NAME["short pendulum"].problem.lagrangian, (0, 1.5), [None], [1.0], **{kind: [0.3]})
+    sweep = cg.sweep(problem, [{kind: [rate]} for rate in (0.3, 0.5, 0.7, 0.9)], METHOD, INTERVALS)
+    assert not sweep.jumps
 
 
 def test_the_friction_of_a_force_is_varied():
