@@ -32,6 +32,7 @@ from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.control.switching import Switch, switches
 from casadi_galerkin.problems.bounds import beyond
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+from casadi_galerkin.solution.guess import FAR
 
 SLOWEST = 2 / 3  # q where a jump or a constraint at points keeps the higher degree from gaining much
 STUBBORN = 0.25  # an interval whose truncation falls by less with the higher degree is not smooth
@@ -43,6 +44,7 @@ AGREED = 1e-3  # of what the switching function says: nearer to its joint an imp
 MARGIN = 3.0  # times what is not known of a switch: joints beside it
 DISTINCT = 1e-8  # of the duration: nearer switches are one, such as those of two controls at a breakpoint
 ROUNDOFF = 1e-15  # of positions relative to their size
+ROUNDED = 1e-13  # part of momenta that rounding leaves
 
 
 def parts_of(degree: int) -> np.ndarray:
@@ -71,6 +73,13 @@ def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
     return np.asarray(np.max(np.abs(change) / component_sizes(path.polynomial.values)[:, None, None], axis=(0, 2)))
 
 
+def cost_of_rounding(path: ControlTrajectory) -> float:
+    """What forces cost that change momenta, or rates that change what follows them, by their rounding."""
+    mechanical = path.problem.mechanical
+    states = np.vstack((path.momentum[:mechanical], path.x[mechanical:]))
+    return ROUNDED * float(np.max(np.abs(path.costate.values), axis=1) @ np.max(np.abs(states), axis=1))
+
+
 @dataclass(frozen=True)
 class HigherDegree:
     """A path, and the one on its mesh of degree m + 2, which tells how wrong it is.
@@ -88,10 +97,16 @@ class HigherDegree:
         """Switches of the higher path."""
         return switches(self.higher)
 
+    def of_cost(self, change: float) -> float:
+        """A change of the cost relative to it; zero where the cost is zero but for the rounding of momenta."""
+        both = self.path, self.higher
+        cost = max(abs(path.cost) for path in both)
+        return change / cost if cost > max(map(cost_of_rounding, both)) else 0.0
+
     @lazy
     def cost_change(self) -> float:
         """Relative change of the cost."""
-        return abs(self.higher.cost - self.path.cost) / (abs(self.higher.cost) or 1.0)
+        return self.of_cost(abs(self.higher.cost - self.path.cost))
 
     @lazy
     def change(self) -> float:
@@ -123,7 +138,7 @@ class HigherDegree:
         if not path.problem.autonomous:
             return 0.0
         parts = np.split(path.hamiltonian, np.searchsorted(path.t, path.problem.breakpoints))
-        return float(max(np.ptp(part) for part in parts) * np.ptp(path.t) / (abs(path.cost) or 1.0))
+        return self.of_cost(float(max(np.ptp(part) for part in parts) * np.ptp(path.t)))
 
     @property
     def error(self) -> float:
@@ -132,8 +147,12 @@ class HigherDegree:
 
     @property
     def cost_error(self) -> float:
-        """Relative error of the cost; what both degrees miss of the path changes it in second order."""
-        return max(self.cost_change / (1 - SLOWEST), self.shared**2, self.unbalanced**2)
+        """Relative error of the cost; what both degrees miss of the path changes it in second order.
+
+        The costs of two different paths tell nothing: their distance is the error.
+        """
+        apart = self.change if self.change > FAR else 0.0
+        return max(self.cost_change / (1 - SLOWEST), self.shared**2, self.unbalanced**2, apart)
 
     def better_mesh(self, tol: float) -> np.ndarray:
         """Joints, in the time of the higher path, on which the error should be below the tolerance."""

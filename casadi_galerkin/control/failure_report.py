@@ -15,13 +15,14 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 
 INVALID = "Invalid Number Detected"
+NO_PATH = "There may be no path within these ends and bounds; else try a guess nearer to it, or several `starts`"
 HINTS = {
     "Diverging Iterates": "The cost may have no lower bound: bound the controls, the positions or the duration",
-    "Infeasible Problem Detected": "There may be no path within these ends and bounds; else try a guess nearer to it",
+    "Infeasible Problem Detected": NO_PATH,
     INVALID: "A callable or one of its derivatives is not finite there",
     "Maximum WallTime Exceeded": "Allow more seconds, or give a guess nearer to the path",
     "Solve Succeeded": "Its tolerances are absolute: take units in which lengths, times and masses are near one",
-    "Restoration Failed": "There may be no path within these ends and bounds; else try a guess nearer to it",
+    "Restoration Failed": NO_PATH,
 }
 OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"
 

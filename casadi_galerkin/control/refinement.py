@@ -37,7 +37,7 @@ from casadi_galerkin.calculus.discrete_calculus import mesh_of, with_breakpoints
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.control.error_estimate import HigherDegree
-from casadi_galerkin.control.transcription import transcribed_control
+from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import check_types, marks
@@ -161,9 +161,13 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         detail = estimate.detail
         mesh = halved(level.t) if detail is None else detail.better_mesh(self.tol)
         self.check_intervals(len(mesh) - 1, level, estimate.error)
+        known = level if detail is None else detail.higher
+        joints = self.scaled(mesh, known)
+        if np.min(np.diff(joints)) < SHORTEST * 2**DOUBLINGS * np.ptp(joints):
+            reason = f"the mesh would need an interval near {SHORTEST:g} of the duration"
+            raise self.stopped(reason, level, estimate.error)
         try:
-            known = level if detail is None else detail.higher
-            return self.solve_finer(self.scaled(mesh, known), known)
+            return self.solve_finer(joints, known)
         except ConvergenceError as failure:
             self.check_time(level, estimate.error)
             raise self.stopped(str(failure), level, estimate.error) from failure

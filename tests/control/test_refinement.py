@@ -4,7 +4,16 @@ import importlib
 
 import numpy as np
 import pytest
-from control_problems import FRACTIONS, cart_pole, double_integrator, minimum_time, pendulum, resolved, true_error
+from control_problems import (
+    FRACTIONS,
+    cart_pole,
+    cartesian_pendulum,
+    double_integrator,
+    minimum_time,
+    pendulum,
+    resolved,
+    true_error,
+)
 from paths import EXAMPLES
 from scipy.optimize import minimize_scalar
 
@@ -134,6 +143,39 @@ def test_the_hamiltonian_tells_what_both_degrees_miss(asked):
     assert not double_integrator(force=lambda t, x, v, u: u * (1 + t)).autonomous
 
 
+COASTING = {"start_velocity": [1.5], "end_velocity": [0.5], "lagrangian": lambda t, x, v: v[0] ** 2 / 2 - x[0]}
+FREE = {
+    "a swing": lambda: pendulum(3.0, start=[1.0], end=[None], end_velocity=[None]),
+    "a fall": lambda: double_integrator(**COASTING),
+    "nothing counts": lambda: double_integrator(running_cost=lambda t, x, v, u: 0),
+    "terms that cancel": lambda: double_integrator(running_cost=lambda t, x, v, u: u[0] ** 2 / 2 - 6),
+}
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-7])
+@pytest.mark.parametrize("name", FREE)
+def test_a_cost_that_is_zero_is_told_at_once(name, tol):
+    """Two costs of 1e-29 and 1e-34 were far apart, relative to themselves, on all of 80 meshes."""
+    path = cg.solve(FREE[name](), cost_tol=tol)
+    assert abs(path.cost) < 1e-12
+    assert path.cost_error == 0
+    assert len(path.t) == 9
+
+
+def test_costs_of_two_different_paths_tell_nothing():
+    """A mass goes from pole to pole of its circle between two nodes, where nothing holds it, and at no cost."""
+    with pytest.raises(cg.LimitReached, match="1 level was not enough") as caught:
+        cg.solve(cartesian_pendulum(), cost_tol=1e-3, limits=cg.Limits(levels=1))
+    assert caught.value.path.cost_error > 1
+
+
+def test_a_mesh_with_too_short_an_interval_is_a_limit(monkeypatch):
+    """It was told in words for the joints of a user."""
+    monkeypatch.setattr("casadi_galerkin.control.refinement.SHORTEST", 1e-2)
+    with pytest.raises(cg.LimitReached, match="the mesh would need an interval near 0.01 of the duration"):
+        cg.solve(late_start(), tol=1e-6)
+
+
 def test_error_of_the_cost_is_told_where_a_limit_is_reached(monkeypatch):
     with pytest.raises(cg.LimitReached, match="estimated error of") as caught:
         cg.solve(cart_pole(), cost_tol=1e-12, limits=cg.Limits(levels=1))
@@ -207,7 +249,7 @@ def test_an_array_as_guess_is_not_tried_on_another_mesh():
 
 
 def test_infeasible_problem_is_refused_in_ipopts_words():
-    with pytest.raises(cg.ConvergenceError, match="Infeasible"):
+    with pytest.raises(cg.ConvergenceError, match="Infeasible.* a guess nearer to it, or several `starts`"):
         cg.solve(double_integrator(control_bounds=(-1, 1)), tol=1e-4)
 
 
