@@ -172,7 +172,7 @@ def test_costs_of_two_different_paths_tell_nothing():
 def test_a_mesh_with_too_short_an_interval_is_a_limit(monkeypatch):
     """It was told in words for the joints of a user."""
     monkeypatch.setattr("casadi_galerkin.control.refinement.SHORTEST", 1e-2)
-    with pytest.raises(cg.LimitReached, match="the mesh would need an interval near 0.01 of the duration"):
+    with pytest.raises(cg.LimitReached, match=r"the mesh would need an interval near 0\.01 of the duration"):
         cg.solve(late_start(), tol=1e-6)
 
 
@@ -249,7 +249,7 @@ def test_an_array_as_guess_is_not_tried_on_another_mesh():
 
 
 def test_infeasible_problem_is_refused_in_ipopts_words():
-    with pytest.raises(cg.ConvergenceError, match="Infeasible.* a guess nearer to it, or several `starts`"):
+    with pytest.raises(cg.ConvergenceError, match=r"Infeasible.* a guess nearer to it, or several `starts`"):
         cg.solve(double_integrator(control_bounds=(-1, 1)), tol=1e-4)
 
 
