@@ -3,73 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from casadi_galerkin.control.chain import Chain, largest_of
 from casadi_galerkin.control.graph import Report
-from casadi_galerkin.control.optimizer import Optimum, ProgramBounds
+from casadi_galerkin.control.optimizer import Optimum
+from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.problems.bounds import beyond
-from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.crossings import is_limited
 
 NOTHING = 1e-20  # terms that are what rounding leaves of a component that is zero; the solvers' tolerances are absolute
 FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
 VANISHED = 1e-13  # part of its terms along the guess below which a component's are taken for their roundoff
-
-
-def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> ProgramBounds:
-    """Bounds of the unknowns and of the equations; what is given is a bound on both sides.
-
-    Durations and parameters are bounded at the end, and their continuity holds the others.  Equations that the given
-    ends meet are left out, unless `implied` ones are to be checked as well.
-    """
-    fields, arriving = chain.fields, chain.fields["nodes"][chain.crossed - 1, -1]
-    sides = np.full((2, chain.size), [[-np.inf], [np.inf]])
-    for index in (fields["x"], fields["nodes"][:, :-1], arriving):
-        _limit(sides, index, problem.position_bounds)
-    _limit(sides, fields["controls"], problem.control_bounds)
-    for name, bounds in (("durations", problem.duration_bounds), ("parameters", problem.parameter_bounds)):
-        if bounds is not None:
-            _limit(sides, fields[name][-1], bounds)
-    for given, index in (
-        (problem.start, fields["x"][0]),
-        (problem.end, fields["x"][-1]),
-        (problem.start_velocity[: chain.mechanical], fields["start_velocity"]),
-        (problem.end_velocity[: chain.mechanical], fields["end_velocity"]),
-    ):
-        values = np.array(given, dtype=float)  # NaN for None
-        _limit(sides, index, np.where(np.isnan(values), sides[:, index], values))
-    for t, place in problem.waypoints:
-        if not is_limited(place):
-            joint = chain.breaks[problem.breakpoints.index(t)]
-            index = fields["nodes"][joint - 1, -1] if joint in chain.crossed else fields["x"][joint]
-            low, high = np.transpose(place)
-            _limit(sides, index, (np.maximum(sides[0, index], low), np.minimum(sides[1, index], high)))
-    equations = np.zeros((2, chain.equations))
-    there = [(f"waypoint {i}", crossing.condition) for i, crossing in enumerate(problem.crossings)]
-    for name, stated in (("path", problem.path_constraint), ("ends", problem.end_conditions), *there):
-        if stated is not None:
-            _limit(equations, chain.rows[name], stated[1:])
-    for rows in () if implied else _implied(problem, chain):
-        _limit(equations, rows, ([-np.inf], [np.inf]))
-    return ProgramBounds(*sides[:, : chain.unknowns], *equations)
-
-
-def _limit(sides: np.ndarray, index: np.ndarray, bounds: ArrayLike) -> None:
-    """Set lower and upper bounds, (2, count), of the entries (..., count) of two long vectors."""
-    for side, bound in zip(sides, np.asarray(bounds), strict=True):
-        side[index] = bound
-
-
-def _implied(problem: ControlProblem, chain: Chain) -> list[np.ndarray]:
-    """Equations of a holonomic constraint that what is given at the ends meets already."""
-    stated = [
-        (problem.start, chain.rows["start_held"]),
-        (problem.end, chain.rows["held"][-1, -1]),
-        (problem.start_velocity, chain.rows["start_tangent"]),
-        (problem.end_velocity, chain.rows["end_tangent"]),
-    ]
-    return [rows for given, rows in stated if None not in given]
 
 
 def measures(chain: Chain, limits: ProgramBounds, report: Report, before: np.ndarray) -> np.ndarray:

@@ -8,9 +8,10 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.constraint_violation import FEASIBLE, limits_of, measures
+from casadi_galerkin.control.constraint_violation import FEASIBLE, measures
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import RELAXED
+from casadi_galerkin.control.program_bounds import limits_of
 from casadi_galerkin.control.transcription import transcribed_control
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.guess import Guess

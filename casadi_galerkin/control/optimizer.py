@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.control.graph import ControlGraph
+from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.solvers.deadline import limited
@@ -44,30 +45,6 @@ WARM = {
     "warm_start_init_point": "yes",
     "acceptable_iter": 2,  # of Newton steps that converge quadratically
 }
-
-
-@dataclass(frozen=True)
-class ProgramBounds:
-    """Bounds of the unknowns and of the equations."""
-
-    lower: np.ndarray
-    upper: np.ndarray
-    equations_lower: np.ndarray
-    equations_upper: np.ndarray
-
-    @property
-    def sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """All of them."""
-        return self.lower, self.upper, self.equations_lower, self.equations_upper
-
-    def narrowed(self, relaxed: float) -> ProgramBounds:
-        """Bounds that become these where a solver relaxes every bound b by this part of max(1, |b|)."""
-        return ProgramBounds(*_narrowed(*self.sides[:2], relaxed), *_narrowed(*self.sides[2:], relaxed))
-
-
-def _narrowed(low: np.ndarray, high: np.ndarray, relaxed: float) -> tuple[np.ndarray, np.ndarray]:
-    move = [relaxed * (low < high) * np.fmax(1.0, np.where(np.isfinite(b), np.abs(b), 1.0)) for b in (low, high)]
-    return low + move[0], high - move[1]
 
 
 @dataclass(frozen=True)

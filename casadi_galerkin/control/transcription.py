@@ -20,12 +20,12 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_b
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.constraint_violation import FEASIBLE, cost_change, limits_of, violations
-from casadi_galerkin.control.counts import check_count, check_stages
+from casadi_galerkin.control.constraint_violation import FEASIBLE, cost_change, violations
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
 from casadi_galerkin.control.graph import ControlGraph, Report
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
 from casadi_galerkin.control.optimizer import RELAXED, Optimum, optimize, with_fatrop, with_ipopt
+from casadi_galerkin.control.program_bounds import check_count, check_stages, limits_of
 from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.functional.mapping import Mapping, by_rows
 from casadi_galerkin.functional.statement import refuse_points

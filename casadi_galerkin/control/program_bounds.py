@@ -1,0 +1,126 @@
+"""Bounds of the unknowns and of the equations, and whether they leave an optimizer anything to choose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.crossings import is_limited
+
+
+@dataclass(frozen=True)
+class ProgramBounds:
+    """Bounds of the unknowns and of the equations."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+    equations_lower: np.ndarray
+    equations_upper: np.ndarray
+
+    @property
+    def sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """All of them."""
+        return self.lower, self.upper, self.equations_lower, self.equations_upper
+
+    def narrowed(self, relaxed: float) -> ProgramBounds:
+        """Bounds that become these where a solver relaxes every bound b by this part of max(1, |b|)."""
+        return ProgramBounds(*_narrowed(*self.sides[:2], relaxed), *_narrowed(*self.sides[2:], relaxed))
+
+
+def _narrowed(low: np.ndarray, high: np.ndarray, relaxed: float) -> tuple[np.ndarray, np.ndarray]:
+    move = [relaxed * (low < high) * np.fmax(1.0, np.where(np.isfinite(b), np.abs(b), 1.0)) for b in (low, high)]
+    return low + move[0], high - move[1]
+
+
+def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> ProgramBounds:
+    """Bounds of the unknowns and of the equations; what is given is a bound on both sides.
+
+    Durations and parameters are bounded at the end, and their continuity holds the others.  Equations that the given
+    ends meet are left out, unless `implied` ones are to be checked as well.
+    """
+    fields, arriving = chain.fields, chain.fields["nodes"][chain.crossed - 1, -1]
+    sides = np.full((2, chain.size), [[-np.inf], [np.inf]])
+    for index in (fields["x"], fields["nodes"][:, :-1], arriving):
+        _limit(sides, index, problem.position_bounds)
+    _limit(sides, fields["controls"], problem.control_bounds)
+    for name, bounds in (("durations", problem.duration_bounds), ("parameters", problem.parameter_bounds)):
+        if bounds is not None:
+            _limit(sides, fields[name][-1], bounds)
+    for given, index in (
+        (problem.start, fields["x"][0]),
+        (problem.end, fields["x"][-1]),
+        (problem.start_velocity[: chain.mechanical], fields["start_velocity"]),
+        (problem.end_velocity[: chain.mechanical], fields["end_velocity"]),
+    ):
+        values = np.array(given, dtype=float)  # NaN for None
+        _limit(sides, index, np.where(np.isnan(values), sides[:, index], values))
+    for t, place in problem.waypoints:
+        if not is_limited(place):
+            joint = chain.breaks[problem.breakpoints.index(t)]
+            index = fields["nodes"][joint - 1, -1] if joint in chain.crossed else fields["x"][joint]
+            low, high = np.transpose(place)
+            _limit(sides, index, (np.maximum(sides[0, index], low), np.minimum(sides[1, index], high)))
+    equations = np.zeros((2, chain.equations))
+    there = [(f"waypoint {i}", crossing.condition) for i, crossing in enumerate(problem.crossings)]
+    for name, stated in (("path", problem.path_constraint), ("ends", problem.end_conditions), *there):
+        if stated is not None:
+            _limit(equations, chain.rows[name], stated[1:])
+    for rows in () if implied else _implied(problem, chain):
+        _limit(equations, rows, ([-np.inf], [np.inf]))
+    return ProgramBounds(*sides[:, : chain.unknowns], *equations)
+
+
+def _limit(sides: np.ndarray, index: np.ndarray, bounds: ArrayLike) -> None:
+    """Set lower and upper bounds, (2, count), of the entries (..., count) of two long vectors."""
+    for side, bound in zip(sides, np.asarray(bounds), strict=True):
+        side[index] = bound
+
+
+def _implied(problem: ControlProblem, chain: Chain) -> list[np.ndarray]:
+    """Equations of a holonomic constraint that what is given at the ends meets already."""
+    stated = [
+        (problem.start, chain.rows["start_held"]),
+        (problem.end, chain.rows["held"][-1, -1]),
+        (problem.start_velocity, chain.rows["start_tangent"]),
+        (problem.end_velocity, chain.rows["end_tangent"]),
+    ]
+    return [rows for given, rows in stated if None not in given]
+
+
+def check_count(chain: Chain, limits: ProgramBounds) -> None:
+    """Refuse more equations than unknowns, as a very coarse mesh has; what only passes states on is not counted."""
+    passed = sum(states for states, *_ in chain.stages[1:]) + chain.mechanical
+    equations = np.count_nonzero(limits.equations_lower == limits.equations_upper) - passed
+    unknowns = np.count_nonzero(limits.lower < limits.upper) - passed
+    if equations > unknowns:
+        raise ValueError(
+            f"{equations} equations for {unknowns} unknowns on {chain.intervals} interval(s) of degree "
+            f"{chain.method.degree}: take more intervals, a higher degree or more controls, or free a component"
+        )
+
+
+def check_stages(chain: Chain, limits: ProgramBounds) -> None:
+    """Refuse what fatrop cannot take apart into stages, or takes for an error when it runs."""
+    conditions = chain.problem.end_conditions
+    if conditions is not None and any(conditions[0].sparsity_jac(k, 0).nnz() for k in (0, 1)):
+        raise ValueError(
+            "fatrop takes end_conditions on the end alone, stage by stage: give what is known of the start as "
+            "start and start_velocity, or take cg.ipopt"
+        )
+    states, others, counts = (np.array(column) for column in zip(*chain.stages, strict=True))
+    row = unknown = 0
+    for i, following in enumerate(np.append(states[1:], 0)):
+        own, row = row + following, row + following + counts[i]
+        first, unknown = unknown, unknown + states[i] + others[i]
+        equations = np.count_nonzero((limits.equations_lower == limits.equations_upper)[own:row])
+        equations += np.count_nonzero((limits.lower == limits.upper)[first:unknown])
+        if equations > unknown - first:
+            where = f"interval {i}" if i < chain.intervals else "the end"
+            raise ValueError(
+                f"fatrop takes no more equations than unknowns in a stage, got {equations} for {unknown - first} "
+                f"at {where}: state nothing twice, or take cg.ipopt"
+            )
