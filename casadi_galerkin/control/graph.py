@@ -37,6 +37,7 @@ class Report:
     equations, terms : G, and the sizes of the terms it compares
     slope : ∇f̄ but for the multipliers of the bounds
     hamiltonian : (N,), mean over each interval; without multipliers that of the cost alone
+    arriving : (d, K), derivatives of f̄ by the values before the joints crossed, as far as they count there
     """
 
     cost: float
@@ -45,6 +46,7 @@ class Report:
     terms: np.ndarray
     slope: np.ndarray
     hamiltonian: np.ndarray
+    arriving: np.ndarray
 
 
 class ControlGraph:
@@ -176,6 +178,8 @@ class ControlGraph:
         part = int(embedding.points.row("part")[0, 0])
         shares = point.derivative(part)(self.at[0], self.weights[0], along[0])
         durations = self.at[0][int(embedding.points.row("duration")[0, 0]), :]
+        given = list(zip(self.places, self.at, self.weights, along, strict=True))
+        crossings = given[len(given) - len(chain.crossed) :]
         told = [
             self.cost,
             self._total("weighted_action"),
@@ -184,24 +188,10 @@ class ControlGraph:
             ca.mtimes(ca.fabs(embedding.test.T), canceled) + linear,
             self._slope(self._gradients + ca.mtimes(self._derivatives.T, ca.veccat(*along)), multipliers),
             ca.sum1(ca.reshape(shares / durations, -1, chain.intervals)),
+            *(place.lagrangian_gradient(*z)[: chain.dimension] for place, *z in crossings),
         ]
         verification = self._name("verification", [ca.densify(ca.veccat(*told))], multipliers)
         return Lender(lambda: Evaluator(verification))
-
-    @lazy
-    def _arriving(self) -> ca.Function:
-        """(unknowns, data, λ) -> derivatives of the equations by the values before the joints crossed, (K d,)."""
-        multipliers, first = ca.MX.sym("multipliers", self.chain.equations), len(self.places) - len(self.chain.crossed)
-        given = zip(self.places, self.at, self.weights, self._along(multipliers), strict=True)
-        slopes = [place.lagrangian_gradient(*z)[: self.chain.dimension] for place, *z in list(given)[first:]]
-        return self._name("arriving", [ca.densify(ca.vertcat(*slopes))], multipliers)
-
-    def arriving(self, unknowns: np.ndarray, data: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
-        """Derivatives of the cost by the values before the joints crossed, (d, K)."""
-        if len(self.chain.crossed) == 0:
-            return np.zeros((self.chain.dimension, 0))
-        (slopes,) = Evaluator(self._arriving)(unknowns, data, multipliers)
-        return np.asarray(slopes.reshape(-1, self.chain.dimension).T)
 
     def report(self, unknowns: np.ndarray, data: np.ndarray, multipliers: np.ndarray | None = None) -> Report:
         """Evaluate all that is told of a point."""
@@ -217,5 +207,5 @@ class ControlGraph:
         resting = np.isfinite(largest) & (chain.largest(moving) <= RESTING * largest)
         motion = (chain.kinds >= chain.dimension) & (chain.kinds < chain.dimension + chain.mechanical)
         terms = np.where(motion, np.where(resting[chain.kinds], canceled, moving), np.fmax(moving, canceled))
-        slope, hamiltonian = np.split(told[2 + 3 * count :], [chain.unknowns])
-        return Report(cost, action, equations, terms, slope, hamiltonian)
+        slope, hamiltonian, arriving = np.split(told[2 + 3 * count :], np.cumsum([chain.unknowns, chain.intervals]))
+        return Report(cost, action, equations, terms, slope, hamiltonian, arriving.reshape(-1, chain.dimension).T)

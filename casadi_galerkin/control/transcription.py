@@ -179,10 +179,9 @@ class ControlTranscription:
         change, told = cost_change(chain, limits, optimum, report), optimum.status
         if change > UNSEEN * abs(report.cost):
             told += f"; its tolerances are absolute, and may hide a change of the cost by {change:.1e}"
-        arriving = self.graph.arriving(optimum.unknowns, data, optimum.multipliers)
         violation = float(np.max(relative))
         told = f"{NAMES[solver.name]} ({told})"
-        return self._trajectory(told, optimum, report, problem, found, arriving, joints, violation, began)
+        return self._trajectory(told, optimum, report, problem, found, joints, violation, began)
 
     def start(
         self, problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None
@@ -249,7 +248,6 @@ class ControlTranscription:
         report: Report,
         problem: ControlProblem,
         values: dict[str, np.ndarray],
-        arriving: np.ndarray,
         joints: np.ndarray,
         violation: float,
         began: float,
@@ -279,7 +277,7 @@ class ControlTranscription:
             problem=problem,
             cost=report.cost,
             control=self._over_time(joints, chain.control_times, values["controls"]),
-            costate=chain.costate(multipliers, optimum.bound_multipliers, arriving, joints),
+            costate=chain.costate(multipliers, optimum.bound_multipliers, report.arriving, joints),
             path_multipliers=self._path_multipliers(multipliers, joints),
             duals=(multipliers, optimum.bound_multipliers),
             hamiltonian=report.hamiltonian,
