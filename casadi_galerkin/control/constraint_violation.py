@@ -38,7 +38,9 @@ def violations(
     """Violation of every equation, then of every unknown's bounds, relative to what is compared; a bound to itself."""
     excess = _excess(report.equations, limits.equations_lower, limits.equations_upper)
     outside = _excess(unknowns, limits.lower, limits.upper)
-    return np.concatenate((excess / measures(chain, limits, report, before), outside / _or_one(np.abs(unknowns))))
+    return np.concatenate(
+        (excess / measures(chain, limits, report, before), outside / np.where(unknowns == 0, 1.0, np.abs(unknowns)))
+    )
 
 
 def cost_change(chain: Chain, limits: ProgramBounds, optimum: Optimum, report: Report) -> float:
@@ -63,8 +65,3 @@ def _gap(values: np.ndarray, multipliers: np.ndarray, low: np.ndarray, high: np.
 def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """By how much values leave their bounds; infinite where they are not numbers."""
     return np.asarray(np.where(np.isfinite(values), beyond(values, low, high), np.inf))
-
-
-def _or_one(sizes: np.ndarray) -> np.ndarray:
-    """Sizes, and 1 for zero."""
-    return np.asarray(np.where(sizes > 0, sizes, 1.0))

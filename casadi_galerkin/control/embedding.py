@@ -53,13 +53,13 @@ def sparse(triplets: Iterable[Triplet], shape: tuple[int, int]) -> ca.DM:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """One kind of place: how many there are, and what is known at each.
+    """One kind of place: how many there are, and what is known at each, or what the pointwise functions return there.
 
     Attributes
     ----------
     count : number of places
-    rows : name and length of what is known, in this order
-    first : first row of A that belongs to them
+    rows : name and length of what is known or returned, in this order
+    first : first row of A, or of Θᵀ, that belongs to them
     """
 
     count: int
@@ -68,16 +68,16 @@ class Place:
 
     @property
     def width(self) -> int:
-        """Rows of A at one place."""
+        """Rows at one place."""
         return sum(self.rows.values())
 
     @property
     def last(self) -> int:
-        """Row of A after theirs."""
+        """Row after theirs."""
         return self.first + self.count * self.width
 
     def row(self, name: str) -> np.ndarray:
-        """Rows of A of a name, (count, length)."""
+        """Rows of a name, (count, length)."""
         names = list(self.rows)
         offset = sum(self.rows[other] for other in names[: names.index(name)])
         starts = self.first + offset + self.width * np.arange(self.count)
@@ -206,45 +206,41 @@ class ChainEmbedding:
         constraints; at either end ∂L/∂v and the rate of what is held; the conditions on both; at the nodes what is
         held, and its impulse; at the joints crossed x after, ∂L/∂v before and after, and the condition.
         """
-        chain, rows = self.chain, self.chain.rows
-        dm, z, c = chain.mechanical, chain.dimension - chain.mechanical, chain.constraints
-        element, r = chain.method.element, len(chain.method.quadrature)
-        width, k = 2 * dm + z + c, np.arange(self.points.count).reshape(chain.intervals, r, 1, 1)
-        weights, height = element.weights[:, None], width * self.points.count
-        nodes = np.concatenate((rows["motion"], chain.arrivals[:, None]), axis=1)[:, None]  # (N, 1, m + 1, dm)
-        sign = np.append(np.ones(chain.method.degree), -1.0)
-        f, g = (((weights * a) * sign)[None, :, :, None] for a in (element.values, element.slopes))
-        degree = chain.method.degree
-        tests = (weights * lagrange_values(np.array(gauss(degree).points), element.points))[None, :, :, None]
-        component, k_held, held = np.arange(dm), chain.held, np.arange(chain.held)
-        start = height + component
-        end = start + dm + k_held
-        ends = height + 2 * (dm + k_held)
-        at = ends + chain.conditions + (k_held + dm) * np.arange(self.nodes.count)[:, None]
+        chain, rows, m = self.chain, self.chain.rows, self.chain.method.degree
+        n, dm, element = chain.intervals, chain.mechanical, chain.method.element
+        along = {"f": dm, "g": dm, "defect": chain.dimension - dm, "path": chain.constraints}
+        points = Place(self.points.count, along, 0)
+        either_end = Place(2, {"momentum": dm, "tangent": chain.held}, points.last)
+        both_ends = Place(self.both_ends.count, {"conditions": chain.conditions}, either_end.last)
+        nodes = Place(self.nodes.count, {"held": chain.held, "push": dm}, both_ends.last)
+        weights, sign = element.weights[:, None], np.append(np.ones(m), -1.0)
+        tests = weights * lagrange_values(np.array(gauss(m).points), element.points)
+        works = np.concatenate((rows["motion"], chain.arrivals[:, None]), axis=1)[:, None]  # (N, 1, m + 1, dm)
+        at_points = {name: points.row(name).reshape(n, len(weights), -1) for name in along}
         triplets: list[Triplet] = [
-            (width * k + component, nodes, f),
-            (width * k + dm + component, nodes, g),
-            (width * k + 2 * dm + np.arange(z), rows["rates"][:, None], tests),
-            (width * k[..., 0] + 2 * dm + z + np.arange(c), rows["path"], 1.0),
-            (start, rows["start"], -1.0),
-            (height + dm + held, rows["start_tangent"], 1.0),
-            (end, rows["end"], -1.0),
-            (height + 2 * dm + k_held + held, rows["end_tangent"], 1.0),
-            (ends + np.arange(chain.conditions), rows["ends"], 1.0),
+            (at_points["f"][:, :, None], works, (weights * element.values * sign)[None, :, :, None]),
+            (at_points["g"][:, :, None], works, (weights * element.slopes * sign)[None, :, :, None]),
+            (at_points["defect"][:, :, None], rows["rates"][:, None], tests[None, :, :, None]),
+            (at_points["path"], rows["path"], 1.0),
+            (either_end.row("momentum"), np.stack((rows["start"], rows["end"])), -1.0),
+            (either_end.row("tangent"), np.stack((rows["start_tangent"], rows["end_tangent"])), 1.0),
+            (both_ends.row("conditions"), rows["ends"], 1.0),
         ]
-        if k_held:
+        if chain.held:
             later = np.concatenate((rows["motion"][:, 1:], rows["momentum"][:, None]), axis=1).reshape(-1, dm)
-            of_held = np.vstack((rows["start_held"], rows["held"].reshape(-1, k_held)))
-            pushed = np.vstack((rows["start"], later))
-            signs = np.append(-1.0, np.tile(sign[1:], chain.intervals))[:, None]
-            triplets += [(at + held, of_held, 1.0), (at + k_held + component, pushed, signs)]
-        total = int(ends + chain.conditions + (k_held + dm) * self.nodes.count)
+            of_held = np.vstack((rows["start_held"], rows["held"].reshape(-1, chain.held)))
+            signs = np.append(-1.0, np.tile(sign[1:], n))[:, None]
+            triplets += [
+                (nodes.row("held"), of_held, 1.0),
+                (nodes.row("push"), np.vstack((rows["start"], later)), signs),
+            ]
+        last = nodes.last
         for i, joint in enumerate(chain.crossed.tolist()):
             after = [rows["x"][joint - 1], rows["arrival"][i], rows["momentum"][joint - 1], rows[f"waypoint {i}"]]
             signs = np.repeat([-1.0, 1.0, -1.0, 1.0], [len(part) for part in after])
-            triplets.append((total + np.arange(len(signs)), np.concatenate(after), signs))
-            total += len(signs)
-        return sparse(triplets, (total, chain.equations))
+            triplets.append((last + np.arange(len(signs)), np.concatenate(after), signs))
+            last += len(signs)
+        return sparse(triplets, (last, chain.equations))
 
     @lazy
     def linear(self) -> ca.DM:

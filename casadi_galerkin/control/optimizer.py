@@ -118,15 +118,11 @@ def _built(graph: ControlGraph, plugin: str, options: dict[str, Any]) -> ca.Func
 
 
 def optimize(
-    solver: Lender[Evaluator], relaxed: float, guess: np.ndarray, data: np.ndarray, limits: ProgramBounds, *duals: Any
+    solver: Lender[Evaluator], guess: np.ndarray, data: np.ndarray, limits: ProgramBounds, *duals: Any
 ) -> Optimum:
-    """Run the solver from a guess, to start warm with the multipliers of the bounds and of the equations.
-
-    It is given narrower bounds, as far as it relaxes them.
-    """
-    given = limits.narrowed(relaxed) if relaxed else limits
+    """Run the solver from a guess, to start warm with the multipliers of the bounds and of the equations."""
     with solver.lend() as run, fork_waits:
-        x, _, _, bounds, equations, _ = run(guess, data, *given.sides, *(duals or (0.0, 0.0)))
+        x, _, _, bounds, equations, _ = run(guess, data, *limits.sides, *(duals or (0.0, 0.0)))
         stats = run.stats
     status = str(stats["return_status"]).replace("_", " ")
     status = FATROP_WORDS.get(status, status)

@@ -28,6 +28,8 @@ class ProgramBounds:
 
     def narrowed(self, relaxed: float) -> ProgramBounds:
         """Bounds that become these where a solver relaxes every bound b by this part of max(1, |b|)."""
+        if relaxed == 0:
+            return self
         return ProgramBounds(*_narrowed(*self.sides[:2], relaxed), *_narrowed(*self.sides[2:], relaxed))
 
 

@@ -167,7 +167,7 @@ class ControlTranscription:
         values, duals, before = start
         unknowns, data = chain.pack(values)
         way = self._kept_program(solver, bool(duals), verbose)
-        optimum = optimize(way, RELAXED[solver.name], unknowns, data, limits, *duals)
+        optimum = optimize(way, unknowns, data, limits.narrowed(RELAXED[solver.name]), *duals)
         if optimum.status == INVALID:
             refuse_derivatives(self.graph, unknowns, data, mesh)
         report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
