@@ -15,7 +15,7 @@ from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.control.control_function import control_function
-from casadi_galerkin.control.refinement import solve_control_to_tolerance
+from casadi_galerkin.control.refinement import ControlRefinement, first_control_mesh
 from casadi_galerkin.control.several_starts import best_of
 from casadi_galerkin.control.transcription import ControlTranscription, check_solver, transcribed_control
 from casadi_galerkin.functional.mapping import by_rows, one_by_one
@@ -147,9 +147,10 @@ def solve(
     tolerance, limits = check_tolerance(tolerance, "cost_tol" if of_cost else "tol"), limits or Limits()
     path: Trajectory
     if isinstance(problem, ControlProblem):
-        check_solver(way := solver or ipopt)
-        given, how = (problem, tolerance, of_cost, method, intervals, mesh), (limits, way, verbose)
-        path = best_of(starts, problem, guess, lambda guess: solve_control_to_tolerance(*given, guess, *how))
+        check_solver(solver or ipopt)
+        joints = first_control_mesh(problem, tolerance, method, intervals, mesh)
+        how = problem, tolerance, of_cost, method, limits, solver or ipopt, verbose
+        path = best_of(starts, problem, guess, lambda guess: ControlRefinement(*how).run(joints, guess))
     else:
         path = solve_to_tolerance(problem, tolerance, method, intervals, mesh, guess, solver or newton, limits, verbose)
     if verbose:

@@ -61,23 +61,24 @@ class PointwiseTerms:
         evaluated: Callable[..., ca.MX] = self.mapping(function, self.count, ())
         return evaluated
 
+    def _weighted(self, output: ca.SX) -> Callable[..., ca.MX]:
+        weight = ca.SX.sym("weight")
+        return self._function([self.z, weight], weight * output)
+
     @lazy
     def value(self) -> Callable[..., ca.MX]:
         """(z, weight) -> weighted cost, one per place."""
-        weight = ca.SX.sym("weight")
-        return self._function([self.z, weight], weight * self.cost)
+        return self._weighted(self.cost)
 
     @lazy
     def weighted_action(self) -> Callable[..., ca.MX]:
         """(z, weight) -> weighted action, one per place."""
-        weight = ca.SX.sym("weight")
-        return self._function([self.z, weight], weight * self.action)
+        return self._weighted(self.action)
 
     @lazy
     def gradient(self) -> Callable[..., ca.MX]:
         """(z, weight) -> weighted gradient of the cost."""
-        weight = ca.SX.sym("weight")
-        return self._function([self.z, weight], weight * ca.gradient(self.cost, self._by))
+        return self._weighted(ca.gradient(self.cost, self._by))
 
     @lazy
     def equations(self) -> Callable[..., ca.MX]:

@@ -78,7 +78,7 @@ def fits_any_mesh(guess: Guess | None) -> bool:
 
 
 class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
-    """One refinement of a trajectory optimization under way; arguments as for `solve`."""
+    """One refinement of a trajectory optimization under way, to a tolerance of all or `of_cost` alone; see `solve`."""
 
     roundoff_level, stalls = 1e-8, 1  # what the solvers leave
 
@@ -180,7 +180,15 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         return super().stopped(reason, level, error)
 
     def run(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
-        """Refine the first path, and say what all levels have cost."""
+        """Refine the first path, and say what all levels have cost.
+
+        Raises
+        ------
+        LimitReached
+            with the best path attached
+        ConvergenceError
+            where the solver finds no path on the first mesh, nor on the same mesh twice and four times as fine
+        """
         path, _ = self.refine(self.solve_finer(mesh, guess))
         assert self.known is not None, "a path is accepted for what is known of it"
         return replace(
@@ -206,28 +214,3 @@ def first_control_mesh(
         )
     count = FIRST_INTERVALS + len(problem.breakpoints) if intervals is None and mesh is None else intervals
     return mesh_of(problem.t_span, count, mesh, problem.breakpoints)
-
-
-def solve_control_to_tolerance(
-    problem: ControlProblem,
-    tol: float,
-    of_cost: bool,
-    method: Galerkin | None,
-    intervals: int | None,
-    mesh: ArrayLike | None,
-    guess: Guess | None,
-    limits: Limits,
-    solver: Solver,
-    verbose: int,
-) -> ControlTrajectory:
-    """Solve a control problem to a tolerance, of all or `of_cost` alone; see `solve` for the other arguments.
-
-    Raises
-    ------
-    LimitReached
-        with the best path attached
-    ConvergenceError
-        where the solver finds no path on the first mesh, nor on the same mesh twice and four times as fine
-    """
-    joints = first_control_mesh(problem, tol, method, intervals, mesh)
-    return ControlRefinement(problem, tol, of_cost, method, limits, solver, verbose).run(joints, guess)
