@@ -43,7 +43,7 @@ def violations(
     )
 
 
-def cost_change(chain: Chain, limits: ProgramBounds, optimum: Optimum, report: Report) -> float:
+def unseen_change(chain: Chain, limits: ProgramBounds, optimum: Optimum, report: Report) -> float:
     """How much the cost may still change by, to first order.
 
     These are the derivatives that are left by unknowns that are not given, times the largest sizes of such unknowns,

@@ -26,7 +26,8 @@ from casadi_galerkin.functional.mapping import Mapping
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import Crossing
 
-Terms = tuple[ca.SX, ca.SX, ca.SX]  # cost, action, rows
+Terms = dict[str, ca.SX]  # the rows, and the cost and the action where there are any
+NOTHING = ca.SX(1, 1)
 
 
 @dataclass(frozen=True)
@@ -39,16 +40,16 @@ class PointwiseTerms:
     count : number of places
     z : SX, what is known at the place
     active : rows of z that are differentiated by
-    cost, action, rows : SX expressions in z
+    rows, cost, action : SX expressions in z
     """
 
     mapping: Mapping
     count: int
     z: ca.SX
     active: np.ndarray
-    cost: ca.SX
-    action: ca.SX
     rows: ca.SX
+    cost: ca.SX = NOTHING
+    action: ca.SX = NOTHING
 
     @lazy
     def _by(self) -> ca.SX:
@@ -146,13 +147,9 @@ def places(problem: ControlProblem, embedding: ChainEmbedding, mapping: Mapping)
     found = []
     for place, active in zip(embedding.places, embedding.active, strict=True):
         z = ca.SX.sym("z", place.width)
-        terms = make[place](problem, *ca.vertsplit(z, _offsets(place)))
-        found.append(PointwiseTerms(mapping, place.count, z, active, *terms))
+        terms = make[place](problem, *ca.vertsplit(z, np.cumsum([0, *place.rows.values()]).tolist()))
+        found.append(PointwiseTerms(mapping, place.count, z, active, **terms))
     return found
-
-
-def _offsets(place: Place) -> list[int]:
-    return [int(offset) for offset in np.cumsum([0, *place.rows.values()])]
 
 
 def _given(problem: ControlProblem, p: ca.SX) -> list[ca.SX]:
@@ -170,7 +167,7 @@ def _at_points(problem: ControlProblem, *at: ca.SX) -> Terms:
     rows.append(slope[others, 0] - h * problem.rates(*state))
     if problem.path_constraint is not None:
         rows.append(problem.path_constraint[0](*state))
-    return h * problem.running_cost(*state), action, ca.vertcat(*rows)
+    return {"rows": ca.vertcat(*rows), "cost": h * problem.running_cost(*state), "action": action}
 
 
 def _at_either_end(problem: ControlProblem, *at: ca.SX) -> Terms:
@@ -180,22 +177,22 @@ def _at_either_end(problem: ControlProblem, *at: ca.SX) -> Terms:
     if problem.constraint is not None:
         held = problem.constraint(t, x, *given)
         rows.append(ca.mtimes(ca.jacobian(held, x), v) + ca.jacobian(held, t))
-    return ca.SX(1, 1), ca.SX(1, 1), ca.vertcat(*rows)
+    return {"rows": ca.vertcat(*rows)}
 
 
 def _at_both_ends(problem: ControlProblem, *at: ca.SX) -> Terms:
     x0, v0, x1, v1, p, t = at
     last, given, conditions = (x1, _filled(v1, x1)), _given(problem, p), problem.end_conditions
-    cost = ca.SX(1, 1) if problem.terminal_cost is None else problem.terminal_cost(t, *last, *given)
     rows = ca.SX(0, 1) if conditions is None else conditions[0](x0, _filled(v0, x0), *last, *given)
-    return cost, ca.SX(1, 1), rows
+    cost = {} if problem.terminal_cost is None else {"cost": problem.terminal_cost(t, *last, *given)}
+    return {"rows": rows, **cost}
 
 
 def _at_nodes(problem: ControlProblem, *at: ca.SX) -> Terms:
     x, impulse, duration, p, begin, share, sizes = at
     assert problem.constraint is not None, "this place is where there is one"
     held = problem.constraint(begin + duration * share, x, *_given(problem, p))
-    return ca.SX(1, 1), ca.SX(1, 1), ca.vertcat(held, ca.mtimes(ca.jacobian(held, x).T, impulse) / sizes)
+    return {"rows": ca.vertcat(held, ca.mtimes(ca.jacobian(held, x).T, impulse) / sizes)}
 
 
 def _at_crossing(problem: ControlProblem, *at: ca.SX, crossing: Crossing) -> Terms:
@@ -205,7 +202,7 @@ def _at_crossing(problem: ControlProblem, *at: ca.SX, crossing: Crossing) -> Ter
     rows = [after[0], *(_momentum(problem, t, state, given) / sizes for state in (before, after))]
     if crossing.condition is not None:
         rows.append(crossing.condition[0](*before, *given))
-    return ca.SX(1, 1), ca.SX(1, 1), ca.vertcat(*rows)
+    return {"rows": ca.vertcat(*rows)}
 
 
 def _momentum(problem: ControlProblem, t: ca.SX, state: tuple[ca.SX, ca.SX], given: list[ca.SX]) -> ca.SX:

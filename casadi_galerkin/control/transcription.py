@@ -20,7 +20,7 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_b
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.constraint_violation import FEASIBLE, cost_change, violations
+from casadi_galerkin.control.constraint_violation import FEASIBLE, unseen_change, violations
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
 from casadi_galerkin.control.graph import ControlGraph, Report
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
@@ -176,7 +176,7 @@ class ControlTranscription:
         joints = self._joints(found, mesh)
         if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
             raise explained(NAMES[solver.name], chain, optimum, report.cost, relative, chain.path(found, joints))
-        change, told = cost_change(chain, limits, optimum, report), optimum.status
+        change, told = unseen_change(chain, limits, optimum, report), optimum.status
         if change > UNSEEN * abs(report.cost):
             told += f"; its tolerances are absolute, and may hide a change of the cost by {change:.1e}"
         violation = float(np.max(relative))
