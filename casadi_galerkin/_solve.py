@@ -328,7 +328,6 @@ def solution_function(
     """
     check_types(problem, method, BoundaryProblem, ControlProblem)
     if isinstance(problem, ControlProblem):
-        check_solver(solver or ipopt)
         return control_function(problem, method, intervals, mesh, guess, solver or ipopt)
     if solver is not None:
         raise ValueError(f"the Function of a BoundaryProblem runs CasADi's Newton method, got solver={solver!r}")

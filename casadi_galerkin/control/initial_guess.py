@@ -38,6 +38,7 @@ def first_values(
         if len(guess.x) != problem.dimension:
             raise ValueError(f"the guess must be a path of {problem.dimension} component(s), got {len(guess.x)}")
         path_guess = near.polynomial.values if near else _earlier(guess, guess, everywhere, times)
+        control_guess = near.control.values if near else _earlier_controls(guess, chain, everywhere, calculus)
     path = _path(problem, calculus, path_guess)
     nodes = path[1:].reshape(n, degree, -1).copy()
     arrived, arriving = _arrivals(chain, calculus, everywhere, guess, path)
@@ -45,24 +46,19 @@ def first_values(
     slopes = (path[1] - path[0]) / (times[1] - times[0]), (path[-1] - path[-2]) / (times[-1] - times[-2])
     durations, parameters = np.diff(marks), np.array(problem.parameters or ())
     if isinstance(guess, ControlTrajectory):
-        controls = near.control.values.T if near else _earlier_controls(guess, chain, everywhere, calculus)
         slopes = guess.start_velocity, guess.end_velocity
         if problem.duration_bounds is not None:
             durations = np.clip(np.diff(_marks_before(guess, marks)), *problem.duration_bounds)
         found = guess.parameters
         if problem.parameter_bounds is not None and found is not None and len(found) == chain.parameters:
             parameters = np.clip(found, *problem.parameter_bounds)
-    elif control_guess is None:
-        controls = np.tile(_resting(*problem.control_bounds), (n * len(chain.control_times), 1))
-    else:
-        controls = _given_controls(control_guess, chain, calculus)
     given = np.array([problem.start_velocity, problem.end_velocity], dtype=float)  # NaN for None
     velocities = np.where(np.isnan(given), slopes, given)[:, :dm]
     left = (mesh[:-1] - marks[chain.phases]) / np.diff(marks)[chain.phases]
     return {
         "x": path[::degree],
         "nodes": nodes,
-        "controls": np.clip(controls, *problem.control_bounds).reshape(n, -1, chain.controls),
+        "controls": _controls(problem, chain, calculus, control_guess),
         "start_velocity": velocities[0],
         "end_velocity": velocities[1],
         "velocity": arriving,
@@ -151,25 +147,28 @@ def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | No
 def _earlier_controls(
     guess: ControlTrajectory, chain: Chain, marks: np.ndarray, calculus: DiscreteCalculus
 ) -> np.ndarray:
-    """Controls (points, n) of an earlier answer."""
+    """Controls (n, points) of an earlier answer."""
     if len(guess.control.values) != chain.controls:
         raise ValueError(f"the guess must have {chain.controls} control(s), got {len(guess.control.values)}")
-    return _earlier(guess, guess.control, marks, times_at(calculus.mesh, chain.control_times)).T
+    return _earlier(guess, guess.control, marks, times_at(calculus.mesh, chain.control_times))
 
 
-def _given_controls(guess: Values, chain: Chain, calculus: DiscreteCalculus) -> np.ndarray:
-    """Controls (points, n) from a callable of time or an array at the points where they stand."""
+def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus, guess: Values | None) -> np.ndarray:
+    """Controls (N, points, n) within bounds, from a callable of time or an array at the points where they stand."""
     name, times = "the guess of the controls", times_at(calculus.mesh, chain.control_times)
     shape = (chain.controls, len(times))
-    values = sampled(name, guess, times, shape[0]) if callable(guess) else real_array(name, guess)
+    if guess is None:
+        values = np.tile(_resting(*problem.control_bounds)[:, None], len(times))
+    else:
+        values = sampled(name, guess, times, shape[0]) if callable(guess) else real_array(name, guess)
     if values.shape != shape:
-        where = "in the intervals" if chain.problem.hold else "at the quadrature points"
+        where = "in the intervals" if problem.hold else "at the quadrature points"
         raise ValueError(f"{name} must have the shape {shape} for values {where}, got {values.shape}")
     wrong = ~np.isfinite(values).all(axis=0)
     if np.any(wrong):
         i = int(np.argmax(wrong))
         raise ValueError(f"{name} must be finite, got {values[:, i]} at t = {times[i]:.6g}")
-    return values.T
+    return np.asarray(np.clip(values.T, *problem.control_bounds)).reshape(chain.intervals, -1, chain.controls)
 
 
 def check_finite(problem: ControlProblem, embedding: ChainEmbedding, values: dict[str, np.ndarray]) -> None:
