@@ -43,7 +43,7 @@ class ControlTrajectory(Trajectory):
     ----------
     problem : ControlProblem
     cost : value of the discrete cost, a local minimum: paths that differ much from this one may cost less
-    cost_error : estimated relative error of the cost; None without a tolerance
+    cost_error : estimated relative error of the cost, zero where it is zero but for rounding; None without a tolerance
     control : callable, ``control(t)`` -> (number of controls,) + t.shape
     costate : multipliers λ of the equations of motion, and of the rates, as a path: ``costate(t)`` -> (d,) + t.shape.
         The cost of a small extra force (or rate) δF(t) is ∫ λ·δF dt to first order
