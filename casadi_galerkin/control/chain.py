@@ -173,11 +173,6 @@ class Chain:
         alike += [["held", "start_held"], ["start_tangent", "end_tangent"]]
         self.kinds = kinds_of(self.rows, alike, self.equations)
 
-    def marks(self, problem: ControlProblem, mesh: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Ends of the mesh with the breakpoints between; and where phases begin and end, all these or the ends."""
-        marks = np.array([mesh[0], *problem.breakpoints, mesh[-1]])
-        return marks, marks if self.is_free("durations") else marks[[0, -1]]
-
     def is_free(self, name: str) -> bool:
         """Whether the entries of a field are unknowns."""
         return bool(self.fields[name].size and self.fields[name].ravel()[0] < self.unknowns)

@@ -13,6 +13,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.embedding import ChainEmbedding
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.problem import marks
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess, Values, guess_values, meeting_ends, sampled
 
@@ -33,7 +34,8 @@ def first_values(
     """
     path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical
-    (everywhere, marks), degree = chain.marks(problem, mesh), chain.method.degree
+    everywhere, degree = np.array(marks(problem)), chain.method.degree
+    of_phases = everywhere if chain.is_free("durations") else everywhere[[0, -1]]
     if isinstance(guess, ControlTrajectory):
         if len(guess.x) != problem.dimension:
             raise ValueError(f"the guess must be a path of {problem.dimension} component(s), got {len(guess.x)}")
@@ -44,17 +46,17 @@ def first_values(
     arrived, arriving = _arrivals(chain, calculus, everywhere, guess, path)
     nodes[chain.crossed - 1, -1] = np.clip(arrived, *problem.position_bounds)
     slopes = (path[1] - path[0]) / (times[1] - times[0]), (path[-1] - path[-2]) / (times[-1] - times[-2])
-    durations, parameters = np.diff(marks), np.array(problem.parameters or ())
+    durations, parameters = np.diff(of_phases), np.array(problem.parameters or ())
     if isinstance(guess, ControlTrajectory):
         slopes = guess.start_velocity, guess.end_velocity
         if problem.duration_bounds is not None:
-            durations = np.clip(np.diff(_marks_before(guess, marks)), *problem.duration_bounds)
+            durations = np.clip(np.diff(_marks_before(guess, of_phases)), *problem.duration_bounds)
         found = guess.parameters
         if problem.parameter_bounds is not None and found is not None and len(found) == chain.parameters:
             parameters = np.clip(found, *problem.parameter_bounds)
     given = np.array([problem.start_velocity, problem.end_velocity], dtype=float)  # NaN for None
     velocities = np.where(np.isnan(given), slopes, given)[:, :dm]
-    left = (mesh[:-1] - marks[chain.phases]) / np.diff(marks)[chain.phases]
+    lasting = np.diff(of_phases)[chain.phases]
     return {
         "x": path[::degree],
         "nodes": nodes,
@@ -65,8 +67,8 @@ def first_values(
         "durations": durations,
         "parameters": parameters,
         "begin": mesh[:1],
-        "left": left,
-        "part": np.diff(mesh) / np.diff(marks)[chain.phases],
+        "left": (mesh[:-1] - of_phases[chain.phases]) / lasting,
+        "part": np.diff(mesh) / lasting,
         "momentum": np.zeros((n + 1, dm)),
         "sizes": np.ones(dm),
         "impulses": np.zeros((n, degree, chain.held)),
@@ -74,32 +76,30 @@ def first_values(
     }
 
 
-def _marks_before(guess: ControlTrajectory, marks: np.ndarray) -> np.ndarray:
+def _marks_before(guess: ControlTrajectory, now: np.ndarray) -> np.ndarray:
     """Where the phases of an earlier answer begin and end; where it has others, its ends and these in proportion."""
-    inner = guess.problem.breakpoints
-    if len(inner) + 2 == len(marks):
-        return np.array([guess.t[0], *inner, guess.t[-1]])
-    return np.asarray(np.interp(marks, marks[[0, -1]], guess.t[[0, -1]]))
+    before = np.array(marks(guess.problem))
+    return before if len(before) == len(now) else np.interp(now, now[[0, -1]], before[[0, -1]])
 
 
 def _earlier(
-    guess: ControlTrajectory, path: Callable[[np.ndarray], np.ndarray], marks: np.ndarray, times: np.ndarray
+    guess: ControlTrajectory, path: Callable[[np.ndarray], np.ndarray], now: np.ndarray, times: np.ndarray
 ) -> np.ndarray:
     """Values of an earlier answer, or of its controls, at the same fractions of the durations between marks."""
-    before = _marks_before(guess, marks)
-    same = np.array_equal(before, marks)
-    return np.asarray(path(times if same else np.clip(np.interp(times, marks, before), before[0], before[-1])))
+    before = _marks_before(guess, now)
+    same = np.array_equal(before, now)
+    return np.asarray(path(times if same else np.clip(np.interp(times, now, before), before[0], before[-1])))
 
 
 def _arrivals(
-    chain: Chain, calculus: DiscreteCalculus, marks: np.ndarray, guess: Guess | None, path: np.ndarray
+    chain: Chain, calculus: DiscreteCalculus, now: np.ndarray, guess: Guess | None, path: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions and velocities before the joints crossed: those of an earlier answer, else as if it did not jump."""
     nodes, times = chain.crossed * chain.method.degree, calculus.node_times
     found, dm = path[nodes], chain.mechanical
     velocities = ((found - path[nodes - 1]) / (times[nodes] - times[nodes - 1])[:, None])[:, :dm]
     if len(nodes) and isinstance(guess, ControlTrajectory):
-        after, before = (_earlier(guess, along, marks, times[nodes]) for along in (guess, guess.polynomial.before))
+        after, before = (_earlier(guess, along, now, times[nodes]) for along in (guess, guess.polynomial.before))
         found = found + (before - after).T
         velocities = guess.arrival_velocity if guess.arrival_velocity.shape == velocities.shape else velocities
     return found, velocities
@@ -145,12 +145,12 @@ def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | No
 
 
 def _earlier_controls(
-    guess: ControlTrajectory, chain: Chain, marks: np.ndarray, calculus: DiscreteCalculus
+    guess: ControlTrajectory, chain: Chain, now: np.ndarray, calculus: DiscreteCalculus
 ) -> np.ndarray:
     """Controls (n, points) of an earlier answer."""
     if len(guess.control.values) != chain.controls:
         raise ValueError(f"the guess must have {chain.controls} control(s), got {len(guess.control.values)}")
-    return _earlier(guess, guess.control, marks, times_at(calculus.mesh, chain.control_times))
+    return _earlier(guess, guess.control, now, times_at(calculus.mesh, chain.control_times))
 
 
 def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus, guess: Values | None) -> np.ndarray:
