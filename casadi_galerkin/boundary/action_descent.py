@@ -31,6 +31,7 @@ LEAST, MOST = 1e-3, 1e12  # inertia that is added if any is, and at which no ste
 SQUEEZE = 0.5  # largest relative change of an interval in one step
 FINER = 2.0  # an interval is split into at most this many between two meshes
 MOST_INTERVALS = 120  # a path on its way needs no more; its front moves on
+SHORTEST = 1e-12  # interval over the times: the next mesh may split it, and joints must differ by more than roundoff
 SETTLED = 1e-4  # relative step at which Newton's method can take over
 
 
@@ -56,13 +57,15 @@ def descend(
     Raises
     ------
     ConvergenceError
-        if no step lowers the action, or the time was up
+        if no step lowers the action, joints come too near to one another, or the time was up
     """
     inertia, fewest = 1.0, len(path.mesh) - 1
     for _ in levels:
         descent = ActionDescent(transcribed(path.mesh), path, inertia, leap)
         ended = descent.run(STEPS)
         path, inertia, error = descent.path, descent.inertia, truncation(descent.path)
+        if np.min(np.diff(path.mesh)) < SHORTEST * np.max(np.abs(path.mesh)):
+            raise ConvergenceError("the joints came too near to one another for doubles", Path(path))
         if np.max(error) < 3 * tol and (ended or (descent.step < SETTLED and inertia == 0)):
             break
         if out_of_time():
@@ -178,21 +181,19 @@ def carried(path: PiecewisePolynomial, change: np.ndarray) -> PiecewisePolynomia
 def retimed(
     path: PiecewisePolynomial, slope: np.ndarray, diagonal: np.ndarray, beside: np.ndarray
 ) -> PiecewisePolynomial:
-    """Newton step of the inner joints at fixed node values.
+    """Newton step of the inner joints at fixed node values; the same path where it is not defined.
 
     `slope` (N + 1,), and `diagonal` (N + 1,) and `beside` (N,) of a tridiagonal matrix, are the action's derivatives by
     all joints.
     """
-    shift = np.zeros(len(slope))
-    pivots, rhs, upper = diagonal.tolist(), (-slope).tolist(), beside.tolist()
-    for i in range(2, len(shift) - 1):  # symmetric elimination without the ends; faster here than a dense solve
-        factor = upper[i - 1] / pivots[i - 1]
-        pivots[i] -= factor * upper[i - 1]
-        rhs[i] -= factor * rhs[i - 1]
-    for i in range(len(shift) - 2, 0, -1):
-        shift[i] = (rhs[i] - upper[i] * shift[i + 1]) / pivots[i]
-    if not np.all(np.isfinite(shift)):
+    matrix = np.diag(diagonal[1:-1]) + np.diag(beside[1:-1], 1) + np.diag(beside[1:-1], -1)
+    try:
+        inner = np.linalg.solve(matrix, -slope[1:-1])
+    except np.linalg.LinAlgError:
         return path
+    if not np.all(np.isfinite(inner)):
+        return path
+    shift = np.pad(inner, 1)
     return PiecewisePolynomial(path.mesh + squeezed(shift, np.diff(path.mesh)), path.nodes, path.values)
 
 

@@ -97,7 +97,7 @@ def first_path_strategies(
     action with moving joints; and whatever `solver` tries.
     """
     given = resolved(levels, method, guess, mesh, ROUGHLY)
-    mesh, solved = given.mesh, partial(levels.solve, method)
+    mesh, solved, name = given.mesh, partial(levels.solve, method), repr(solver)
     if isinstance(solver, Solver) and solver.name == newton.name:
         plain = partial(damped_newton, **solver.options)
         brief = partial(plain, max_iter=ITERATIONS)
@@ -116,7 +116,8 @@ def first_path_strategies(
         for leap in LEAPS if graph.stationarity.variational and not graph.numbering.multipliers else ():
             found = partial(_by_descent, levels, joints, guess, leap, every_level, out_of_time)
             yield Strategy(f"descent of the action in steps of {leap:g}", found, math.inf)
-    yield Strategy(f"{solver!r}", partial(solved, mesh, guess, solver), math.inf)
+        name = "Newton's method with IPOPT to its rescue"
+    yield Strategy(name, partial(solved, mesh, guess, solver), math.inf)
 
 
 def _with_more(mesh: np.ndarray, intervals: int) -> np.ndarray:

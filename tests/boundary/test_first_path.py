@@ -75,3 +75,22 @@ def test_a_path_on_the_other_side_of_the_sun_is_not_taken_for_the_one_meant():
     path = cg.solve(problem, tol=TOL, guess=joined(exact, problem.t_span, 25, 0.05, seed=2))
     assert off(path, exact) < 10 * TOL
     assert "smoothed" not in path.solver
+
+
+def test_a_descent_whose_times_cannot_be_told_goes_on():
+    """Where the path rests, no joint has a better time: its row is zero."""
+    ball = cg.BoundaryProblem(
+        lambda t, x, v: t**3 * (v[0] ** 2 / 2 + (x[0] ** 2 - 1) ** 2 / 8 + 0.075 * (x[0] - 1)),
+        (0, 40),
+        [None],
+        [0.9142973],
+    )
+    path = cg.solve(ball, tol=TOL, guess=lambda t: [0.914 - 2 * (0.5 - 0.5 * np.tanh((t - 15) / 2))])
+    assert path.error_estimate <= TOL
+
+
+def test_the_last_way_is_named_in_words(capsys):
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.exp(x[0] ** 2), (0, 1), [0.0], [20.0])
+    with pytest.raises(cg.ConvergenceError):  # of the last way; on theirs, descents crowd their joints at the end
+        cg.solve(problem, tol=TOL, verbose=1)
+    assert "Newton's method with IPOPT to its rescue: no path" in capsys.readouterr().out
