@@ -23,7 +23,7 @@ from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_mesh
 from casadi_galerkin.boundary.transcription import check_given
 from casadi_galerkin.boundary.variations import between, ends_replaced, same_statement
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import time_span
+from casadi_galerkin.calculus.numbers import counted, time_span
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
@@ -191,9 +191,10 @@ class AdaptiveTranscription:
 
     def __repr__(self) -> str:
         """Say what was built, and what mesh is kept."""
-        words = (
-            f"AdaptiveTranscription of a boundary problem of {self.problem.dimension} component(s), tol={self.tol:g}"
-        )
+        size = counted(self.problem.dimension, "component")
+        words = f"AdaptiveTranscription of a boundary problem of {size}, tol={self.tol:g}"
         if self.first is None:
             return f"{words}: nothing solved yet"
-        return f"{words}: first path of degree {self.first.method.degree} on {len(self.first.t) - 1} intervals"
+        return (
+            f"{words}: first path of degree {self.first.method.degree} on {counted(len(self.first.t) - 1, 'interval')}"
+        )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.optimizer import ProgramBounds
 
@@ -11,12 +12,13 @@ from casadi_galerkin.control.optimizer import ProgramBounds
 def check_count(chain: Chain, limits: ProgramBounds) -> None:
     """Refuse more equations than unknowns, as a very coarse mesh has; what only passes states on is not counted."""
     passed = sum(states for states, *_ in chain.stages[1:]) + chain.mechanical
-    equations = np.count_nonzero(limits.equations_lower == limits.equations_upper) - passed
-    unknowns = np.count_nonzero(limits.lower < limits.upper) - passed
+    equations = int(np.count_nonzero(limits.equations_lower == limits.equations_upper)) - passed
+    unknowns = int(np.count_nonzero(limits.lower < limits.upper)) - passed
     if equations > unknowns:
         raise ValueError(
-            f"{equations} equations for {unknowns} unknowns on {chain.intervals} interval(s) of degree "
-            f"{chain.method.degree}: take more intervals, a higher degree or more controls, or free a component"
+            f"{counted(equations, 'equation')} for {counted(unknowns, 'unknown')} on "
+            f"{counted(chain.intervals, 'interval')} of degree {chain.method.degree}: take more intervals, a higher "
+            "degree or more controls, or free a component"
         )
 
 

@@ -146,8 +146,9 @@ def test_limits_stop_it():
 
 def test_it_says_what_mesh_is_kept(capsys):
     transcription = cg.transcribe(bratu(), tol=1e-6)
-    assert repr(transcription) == (
-        "AdaptiveTranscription of a boundary problem of 1 component(s), tol=1e-06: nothing solved yet"
+    assert (
+        repr(transcription)
+        == "AdaptiveTranscription of a boundary problem of 1 component, tol=1e-06: nothing solved yet"
     )
     transcription.solve(verbose=1)
     assert repr(transcription).endswith(": first path of degree 8 on 8 intervals")
