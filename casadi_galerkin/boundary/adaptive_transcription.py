@@ -23,6 +23,7 @@ from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_mesh
 from casadi_galerkin.boundary.transcription import check_given
 from casadi_galerkin.boundary.variations import between, ends_replaced, same_statement
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.mesh_adaptation import degree_for, of_degree
 from casadi_galerkin.calculus.numbers import counted, time_span
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -71,8 +72,9 @@ class AdaptiveTranscription:
         mesh: ArrayLike | None = None,
         limits: Limits | None = None,
     ) -> None:
-        self.problem, self.tol, self.method, self.limits = problem, tol, method, limits or Limits()
+        self.problem, self.tol, self.limits = problem, tol, limits or Limits()
         self._coarse = first_mesh(problem, tol, method, intervals, mesh)
+        self.method = method or of_degree(degree_for(tol))  # of all paths: the mesh is for later ones, too
         self._levels = Levels(problem, by_rows)
         self.first: Trajectory | None = None
 
@@ -138,7 +140,6 @@ class AdaptiveTranscription:
             problem = problem.varied({}, (problem.t_span[0], problem.t_span[0] + float(known.t[-1] - known.t[0])))
         levels = self._levels.of(problem)
         refinement = BoundaryRefinement(levels, self.tol, self.method, solver, self.limits, verbose)
-        refinement.lasting = True
         try:
             if known is not None:
                 return self._followed(refinement, known)

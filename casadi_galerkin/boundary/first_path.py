@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import TypeGuard
 
 import numpy as np
 from numpy.polynomial.legendre import legfit, legval
@@ -43,10 +44,14 @@ class Strategy:
     patience: float
 
 
+def is_newton(solver: SolverLike) -> TypeGuard[Solver]:
+    """Whether a solver is `newton`, with whatever options."""
+    return isinstance(solver, Solver) and solver.name == newton.name
+
+
 def following(solver: SolverLike) -> SolverLike:
     """Newton's method from an earlier path, with the options of `solver` if that is Newton's method, too."""
-    own = solver.options if isinstance(solver, Solver) and solver.name == newton.name else {}
-    return partial(damped_newton, **{"max_iter": ITERATIONS, **own})
+    return partial(damped_newton, **{"max_iter": ITERATIONS, **(solver.options if is_newton(solver) else {})})
 
 
 def resolved(
@@ -98,9 +103,8 @@ def first_path_strategies(
     """
     given = resolved(levels, method, guess, mesh, ROUGHLY)
     mesh, solved, name = given.mesh, partial(levels.solve, method), repr(solver)
-    if isinstance(solver, Solver) and solver.name == newton.name:
-        plain = partial(damped_newton, **solver.options)
-        brief = partial(plain, max_iter=ITERATIONS)
+    if is_newton(solver):
+        plain, brief = partial(damped_newton, **solver.options), following(solver)
         yield Strategy("Newton's method", partial(solved, mesh, given.values, plain), PATIENCE)
         if guess is not None:
             found = partial(_from_smoothed, levels, method, given, brief)
@@ -114,7 +118,7 @@ def first_path_strategies(
             yield Strategy("IPOPT on the action", found, PATIENCE)
         joints = _with_more(fine, DESCENT_INTERVALS)
         for leap in LEAPS if graph.stationarity.variational and not graph.numbering.multipliers else ():
-            found = partial(_by_descent, levels, joints, guess, leap, every_level, out_of_time)
+            found = partial(_by_descent, levels, joints, guess, brief, leap, every_level, out_of_time)
             yield Strategy(f"descent of the action in steps of {leap:g}", found, math.inf)
         name = "Newton's method with IPOPT to its rescue"
     yield Strategy(name, partial(solved, mesh, guess, solver), math.inf)
@@ -130,6 +134,7 @@ def _by_descent(
     levels: Levels,
     mesh: np.ndarray,
     guess: Guess | None,
+    solver: SolverLike,
     leap: float,
     every_level: range,
     out_of_time: Callable[[], bool],
@@ -139,4 +144,4 @@ def _by_descent(
     transcribed = partial(levels.transcription, method, mapping=by_rows)
     path = transcribed(mesh).guess_on_mesh(guess, mesh)
     path = descend(transcribed, path, DESCENT_TOLERANCE, leap, every_level, out_of_time)
-    return levels.solve(method, path.mesh, path, following(newton))
+    return levels.solve(method, path.mesh, path, solver)
