@@ -95,9 +95,8 @@ class BoundaryGraph:
         problem = self.varied(changes or {}, joints)
         data = self.data(joints, problem)
         values = self._guess(guess, calculus, data)
-        plane = self.plane(calculus.emb(values.T)) if self.phase else None
-        if plane is not None:
-            data = self.data(joints, problem, plane)
+        if self.phase:
+            data = self.data(joints, problem, self.plane(calculus.emb(values.T)))
         try:
             solution = solver(self.stationarity, self.unknowns(values, data), data, verbose)
         except SolveFailure as failure:
