@@ -87,13 +87,7 @@ def _from_smoothed(levels: Levels, method: Galerkin, given: PiecewisePolynomial,
 
 
 def first_path_strategies(
-    levels: Levels,
-    method: Galerkin,
-    mesh: np.ndarray,
-    guess: Guess | None,
-    solver: SolverLike,
-    every_level: range,
-    out_of_time: Callable[[], bool],
+    levels: Levels, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike
 ) -> Iterator[Strategy]:
     """Ways to a first path, in the order in which they are tried.
 
@@ -118,7 +112,7 @@ def first_path_strategies(
             yield Strategy("IPOPT on the action", found, PATIENCE)
         joints = _with_more(fine, DESCENT_INTERVALS)
         for leap in LEAPS if graph.stationarity.variational and not graph.numbering.multipliers else ():
-            found = partial(_by_descent, levels, joints, guess, brief, leap, every_level, out_of_time)
+            found = partial(_by_descent, levels, joints, guess, brief, leap)
             yield Strategy(f"descent of the action in steps of {leap:g}", found, math.inf)
         name = "Newton's method with IPOPT to its rescue"
     yield Strategy(name, partial(solved, mesh, guess, solver), math.inf)
@@ -131,17 +125,11 @@ def _with_more(mesh: np.ndarray, intervals: int) -> np.ndarray:
 
 
 def _by_descent(
-    levels: Levels,
-    mesh: np.ndarray,
-    guess: Guess | None,
-    solver: SolverLike,
-    leap: float,
-    every_level: range,
-    out_of_time: Callable[[], bool],
+    levels: Levels, mesh: np.ndarray, guess: Guess | None, solver: SolverLike, leap: float
 ) -> CriticalPoint:
     """Lower the action of a guess until Newton's method takes over."""
     method = of_degree(DESCENT_DEGREE)
     transcribed = partial(levels.transcription, method, mapping=by_rows)
     path = transcribed(mesh).guess_on_mesh(guess, mesh)
-    path = descend(transcribed, path, DESCENT_TOLERANCE, leap, every_level, out_of_time)
+    path = descend(transcribed, path, DESCENT_TOLERANCE, leap)
     return levels.solve(method, path.mesh, path, solver)

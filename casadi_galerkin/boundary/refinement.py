@@ -219,8 +219,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:
         """Refine the first path found that can be followed."""
         failures: list[ConvergenceError] = []
-        given = (self.method, mesh, guess, self.solver, self.limits.every_level, self.out_of_time)
-        for strategy in first_path_strategies(self.levels, *given):
+        for strategy in first_path_strategies(self.levels, self.method, mesh, guess, self.solver):
             self.patience, began, before = strategy.patience, time.perf_counter(), self.iterations
             try:
                 with until(self.deadline):
