@@ -75,7 +75,6 @@ class Transcription(BoundaryGraph):
         """The same graph for a problem that is `varied` from this one's; nothing is built."""
         other = object.__new__(type(self))
         other.__dict__.update(vars(self), problem=problem)
-        other.__dict__.pop("_stated", None)
         return other
 
     @property

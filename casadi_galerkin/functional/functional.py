@@ -77,10 +77,10 @@ class Functional:
         self,
         lagrangian: ca.Function,
         numbering: Numbering,
-        mapping: Mapping = by_rows,
-        force: ca.Function | None = None,
-        terms: tuple[LocalTerm, ...] = (),
-        given: int = 0,
+        mapping: Mapping,
+        force: ca.Function | None,
+        terms: tuple[LocalTerm, ...],
+        given: int,
     ) -> None:
         began = time.perf_counter()
         self.pointwise, self.numbering, self.terms = pointwise(lagrangian, force), kept(numbering), terms
