@@ -17,14 +17,16 @@ from collections.abc import Callable
 import numpy as np
 
 from casadi_galerkin.boundary.transcription import Transcription
+from casadi_galerkin.calculus.discrete_calculus import too_near
 from casadi_galerkin.calculus.mesh_adaptation import equidistributed, truncation
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
+from casadi_galerkin.solvers.deadline import seconds_left
 
-STEPS = 3  # between two meshes
+MESHES, STEPS = 80, 3  # at most, and between two of them
 POOR, GOOD = 0.25, 0.75  # gain over the one promised below which a step is refused, above which the next may be longer
 RELAXED = 1e-13  # promised relative gain of the action below which a relaxation has ended
 LEAST, MOST = 1e-3, 1e12  # inertia that is added if any is, and at which no step will be found
@@ -39,8 +41,6 @@ def descend(
     path: PiecewisePolynomial,
     tol: float,
     leap: float,
-    levels: range,
-    out_of_time: Callable[[], bool],
 ) -> PiecewisePolynomial:
     """Lower the action of a path on meshes that resolve it to a tolerance, none with fewer intervals than the first.
 
@@ -50,26 +50,26 @@ def descend(
     path : PiecewisePolynomial that meets the ends
     tol : relative size of what the path may leave out on an interval
     leap : longest step, relative to the size of the path
-    levels : as many meshes at most
-    out_of_time : whether to stop now
 
     Raises
     ------
     ConvergenceError
-        if no step lowers the action, or the time was up
+        if no step lowers the action, joints come too near to one another, or the time was up
     """
     inertia, fewest = 1.0, len(path.mesh) - 1
-    for _ in levels:
+    for _ in range(MESHES):
         descent = ActionDescent(transcribed(path.mesh), path, inertia, leap)
         ended = descent.run(STEPS)
         path, inertia, error = descent.path, descent.inertia, truncation(descent.path)
         if np.max(error) < 3 * tol and (ended or (descent.step < SETTLED and inertia == 0)):
             break
-        if out_of_time():
+        if seconds_left() < 0:
             raise ConvergenceError("the time was up before a path was found", Path(path))
         mesh = equidistributed(path.mesh, error, len(path.nodes), tol, FINER, fewest)
         if len(mesh) - 1 > MOST_INTERVALS:
             mesh = np.interp(np.linspace(0, 1, MOST_INTERVALS + 1), np.linspace(0, 1, len(mesh)), mesh)
+        if np.any(too_near(mesh)):
+            raise ConvergenceError("joints came too near to one another", Path(path))
         path = transcribed(mesh).guess_on_mesh(path, mesh)
     return path
 
@@ -178,19 +178,22 @@ def carried(path: PiecewisePolynomial, change: np.ndarray) -> PiecewisePolynomia
 def retimed(
     path: PiecewisePolynomial, slope: np.ndarray, diagonal: np.ndarray, beside: np.ndarray
 ) -> PiecewisePolynomial:
-    """Newton step of the inner joints at fixed node values.
+    """Newton step of the inner joints at fixed node values; the same path where it is not defined.
 
     `slope` (N + 1,), and `diagonal` (N + 1,) and `beside` (N,) of a tridiagonal matrix, are the action's derivatives by
     all joints.
     """
     shift = np.zeros(len(slope))
     pivots, rhs, upper = diagonal.tolist(), (-slope).tolist(), beside.tolist()
-    for i in range(2, len(shift) - 1):  # symmetric elimination without the ends; faster here than a dense solve
-        factor = upper[i - 1] / pivots[i - 1]
-        pivots[i] -= factor * upper[i - 1]
-        rhs[i] -= factor * rhs[i - 1]
-    for i in range(len(shift) - 2, 0, -1):
-        shift[i] = (rhs[i] - upper[i] * shift[i + 1]) / pivots[i]
+    try:
+        for i in range(2, len(shift) - 1):  # symmetric elimination without the ends; faster here than a dense solve
+            factor = upper[i - 1] / pivots[i - 1]
+            pivots[i] -= factor * upper[i - 1]
+            rhs[i] -= factor * rhs[i - 1]
+        for i in range(len(shift) - 2, 0, -1):
+            shift[i] = (rhs[i] - upper[i] * shift[i + 1]) / pivots[i]
+    except ZeroDivisionError:
+        return path
     if not np.all(np.isfinite(shift)):
         return path
     return PiecewisePolynomial(path.mesh + squeezed(shift, np.diff(path.mesh)), path.nodes, path.values)

@@ -23,7 +23,8 @@ from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_mesh
 from casadi_galerkin.boundary.transcription import check_given
 from casadi_galerkin.boundary.variations import between, ends_replaced, same_statement
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import time_span
+from casadi_galerkin.calculus.mesh_adaptation import degree_for, of_degree
+from casadi_galerkin.calculus.numbers import counted, time_span
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
@@ -71,8 +72,9 @@ class AdaptiveTranscription:
         mesh: ArrayLike | None = None,
         limits: Limits | None = None,
     ) -> None:
-        self.problem, self.tol, self.method, self.limits = problem, tol, method, limits or Limits()
+        self.problem, self.tol, self.limits = problem, tol, limits or Limits()
         self._coarse = first_mesh(problem, tol, method, intervals, mesh)
+        self.method = method or of_degree(degree_for(tol))  # of all paths: the mesh is for later ones, too
         self._levels = Levels(problem, by_rows)
         self.first: Trajectory | None = None
 
@@ -138,7 +140,6 @@ class AdaptiveTranscription:
             problem = problem.varied({}, (problem.t_span[0], problem.t_span[0] + float(known.t[-1] - known.t[0])))
         levels = self._levels.of(problem)
         refinement = BoundaryRefinement(levels, self.tol, self.method, solver, self.limits, verbose)
-        refinement.lasting = True
         try:
             if known is not None:
                 return self._followed(refinement, known)
@@ -191,9 +192,10 @@ class AdaptiveTranscription:
 
     def __repr__(self) -> str:
         """Say what was built, and what mesh is kept."""
-        words = (
-            f"AdaptiveTranscription of a boundary problem of {self.problem.dimension} component(s), tol={self.tol:g}"
-        )
+        size = counted(self.problem.dimension, "component")
+        words = f"AdaptiveTranscription of a boundary problem of {size}, tol={self.tol:g}"
         if self.first is None:
             return f"{words}: nothing solved yet"
-        return f"{words}: first path of degree {self.first.method.degree} on {len(self.first.t) - 1} intervals"
+        return (
+            f"{words}: first path of degree {self.first.method.degree} on {counted(len(self.first.t) - 1, 'interval')}"
+        )

@@ -90,7 +90,7 @@ def _slopes(functional: Functional) -> ca.Function:
     """(ξ, data) -> S, and its derivatives by start, end, mesh, parameters and given momenta."""
 
     def parts() -> Parts:
-        action, (_, *data) = functional.action(), functional.symbols.items()
+        action, (_, *data) = functional.action, functional.symbols.items()
         names = ["action", *(f"by_{name}" for name, _ in data)]
         return {}, names, [action, *(ca.densify(ca.gradient(action, symbol)) for _, symbol in data)]
 

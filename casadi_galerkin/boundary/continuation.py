@@ -102,7 +102,7 @@ class Branch:
         Parameters
         ----------
         height : Trajectory -> number to draw, such as ``lambda path: path(0.5)[0]``
-        axes : Matplotlib axes to draw into, labeled by their owner; default a new figure
+        axes : Matplotlib axes to draw into, labeled by their owner; default a new figure, labeled by the parameter
         parameter : which, from 0 to n - 1
         """
         place("parameter", parameter, self.parameters.shape[1])
@@ -111,7 +111,10 @@ class Branch:
         values = self.parameters[:, parameter]
         parts = {f"Morse index {i}": np.array([i == found for found in indices]) for i in dict.fromkeys(indices)}
         folds = np.array([(fold.parameters[parameter], height(fold.path)) for fold in self.folds]).reshape(-1, 2)
-        return plot_branch(values, heights, parts, folds, axes)
+        drawn = plot_branch(values, heights, parts, folds, axes)
+        if axes is None:
+            drawn.set(xlabel=f"p[{parameter}]", ylabel="height")
+        return drawn
 
     def __repr__(self) -> str:
         """Summarize the branch."""
@@ -228,8 +231,8 @@ class Walk(Curve[Solution]):
         """Walk until the target, or the start, is met."""
         start = self.transcription.critical_point(guess=guess)
         z = np.append(start.solution.unknowns, 0.0)
-        size = np.max(np.abs(start.polynomial.values))
-        self.weights[:-1] = 1 / (len(z) * max(float(size), 1e-300) ** 2)
+        sizes = self.stationarity.sizes(z[:-1], start.data)
+        self.weights[:-1] = 1 / (len(sizes) * sizes**2)
         forward = np.append(np.zeros(len(z) - 1), 1.0)
         points = [Point(z, self.tangent(z, forward), self.transcription.trajectory(start, 0.0))]
         folds = []

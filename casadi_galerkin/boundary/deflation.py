@@ -31,7 +31,7 @@ from casadi_galerkin.boundary.loaded_curve import LoadedCurve
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import real_array, whole_number
+from casadi_galerkin.calculus.numbers import counted, real_array, whole_number
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.statement import refuse_free_phase
@@ -192,6 +192,8 @@ class Search:
             except ConvergenceError as failure:
                 self.failure = failure
                 self.singular += isinstance(failure, ConjugatePointError)
+        elif not self.transcription.numbering.positions:
+            return  # all guesses are the straight line, and no load moves it
         elif self.found and self.solves % 3:
             yield from self.along_a_load()
         else:
@@ -278,8 +280,8 @@ class Search:
         path = None if self.failure is None else self.failure.path
         if self.unresolved:
             return ConvergenceError(
-                f"{self.solves} solves found no path, but {self.unresolved} critical point(s) of the discrete action "
-                f"that the mesh does not resolve; {FINER}",
+                f"{self.solves} solves found no path, but {counted(self.unresolved, 'critical point')} of the "
+                f"discrete action that the mesh does not resolve; {FINER}",
                 path,
             )
         kind = ConjugatePointError if self.singular else ConvergenceError

@@ -63,7 +63,8 @@ def explained(
     unknowns, numbering = failure.unknowns, stationarity.functional.numbering
     times = DiscreteCalculus(numbering.method, joints_of(numbering, unknowns, data)).node_times
     g, floor = (np.array(a).ravel() for a in stationarity.floor.call([unknowns, *data]))
-    residual = np.abs(g) / floor
+    with np.errstate(invalid="ignore"):  # where both are infinite
+        residual = np.abs(g) / floor
     worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
     when = times[np.argmax((numbering.of_nodes == worst).any(axis=1))]
     place = f"the largest residual is at t = {when:.6g}"
@@ -91,11 +92,9 @@ def explained(
 
 def _about_conditions(numbering: Numbering) -> str:
     """What else may be wrong where a problem states conditions or an energy."""
-    words = []
+    words = ""
     if numbering.multipliers:
-        words.append(
-            "the constraints and the conditions on the ends may contradict one another, or say one thing twice"
-        )
+        words += "; the constraints and the conditions on the ends may contradict one another, or say one thing twice"
     if numbering.stretched:
-        words.append("there may be no path of this energy")
-    return "".join(f"; {each}" for each in words)
+        words += "; there may be no path of this energy"
+    return words

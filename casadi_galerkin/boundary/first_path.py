@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import TypeGuard
 
 import numpy as np
 from numpy.polynomial.legendre import legfit, legval
@@ -43,10 +44,14 @@ class Strategy:
     patience: float
 
 
+def is_newton(solver: SolverLike) -> TypeGuard[Solver]:
+    """Whether a solver is `newton`, with whatever options."""
+    return isinstance(solver, Solver) and solver.name == newton.name
+
+
 def following(solver: SolverLike) -> SolverLike:
     """Newton's method from an earlier path, with the options of `solver` if that is Newton's method, too."""
-    own = solver.options if isinstance(solver, Solver) and solver.name == newton.name else {}
-    return partial(damped_newton, **{"max_iter": ITERATIONS, **own})
+    return partial(damped_newton, **{"max_iter": ITERATIONS, **(solver.options if is_newton(solver) else {})})
 
 
 def resolved(
@@ -82,13 +87,7 @@ def _from_smoothed(levels: Levels, method: Galerkin, given: PiecewisePolynomial,
 
 
 def first_path_strategies(
-    levels: Levels,
-    method: Galerkin,
-    mesh: np.ndarray,
-    guess: Guess | None,
-    solver: SolverLike,
-    every_level: range,
-    out_of_time: Callable[[], bool],
+    levels: Levels, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike
 ) -> Iterator[Strategy]:
     """Ways to a first path, in the order in which they are tried.
 
@@ -97,10 +96,9 @@ def first_path_strategies(
     action with moving joints; and whatever `solver` tries.
     """
     given = resolved(levels, method, guess, mesh, ROUGHLY)
-    mesh, solved = given.mesh, partial(levels.solve, method)
-    if isinstance(solver, Solver) and solver.name == newton.name:
-        plain = partial(damped_newton, **solver.options)
-        brief = partial(plain, max_iter=ITERATIONS)
+    mesh, solved, name = given.mesh, partial(levels.solve, method), repr(solver)
+    if is_newton(solver):
+        plain, brief = partial(damped_newton, **solver.options), following(solver)
         yield Strategy("Newton's method", partial(solved, mesh, given.values, plain), PATIENCE)
         if guess is not None:
             found = partial(_from_smoothed, levels, method, given, brief)
@@ -114,9 +112,10 @@ def first_path_strategies(
             yield Strategy("IPOPT on the action", found, PATIENCE)
         joints = _with_more(fine, DESCENT_INTERVALS)
         for leap in LEAPS if graph.stationarity.variational and not graph.numbering.multipliers else ():
-            found = partial(_by_descent, levels, joints, guess, leap, every_level, out_of_time)
+            found = partial(_by_descent, levels, joints, guess, brief, leap)
             yield Strategy(f"descent of the action in steps of {leap:g}", found, math.inf)
-    yield Strategy(f"{solver!r}", partial(solved, mesh, guess, solver), math.inf)
+        name = "Newton's method with IPOPT to its rescue"
+    yield Strategy(name, partial(solved, mesh, guess, solver), math.inf)
 
 
 def _with_more(mesh: np.ndarray, intervals: int) -> np.ndarray:
@@ -126,16 +125,11 @@ def _with_more(mesh: np.ndarray, intervals: int) -> np.ndarray:
 
 
 def _by_descent(
-    levels: Levels,
-    mesh: np.ndarray,
-    guess: Guess | None,
-    leap: float,
-    every_level: range,
-    out_of_time: Callable[[], bool],
+    levels: Levels, mesh: np.ndarray, guess: Guess | None, solver: SolverLike, leap: float
 ) -> CriticalPoint:
     """Lower the action of a guess until Newton's method takes over."""
     method = of_degree(DESCENT_DEGREE)
     transcribed = partial(levels.transcription, method, mapping=by_rows)
     path = transcribed(mesh).guess_on_mesh(guess, mesh)
-    path = descend(transcribed, path, DESCENT_TOLERANCE, leap, every_level, out_of_time)
-    return levels.solve(method, path.mesh, path, following(newton))
+    path = descend(transcribed, path, DESCENT_TOLERANCE, leap)
+    return levels.solve(method, path.mesh, path, solver)

@@ -95,9 +95,8 @@ class BoundaryGraph:
         problem = self.varied(changes or {}, joints)
         data = self.data(joints, problem)
         values = self._guess(guess, calculus, data)
-        plane = self.plane(calculus.emb(values.T)) if self.phase else None
-        if plane is not None:
-            data = self.data(joints, problem, plane)
+        if self.phase:
+            data = self.data(joints, problem, self.plane(calculus.emb(values.T)))
         try:
             solution = solver(self.stationarity, self.unknowns(values, data), data, verbose)
         except SolveFailure as failure:
@@ -134,16 +133,6 @@ class BoundaryGraph:
         plane : normal and point, (2d,), that fix the phase where it is free
         """
         stated = problem or self.problem
-        if joints is self.mesh and stated is self.problem and plane is None:
-            return self._stated
-        return self._given(stated, joints, plane)
-
-    @lazy
-    def _stated(self) -> Data:
-        """The data of the problem itself."""
-        return self._given(self.problem, self.mesh, None)
-
-    def _given(self, stated: BoundaryProblem, joints: np.ndarray, plane: np.ndarray | None) -> Data:
         ends = [np.array([value for value in end if value is not None]) for end in (stated.start, stated.end)]
         parameters = [] if stated.parameters is None else [np.array(stated.parameters)]
         given = given_values(stated, plane)

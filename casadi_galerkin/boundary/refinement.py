@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.error_estimate import discretization_error, roundoff_error
-from casadi_galerkin.boundary.first_path import PATIENCE, first_path_strategies, following
+from casadi_galerkin.boundary.first_path import PATIENCE, first_path_strategies, following, is_newton
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
@@ -49,7 +49,7 @@ from casadi_galerkin.solution.refinement import Estimate, Refinement
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solution.witness import witnesses
 from casadi_galerkin.solvers.deadline import until
-from casadi_galerkin.solvers.solver import Solver, SolverLike, newton
+from casadi_galerkin.solvers.solver import SolverLike
 
 FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
 RISE = 3  # degrees that a level may gain on the one before
@@ -77,7 +77,6 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     """One refinement of the problem of some levels under way; the other arguments are those of `solve`."""
 
     roundoff_level, stalls = 0.0, 1
-    lasting = False  # whether the mesh is for later paths, too: it then gets the degree of the tolerance
 
     def __init__(
         self,
@@ -112,7 +111,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """What the path leaves out on every interval; where that is below the tolerance, its error."""
         path = level.polynomial
         left_out = truncation(path)
-        suits = not (self.fixed or self.lasting) or path.degree == self.method.degree
+        suits = not self.fixed or path.degree == self.method.degree
         largest = float(np.max(left_out))
         floor = self.floor(level) if suits and largest <= max(self.tol, CLEAR) else 0.0
         if not (suits and largest <= max(self.tol, BLURRED)):
@@ -209,8 +208,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     @property
     def at_once(self) -> SolverLike:
         """What solves near a path that is known: Newton's method, unless another solver is asked for."""
-        plain = isinstance(self.solver, Solver) and self.solver.name == newton.name
-        return self.following if plain else self.solver
+        return self.following if is_newton(self.solver) else self.solver
 
     def resume(self, level: CriticalPoint) -> Trajectory:
         """Refine a path that was found on a mesh that served another."""
@@ -221,8 +219,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:
         """Refine the first path found that can be followed."""
         failures: list[ConvergenceError] = []
-        given = (self.method, mesh, guess, self.solver, self.limits.every_level, self.out_of_time)
-        for strategy in first_path_strategies(self.levels, *given):
+        for strategy in first_path_strategies(self.levels, self.method, mesh, guess, self.solver):
             self.patience, began, before = strategy.patience, time.perf_counter(), self.iterations
             try:
                 with until(self.deadline):

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.transcription import transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.guess import Guess
@@ -91,11 +92,12 @@ class Sensitivity:
     def __repr__(self) -> str:
         """Say what was differentiated by what, and the largest derivative."""
         d, joints, _ = self.parameters.shape
-        lines = [f"Sensitivity of {d} component(s) at {joints} joints"]
+        lines = [f"Sensitivity of {counted(d, 'component')} at {joints} joints"]
         for name in ("parameters", "start", "end"):
             values = getattr(self, name)
             if values.size:
-                lines.append(f"  by {values.shape[2]} number(s) of {name}: up to {np.max(np.abs(values)):.3g}")
+                count = counted(values.shape[2], "number")
+                lines.append(f"  by {count} of {name}: up to {np.max(np.abs(values)):.3g}")
         return "\n".join(lines)
 
 

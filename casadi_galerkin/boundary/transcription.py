@@ -17,6 +17,7 @@ from casadi_galerkin.boundary.graph import BoundaryGraph, CriticalPoint
 from casadi_galerkin.boundary.mass import check_mass
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import Mapping, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data
@@ -74,7 +75,6 @@ class Transcription(BoundaryGraph):
         """The same graph for a problem that is `varied` from this one's; nothing is built."""
         other = object.__new__(type(self))
         other.__dict__.update(vars(self), problem=problem)
-        other.__dict__.pop("_stated", None)
         return other
 
     @property
@@ -185,10 +185,10 @@ class Transcription(BoundaryGraph):
 
     def __repr__(self) -> str:
         """Say what was built."""
-        size = len(self.mesh) - 1
         return (
-            f"Transcription of a boundary problem of {self.problem.dimension} component(s), {self.method}, on {size} "
-            f"intervals: {self.numbering.free} unknowns, built in {self.build_seconds:.4f} s"
+            f"Transcription of a boundary problem of {counted(self.problem.dimension, 'component')}, {self.method}, on "
+            f"{counted(len(self.mesh) - 1, 'interval')}: {counted(self.numbering.free, 'unknown')}, built in "
+            f"{self.build_seconds:.4f} s"
         )
 
 

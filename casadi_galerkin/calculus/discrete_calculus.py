@@ -26,6 +26,12 @@ from casadi_galerkin.calculus.roundoff import EPS
 NEAREST = 64 * EPS  # relative difference of two joints up to which they are one, rounded in two ways
 
 
+def too_near(joints: np.ndarray) -> np.ndarray:
+    """Which joints do not increase to the next by more than roundoff; (N,)."""
+    sizes = np.abs(joints)
+    return np.asarray(np.diff(joints) <= NEAREST * np.maximum(sizes[1:], sizes[:-1]))
+
+
 def time_scale(mesh: ArrayLike) -> np.ndarray:
     """Check the joints a = t_0 < ... < t_N = b of a time scale T; shape (N + 1,), N >= 1."""
     joints = real_array("the joints of a mesh", mesh)
@@ -33,8 +39,7 @@ def time_scale(mesh: ArrayLike) -> np.ndarray:
         raise ValueError(f"a mesh is a sequence of at least 2 joints, got shape {joints.shape}")
     if not np.all(np.isfinite(joints)):
         raise ValueError("the joints of a mesh must be finite")
-    sizes = np.abs(joints)
-    near = np.diff(joints) <= NEAREST * np.maximum(sizes[1:], sizes[:-1])
+    near = too_near(joints)
     if np.any(near):
         i = int(np.argmax(near))
         raise ValueError(

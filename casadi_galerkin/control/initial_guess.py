@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
-from casadi_galerkin.calculus.numbers import real_array
+from casadi_galerkin.calculus.numbers import counted, real_array
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.embedding import ChainEmbedding
@@ -38,7 +38,8 @@ def first_values(
     of_phases = everywhere if chain.is_free("durations") else everywhere[[0, -1]]
     if isinstance(guess, ControlTrajectory):
         if len(guess.x) != problem.dimension:
-            raise ValueError(f"the guess must be a path of {problem.dimension} component(s), got {len(guess.x)}")
+            size = counted(problem.dimension, "component")
+            raise ValueError(f"the guess must be a path of {size}, got {len(guess.x)}")
         path_guess = near.polynomial.values if near else _earlier(guess, guess, everywhere, times)
         control_guess = near.control.values if near else _earlier_controls(guess, chain, everywhere, calculus)
     path = _path(problem, calculus, path_guess)
@@ -149,7 +150,7 @@ def _earlier_controls(
 ) -> np.ndarray:
     """Controls (n, points) of an earlier answer."""
     if len(guess.control.values) != chain.controls:
-        raise ValueError(f"the guess must have {chain.controls} control(s), got {len(guess.control.values)}")
+        raise ValueError(f"the guess must have {counted(chain.controls, 'control')}, got {len(guess.control.values)}")
     return _earlier(guess, guess.control, now, times_at(calculus.mesh, chain.control_times))
 
 

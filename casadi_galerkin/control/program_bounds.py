@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import is_limited
@@ -96,12 +97,13 @@ def _implied(problem: ControlProblem, chain: Chain) -> list[np.ndarray]:
 def check_count(chain: Chain, limits: ProgramBounds) -> None:
     """Refuse more equations than unknowns, as a very coarse mesh has; what only passes states on is not counted."""
     passed = sum(states for states, *_ in chain.stages[1:]) + chain.mechanical
-    equations = np.count_nonzero(limits.equations_lower == limits.equations_upper) - passed
-    unknowns = np.count_nonzero(limits.lower < limits.upper) - passed
+    equations = int(np.count_nonzero(limits.equations_lower == limits.equations_upper)) - passed
+    unknowns = int(np.count_nonzero(limits.lower < limits.upper)) - passed
     if equations > unknowns:
         raise ValueError(
-            f"{equations} equations for {unknowns} unknowns on {chain.intervals} interval(s) of degree "
-            f"{chain.method.degree}: take more intervals, a higher degree or more controls, or free a component"
+            f"{counted(equations, 'equation')} for {counted(unknowns, 'unknown')} on "
+            f"{counted(chain.intervals, 'interval')} of degree {chain.method.degree}: take more intervals, a higher "
+            "degree or more controls, or free a component"
         )
 
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_breakpoints, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import FEASIBLE, unseen_change, violations
@@ -302,10 +303,11 @@ class ControlTranscription:
 
     def __repr__(self) -> str:
         """Say what was built."""
+        size, controls = counted(self.problem.dimension, "component"), counted(self.problem.controls, "control")
         return (
-            f"ControlTranscription of a control problem of {self.problem.dimension} component(s) and "
-            f"{self.problem.controls} control(s), {self.method}, on {len(self.mesh) - 1} intervals: "
-            f"{self.chain.unknowns} unknowns, built in {self.build_seconds:.4f} s"
+            f"ControlTranscription of a control problem of {size} and {controls}, {self.method}, on "
+            f"{counted(len(self.mesh) - 1, 'interval')}: {counted(self.chain.unknowns, 'unknown')}, built in "
+            f"{self.build_seconds:.4f} s"
         )
 
 

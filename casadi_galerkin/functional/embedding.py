@@ -98,13 +98,12 @@ def _side_by_side(numbering: Numbering, *values: ca.MX) -> ca.MX:
     return ca.horzcat(*(ca.reshape(a, a.shape[0] * numbering.intervals, -1) for a in values))
 
 
-def _gathered(numbering: Numbering, local: ca.MX) -> ca.MX:
-    """Sums by unknown of local values (d N, m + 1)."""
-    target = numbering.local.ravel()
-    entries = np.flatnonzero(target < numbering.free)
-    rows, columns = target[entries].tolist(), entries.tolist()
-    selection = ca.DM(ca.Sparsity.triplet(numbering.free, len(target), rows, columns), 1.0)
-    return ca.mtimes(ca.MX(selection), ca.vec(local))
+def gathered(numbering: Numbering, entries: np.ndarray, values: ca.MX) -> ca.MX:
+    """Sums by unknown of values that stand, column by column, for these entries of u."""
+    unknown = np.flatnonzero(entries < numbering.free)
+    rows, columns = entries[unknown].tolist(), unknown.tolist()
+    selection = ca.DM(ca.Sparsity.triplet(numbering.free, len(entries), rows, columns), 1.0)
+    return ca.mtimes(ca.MX(selection), ca.vec(values))
 
 
 def _slopes(numbering: Numbering) -> list[ca.MX]:
@@ -119,7 +118,7 @@ def _integrated(numbering: Numbering, fx: ca.MX, fv: ca.MX) -> ca.MX:
     both = _side_by_side(numbering, fx, fv)
     others = _times(both, np.vstack((w * element.values[:, 1:], w * element.slopes[:, 1:])))
     first = _times(both[:, :r], w) - ca.sum2(others)
-    return _gathered(numbering, ca.horzcat(first, others))
+    return gathered(numbering, numbering.local.ravel(), ca.horzcat(first, others))
 
 
 @lru_cache(KEPT)
@@ -149,7 +148,7 @@ def variation(numbering: Numbering) -> ca.Function:
     both, basis = _side_by_side(numbering, fx, fv), np.vstack((w * element.values, w * element.slopes))
     first, last = ca.horzsplit(_times(both, basis[:, [0, -1]]))
     momenta = ca.horzcat(-first[:d], ca.reshape(last, d, numbering.intervals))
-    terms = _gathered(numbering, _times(ca.fabs(both), np.abs(basis)))
+    terms = gathered(numbering, numbering.local.ravel(), _times(ca.fabs(both), np.abs(basis)))
     outputs = [summation(numbering)(f), momenta, _integrated(numbering, fx, fv), terms]
     return ca.Function(
         "variation", [f, fx, fv], outputs, ["f", "fx", "fv"], ["action", "momentum", "gradient", "terms"]

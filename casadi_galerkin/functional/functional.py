@@ -77,10 +77,10 @@ class Functional:
         self,
         lagrangian: ca.Function,
         numbering: Numbering,
-        mapping: Mapping = by_rows,
-        force: ca.Function | None = None,
-        terms: tuple[LocalTerm, ...] = (),
-        given: int = 0,
+        mapping: Mapping,
+        force: ca.Function | None,
+        terms: tuple[LocalTerm, ...],
+        given: int,
     ) -> None:
         began = time.perf_counter()
         self.pointwise, self.numbering, self.terms = pointwise(lagrangian, force), kept(numbering), terms
@@ -173,18 +173,17 @@ class Functional:
             total = ca.vertcat(total[: self.numbering.free - 1, :], self._stretch[0])
         return total
 
+    @lazy
     def action(self) -> ca.MX:
         """S̄ but for its multipliers and the energy: scalar."""
         return sum((ca.sum1(ca.sum2(added)) for added, _, _ in self._terms), summation(self.numbering)(self._first[0]))
 
+    @lazy
     def gradient(self) -> ca.MX:
         """∇S with respect to the free values ξ."""
-        return self._gradient
-
-    @lazy
-    def _gradient(self) -> ca.MX:
         return self._with_terms(integration(self.numbering)(*self._first[1:]))
 
+    @lazy
     def first_variation(self) -> list[ca.MX]:
         """The action with that of the ends, momenta at the joints, ∇S by the free values ξ, sizes of what that sums."""
         action, momenta, gradient, sizes = variation(self.numbering).call(self._first)
@@ -193,23 +192,15 @@ class Functional:
         action = sum((ca.sum2(added[0, :]) for added, _, _ in self._terms), action)
         return [action, momenta, self._with_terms(gradient), sizes]
 
+    @lazy
     def derivatives(self) -> tuple[ca.MX, ca.MX]:
         """∇²S, sparse with both halves stored, and ∇S with respect to the free values ξ, in one pass."""
-        return self._derivatives
-
-    @lazy
-    def _derivatives(self) -> tuple[ca.MX, ca.MX]:
         return self._assembled(self._second[3:])
 
     def _assembled(self, blocks: list[ca.MX]) -> tuple[ca.MX, ca.MX]:
         assembled = assembly(*self.pattern_key, self.pointwise.blocks)
         matrix, gradient = assembled.call([*self._second[1:3], *blocks])
         return matrix if self._further is None else matrix + self._further, self._with_terms(gradient)
-
-    def heavier(self, inertia: ca.MX) -> ca.MX:
-        """∇²S with ∂²L/∂v² times `inertia`."""
-        blocks = zip(self.pointwise.blocks, self._second[3:], strict=True)
-        return self._assembled([inertia * values if block == (1, 1) else values for block, values in blocks])[0]
 
     @lazy
     def _further(self) -> ca.MX | None:
@@ -221,22 +212,6 @@ class Functional:
             added.append(ca.vertcat(ca.MX(last, last + 1), ca.horzcat(column[:last, :].T, ca.MX(1, 1))))
         return sum(added[1:], added[0]) if added else None
 
-    def joint_time_derivatives(self) -> tuple[ca.MX, ca.MX, ca.MX]:
-        """∂S/∂t_i, ∂²S/∂t_i² and ∂²S/∂t_i∂t_{i+1} by the joints, at fixed node values; the first are energy jumps."""
-        at_points = one_by_one(self.pointwise.time_derivatives, self.numbering.points, self._shared).call(self._at)
-        return joint_time_derivatives(self.numbering, *at_points)
-
-    def curvature(self, left: ca.MX, right: ca.MX) -> tuple[ca.MX, ca.MX]:
-        """Second variation zᵀ∇²S y along z = `left` and y = `right`, and the same with every term taken positive."""
-        fixed = ca.MX.zeros(self.numbering.size - self.numbering.free, 1)
-        along = [ca.vertcat(*embedding(self.numbering).call([ca.vertcat(way, fixed)])) for way in (left, right)]
-        at_points = one_by_one(self.pointwise.curvature, self.numbering.points, self._shared)
-        signed, positive = (summation(self.numbering)(value) for value in at_points.call([*self._at, *along]))
-        if self._further is not None:
-            signed += ca.bilin(self._further, left, right)
-            positive += ca.bilin(ca.fabs(self._further), ca.fabs(left), ca.fabs(right))
-        return signed, positive
-
     def function(self, name: str) -> ca.Function:
         """One of the functional's own Functions.
 
@@ -246,7 +221,8 @@ class Functional:
         - derivatives : -> matrix ∇²S, gradient ∇S
         - summary : -> action S; momentum (d, N + 1), -∂S/∂x_0 and then ∂S_k/∂x_{k+1} of every interval; gradient ∇S;
           terms, the sizes of what the gradient sums
-        - joint_time_derivatives : -> by_joint, twice_by_joint, by_neighbors
+        - joint_time_derivatives : -> by_joint ∂S/∂t_i, the jumps of the energy; twice_by_joint ∂²S/∂t_i²; by_neighbors
+          ∂²S/∂t_i∂t_{i+1}; all at fixed node values
         - heavier : with inertia -> matrix ∇²S with ∂²L/∂v² times that
         - curvature : with left z and right y -> signed zᵀ∇²S y, positive sum of the sizes of its terms
         - sensitivity : with direction of the parameters -> change of ∇S along it
@@ -254,34 +230,43 @@ class Functional:
         if name in self._functions:
             return self._functions[name]
         builders: dict[str, Callable[[], Parts]] = {
-            "action": lambda: ({}, ["action"], [self.action()]),
-            "gradient": lambda: ({}, ["gradient"], [self.gradient()]),
-            "hessian": lambda: ({}, ["hessian"], [self.derivatives()[0]]),
-            "derivatives": lambda: ({}, ["matrix", "gradient"], list(self.derivatives())),
-            "summary": lambda: ({}, ["action", "momentum", "gradient", "terms"], self.first_variation()),
-            "joint_time_derivatives": lambda: (
-                {},
-                ["by_joint", "twice_by_joint", "by_neighbors"],
-                list(self.joint_time_derivatives()),
-            ),
+            "action": lambda: ({}, ["action"], [self.action]),
+            "gradient": lambda: ({}, ["gradient"], [self.gradient]),
+            "hessian": lambda: ({}, ["hessian"], [self.derivatives[0]]),
+            "derivatives": lambda: ({}, ["matrix", "gradient"], [*self.derivatives]),
+            "summary": lambda: ({}, ["action", "momentum", "gradient", "terms"], self.first_variation),
+            "joint_time_derivatives": self._joint_time_derivatives,
             "heavier": self._heavier,
             "curvature": self._curvature,
             "sensitivity": self._sensitivity,
         }
         return self.keep(name, builders[name])
 
+    def _joint_time_derivatives(self) -> Parts:
+        at_points = one_by_one(self.pointwise.time_derivatives, self.numbering.points, self._shared).call(self._at)
+        names = ["by_joint", "twice_by_joint", "by_neighbors"]
+        return {}, names, [*joint_time_derivatives(self.numbering, *at_points)]
+
     def _heavier(self) -> Parts:
-        inertia = ca.MX.sym("inertia")
-        return {"inertia": inertia}, ["matrix"], [self.heavier(inertia)]
+        inertia, blocks = ca.MX.sym("inertia"), zip(self.pointwise.blocks, self._second[3:], strict=True)
+        weighted = [inertia * values if block == (1, 1) else values for block, values in blocks]
+        return {"inertia": inertia}, ["matrix"], [self._assembled(weighted)[0]]
 
     def _curvature(self) -> Parts:
-        ways = {name: ca.MX.sym(name, self.numbering.free) for name in ("left", "right")}
-        return ways, ["signed", "positive"], list(self.curvature(*ways.values()))
+        left, right = (ca.MX.sym(name, self.numbering.free) for name in ("left", "right"))
+        fixed = ca.MX.zeros(self.numbering.size - self.numbering.free, 1)
+        along = [ca.vertcat(*embedding(self.numbering).call([ca.vertcat(way, fixed)])) for way in (left, right)]
+        at_points = one_by_one(self.pointwise.curvature, self.numbering.points, self._shared)
+        signed, positive = (summation(self.numbering)(value) for value in at_points.call([*self._at, *along]))
+        if self._further is not None:
+            signed += ca.bilin(self._further, left, right)
+            positive += ca.bilin(ca.fabs(self._further), ca.fabs(left), ca.fabs(right))
+        return {"left": left, "right": right}, ["signed", "positive"], [signed, positive]
 
     def _sensitivity(self) -> Parts:
         parameters = ca.vertcat(*self._parameters)
         direction = ca.MX.sym("direction", parameters.numel())
-        change = ca.jtimes(self.gradient(), parameters, direction)
+        change = ca.jtimes(self.gradient, parameters, direction)
         return {"direction": direction}, ["change"], [ca.densify(change)]  # few rows may depend on parameters
 
     def keep(self, name: str, build: Callable[[], Parts]) -> ca.Function:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.functional.embedding import gathered
 from casadi_galerkin.functional.numbering import Numbering
 
 
@@ -45,10 +46,7 @@ class LocalTerm:
 
     def gathered(self, numbering: Numbering, rows: ca.MX) -> ca.MX:
         """Sums of rows (n, K) by unknown."""
-        target = self.entries.ravel(order="F")
-        kept = np.flatnonzero(target < numbering.free)
-        selection = ca.Sparsity.triplet(numbering.free, len(target), target[kept].tolist(), kept.tolist())
-        return ca.mtimes(ca.MX(ca.DM(selection, 1.0)), ca.vec(rows))
+        return gathered(numbering, self.entries.ravel(order="F"), rows)
 
     def _pattern(self, numbering: Numbering) -> tuple[ca.Sparsity, np.ndarray]:
         """Sparsity of what the term adds to the matrix, and where its nonzeros are among those of all places."""

@@ -37,13 +37,13 @@ class Numbering:
     method: Galerkin
     intervals: int
     dimension: int
-    fixed_start: tuple[int, ...] = ()
-    fixed_end: tuple[int, ...] = ()
-    held_start: tuple[int, ...] = ()
-    held_end: tuple[int, ...] = ()
-    periodic: bool = False
-    multipliers: int = 0
-    stretched: bool = False
+    fixed_start: tuple[int, ...]
+    fixed_end: tuple[int, ...]
+    held_start: tuple[int, ...]
+    held_end: tuple[int, ...]
+    periodic: bool
+    multipliers: int
+    stretched: bool
 
     @lazy
     def of_ends(self) -> np.ndarray:

@@ -41,7 +41,7 @@ class Pointwise:
     kinetic : whether no ∂²L̂/∂x'_i² is structurally zero
     """
 
-    def __init__(self, lagrangian: ca.Function, force: ca.Function | None = None) -> None:
+    def __init__(self, lagrangian: ca.Function, force: ca.Function | None) -> None:
         t, h = ca.SX.sym("t"), ca.SX.sym("h")
         d = lagrangian.size1_in(1)
         both, of_x, of_slope = ca.SX.sym("both", 2 * d), slice(d), slice(d, 2 * d)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import dataclass
 
 from casadi_galerkin.calculus.numbers import number
@@ -45,11 +44,6 @@ class Limits:
             value = getattr(self, name)
             if value != math.inf and value != int(value):
                 raise ValueError(f"the limit of {name} must be a whole number or inf, got {value!r}")
-
-    @property
-    def every_level(self) -> range:
-        """Numbers of the levels."""
-        return range(sys.maxsize if self.levels == math.inf else int(self.levels))
 
 
 def check_tolerance(tol: float, name: str = "tol") -> float:

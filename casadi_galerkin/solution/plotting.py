@@ -225,13 +225,13 @@ def plot_branch(
 
 
 def plot_pattern(rows: np.ndarray, columns: np.ndarray, size: int, axes: Axes | None = None) -> Axes:
-    """Draw the nonzeros of a square matrix, row 0 on top."""
+    """Draw the nonzeros of a square matrix, row 0 on top; one without rows is drawn empty."""
     from matplotlib.ticker import MaxNLocator
 
-    axes = axes_or_new(axes, (SIZE[0], SIZE[0]))
-    axes.plot(columns, rows, "s", color=COLORS[0], markersize=max(0.4, 230 / size), markeredgewidth=0)
-    axes.set(xlim=(-0.5, size - 0.5), ylim=(size - 0.5, -0.5), aspect="equal", xlabel="unknown", ylabel="equation")
-    axes.set_title(f"{len(rows)} nonzeros, {100 * len(rows) / size**2:.3g} % of {size} × {size}", fontsize="medium")
+    axes, side = axes_or_new(axes, (SIZE[0], SIZE[0])), max(size, 1)
+    axes.plot(columns, rows, "s", color=COLORS[0], markersize=max(0.4, 230 / side), markeredgewidth=0)
+    axes.set(xlim=(-0.5, side - 0.5), ylim=(side - 0.5, -0.5), aspect="equal", xlabel="unknown", ylabel="equation")
+    axes.set_title(f"{len(rows)} nonzeros, {100 * len(rows) / side**2:.3g} % of {size} × {size}", fontsize="medium")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(integer=True))
     return axes

@@ -63,8 +63,7 @@ def _interior_point(
     if seconds_left() <= 0:
         raise SolveFailure(f"the time was up before {name} began", guess, 0)
     sizes, unit = _units(stationarity, guess, data)
-    positions, held = stationarity.functional.numbering.positions, stationarity.functional.numbering.multipliers
-    bounds = {"lbg": 0.0, "ubg": 0.0} if held or not minimize else {}
+    own = len(guess) - (stationarity.functional.numbering.multipliers if minimize else 0)
     with stationarity.linearization() as at:
         key = f"ipopt {minimize} {verbose > 1} {sorted(options.items())}"
 
@@ -73,14 +72,12 @@ def _interior_point(
 
         solver = at.keep(key, build) if math.isinf(seconds_left()) else build()
         with fork_waits:
-            first = {"x0": guess / sizes}
-            if minimize and held:
-                first = {"x0": first["x0"][:positions], "lam_g0": first["x0"][positions:]}
-            answer = solver(p=np.concatenate((*data, sizes, [unit])), **first, **bounds)
+            x = guess / sizes
+            first = {"x0": x[:own], "lam_g0": x[own:] if minimize else 0.0}
+            answer = solver(p=np.concatenate((*data, sizes, [unit])), lbg=0.0, ubg=0.0, **first)
         stats = solver.stats()
     iterations, status = int(stats["iter_count"]), str(stats["return_status"]).replace("_", " ")
-    found = [answer["x"], answer["lam_g"]] if minimize and held else [answer["x"]]
-    x = sizes * np.array(ca.vertcat(*found)).ravel()
+    x = sizes * np.array(ca.vertcat(answer["x"], answer["lam_g"])).ravel()[: len(guess)]
     if status == DIVERGED:
         raise SolveFailure(f"{name} stopped with '{status}'", guess, iterations)
     if not np.all(np.isfinite(x)):
@@ -112,13 +109,14 @@ def _units(stationarity: Stationarity, guess: np.ndarray, data: Data) -> tuple[n
 def _nlpsol(functional: Functional, minimize: bool, verbose: int, given: Mapping[str, Any]) -> ca.Function:
     """IPOPT with all derivatives supplied from the one graph.
 
-    Its tolerances are absolute, so unknowns and action are measured by units that follow the data as parameters.  Where
-    the action is minimized, the multipliers are IPOPT's own: their rows are its constraints.
+    Its tolerances are absolute, so unknowns and action are measured by units that follow the data as parameters.  All
+    rows of ∇S are constraints, or, where the action is minimized, those of the multipliers, which then are IPOPT's own.
     """
     slope = functional.function("gradient")
     n, *lengths = [slope.size1_in(i) for i in range(slope.n_in())]
-    held = functional.numbering.multipliers if minimize else 0
-    x, multipliers = ca.MX.sym("x", n - held), ca.MX.sym("lam_g", held if minimize else n)
+    positions = n - functional.numbering.multipliers
+    own, begin = (positions, positions) if minimize else (n, 0)  # unknowns; the first row that is a constraint
+    x, multipliers = ca.MX.sym("x", own), ca.MX.sym("lam_g", n - begin)
     p, factor = ca.MX.sym("p", sum(lengths) + n + 1), ca.MX.sym("lam_f")
     *data, sizes, unit = ca.vertsplit(p, np.cumsum([0, *lengths, n, 1]).tolist())
     rows = sizes / unit
@@ -129,30 +127,23 @@ def _nlpsol(functional: Functional, minimize: bool, verbose: int, given: Mapping
         hessian = ca.mtimes(ca.mtimes(ca.diag(rows), functional.function("hessian")(*arguments)), ca.diag(sizes))
         return arguments, rows * slope(*arguments), hessian
 
-    arguments, gradient, hessian = at(ca.MX.zeros(held))
-    own = hessian[: n - held, : n - held]
+    arguments, gradient, hessian = at(ca.MX.zeros(n - own))
+    action, upper = ca.MX(0), ca.MX(n, n)  # the curvature of the conditions is left out
     if minimize:
-        upper = factor * ca.triu(own)
-        if held:  # linear in the multipliers
-            upper += ca.triu(at(multipliers)[2][: n - held, : n - held] - own)
-    else:
-        upper = ca.MX(n, n)  # the constraints' curvature is left out
+        action = functional.function("action")(*arguments) / unit
+        upper = factor * ca.triu(hessian[:own, :own])
+        if own < n:  # linear in the multipliers
+            upper += ca.triu((at(multipliers)[2] - hessian)[:own, :own])
     options = {
+        "grad_f": ca.Function("grad_f", [x, p], [action, gradient[:own] if minimize else ca.MX.zeros(own)]),
+        "jac_g": ca.Function("jac_g", [x, p], [gradient[begin:], hessian[begin:, :own]]),
         "hess_lag": ca.Function("hess_lag", [x, p, factor, multipliers], [upper]),
         "print_time": False,
         "calc_lam_p": False,
         "show_eval_warnings": verbose > 1,  # IPOPT shortens a step that leaves the Lagrangian's domain
         "ipopt": {"print_level": 5 if verbose > 1 else 0, **DEFAULTS, **given},
     }
-    if minimize:
-        action = functional.function("action")(*arguments) / unit
-        options["grad_f"] = ca.Function("grad_f", [x, p], [action, gradient[: n - held]])
-        conditions = {"g": gradient[n - held :]} if held else {}
-        if held:
-            options["jac_g"] = ca.Function("jac_g", [x, p], [gradient[n - held :], hessian[n - held :, : n - held]])
-        return ca.nlpsol("minimizer", "ipopt", {"x": x, "p": p, "f": action, **conditions}, options)
-    options["jac_g"] = ca.Function("jac_g", [x, p], [gradient, hessian])
-    return ca.nlpsol("stationary", "ipopt", {"x": x, "p": p, "f": 0, "g": gradient}, options)
+    return ca.nlpsol("ipopt", "ipopt", {"x": x, "p": p, "f": action, "g": gradient[begin:]}, options)
 
 
 def check_option(name: str, value: object, plugin: str = "ipopt") -> None:

@@ -183,12 +183,6 @@ class LinearSolver:
         return self._function("sizes", inputs, {"sizes": sizes, "scaled_rhs": self._generic_rhs / sizes})
 
     @lazy
-    def abs_hessian_product(self) -> ca.Function:
-        """|∇²S||y|, the largest change of the gradient for changes of these sizes."""
-        inputs = self.symbols("matrix", "change")
-        return self._function("abs_hessian_product", inputs, {"product": ca.mtimes(*map(ca.fabs, inputs.values()))})
-
-    @lazy
     def floor(self) -> ca.Function:
         """(matrix, u, terms) -> (floor, scale, product): the roundoff floor of every entry of ∇S.
 

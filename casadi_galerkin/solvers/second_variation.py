@@ -30,9 +30,8 @@ def softest(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.nda
     at.relinearize(unknowns, data)
     linear = at.stationarity.linear_solver
     sizes, rhs = (np.array(a).ravel() for a in linear.sizes(joined(unknowns, data)))
-    matrix = ca.DM(linear.sparsity, at.matrix)
     measured = np.where(np.isfinite(sizes), sizes, 0.0)  # not the multipliers
-    weights = np.array(linear.abs_hessian_product(matrix, measured)).ravel() / sizes
+    weights = np.array(ca.mtimes(ca.fabs(ca.DM(linear.sparsity, at.matrix)), measured)).ravel() / sizes
     y = z = force = np.zeros(len(unknowns))
     for _ in range(3):
         (solved,) = at.solve(rhs)

@@ -85,7 +85,7 @@ class Stationarity:
         """(ξ, data) -> ∇S, ∇²S, and what `LinearSolver.newton_step` gives."""
 
         def parts() -> Parts:
-            matrix, gradient = self.functional.derivatives()
+            matrix, gradient = self.functional.derivatives
             known = {"matrix": matrix, "gradient": gradient}
             return self._solved({}, known, self.linear_solver.newton_step(method))
 
@@ -96,7 +96,7 @@ class Stationarity:
 
         def parts() -> Parts:
             inputs = self.linear_solver.symbols("matrix", "step", "sizes", "damping")
-            known = {"gradient": self.functional.gradient()}
+            known = {"gradient": self.functional.gradient}
             return self._solved(inputs, known, self.linear_solver.simplified_step(method))
 
         return self.functional.keep(f"simplified_step {method}", parts)
@@ -115,7 +115,7 @@ class Stationarity:
         def parts() -> Parts:
             inputs = self.linear_solver.symbols("matrix", "softest_direction")
             matrix, softest = inputs.values()
-            action, momentum, gradient, terms = self.functional.first_variation()
+            action, momentum, gradient, terms = self.functional.first_variation
             judged = self.linear_solver.verification(gradient, matrix, self.functional.u, terms, softest)
             return inputs, ["action", "momentum", "residual", "regularity"], [action, momentum, *judged]
 
@@ -126,8 +126,8 @@ class Stationarity:
         """(ξ, data) -> gradient ∇S, and floor, the roundoff floor of every entry of it."""
 
         def parts() -> Parts:
-            _, _, gradient, terms = self.functional.first_variation()
-            floor = self.linear_solver.floor(self.functional.derivatives()[0], self.functional.u, terms)[0]
+            _, _, gradient, terms = self.functional.first_variation
+            floor = self.linear_solver.floor(self.functional.derivatives[0], self.functional.u, terms)[0]
             return {}, ["gradient", "floor"], [gradient, floor]
 
         return self.functional.keep("floor", parts)

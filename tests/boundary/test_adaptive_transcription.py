@@ -137,6 +137,13 @@ def test_there_is_no_path_beyond_the_fold():
         transcription.solve(parameters=[5.0], guess=transcription.solve())
 
 
+def test_a_path_of_a_higher_degree_is_a_guess():
+    fine = cg.solve(bratu(), tol=1e-12)
+    path = cg.transcribe(bratu(), tol=1e-6).solve(parameters=[1.5], guess=fine)
+    assert path.method.degree == 8 < fine.method.degree
+    assert path.error_estimate <= 1e-6
+
+
 def test_limits_stop_it():
     transcription = cg.transcribe(layer(), tol=1e-9, limits=cg.Limits(intervals=8))
     transcription.solve()
@@ -146,8 +153,9 @@ def test_limits_stop_it():
 
 def test_it_says_what_mesh_is_kept(capsys):
     transcription = cg.transcribe(bratu(), tol=1e-6)
-    assert repr(transcription) == (
-        "AdaptiveTranscription of a boundary problem of 1 component(s), tol=1e-06: nothing solved yet"
+    assert (
+        repr(transcription)
+        == "AdaptiveTranscription of a boundary problem of 1 component, tol=1e-06: nothing solved yet"
     )
     transcription.solve(verbose=1)
     assert repr(transcription).endswith(": first path of degree 8 on 8 intervals")

@@ -74,6 +74,23 @@ def test_the_catenoid_breaks_at_its_critical_height():
     np.testing.assert_allclose(branch.folds[0].parameters, [0.66274341934918], rtol=1e-10, atol=0)
 
 
+def test_the_zero_path_is_walked():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 + p[0] * (1 - t) * ca.cos(x[0]), (0, 1), [0.0], [None], parameters=[5.0]
+    )
+    branch = cg.continuation(problem, [9.0], intervals=4)
+    assert branch.reached
+    assert all(np.all(path.x == 0.0) for path in branch.trajectories)
+
+
+@pytest.mark.usefixtures("headless")
+def test_a_new_picture_is_labeled_by_the_parameter(round_the_fold):
+    axes = round_the_fold.plot(lambda path: path(0.5)[0])
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("p[0]", "height")
+    axes.set(xlabel="λ")
+    assert round_the_fold.plot(lambda path: path(0.5)[0], axes).get_xlabel() == "λ"
+
+
 def test_a_branch_is_summarized(round_the_fold):
     lines = str(round_the_fold).splitlines()
     assert lines[0].startswith(f"Branch of {len(round_the_fold.trajectories)} paths from [1.] to [1.]")

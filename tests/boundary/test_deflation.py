@@ -170,7 +170,7 @@ def test_zigzags_of_a_coarse_mesh_are_dropped(swings):
 
 
 def test_where_the_mesh_resolves_nothing_that_is_said():
-    with pytest.raises(cg.ConvergenceError, match=r"solves found no path, but \d+ critical point\(s\) of the discrete"):
+    with pytest.raises(cg.ConvergenceError, match=r"solves found no path, but \d+ critical points of the discrete"):
         cg.paths(LONG, cg.Galerkin(1), 3)
 
 
@@ -351,6 +351,13 @@ def test_a_periodic_problem_of_given_energy_needs_a_guess():
     problem = cg.BoundaryProblem(pendulum, (0.0, 7.0), [None], periodic=True, energy=-0.5)
     with pytest.raises(ValueError, match="paths takes no periodic problem of given energy"):
         cg.paths(problem, cg.Galerkin(4), 10)
+
+
+@pytest.mark.parametrize("energy", [None, 0.5])
+def test_where_nothing_can_be_loaded_the_path_is_found(energy):
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0], energy=energy)
+    (path,) = cg.paths(problem, cg.Galerkin(1), 1, patience=4)
+    np.testing.assert_allclose(path.t, [0.0, 1.0], rtol=0, atol=1e-14)
 
 
 @pytest.fixture(scope="module")

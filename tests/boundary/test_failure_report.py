@@ -56,3 +56,9 @@ def test_failure_prints_nothing(solver, capfd):
         cg.solve(cg.BoundaryProblem(catenoid, (-1, 1), [1.0], [1.0]), cg.Galerkin(4), 5, solver=solver)
     out, err = capfd.readouterr()
     assert (out, err) == ("", "")
+
+
+def test_terms_beyond_all_numbers_are_reported_without_a_warning():
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.exp(ca.exp(x[0])), (0, 1), [2.4], [13.4])
+    with pytest.raises(cg.ConvergenceError, match="no path was found"):
+        cg.solve(problem, tol=1e-6)

@@ -75,3 +75,23 @@ def test_a_path_on_the_other_side_of_the_sun_is_not_taken_for_the_one_meant():
     path = cg.solve(problem, tol=TOL, guess=joined(exact, problem.t_span, 25, 0.05, seed=2))
     assert off(path, exact) < 10 * TOL
     assert "smoothed" not in path.solver
+
+
+def test_a_descent_whose_times_cannot_be_told_goes_on():
+    """Where the path rests, no joint has a better time: its row is zero."""
+    ball = cg.BoundaryProblem(
+        lambda t, x, v: t**3 * (v[0] ** 2 / 2 + (x[0] ** 2 - 1) ** 2 / 8 + 0.075 * (x[0] - 1)),
+        (0, 40),
+        [None],
+        [0.9142973],
+    )
+    path = cg.solve(ball, tol=TOL, guess=lambda t: [0.914 - 2 * (0.5 - 0.5 * np.tanh((t - 15) / 2))])
+    assert path.error_estimate <= TOL
+
+
+def test_a_layer_thinner_than_doubles_tell_is_no_bad_mesh(capsys):
+    """Descents crowd their joints at its end; then the last way is tried, too."""
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cosh(5 * x[0]), (0, 1), [0.0], [18.0])
+    with pytest.raises(cg.ConvergenceError, match="no path was found"):
+        cg.solve(problem, tol=TOL, verbose=1)
+    assert "Newton's method with IPOPT to its rescue: no path" in capsys.readouterr().out

@@ -186,6 +186,13 @@ def test_pattern_shows_every_nonzero_of_the_hessian():
     assert f"{sparsity.nnz()} nonzeros" in axes.get_title()
 
 
+@pytest.mark.usefixtures("headless")
+def test_the_pattern_without_unknowns_is_empty():
+    transcription = cg.transcribe(BY_NAME["uniform gravity"].problem, cg.Galerkin(1), 1)
+    assert transcription.plot_hessian().get_title() == "0 nonzeros, 0 % of 0 × 0"
+    assert "on 1 interval: 0 unknowns" in repr(transcription)
+
+
 DEGENERATE = {
     "one direction": lambda t, x, v: (v[0] + v[1]) ** 2 / 2 - ca.dot(x, x) / 2,
     "linear in v": lambda t, x, v: (x[0] * v[1] - x[1] * v[0]) / 2 - ca.dot(x, x) / 2,

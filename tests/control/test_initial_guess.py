@@ -66,9 +66,9 @@ def test_guess_that_does_not_fit_is_refused():
         cg.Galerkin(2),
         intervals=4,
     )
-    with pytest.raises(ValueError, match=r"1 control\(s\), got 2"):
+    with pytest.raises(ValueError, match=r"1 control, got 2"):
         cg.solve(problem, cg.Galerkin(2), intervals=4, guess=two)
-    with pytest.raises(ValueError, match=r"the guess must be a path of 2 component\(s\), got 1"):
+    with pytest.raises(ValueError, match=r"the guess must be a path of 2 components, got 1"):
         cg.solve(cart_pole(), cg.Galerkin(2), intervals=4, guess=two)
     with pytest.raises(ValueError, match="shape"):
         cg.solve(problem, cg.Galerkin(2), intervals=4, guess=np.zeros((2, 5)))

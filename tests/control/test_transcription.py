@@ -328,7 +328,7 @@ def test_odd_but_legal_problem_has_its_exact_cost(name):
 
 
 def test_more_equations_than_unknowns_are_refused():
-    with pytest.raises(ValueError, match="2 equations for 1 unknowns on 1 interval"):
+    with pytest.raises(ValueError, match="2 equations for 1 unknown on 1 interval of"):
         cg.solve(double_integrator(), cg.Galerkin(1), intervals=1)
 
 

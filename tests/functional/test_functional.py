@@ -296,7 +296,7 @@ def test_derivatives_by_the_joints_are_those_of_the_action_through_the_graph():
     found = transcription.functional.function("joint_time_derivatives").call([unknowns, *data])
     slope, diagonal, beside = (np.array(value).ravel() for value in found)
     symbols = transcription.functional.symbols
-    hessian, gradient = ca.hessian(transcription.functional.action(), symbols["mesh"])
+    hessian, gradient = ca.hessian(transcription.functional.action, symbols["mesh"])
     graph = ca.Function("graph", list(symbols.values()), [gradient, hessian])
     expected_slope, expected = (np.array(value) for value in graph.call([unknowns, *data]))
     built = np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1)
