@@ -76,7 +76,7 @@ SMALLEST_SPLIT = 1.2  # where Newton's method does not follow even a mesh this l
 class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     """One refinement of the problem of some levels under way; the other arguments are those of `solve`."""
 
-    roundoff_level, stalls = 0.0, 1
+    roundoff_level = 0.0
 
     def __init__(
         self,

@@ -80,7 +80,7 @@ def fits_any_mesh(guess: Guess | None) -> bool:
 class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     """One refinement of a trajectory optimization under way, to a tolerance of all or `of_cost` alone; see `solve`."""
 
-    roundoff_level, stalls = 1e-8, 1  # what the solvers leave
+    roundoff_level = 1e-8  # what the solvers leave
 
     def __init__(
         self,

@@ -45,11 +45,9 @@ class Refinement(ABC, Generic[Level, Detail]):
     Attributes
     ----------
     roundoff_level : error below which one that no longer falls is at the roundoff floor
-    stalls : levels in which it has to stand still for that
     """
 
     roundoff_level: float
-    stalls: int
 
     def __init__(self, tol: float, limits: Limits, verbose: int) -> None:
         self.tol, self.limits, self.verbose = check_tolerance(tol), limits, verbose
@@ -89,7 +87,7 @@ class Refinement(ABC, Generic[Level, Detail]):
         LimitReached
             with the best path attached
         """
-        best, smallest, stalled = level, np.inf, 0
+        best, smallest = level, np.inf
         number = 0
         with progress("refinement", unit="level") as advance:
             while True:
@@ -97,8 +95,7 @@ class Refinement(ABC, Generic[Level, Detail]):
                 self._report(number, level, estimate)
                 if estimate.trusted and estimate.error <= self.tol:
                     return level, estimate.error
-                stalled += estimate.trusted and smallest / 2 < estimate.error < self.roundoff_level
-                if stalled == self.stalls:
+                if estimate.trusted and smallest / 2 < estimate.error < self.roundoff_level:
                     floor = min(estimate.error, smallest)
                     raise self.stopped(f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here", best, floor)
                 self.check_time(level, estimate.error)
