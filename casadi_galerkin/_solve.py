@@ -102,8 +102,8 @@ def solve(
         fatrop for a ControlProblem; each also ``.with_options(...)``
     limits : Limits that stop a refinement; only with a tolerance
     starts : how often to solve a ControlProblem, from `guess` first and then from random paths, always the same ones;
-        the cheapest optimum is returned, and its `solver` says how many were met.  Limits hold for every start.
-        (`paths` finds several paths of a BoundaryProblem.)
+        the cheapest optimum is returned, and its `solver` says how many were met.  With a tolerance all are solved
+        on the first mesh, and those refined that may be the best.  (`paths` finds several paths of a BoundaryProblem.)
     verbose : 1 prints a summary and, with a tolerance, a line per level; 2 also the solver's lines
 
     Returns
@@ -149,8 +149,8 @@ def solve(
     if isinstance(problem, ControlProblem):
         check_solver(solver or ipopt)
         joints = first_control_mesh(problem, tolerance, method, intervals, mesh)
-        how = problem, tolerance, of_cost, method, limits, solver or ipopt, verbose
-        path = best_of(starts, problem, guess, lambda guess: ControlRefinement(*how).run(joints, guess))
+        refinement = ControlRefinement(problem, tolerance, of_cost, method, limits, solver or ipopt, verbose)
+        path = refinement.run(joints, guess, starts)
     else:
         path = solve_to_tolerance(problem, tolerance, method, intervals, mesh, guess, solver or newton, limits, verbose)
     if verbose:

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +38,7 @@ from casadi_galerkin.calculus.discrete_calculus import mesh_of, with_breakpoints
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.control.error_estimate import HigherDegree
+from casadi_galerkin.control.several_starts import different, optima_of
 from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -52,6 +54,7 @@ from casadi_galerkin.solvers.solver import Solver
 FIRST_INTERVALS = 8
 FOLLOWING_BARRIER = 1e-4  # first one from an earlier level: with 1e-2 a robot arm left its path, and found none
 DOUBLINGS = 2  # of a mesh, while the solver finds nothing on it
+FOR_STARTS = 0.5  # of the time: no further start begins after it
 HIGHER = 2  # degrees added for the error estimate; two, because of parity
 
 
@@ -179,8 +182,11 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             reason += f" (only the path changes: {known})"
         return super().stopped(reason, level, error)
 
-    def run(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
-        """Refine the first path, and say what all levels have cost.
+    def run(self, mesh: np.ndarray, guess: Guess | None, starts: int) -> ControlTrajectory:
+        """Refine the first path; of several starts those that may be the best, and return the best.
+
+        An optimum that costs more on the first mesh than the best that is refined, by more than refining has changed
+        others, is left out.
 
         Raises
         ------
@@ -189,16 +195,36 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         ConvergenceError
             where the solver finds no path on the first mesh, nor on the same mesh twice and four times as fine
         """
-        path, _ = self.refine(self.solve_finer(mesh, guess))
-        assert self.known is not None, "a path is accepted for what is known of it"
+        with until(self.began + FOR_STARTS * self.limits.seconds):
+            optima, told = optima_of(starts, self.problem, guess, partial(self.solve_finer, mesh))
+        found, failures, change = list[ControlTrajectory](), list[ConvergenceError](), 0.0
+        for level in different(optima):
+            if found and level.cost - change > min(path.cost for path in found):
+                break
+            try:
+                found.append(self.refined(level))
+                change = max(change, abs(found[-1].cost - level.cost))
+            except ConvergenceError as failure:
+                failures.append(failure)
+                if self.out_of_time():
+                    break
+        if not found:
+            raise failures[0]
+        best = min(found, key=lambda path: path.cost)
         return replace(
-            path,
+            best,
+            solver=best.solver + told,
             iterations=self.iterations,
             build_seconds=self.build_seconds,
             solve_seconds=time.perf_counter() - self.began - self.build_seconds,
-            error_estimate=self.known.error,
-            cost_error=self.known.cost_error,
         )
+
+    def refined(self, level: ControlTrajectory) -> ControlTrajectory:
+        """Refine a path, and say how wrong it is."""
+        self.known = None
+        path, _ = self.refine(level)
+        assert self.known is not None, "a path is accepted for what is known of it"
+        return replace(path, error_estimate=self.known.error, cost_error=self.known.cost_error)
 
 
 def first_control_mesh(

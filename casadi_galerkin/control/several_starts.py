@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.numbers import whole_number
+from casadi_galerkin.calculus.numbers import counted, whole_number
 from casadi_galerkin.control.optimizer import TOLERANCE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, waves
 from casadi_galerkin.solution.progress import progress
+from casadi_galerkin.solvers.deadline import seconds_left
 
 SMALLEST, LARGEST = -2.0, 1.0  # powers of two between which the amplitude of a random start lies
 SAME = 1e-6  # relative difference of costs up to which two optima count as one
@@ -23,10 +24,23 @@ SAME = 1e-6  # relative difference of costs up to which two optima count as one
 def best_of(
     starts: int, problem: ControlProblem, guess: Guess | None, solve: Callable[..., ControlTrajectory]
 ) -> ControlTrajectory:
-    """Return the cheapest of the optima that are found from a guess and from random paths.
+    """Return the cheapest of the optima, with what all of them took; arguments and errors as of `optima_of`."""
+    optima, told = optima_of(starts, problem, guess, solve)
+    return replace(
+        optima[0],
+        solver=optima[0].solver + told,
+        iterations=sum(optimum.iterations for optimum in optima),
+        solve_seconds=sum(optimum.solve_seconds for optimum in optima),
+    )
+
+
+def optima_of(
+    starts: int, problem: ControlProblem, guess: Guess | None, solve: Callable[..., ControlTrajectory]
+) -> tuple[list[ControlTrajectory], str]:
+    """Find the optima that a guess and random paths lead to, the cheapest first, and say how many were met.
 
     A random path is a sum of waves that is bent to meet the ends.  Its size is that of the given ends, or one where
-    these are zero.  The same number of starts always gives the same paths.
+    these are zero.  The same number of starts always gives the same paths.  No start begins after the deadline.
 
     Parameters
     ----------
@@ -43,11 +57,11 @@ def best_of(
         for input that does not fit, and for a first guess on which a callable is not finite
     """
     if whole_number("starts", starts) == 1:
-        return solve(guess=guess)
+        return [solve(guess=guess)], ""
     begin, end = problem.t_span
     ends = np.array([problem.start, problem.end], dtype=float)  # NaN for None
     sizes = np.max(np.nan_to_num(np.abs(ends)), axis=0)
-    random, optima, failures = np.random.default_rng(0), [], []
+    random, optima, failures = np.random.default_rng(0), list[ControlTrajectory](), list[Exception]()
 
     def another() -> Callable[[ArrayLike], np.ndarray]:
         """A random path as a function of times."""
@@ -64,12 +78,19 @@ def best_of(
                     raise
                 failures.append(failure)  # a random path may lead where a callable is not finite
             advance(1)
+            if seconds_left() <= 0:
+                break
     if not optima:
         raise failures[0]
-    best = min(optima, key=lambda optimum: optimum.cost)
-    costs = np.sort([optimum.cost for optimum in optima])
-    different = costs[np.append(True, np.diff(costs) > SAME * np.abs(costs[1:]) + TOLERANCE)]
-    met = f"{len(different)} optima, with costs up to {costs[-1]:.6g}" if len(different) > 1 else "one optimum"
-    told = f"best of {starts} starts, which met {met}"
-    told += f"; {len(failures)} of them failed" if failures else ""
-    return replace(best, solver=f"{best.solver}; {told}", iterations=sum(optimum.iterations for optimum in optima))
+    optima.sort(key=lambda optimum: optimum.cost)
+    count = len(different(optima))
+    met = f"{count} optima, with costs up to {optima[-1].cost:.6g}" if count > 1 else "one optimum"
+    told = f"; best of {counted(len(optima) + len(failures), 'start')}, which met {met}"
+    return optima, told + (f"; {len(failures)} of them failed" if failures else "")
+
+
+def different(optima: list[ControlTrajectory]) -> list[ControlTrajectory]:
+    """Optima of different costs, out of some with rising costs."""
+    costs = np.array([optimum.cost for optimum in optima])
+    new = np.append(True, np.diff(costs) > SAME * np.abs(costs[1:]) + TOLERANCE)
+    return [optima[i] for i in np.flatnonzero(new)]

@@ -1,6 +1,7 @@
 """Several starts of an optimization: which optimum is returned, and what is told of the others."""
 
 import re
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from control_problems import double_integrator
 
 import casadi_galerkin as cg
+from casadi_galerkin.control import refinement
 
 CENTER, RADIUS = 0.05, 0.25  # of a disc beside the straight line, which is cheaper to pass below
 
@@ -49,10 +51,29 @@ def test_the_first_start_is_the_guess_and_the_others_are_always_the_same():
     np.testing.assert_array_equal(first.polynomial.values, second.polynomial.values)
 
 
-def test_every_start_is_refined_to_the_tolerance():
+def test_the_best_is_refined_to_the_tolerance():
     path = cg.solve(round_a_disc(), METHOD, 4, tol=1e-4, guess=above, starts=6)
     assert path.cost == pytest.approx(BELOW, rel=1e-4)
     assert path.error_estimate <= 1e-4
+    assert "best of 6 starts, which met 2 optima" in path.solver
+
+
+def test_optima_are_refined_as_long_as_they_may_be_the_best(monkeypatch):
+    """What the first mesh takes for the cheapest, 1 for 1.2, need not be; 1.3 may become 1.1, but 1.5 not."""
+    path, seen = cg.solve(round_a_disc(), METHOD, 4), []
+    optima = [replace(path, cost=cost) for cost in (1.0, 1.3, 1.5)]
+    exact = {1.0: 1.2, 1.3: 1.1}
+
+    def refined(self, level):
+        seen.append(level.cost)
+        return replace(level, cost=exact[level.cost])
+
+    monkeypatch.setattr(refinement, "optima_of", lambda *arguments: (optima, "; all of them"))
+    monkeypatch.setattr(refinement.ControlRefinement, "refined", refined)
+    best = cg.solve(round_a_disc(), METHOD, 4, tol=1e-3, starts=3)
+    assert seen == [1.0, 1.3]
+    assert best.cost == 1.1
+    assert best.solver.endswith("; all of them")
 
 
 def test_starts_that_fail_are_counted_and_where_all_do_the_first_tells_why():
@@ -70,6 +91,12 @@ def test_a_random_path_where_a_callable_is_not_finite_fails_and_a_guess_there_is
     assert re.search("[1-3] of them failed", path.solver)
     with pytest.raises(ValueError, match="running_cost is not finite at the guess"):
         cg.solve(double_integrator(start=[-1.0], **uphill), cg.Galerkin(3), 6, starts=4)
+
+
+def test_the_time_limit_holds_for_all_starts_together():
+    path = cg.solve(round_a_disc(), METHOD, 4, tol=1e-3, starts=10**6, limits=cg.Limits(seconds=2))
+    assert path.cost == pytest.approx(BELOW, rel=1e-3)
+    assert int(re.search(r"best of (\d+) starts", path.solver)[1]) < 10**6
 
 
 def test_what_rounding_leaves_of_a_cost_of_zero_is_one_optimum():
