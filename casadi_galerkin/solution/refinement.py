@@ -114,7 +114,7 @@ class Refinement(ABC, Generic[Level, Detail]):
     def check_time(self, level: Level, error: float = np.inf) -> None:
         """Stop where the time is up."""
         if self.out_of_time():
-            raise self.stopped(f"{self.limits.seconds:g} seconds have passed", level, error)
+            raise self.stopped(f"{self.deadline - self.began:.4g} seconds have passed", level, error)
 
     def check_intervals(self, count: int, level: Level, error: float) -> None:
         """Stop before a mesh of more intervals than allowed."""
