@@ -146,11 +146,11 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def estimate(self, level: ControlTrajectory) -> Estimate[HigherDegree | None]:
         """The error from the same mesh with a higher degree, where that is solved."""
         degree = raised(self.method).degree
-        self.check_time(level)
+        self.check_time()
         try:
             higher = self.solve(raised(self.method), self.scaled(level.t, level), level)
         except ConvergenceError:
-            self.check_time(level)
+            self.check_time()
             return Estimate(np.inf, False, f"no answer of degree {degree}", None)
         detail = HigherDegree(level, higher)
         self.known = detail
@@ -160,17 +160,17 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         """Solve on the better mesh, from the path of higher degree; without that, on a mesh twice as fine."""
         detail = estimate.detail
         mesh = halved(level.t) if detail is None else detail.better_mesh(self.tol)
-        self.check_intervals(len(mesh) - 1, level, estimate.error)
+        if len(mesh) - 1 > self.limits.intervals:
+            raise self.stopped(f"the mesh would need {len(mesh) - 1} intervals", *self.best)
         known = level if detail is None else detail.higher
         joints = self.scaled(mesh, known)
         if np.min(np.diff(joints)) < SHORTEST * 2**DOUBLINGS * np.ptp(joints):
             reason = f"the mesh would need an interval near {SHORTEST:g} of the duration"
-            raise self.stopped(reason, level, estimate.error)
+            raise self.stopped(reason, *self.best)
         try:
             return self.solve_finer(joints, known)
         except ConvergenceError as failure:
-            self.check_time(level, estimate.error)
-            raise self.stopped(str(failure), level, estimate.error) from failure
+            raise self.stopped(str(failure), *self.best) from failure
 
     def stopped(self, reason: str, level: ControlTrajectory, error: float) -> LimitReached:
         """Say how far it got, and where only the path is not known, as along a singular arc, what is."""
