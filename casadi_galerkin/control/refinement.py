@@ -98,6 +98,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         self.method = Galerkin(degree_for(tol)) if method is None else method
         self._iterations, self.build_seconds = 0, 0.0
         self.known: HigherDegree | None = None
+        self.cost_known = np.inf  # smallest error of the cost so far
 
     @property
     def iterations(self) -> int:
@@ -153,7 +154,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             self.check_time()
             return Estimate(np.inf, False, f"no answer of degree {degree}", None)
         detail = HigherDegree(level, higher)
-        self.known = detail
+        self.known, self.cost_known = detail, min(self.cost_known, detail.cost_error)
         return Estimate(detail.cost_error if self.of_cost else detail.error, True, f"degree {degree}", detail)
 
     def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:
@@ -174,8 +175,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
     def stopped(self, reason: str, level: ControlTrajectory, error: float) -> LimitReached:
         """Say how far it got, and where only the path is not known, as along a singular arc, what is."""
-        if self.known is not None and self.known.cost_error <= self.tol:
-            known = f"the cost is known to {self.known.cost_error:.0e}, which is all that cost_tol asks for"
+        if self.cost_known <= self.tol:
+            known = f"the cost is known to {self.cost_known:.0e}, which is all that cost_tol asks for"
             reason += f" (only the path changes: {known})"
         return super().stopped(reason, level, error)
 
