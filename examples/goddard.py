@@ -11,7 +11,6 @@ radius, masses in that of the rocket.  The published height is 1.01283; here are
 """
 
 import casadi as ca
-import matplotlib.pyplot as plt
 import numpy as np
 
 import casadi_galerkin as cg
@@ -52,17 +51,17 @@ def main():
 
 def draw(path):
     """Draw height, mass and the mean thrust of every interval; returns the figure."""
-    figure, panels = plt.subplots(3, 1, figsize=(6.0, 7.0), sharex=True, layout="constrained")
+    panels = cg.panels(3, size=(6.0, 7.0), sharex=True)
     times = np.linspace(*path.t[[0, -1]], 500)
     thrust = path.control.values.reshape(len(path.t) - 1, -1) @ path.method.quadrature.weights
     panels[0].plot(times, path(times)[0])
     panels[1].plot(times, path(times)[1])
     panels[2].stairs(thrust, path.t, baseline=None)
-    for axes, name in zip(panels, ("height", "mass", "thrust"), strict=True):
+    for axes, name in zip(panels, ("height in Earth radii", "mass", "thrust over weight"), strict=True):
         axes.set_ylabel(name)
     panels[0].set_title(f"Goddard's rocket reaches {-path.cost:.7f} Earth radii")
     panels[-1].set_xlabel("time")
-    return figure
+    return panels[0].figure
 
 
 if __name__ == "__main__":

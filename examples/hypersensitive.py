@@ -8,7 +8,6 @@ Both layers are known: with the Hamiltonian zero, the costate on the way to rest
 out of it x³ + √(x⁶ + x²).  The cost is the integral of the first up to the start, and of the second up to the end.
 """
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import casadi_galerkin as cg
@@ -47,15 +46,17 @@ def main():
 
 def draw(path):
     """Draw the two layers, with the control, and leave out what is between; returns the figure."""
-    figure, sides = plt.subplots(1, 2, figsize=(6.0, 4.0), sharey=True, layout="constrained")
-    for axes, times in zip(sides, (np.linspace(0, 6, 300), np.linspace(DURATION - 6, DURATION, 300)), strict=True):
+    sides = cg.panels(columns=2, size=(6.0, 4.0), sharey=True)
+    for axes, first in zip(sides, (0, DURATION - 6), strict=True):
+        times = np.linspace(first, first + 6, 300)
         axes.plot(times, path(times)[0], label="x")
         axes.plot(times, path.control(times)[0], label="u")
         axes.set_xlabel("time")
+        axes.ticklabel_format(useOffset=False)
     sides[0].set_title("Dropping to rest")
-    sides[1].set_title("rising from it")
+    sides[1].set_title("Rising from it")
     sides[1].legend()
-    return figure
+    return sides[0].figure
 
 
 if __name__ == "__main__":

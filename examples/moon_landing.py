@@ -10,7 +10,6 @@ found, and the answer is exact between the joints.  It agrees with the closed fo
 The numbers are those of PSOPT's manual, in lunar units: 1.4204 of impulse, ∫ u dt.
 """
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import casadi_galerkin as cg
@@ -56,8 +55,8 @@ def main():
 
 def draw(path):
     """Draw height, mass and thrust over time; returns the figure."""
-    axes = plt.subplots(figsize=(6.0, 4.0), layout="constrained")[1]
-    axes.set(title="A soft landing on the Moon", xlabel="time", ylabel="height, mass and thrust in lunar units")
+    axes = cg.panels(size=(6.0, 4.0))
+    axes.set(title="A soft landing on the Moon", xlabel="time", ylabel="height, mass, thrust in lunar units")
     times = np.linspace(*path.t[[0, -1]], 200)
     for values, label in zip((*path(times), path.control(times)[0]), ("height", "mass", "thrust"), strict=True):
         axes.plot(times, values, label=label)

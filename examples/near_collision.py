@@ -41,6 +41,7 @@ def draw(path):
         axes.plot(0, 0, "o", color=COLORS[4], label="sun")
     top.set_title("A comet of eccentricity 0.99")
     bottom.set(title="Near the sun", xlim=(-0.06, 0.02), ylim=(-0.025, 0.025))
+    bottom.locator_params(axis="x", nbins=5)
     bottom.legend(fontsize="small")
     return top.figure
 

@@ -6,7 +6,6 @@ no difference, and three hills at once cost three times as much.
 """
 
 import casadi as ca
-import matplotlib.pyplot as plt
 import numpy as np
 
 import casadi_galerkin as cg
@@ -43,9 +42,7 @@ def main():
 
 def draw(path):
     """Draw speed and thrust over the way, above the road; returns the figure."""
-    figure, (top, road) = plt.subplots(
-        2, 1, figsize=(6.0, 4.0), sharex=True, height_ratios=[3, 1], layout="constrained"
-    )
+    top, road = cg.panels(2, size=(6.0, 4.0), sharex=True, height_ratios=(3, 1))
     times = np.linspace(*path.t[[0, -1]], 200)
     way = path(times)[0]
     top.plot(way, path(times, 1)[0], label="speed")
@@ -54,7 +51,7 @@ def draw(path):
     top.legend()
     road.fill_between(way, HEIGHT * np.cos(2 * np.pi * way / HILL), -HEIGHT, color="0.8")
     road.set(xlabel="way", ylabel="road")
-    return figure
+    return top.figure
 
 
 if __name__ == "__main__":

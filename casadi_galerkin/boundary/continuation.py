@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.5, 1e-9  # of the arc length, in which the path counts by its size
-LONGER, SHORTER = 1.5, 0.5  # factors on the step after a correction in few iterations, and after one that failed
-FEW = 4  # iterations of Newton's method
+LONGER, SHORTER = 1.5, 0.5  # factors on the step after a correction, and after one that failed
 CLOSE = 1e-8  # last Newton step after which the next one is at roundoff
 LEVEL = 1e-9  # |ṡ| at a fold; s itself is then exact to its square
 POINTS = 1000  # of a branch
@@ -276,11 +275,9 @@ class Walk(Curve[Solution]):
             try:
                 if answer is not None:
                     z, solution = answer
-                    if predicted[-1] == end and normal is not point.tangent:
-                        z[-1] = end
                     found = CriticalPoint(solution, self.problem(z), self.data(z), self.path(z))
                     trajectory = self.transcription.trajectory(found, 0.0)
-                    longer = min(LONGER * step, LONGEST_STEP) if solution.iterations <= FEW else step
+                    longer = min(LONGER * step, LONGEST_STEP)
                     return Point(z, self.tangent(z, point.tangent), trajectory), longer
             except ConjugatePointError:
                 pass  # it landed on a fold

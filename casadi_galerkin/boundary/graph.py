@@ -84,7 +84,7 @@ class BoundaryGraph:
         Parameters are those of `varied` and of `solve`.
         """
         if not callable(solver):
-            raise TypeError(f"solver must be newton, rootfinder, ipopt or minimizer, got {solver!r}")
+            raise TypeError(f"solver must be cg.newton, cg.rootfinder, cg.ipopt or cg.minimizer, got {solver!r}")
         calculus, joints = self._calculus, self.mesh
         if mesh is not None:
             calculus = DiscreteCalculus(self.method, mesh)

@@ -58,7 +58,8 @@ def refuse_derivatives(graph: ControlGraph, unknowns: np.ndarray, data: np.ndarr
     else:
         return
     when = np.interp(place, np.arange(len(mesh)), mesh)
-    raise ValueError(f"{what} is not finite at the guess at t = {when:.6g}. Give a guess that avoids it")
+    hint = "Give a guess that avoids it, or square a root or norm"
+    raise ValueError(f"{what} is not finite at the guess at t = {when:.6g}. {hint}")
 
 
 def name_equation(chain: Chain, row: int) -> tuple[str, float]:

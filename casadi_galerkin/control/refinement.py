@@ -101,6 +101,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         self.method = Galerkin(degree_for(tol)) if method is None else method
         self._iterations, self.build_seconds = 0, 0.0
         self.known: HigherDegree | None = None
+        self.cost_known = np.inf  # smallest error of the cost of the path under way
 
     @property
     def iterations(self) -> int:
@@ -149,36 +150,36 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def estimate(self, level: ControlTrajectory) -> Estimate[HigherDegree | None]:
         """The error from the same mesh with a higher degree, where that is solved."""
         degree = raised(self.method).degree
-        self.check_time(level)
+        self.check_time()
         try:
             higher = self.solve(raised(self.method), self.scaled(level.t, level), level)
         except ConvergenceError:
-            self.check_time(level)
+            self.check_time()
             return Estimate(np.inf, False, f"no answer of degree {degree}", None)
         detail = HigherDegree(level, higher)
-        self.known = detail
+        self.known, self.cost_known = detail, min(self.cost_known, detail.cost_error)
         return Estimate(detail.cost_error if self.of_cost else detail.error, True, f"degree {degree}", detail)
 
     def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:
         """Solve on the better mesh, from the path of higher degree; without that, on a mesh twice as fine."""
         detail = estimate.detail
         mesh = halved(level.t) if detail is None else detail.better_mesh(self.tol)
-        self.check_intervals(len(mesh) - 1, level, estimate.error)
+        if len(mesh) - 1 > self.limits.intervals:
+            raise self.stopped(f"the mesh would need {len(mesh) - 1} intervals", *self.best)
         known = level if detail is None else detail.higher
         joints = self.scaled(mesh, known)
         if np.min(np.diff(joints)) < SHORTEST * 2**DOUBLINGS * np.ptp(joints):
             reason = f"the mesh would need an interval near {SHORTEST:g} of the duration"
-            raise self.stopped(reason, level, estimate.error)
+            raise self.stopped(reason, *self.best)
         try:
             return self.solve_finer(joints, known)
         except ConvergenceError as failure:
-            self.check_time(level, estimate.error)
-            raise self.stopped(str(failure), level, estimate.error) from failure
+            raise self.stopped(str(failure), *self.best) from failure
 
     def stopped(self, reason: str, level: ControlTrajectory, error: float) -> LimitReached:
         """Say how far it got, and where only the path is not known, as along a singular arc, what is."""
-        if self.known is not None and self.known.cost_error <= self.tol:
-            known = f"the cost is known to {self.known.cost_error:.0e}, which is all that cost_tol asks for"
+        if self.cost_known <= self.tol:
+            known = f"the cost is known to {self.cost_known:.0e}, which is all that cost_tol asks for"
             reason += f" (only the path changes: {known})"
         return super().stopped(reason, level, error)
 
@@ -223,7 +224,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
     def refined(self, level: ControlTrajectory) -> ControlTrajectory:
         """Refine a path, and say how wrong it is."""
-        self.known = None
+        self.known, self.cost_known = None, np.inf
         path, _ = self.refine(level)
         assert self.known is not None, "a path is accepted for what is known of it"
         return replace(path, error_estimate=self.known.error, cost_error=self.known.cost_error)

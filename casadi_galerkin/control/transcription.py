@@ -325,7 +325,7 @@ def _check_steps(mesh: np.ndarray) -> None:
 def check_solver(solver: object) -> None:
     """Refuse a solver that does not optimize."""
     if not isinstance(solver, Solver) or solver.name not in NAMES:
-        raise ValueError(f"a ControlProblem is solved by ipopt or fatrop, got the solver {solver!r}")
+        raise ValueError(f"a ControlProblem is solved by cg.ipopt or cg.fatrop, got the solver {solver!r}")
 
 
 def _or_with_ipopt(solver: Solver, solved: Callable[[Solver], ControlTrajectory]) -> ControlTrajectory:

@@ -45,9 +45,11 @@ class Refinement(ABC, Generic[Level, Detail]):
     Attributes
     ----------
     roundoff_level : error below which one that no longer falls is at the roundoff floor
+    best : level of the smallest trusted error so far, and that error; where none is trusted yet, the last level
     """
 
     roundoff_level: float
+    best: tuple[Level, float]
 
     def __init__(self, tol: float, limits: Limits, verbose: int) -> None:
         self.tol, self.limits, self.verbose = check_tolerance(tol), limits, verbose
@@ -87,39 +89,36 @@ class Refinement(ABC, Generic[Level, Detail]):
         LimitReached
             with the best path attached
         """
-        best, smallest = level, np.inf
-        number = 0
+        smallest, number = np.inf, 0
+        self.best = level, np.inf
         with progress("refinement", unit="level") as advance:
             while True:
                 estimate = self.estimate(level)
                 self._report(number, level, estimate)
                 if estimate.trusted and estimate.error <= self.tol:
                     return level, estimate.error
-                if estimate.trusted and smallest / 2 < estimate.error < self.roundoff_level:
-                    floor = min(estimate.error, smallest)
-                    raise self.stopped(f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here", best, floor)
-                self.check_time(level, estimate.error)
+                at_floor = estimate.trusted and smallest / 2 < estimate.error < self.roundoff_level
+                if smallest == np.inf or (estimate.trusted and estimate.error < smallest):
+                    self.best = level, estimate.error
+                if estimate.trusted:
+                    smallest = self.best[1]
+                if at_floor:
+                    raise self.stopped(f"{self.tol:g} asked, {smallest:.0e} is the roundoff floor here", *self.best)
+                self.check_time()
                 if number + 1 >= self.limits.levels:
                     words = "level was" if self.limits.levels == 1 else "levels were"
-                    raise self.stopped(f"{self.limits.levels:g} {words} not enough", level, estimate.error)
-                if estimate.trusted and estimate.error < smallest:
-                    best, smallest = level, estimate.error
+                    raise self.stopped(f"{self.limits.levels:g} {words} not enough", *self.best)
                 try:
                     level, number = self.improve(level, estimate), number + 1
                     advance(1)
                 except ConvergenceError:
-                    self.check_time(level, estimate.error)
+                    self.check_time()
                     raise
 
-    def check_time(self, level: Level, error: float = np.inf) -> None:
+    def check_time(self) -> None:
         """Stop where the time is up."""
         if self.out_of_time():
-            raise self.stopped(f"{self.deadline - self.began:.4g} seconds have passed", level, error)
-
-    def check_intervals(self, count: int, level: Level, error: float) -> None:
-        """Stop before a mesh of more intervals than allowed."""
-        if count > self.limits.intervals:
-            raise self.stopped(f"the mesh would need {count} intervals", level, error)
+            raise self.stopped(f"{self.deadline - self.began:.4g} seconds have passed", *self.best)
 
     def stopped(self, reason: str, level: Level, error: float) -> LimitReached:
         """Say how far it got; the best path is attached."""

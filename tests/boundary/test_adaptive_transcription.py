@@ -118,7 +118,7 @@ def test_a_constraint_is_kept_from_path_to_path():
 def test_what_is_no_solver_is_refused_every_time():
     transcription = cg.transcribe(bratu(), tol=TOL)
     for _ in range(2):
-        with pytest.raises(TypeError, match="solver must be newton, rootfinder, ipopt or minimizer, got 'newton'"):
+        with pytest.raises(TypeError, match=r"solver must be cg.newton, .* got 'newton'"):
             transcription.solve(solver="newton")
         transcription.solve()
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import casadi_galerkin as cg
+from casadi_galerkin.boundary.action_descent import carried
 
 TOL = 1e-6
 
@@ -95,3 +96,9 @@ def test_a_layer_thinner_than_doubles_tell_is_no_bad_mesh(capsys):
     with pytest.raises(cg.ConvergenceError, match="no path was found"):
         cg.solve(problem, tol=TOL, verbose=1)
     assert "Newton's method with IPOPT to its rescue: no path" in capsys.readouterr().out
+
+
+def test_joints_that_are_carried_along_leave_the_time_span_as_it_is():
+    calculus = cg.DiscreteCalculus(cg.Galerkin(2), np.linspace(0.0, 1.0, 5))
+    path = calculus.emb(calculus.node_times[None, :] ** 2)
+    assert carried(path, np.full(path.values.shape, 0.1)).mesh[[0, -1]].tolist() == [0.0, 1.0]

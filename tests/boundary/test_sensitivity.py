@@ -328,3 +328,17 @@ def test_conjugate_ends_are_refused_when_the_function_is_built():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0.0, np.pi), [0.0], [0.0])
     with pytest.raises(cg.ConjugatePointError):
         cg.solution_function(problem, cg.Galerkin(10), 10)
+
+
+def coupled(units):
+    """∂x/∂x_N of two coupled oscillators in units of their own, taken back to one."""
+    a, b = units
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: (v[0] / a) ** 2 / 2 + (v[1] / b) ** 2 / 2 + x[0] / a * x[1] / b, (0, 1), [0.0, 0.0], [a, b]
+    )
+    by_end = cg.sensitivity(cg.solve(problem, cg.Galerkin(6), 10)).end
+    return by_end / np.array(units)[:, None, None] * units
+
+
+def test_derivatives_do_not_depend_on_units():
+    np.testing.assert_allclose(coupled((1e-10, 1e10)), coupled((1.0, 1.0)), rtol=0, atol=1e-12)

@@ -43,6 +43,13 @@ def test_truncation_is_near_the_interpolation_error(degree, function):
         assert (error - ROUNDOFF) / SHARP < estimate < error * SHARP + ROUNDOFF
 
 
+def test_what_an_even_path_leaves_out_is_seen_at_an_odd_degree():
+    """Its last Legendre coefficient is zero."""
+    path = interpolated(np.cos, 5, [-1.0, 1.0])
+    times = np.linspace(-1, 1, 101)
+    assert truncation(path)[0] > np.max(np.abs(path(times)[0] - np.cos(times))) / 10
+
+
 def test_truncation_of_a_polynomial_is_roundoff():
     path = interpolated(lambda t: 1 + t**3, 6, np.linspace(0, 2, 6))
     assert np.max(truncation(path)) < 1e-15
@@ -99,6 +106,18 @@ def test_new_meshes_increase_keep_their_ends_and_grade_gently(seed):
     assert len(new) - 1 <= FINEST * 11 + 1
     # densities of old neighbors differ by at most this, and a new interval may straddle two joints
     assert np.max(np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])) <= NEIGHBORS**2
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_intervals_grow_shorter_and_longer_step_by_step(order):
+    error = np.repeat([1e-16, 1e6], 5)[::order]
+    steps = np.diff(equidistributed(np.linspace(0, 1, 11), error, 6, 1e-6))
+    assert np.max(np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])) <= NEIGHBORS
+
+
+def test_a_mesh_grows_by_a_quarter_at_least():
+    error = np.full(100, 1.1 * TARGET * 1e-3)
+    assert len(equidistributed(np.linspace(0, 1, 101), error, 6, 1e-3)) == 126
 
 
 def test_too_fine_a_mesh_is_made_coarser():

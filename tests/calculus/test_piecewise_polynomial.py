@@ -23,6 +23,14 @@ def test_derivatives_of_higher_order_and_shapes():
     np.testing.assert_allclose(path(0.7, 5), [0, 0], rtol=0, atol=1e-8)
 
 
+def test_derivatives_lose_no_digits_to_an_offset():
+    calculus, parts = cg.DiscreteCalculus(cg.Galerkin(4), [0.0, 1.0, 3.0]), np.array([0.1, 0.7])
+    values = np.arange(9.0)[None, :] ** 2
+    near, far = calculus.emb(values), calculus.emb(values + 2.0**40)
+    np.testing.assert_allclose(far.at_parts(parts)[1], near.at_parts(parts)[1], rtol=1e-12)
+    np.testing.assert_allclose(far([0.1, 2.4], 1), near([0.1, 2.4], 1), rtol=1e-12)
+
+
 @pytest.mark.parametrize("t", [-0.1, 2.1, np.nan])
 def test_times_outside_the_mesh_are_refused(t):
     path = cg.DiscreteCalculus(cg.Galerkin(1), [0.0, 2.0]).emb([[0.0, 1.0]])

@@ -76,3 +76,13 @@ def test_an_optimum_that_roundoff_keeps_from_the_tolerance_is_found():
     factors = np.array([1, 2, 5, 10, 20, 30, 50, 70, 100, 1e3, 1e4])
     costs = [cg.solve(joined(factor), cg.Galerkin(3), 8).cost for factor in factors]
     np.testing.assert_allclose(costs / factors, costs[0], rtol=1e-10)
+
+
+def test_fatrop_keeps_bounds_of_zero_by_itself():
+    """It relaxes every bound, and the program's are narrower by as much."""
+    changes = {"controls": 2, "force": lambda t, x, v, u: u[0] - u[1], "running_cost": lambda t, x, v, u: u[0] + u[1]}
+    task = double_integrator(**changes, control_bounds=(0.0, 6.0))
+    path = cg.solve(task, cg.Galerkin(3), intervals=6, solver=cg.fatrop)
+    assert path.solver.startswith("fatrop (")
+    assert path.control.values.min() >= 0
+    assert path.control.values.max() <= 6

@@ -1,6 +1,7 @@
 """Control problems solved to a tolerance: the true error is below it, whatever the mesh to begin with."""
 
 import importlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -209,6 +210,14 @@ def test_best_path_is_attached_when_a_limit_is_reached(name):
     assert best.cost == pytest.approx(58.8, abs=0.1)
     assert best.error_estimate > 1e-8
     assert cg.solve(cart_pole(), tol=1e-3, guess=best).error_estimate <= 1e-3
+
+
+def test_best_path_is_not_always_the_last(monkeypatch):
+    estimate, errors = ControlRefinement.estimate, iter([2e-2, 1e-2, 3e-2])
+    monkeypatch.setattr(ControlRefinement, "estimate", lambda *args: replace(estimate(*args), error=next(errors)))
+    with pytest.raises(cg.LimitReached, match=r"an estimated error of 1.0e-02") as caught:
+        cg.solve(cart_pole(), tol=1e-4, limits=cg.Limits(levels=3))
+    assert caught.value.path.error_estimate == 1e-2
 
 
 def test_best_path_is_attached_when_the_time_is_up(monkeypatch):

@@ -5,6 +5,7 @@ import pytest
 from control_problems import minimum_time
 
 import casadi_galerkin as cg
+from casadi_galerkin.solution.control_path import ControlPath
 
 
 def test_control_is_a_polynomial_of_its_points_and_jumps_at_joints():
@@ -15,3 +16,10 @@ def test_control_is_a_polynomial_of_its_points_and_jumps_at_joints():
     assert path.control(np.zeros((2, 3))).shape == (1, 2, 3)
     with pytest.raises(ValueError, match="times must lie within"):
         path.control(3.0)
+
+
+@pytest.mark.parametrize(("rule", "at_joint"), [(cg.lobatto(2), 5.0), (cg.radau(2), 1.0)])
+def test_the_value_at_a_joint_is_the_later_one_unless_the_rule_has_only_the_earlier(rule, at_joint):
+    points = np.array(rule.points)
+    control = ControlPath(np.array([0.0, 1.0, 2.0]), points, np.array([[1.0, 1.0, 5.0, 5.0]]), points)
+    assert control(1.0).tolist() == [at_joint]

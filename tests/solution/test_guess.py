@@ -9,7 +9,7 @@ from given import Series
 from scenes import BY_NAME, oscillator, oscillator_problem, pendulum
 
 import casadi_galerkin as cg
-from casadi_galerkin.solution.guess import guess_values, guessed
+from casadi_galerkin.solution.guess import guess_values, guessed, meeting_ends
 
 METHOD = cg.Galerkin(2)
 TIME = ca.SX.sym("t")
@@ -121,6 +121,11 @@ def test_a_guess_that_misses_the_ends_is_bent_to_them():
     assert path.x[0, -1] == 1
 
 
+def test_a_guess_that_is_free_at_one_end_moves_as_a_whole():
+    bent = meeting_ends(np.array([[7.0], [9.0], [8.0]]), np.array([0.0, 0.5, 1.0]), np.array([[np.nan], [1.0]]))
+    assert bent.tolist() == [[0.0], [2.0], [1.0]]
+
+
 @pytest.mark.parametrize("guess", [sine, lambda t: ca.vertcat(ca.sin(t)), lambda t: Series({7: float(np.sin(t))})])
 def test_a_callable_guess_returns_its_values_in_any_form(guess):
     calculus = cg.DiscreteCalculus(METHOD, [0.0, 0.5, 1.0])
@@ -162,3 +167,4 @@ def test_a_callable_is_called_once_for_all_times_where_it_can_be(function, most)
     found = guessed(guess, times, 2)
     np.testing.assert_allclose(found, np.transpose([function(t) for t in times.tolist()]), rtol=1e-15)
     assert guess.calls <= most
+    np.testing.assert_array_equal(times, np.linspace(0.0, 2.0, 21))  # which others share

@@ -211,7 +211,7 @@ def test_an_initial_problem_is_traded_step_by_step(changes, message):
 
 
 def test_a_control_problem_is_not_traded_by_solvers_of_equations():
-    with pytest.raises(ValueError, match=r"a ControlProblem is solved by ipopt or fatrop, got the solver cg\.newton"):
+    with pytest.raises(ValueError, match=r"solved by cg.ipopt or cg.fatrop, got the solver cg\.newton"):
         cg.trade(double_integrator(), [cg.Galerkin(3)], [4], solvers=[cg.newton])
 
 
