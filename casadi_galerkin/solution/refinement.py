@@ -118,7 +118,7 @@ class Refinement(ABC, Generic[Level, Detail]):
     def check_time(self) -> None:
         """Stop where the time is up."""
         if self.out_of_time():
-            raise self.stopped(f"{self.deadline - self.began:.4g} seconds have passed", *self.best)
+            raise self.stopped(f"{self.limits.seconds:g} seconds have passed", *self.best)
 
     def stopped(self, reason: str, level: Level, error: float) -> LimitReached:
         """Say how far it got; the best path is attached."""
