@@ -201,3 +201,30 @@ def test_a_component_that_rests_stays_at_rest(start, velocity, degree, unit):
     assert np.max(np.abs(path.x[resting])) < 1e-24 * unit
     np.testing.assert_allclose(np.sum(path.x**2, axis=0), unit**2, rtol=1e-14)
     assert np.ptp(path.energy) < 1e-2 * unit**2
+
+
+def chain_of_two(t, x):
+    return [ca.sumsqr(x[:3]) - 1, ca.sumsqr(x[3:] - x[:3]) - 1]
+
+
+STARTS_WITH_RESTING_COMPONENTS = {  # position, velocity, constraint
+    "a pendulum from rest": ([1.0, 0.0, 0.0], [0.0] * 3, unit_length),
+    "a chain from rest": ([1.0, 0.0, 0.0, 2.0, 0.0, 0.0], [0.0] * 6, chain_of_two),
+    "a chain pushed aside": ([1.0, 0.0, 0.0, 1.0, 0.0, 1.0], [0.0, 0.1, 0.0, 0.0, 0.3, 0.0], chain_of_two),
+}
+
+
+@pytest.mark.parametrize("degree", [1, 4])
+@pytest.mark.parametrize("step", [5e-2, 1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("name", STARTS_WITH_RESTING_COMPONENTS)
+def test_steps_of_any_length_leave_a_rest(name, step, degree):
+    """The first Newton steps say little of the next ones: they are as large as what moves, or as what does not."""
+    position, velocity, constraint = STARTS_WITH_RESTING_COMPONENTS[name]
+
+    def falling(t, x, v):
+        return ca.dot(v, v) / 2 - 9.81 * ca.sum1(x[2::3])
+
+    problem = cg.InitialProblem(falling, (0, 50 * step), position, velocity=velocity, constraint=constraint)
+    path = cg.solve(problem, cg.Galerkin(degree), 50)
+    assert np.max(np.abs(np.array(constraint(0.0, ca.DM(path.x[:, -1]))).ravel())) <= HELD
+    assert path.iterations <= 6 * 50
