@@ -57,7 +57,7 @@ class Trajectory(Path):
     t : (N + 1,), joints
     x : (d, N + 1), positions at the joints
     polynomial : PiecewisePolynomial, the path between the joints; its `values` (d, N m + 1) are the node values
-    momentum : (d, N + 1), by the discrete Legendre transform p_0 = -∂S/∂x_0, ..., p_N = ∂S/∂x_N; of order min(2m, u)
+    momentum : (d, N + 1), by the discrete Legendre transform -∂S/∂x_0, ..., ∂S/∂x_N; of order `method.order`
     action : value of the discrete action
     iterations : of the solver
     residual : largest residual over its own roundoff floor
@@ -148,7 +148,7 @@ class Trajectory(Path):
 
     @lazy
     def velocity(self) -> np.ndarray:
-        """Velocities at the joints that belong to the momenta, p = ∂L/∂v; (d, N + 1), of order min(2m, u).
+        """Velocities at the joints that belong to the momenta, p = ∂L/∂v; (d, N + 1), of order `method.order`.
 
         NaN where none was found.  Where a mass vanishes, as at a center, they are ``path(t, 1)``, the derivative of the
         polynomial, which is of order m only.
@@ -159,7 +159,7 @@ class Trajectory(Path):
     def multipliers(self, t: ArrayLike) -> np.ndarray:
         """Multipliers λ of the constraint at times t: its force is λ·∂g/∂x, in units of the action over t and x.
 
-        From position and velocity by the equations of motion: of order min(2m, u) at the joints, of order m between.
+        From position and velocity by the equations of motion, of order `method.order` at the joints and m between.
 
         Returns
         -------
