@@ -10,8 +10,8 @@ derivatives w_k ∂L̂/∂(x, x') of the pulled-back Lagrangian at the quadratur
     p_1 = p_0 + Σ f_k                                                       δ = 1
     R_j = b_j p_1 - Σ ( ψ_j(q_k) f_k + l_j(q_k) g_k ) = 0                   δ = ψ_j.
 
-The same rounded ψ, l and b stand in the path and in the equations, so a symmetry of L conserves its momentum map
-up to the rounding of single operations, which drifts like a random walk.  A force adds its virtual work
+The same rounded ψ, l and b stand in the path and in the equations, so an affine symmetry of L conserves its
+momentum map up to the rounding of single operations, which drifts like a random walk.  A force adds its virtual work
 h w_k F_k·δ(q_k) (Lagrange-d'Alembert), that is, h w_k F_k to f_k.  The choice of control points does not enter.
 
 A holonomic constraint g(t, x) = 0 is held at the nodes c_1 ... c_m, by impulses Λ_a at the nodes c_0 ... c_{m-1}.  With
