@@ -268,7 +268,7 @@ class ControlTrajectory(Trajectory):
         for panel in drawn:
             for when in self.problem.breakpoints:
                 panel.axvline(when, color="0.6", linewidth=0.8)
-        top.set_title(f"Degree {self.method.degree} on {len(self.t) - 1} intervals: cost {self.cost:.6g}")
+        top.set_title(f"Degree {self.method.degree} on {counted(len(self.t) - 1, 'interval')}: cost {self.cost:.6g}")
         return top
 
     def plot_controls(self, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t") -> Axes:

@@ -117,7 +117,7 @@ class Path(Table, Pictured):
         return places
 
     def _title(self) -> str:
-        return f"A path of degree {self.polynomial.degree} on {len(self.t) - 1} intervals, not an answer"
+        return f"A path of degree {self.polynomial.degree} on {counted(len(self.t) - 1, 'interval')}, not an answer"
 
     def _line(self, least: int = 2) -> tuple[np.ndarray, np.ndarray]:
         """Times (K,) and positions (d, K) of a smooth line, both of them where it jumps; `least` as for `_fine`."""

@@ -197,7 +197,7 @@ class Trajectory(Path):
 
     def _title(self) -> str:
         index = "" if self.morse_index is None else f", Morse index {self.morse_index}"
-        return f"Degree {self.method.degree} on {len(self.t) - 1} intervals: action {self.action:.6g}{index}"
+        return f"Degree {self.method.degree} on {counted(len(self.t) - 1, 'interval')}: action {self.action:.6g}{index}"
 
     def plot_phase(self, component: int = 0, axes: Axes | None = None, labels: tuple[str, str] | None = None) -> Axes:
         """Draw one component against its momentum, the start as a larger dot; returns the Matplotlib axes.

@@ -236,8 +236,7 @@ def shoot(
     1.0
     """
     check_types(problem, method, BoundaryProblem)
-    if guess is not None and (not isinstance(guess, Trajectory) or len(guess.x) != problem.dimension):
-        raise TypeError(f"guess must be a Trajectory of {problem.dimension} component(s), got {guess!r}")
+    check_start(problem, guess)
     began = time.perf_counter()
     shooting = Shooting(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), guess)
     equations = time.perf_counter() - began - shooting.stepper.build_seconds
@@ -259,6 +258,12 @@ def shoot(
     if turned is not None:
         raise ConvergenceError(turned, Path(path.polynomial), shot.residual, iterations)
     return replace(path, action=action, residual=shot.residual, solver=solver + _far(guess, path))
+
+
+def check_start(problem: BoundaryProblem, guess: Trajectory | None) -> None:
+    """Refuse a guess that shooting cannot start from."""
+    if guess is not None and (not isinstance(guess, Trajectory) or len(guess.x) != problem.dimension):
+        raise TypeError(f"guess must be a Trajectory of {problem.dimension} component(s), got {guess!r}")
 
 
 def _far(guess: Trajectory | None, path: Trajectory) -> str:

@@ -221,7 +221,7 @@ class Trade(Table, Pictured):
         if not solved:
             return text
         best = min(solved, key=lambda row: row.error)
-        cost, how = f"{1e3 * best.solve_seconds:.3g} ms", f"{best.intervals} intervals, {best.way}"
+        cost, how = f"{1e3 * best.solve_seconds:.3g} ms", f"{counted(best.intervals or 0, 'interval')}, {best.way}"
         return f"{text}\n  least error {best.error:.1e} in {cost}: {best.method}, {how}"
 
     def __str__(self) -> str:
