@@ -15,6 +15,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.mesh_adaptation import truncation
 from casadi_galerkin.calculus.numbers import counted, number, place
+from casadi_galerkin.calculus.piecewise_polynomial import times_within
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, multipliers
@@ -167,17 +168,18 @@ class Trajectory(Path):
 
         Raises
         ------
-        ValueError
-            where the problem has no constraint
+        TypeError, ValueError
+            where the problem has no constraint, and for times that are not within the path's
         """
         motion = self._constrained_motion()
         if motion is None:
             raise ValueError("the problem has no constraint, so no multipliers")
-        times = np.asarray(t, dtype=float)
+        times = times_within(self.t, t)
         flat = times.ravel()
         velocity, joint = self(flat, 1), np.minimum(np.searchsorted(self.t, flat), len(self.t) - 1)
         velocity = np.where(self.t[joint] == flat, self.velocity[:, joint], velocity)
-        return multipliers(motion, flat, self(flat), velocity).reshape(-1, *times.shape)
+        values = multipliers(motion, flat, self(flat), velocity)
+        return values.reshape(len(values), *times.shape)
 
     def _constrained_motion(self) -> ca.Function | None:
         """What the multipliers are found from, with the forces on this path; None where there is no constraint."""

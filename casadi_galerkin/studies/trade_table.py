@@ -10,7 +10,7 @@ import numpy as np
 
 from casadi_galerkin._solve import solve
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import counted
+from casadi_galerkin.calculus.numbers import counted, finite
 from casadi_galerkin.calculus.quadrature import gauss, lobatto, radau
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.export import Table
@@ -158,7 +158,8 @@ class Trade(Table, Pictured):
         tol : largest error
         first_call : whether the fastest first call is wanted, not the fastest repeated solve
         """
-        good = [row for row in self._solved() if row.error + self.reference_error <= tol]
+        most = finite("tol", tol)
+        good = [row for row in self._solved() if row.error + self.reference_error <= most]
         if good:
             return min(good, key=lambda row: row.first_seconds if first_call else row.solve_seconds)
         best = min((row.error for row in self._solved()), default=np.nan)

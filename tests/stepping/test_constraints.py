@@ -121,6 +121,15 @@ def test_multipliers_of_steps_are_the_tension_of_the_rod():
     np.testing.assert_allclose(path.multipliers(path.t)[0], -tension / 2, rtol=0, atol=JOINTS)
 
 
+def test_multipliers_are_found_at_any_times_of_the_path():
+    path = cg.solve(motions("double pendulum", 1.0)[1], cg.Galerkin(4), 10)
+    assert path.multipliers(0.3).shape == (2,)
+    assert path.multipliers([[0.1, 0.2, 0.3]]).shape == (2, 1, 3)
+    assert path.multipliers([]).shape == (2, 0)
+    with pytest.raises(TypeError, match="times must be real numbers, got 'a'"):
+        path.multipliers("a")
+
+
 def test_of_a_momentum_the_part_along_the_constraint_counts():
     starts = ({"momentum": [0.7, 0.0]}, {"momentum": [0.7, -3.0]}, {"velocity": [0.7, 0.0]})
     first, *others = (
