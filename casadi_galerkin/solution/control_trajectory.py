@@ -328,7 +328,7 @@ class ControlTrajectory(Trajectory):
                 f"  Hamiltonian {self.hamiltonian[0]:.9g} at the start, varies by {np.ptp(self.hamiltonian):.1e}",
                 *self._accuracy(),
                 *self._between_points(),
-                f"  solver      {self.solver}, {self.iterations} iterations, violation {self.violation:.1e}",
+                f"  solver      {self.solver}, {counted(self.iterations, 'iteration')}, violation {self.violation:.1e}",
                 f"  seconds     {self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve",
             ]
         )

@@ -280,8 +280,8 @@ class Trajectory(Path):
                 f"  action      {self.action:.15g}, {kind}",
                 f"  energy      {self.energy[0]:.12g} at the start, {self._balance()}",
                 *self._accuracy(),
-                f"  solver      {self.solver}, {self.iterations} iterations, residual {self.residual:.1g} times its "
-                "roundoff floor",
+                f"  solver      {self.solver}, {counted(self.iterations, 'iteration')}, "
+                f"residual {self.residual:.1g} times its roundoff floor",
                 f"  seconds     {self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve",
             ]
         )
