@@ -65,7 +65,7 @@ class DiscreteCalculus:
     Raises
     ------
     TypeError, ValueError
-        for joints that do not increase, or are not finite
+        for what is no Galerkin, and for joints that do not increase or are not finite
 
     Examples
     --------
@@ -79,6 +79,8 @@ class DiscreteCalculus:
     """
 
     def __init__(self, method: Galerkin, mesh: ArrayLike) -> None:
+        if not isinstance(method, Galerkin):
+            raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
         self.method, self.mesh = method, time_scale(mesh)
         self._element, self._nodes = method.element, (len(self.mesh) - 1) * method.degree + 1
 

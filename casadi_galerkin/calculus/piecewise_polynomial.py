@@ -43,6 +43,11 @@ class PiecewisePolynomial:
     values : (d, N m + 1), values at joints and control points in the order of time
     arrivals : (d, N), values that the intervals end with, where the path jumps at joints
 
+    Raises
+    ------
+    ValueError
+        for values of another shape
+
     Examples
     --------
     >>> line = PiecewisePolynomial(np.array([0.0, 1.0, 3.0]), np.array([0.0, 1.0]), np.array([[0.0, 2.0, 0.0]]))
@@ -53,7 +58,11 @@ class PiecewisePolynomial:
     def __init__(
         self, mesh: np.ndarray, nodes: np.ndarray, values: np.ndarray, arrivals: np.ndarray | None = None
     ) -> None:
-        self.mesh, self.nodes, self.values, self.arrivals = mesh, nodes, values, arrivals
+        self.mesh, self.nodes, self.values = np.asarray(mesh), np.asarray(nodes), np.asarray(values)
+        self.arrivals = arrivals
+        count = (len(self.mesh) - 1) * self.degree + 1
+        if self.values.ndim != 2 or self.values.shape[1] != count:
+            raise ValueError(f"values at the nodes must have the shape (d, {count}), got {self.values.shape}")
 
     @property
     def degree(self) -> int:
