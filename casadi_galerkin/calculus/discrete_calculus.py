@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.numbers import counted, real_array, whole_number
+from casadi_galerkin.calculus.numbers import counted, real_array, spanned, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.roundoff import EPS
 
@@ -154,8 +154,7 @@ class DiscreteCalculus:
 
     def __repr__(self) -> str:
         """Name the method and the time scale."""
-        span = f"[{self.mesh[0]:g}, {self.mesh[-1]:g}]"
-        return f"DiscreteCalculus of {self.method} on {span}, {counted(len(self.mesh) - 1, 'interval')}"
+        return f"DiscreteCalculus of {self.method} on {spanned(self.mesh)}, {counted(len(self.mesh) - 1, 'interval')}"
 
 
 def mesh_of(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
-from casadi_galerkin.calculus.numbers import counted, real_array, whole
+from casadi_galerkin.calculus.numbers import counted, real_array, spanned, whole
 
 
 def times_within(mesh: np.ndarray, t: ArrayLike) -> np.ndarray:
@@ -150,5 +150,5 @@ class PiecewisePolynomial:
         """Say of what degree it is, and over which time."""
         return (
             f"PiecewisePolynomial of {counted(len(self.values), 'component')} and degree {self.degree} on "
-            f"[{self.mesh[0]:g}, {self.mesh[-1]:g}], {counted(len(self.mesh) - 1, 'interval')}"
+            f"{spanned(self.mesh)}, {counted(len(self.mesh) - 1, 'interval')}"
         )

@@ -11,7 +11,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import lagrange_values
-from casadi_galerkin.calculus.numbers import counted
+from casadi_galerkin.calculus.numbers import counted, spanned
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import component_sizes
@@ -321,8 +321,7 @@ class ControlTrajectory(Trajectory):
         size, n = counted(len(self.x), "component"), counted(len(self.control.values), "control")
         return "\n".join(
             [
-                f"ControlTrajectory of {size} and {n} on [{self.t[0]:g}, {self.t[-1]:g}], "
-                f"{counted(len(self.t) - 1, 'interval')}",
+                f"ControlTrajectory of {size} and {n} on {spanned(self.t)}, {counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
                 f"  cost        {self.cost:.12g}",
                 f"  Hamiltonian {self.hamiltonian[0]:.9g} at the start, varies by {np.ptp(self.hamiltonian):.1e}",

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.numbers import counted, finite, real_array, whole, whole_number
+from casadi_galerkin.calculus.numbers import counted, finite, real_array, spanned, whole, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.solution.export import Table, by_component
 from casadi_galerkin.solution.plotting import Pictured, plot_path, plot_plane, plot_poses
@@ -130,7 +130,4 @@ class Path(Table, Pictured):
     def __repr__(self) -> str:
         """Say what it is and over which time."""
         size, intervals = counted(len(self.x), "component"), counted(len(self.t) - 1, "interval")
-        return (
-            f"Path of {size} on [{self.t[0]:g}, {self.t[-1]:g}], degree {self.polynomial.degree} on {intervals}; "
-            "not an answer"
-        )
+        return f"Path of {size} on {spanned(self.t)}, degree {self.polynomial.degree} on {intervals}; not an answer"

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.mesh_adaptation import truncation
-from casadi_galerkin.calculus.numbers import counted, number, place
+from casadi_galerkin.calculus.numbers import counted, number, place, spanned, told_apart
 from casadi_galerkin.calculus.piecewise_polynomial import times_within
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.callables import with_parameters
@@ -256,7 +256,7 @@ class Trajectory(Path):
         i = int(np.argmax(left_out))
         if not left_out[i] > UNRESOLVED:
             return []
-        where = f"between t = {self.t[i]:.4g} and {self.t[i + 1]:.4g}"
+        where = "between t = {} and {}".format(*told_apart(self.t[i], self.t[i + 1]))
         return [
             f"  NOT RESOLVED: about {left_out[i]:.0e} of x is left out {where}; take more intervals or a higher degree"
         ]
@@ -274,7 +274,7 @@ class Trajectory(Path):
             kind = f"no Morse index{least}"
         return "\n".join(
             [
-                f"Trajectory of {counted(len(self.x), 'component')} on [{self.t[0]:g}, {self.t[-1]:g}], "
+                f"Trajectory of {counted(len(self.x), 'component')} on {spanned(self.t)}, "
                 f"{counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
                 f"  action      {self.action:.15g}, {kind}",

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin._solve import solve
 from casadi_galerkin.boundary.sensitivity import at_joints
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import counted
+from casadi_galerkin.calculus.numbers import counted, spanned
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
@@ -117,7 +117,7 @@ class Comparison(Table, Pictured):
         seconds = path.build_seconds + path.solve_seconds
         condition = "-" if np.isnan(self.condition_global) else f"{self.condition_global:.1e}"
         lines = [
-            f"Comparison on [{path.t[0]:g}, {path.t[-1]:g}], {counted(len(path.t) - 1, 'interval')}, {path.method}",
+            f"Comparison on {spanned(path.t)}, {counted(len(path.t) - 1, 'interval')}, {path.method}",
             "                         iterations    seconds  largest gap  condition",
             f"  {'global':22}{path.iterations:11d} {seconds:10.4f}  {'':11}  {condition:>9}",
         ]
