@@ -22,7 +22,7 @@ from casadi_galerkin.solvers.solver import ipopt, minimizer, newton, rootfinder
 KNOWN = 1e-10  # relative error up to which a solver passes; IPOPT leaves so much in a cost
 PLUGINS = {
     "rootfinder": (ca.has_rootfinder, ("newton", "kinsol")),
-    "nlpsol": (ca.has_nlpsol, ("ipopt", "sqpmethod")),
+    "nlpsol": (ca.has_nlpsol, ("ipopt", "fatrop")),
     "linear solver": (ca.has_linsol, ("ldl", "qr", "csparse", "mumps", "ma27")),
 }
 

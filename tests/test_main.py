@@ -12,6 +12,7 @@ def test_versions_solvers_and_a_test_of_each_are_printed(capsys):
     assert lines[0].startswith(f"casadi_galerkin {command.installed()}, Python ")
     assert lines[1].startswith(f"CasADi {ca.__version__}, NumPy ")
     assert lines[3].split()[:2] == ["nlpsol:", "ipopt,"]
+    assert lines[3].endswith("fatrop")
     passed = [line.partition(":")[0] for line in lines if ": " in line and " passed, relative error " in line]
     assert passed[:4] == ["newton", "rootfinder", "ipopt", "minimizer"]
     assert passed[4:] == ["to a tolerance", "step by step", "optimal control"]

@@ -138,6 +138,29 @@ def test_order_between_the_joints(name, m, rule):
     assert abs(velocity - order_of_velocity) <= BAND
 
 
+SIMPSON_THREE_EIGHTHS = cg.Quadrature([0, 1 / 3, 2 / 3, 1], [1 / 8, 3 / 8, 3 / 8, 1 / 8])
+BOOLE = cg.Quadrature([0, 1 / 4, 1 / 2, 3 / 4, 1], [7 / 90, 32 / 90, 12 / 90, 32 / 90, 7 / 90])
+
+
+@pytest.mark.parametrize(
+    ("m", "rule", "orders"), [(4, SIMPSON_THREE_EIGHTHS, (2, 2, 1)), (5, BOOLE, (4, 3, 2)), (4, BOOLE, (6, 4, 3))]
+)
+def test_a_rule_of_low_order_for_its_points_costs_more_than_its_own_order(m, rule, orders):
+    """Orders at the joints, of the position and of the velocity between them: a rule of order u < 2m - 2 loses most."""
+    u = rule.order
+    assert orders == (min(2 * m, u, 2 * (u - m + 1)), min(m + 1, u, u - m + 2), min(m, u - m + 1))
+    assert cg.Galerkin(m, quadrature=rule).order == orders[0]
+    problem, exact, t, (xs, vs) = motion("pendulum")
+    counts, found = (16, 20, 24), []
+    for n in counts:
+        path = cg.solve(problem, cg.Galerkin(m, quadrature=rule), n)
+        at_joints = path.x - np.array(exact(path.t[None, :])[0])
+        found.append([np.sqrt(np.mean(e**2)) for e in (at_joints, path(t) - xs, path(t, 1) - vs)])
+    assert np.min(found) > PLATEAU
+    slopes = -np.polyfit(np.log(counts), np.log(found), 1)[0]
+    np.testing.assert_allclose(slopes, orders, rtol=0, atol=BAND)
+
+
 # Degrees 4 to 6, in 60 digits
 
 DIGITS = 60

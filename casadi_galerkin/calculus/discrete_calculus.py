@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.numbers import real_array, whole_number
+from casadi_galerkin.calculus.numbers import counted, real_array, spanned, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.roundoff import EPS
 
@@ -65,7 +65,7 @@ class DiscreteCalculus:
     Raises
     ------
     TypeError, ValueError
-        for joints that do not increase, or are not finite
+        for what is no Galerkin, and for joints that do not increase or are not finite
 
     Examples
     --------
@@ -79,6 +79,8 @@ class DiscreteCalculus:
     """
 
     def __init__(self, method: Galerkin, mesh: ArrayLike) -> None:
+        if not isinstance(method, Galerkin):
+            raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
         self.method, self.mesh = method, time_scale(mesh)
         self._element, self._nodes = method.element, (len(self.mesh) - 1) * method.degree + 1
 
@@ -152,8 +154,7 @@ class DiscreteCalculus:
 
     def __repr__(self) -> str:
         """Name the method and the time scale."""
-        span = f"[{self.mesh[0]:g}, {self.mesh[-1]:g}]"
-        return f"DiscreteCalculus of {self.method} on {span}, {len(self.mesh) - 1} intervals"
+        return f"DiscreteCalculus of {self.method} on {spanned(self.mesh)}, {counted(len(self.mesh) - 1, 'interval')}"
 
 
 def mesh_of(

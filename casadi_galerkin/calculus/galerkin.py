@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial import legendre
 
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values, lobatto_points
@@ -43,17 +44,19 @@ class Galerkin:
     ----------
     degree : int >= 1, degree m of the polynomial on every interval
     control_points : increasing sequence of m - 1 numbers in ]0, 1[; default ``lobatto_points(degree)``
-    quadrature : Quadrature with r >= m points; default ``gauss(degree)``
+    quadrature : Quadrature with r >= m points and of order u >= m; default ``gauss(degree)``
 
-    The order at the joints is min(2m, u) with u the order of the quadrature (S. Ober-Blöbaum and M. Vermeeren,
-    "Superconvergence of Galerkin variational integrators", 2021); between the joints the position is of order
-    min(m + 1, u) and the velocity of order m; with ``lobatto(m)`` one less of each.  With r < m points the equations
-    still have a solution, but a wrong one: each interval adds a spurious critical direction, so it is refused.
+    The order at the joints is min(2m, u) for u >= 2m - 2, which all rules of this package have (S. Ober-Blöbaum and M.
+    Vermeeren, "Superconvergence of Galerkin variational integrators", 2021), and 2(u - m + 1) otherwise.  Between the
+    joints the position is of order min(m + 1, u, u - m + 2), the velocity of order min(m, u - m + 1).  With u < m not
+    even uniform motion solves the discrete equations.  With r < m points, or with weights so negative that the square
+    of a polynomial of degree m - 1 has a negative sum, each interval adds spurious critical directions.  All of these
+    are refused.
 
     Raises
     ------
     TypeError, ValueError
-        for a degree that is no whole number >= 1, for control points that do not fit, and for fewer than m points
+        for a degree that is no whole number >= 1, for control points that do not fit, and for a rule that is refused
 
     Examples
     --------
@@ -79,19 +82,16 @@ class Galerkin:
         rule = gauss(degree) if quadrature is None else quadrature
         if not isinstance(rule, Quadrature):
             raise TypeError(f"quadrature must be a Quadrature such as gauss(3), got {rule!r}")
-        if len(rule) < degree:
-            raise ValueError(
-                f"a path of degree {degree} needs at least {degree} quadrature points, got {len(rule)}: "
-                "with fewer the discrete equations have solutions that are silently wrong"
-            )
+        _check_rule(degree, rule)
         object.__setattr__(self, "degree", degree)
         object.__setattr__(self, "control_points", points)
         object.__setattr__(self, "quadrature", rule)
 
     @property
     def order(self) -> int:
-        """Order at the joints, min(2m, u)."""
-        return min(2 * self.degree, self.quadrature.order)
+        """Order at the joints, min(2m, u, 2(u - m + 1)), which is min(2m, u) for u >= 2m - 2."""
+        m, u = self.degree, self.quadrature.order
+        return min(2 * m, u, 2 * (u - m + 1))
 
     @lazy
     def element(self) -> Element:
@@ -118,6 +118,27 @@ def _points(points: tuple[float, ...], placed: bool) -> str:
     if len(points) == 1:
         return f"point at {points[0]:.4g}" if placed else "point"
     return f"points from {points[0]:.4g} to {points[-1]:.4g}" if placed else "points"
+
+
+def _check_rule(degree: int, rule: Quadrature) -> None:
+    """Refuse a rule whose equations have solutions that are silently wrong, or indices that are."""
+    if len(rule) < degree:
+        raise ValueError(
+            f"a path of degree {degree} needs at least {degree} quadrature points, got {len(rule)}: "
+            "with fewer the discrete equations have solutions that are silently wrong"
+        )
+    if rule.order < degree:
+        raise ValueError(
+            f"a path of degree {degree} needs a quadrature of order {degree} at least, got order {rule.order}: "
+            "with a lower one not even uniform motion solves the discrete equations"
+        )
+    slopes = legendre.legvander(2 * np.array(rule.points) - 1, degree - 1)
+    least = float(np.linalg.eigvalsh(slopes.T * rule.weights @ slopes)[0])
+    if least <= 0:
+        raise ValueError(
+            f"the quadrature must make squares of polynomials of degree {degree - 1} positive, got one of {least:.3g}: "
+            "with its negative weights each interval adds spurious negative eigenvalues to the Hessian"
+        )
 
 
 def _control_points(degree: int, given: Sequence[float] | np.ndarray | None) -> tuple[float, ...]:

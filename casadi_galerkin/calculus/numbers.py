@@ -161,6 +161,17 @@ def times_inside(name: str, values: Sequence[float], span: tuple[float, float]) 
     return times
 
 
+def told_apart(early: float, late: float) -> tuple[str, str]:
+    """Two times in words, with six digits and those that it takes to tell them apart."""
+    digits = 6 + max(0, int(math.log10(max(abs(early), abs(late)) / (late - early))))
+    return f"{early:.{digits}g}", f"{late:.{digits}g}"
+
+
+def spanned(mesh: np.ndarray) -> str:
+    """The time from the first joint to the last in words, such as "[0, 1]"."""
+    return "[{}, {}]".format(*told_apart(float(mesh[0]), float(mesh[-1])))
+
+
 def counted(count: int, what: str) -> str:
     """A number of things in words, such as "1 interval" and "2 intervals"."""
     return f"{count} {what}{'s' * (count != 1)}"

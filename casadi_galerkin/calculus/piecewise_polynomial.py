@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
-from casadi_galerkin.calculus.numbers import counted, real_array, whole
+from casadi_galerkin.calculus.numbers import counted, real_array, spanned, whole
 
 
 def times_within(mesh: np.ndarray, t: ArrayLike) -> np.ndarray:
@@ -43,6 +43,11 @@ class PiecewisePolynomial:
     values : (d, N m + 1), values at joints and control points in the order of time
     arrivals : (d, N), values that the intervals end with, where the path jumps at joints
 
+    Raises
+    ------
+    ValueError
+        for values of another shape
+
     Examples
     --------
     >>> line = PiecewisePolynomial(np.array([0.0, 1.0, 3.0]), np.array([0.0, 1.0]), np.array([[0.0, 2.0, 0.0]]))
@@ -53,7 +58,11 @@ class PiecewisePolynomial:
     def __init__(
         self, mesh: np.ndarray, nodes: np.ndarray, values: np.ndarray, arrivals: np.ndarray | None = None
     ) -> None:
-        self.mesh, self.nodes, self.values, self.arrivals = mesh, nodes, values, arrivals
+        self.mesh, self.nodes, self.values = np.asarray(mesh), np.asarray(nodes), np.asarray(values)
+        self.arrivals = arrivals
+        count = (len(self.mesh) - 1) * self.degree + 1
+        if self.values.ndim != 2 or self.values.shape[1] != count:
+            raise ValueError(f"values at the nodes must have the shape (d, {count}), got {self.values.shape}")
 
     @property
     def degree(self) -> int:
@@ -141,5 +150,5 @@ class PiecewisePolynomial:
         """Say of what degree it is, and over which time."""
         return (
             f"PiecewisePolynomial of {counted(len(self.values), 'component')} and degree {self.degree} on "
-            f"[{self.mesh[0]:g}, {self.mesh[-1]:g}], {counted(len(self.mesh) - 1, 'interval')}"
+            f"{spanned(self.mesh)}, {counted(len(self.mesh) - 1, 'interval')}"
         )

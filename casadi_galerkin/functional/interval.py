@@ -10,8 +10,8 @@ derivatives w_k ∂L̂/∂(x, x') of the pulled-back Lagrangian at the quadratur
     p_1 = p_0 + Σ f_k                                                       δ = 1
     R_j = b_j p_1 - Σ ( ψ_j(q_k) f_k + l_j(q_k) g_k ) = 0                   δ = ψ_j.
 
-The same rounded ψ, l and b stand in the path and in the equations, so a symmetry of L conserves its momentum map
-up to the rounding of single operations, which drifts like a random walk.  A force adds its virtual work
+The same rounded ψ, l and b stand in the path and in the equations, so an affine symmetry of L conserves its
+momentum map up to the rounding of single operations, which drifts like a random walk.  A force adds its virtual work
 h w_k F_k·δ(q_k) (Lagrange-d'Alembert), that is, h w_k F_k to f_k.  The choice of control points does not enter.
 
 A holonomic constraint g(t, x) = 0 is held at the nodes c_1 ... c_m, by impulses Λ_a at the nodes c_0 ... c_{m-1}.  With
@@ -38,10 +38,11 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.pointwise import pulled_back
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF, solve_scaled
 
-RESTING = 1e5 * EPS  # of the largest component: what QR leaves of the others' last steps in one that rests
 DOUBLINGS = 4  # of Newton's iterations, to at most 16; 1 to 8 were measured, the most at the largest steps
 # a relative Newton step that is not worth taking; the estimate of the next one was measured up to 60 times too small
 SMALLEST_STEP = 0.01 * EPS
+# of the largest component: a largest last step, whose rounding QR spreads to the components that rest
+RESTING = SMALLEST_STEP ** (1 / 3)
 NEAR = 1e-8  # relative Newton step below which only rounding keeps the next one from being far smaller
 TAYLOR = 2  # terms of the velocity carried on as prediction; with 3 and more, large steps reached other solutions
 
@@ -292,23 +293,24 @@ def _moving(shape: tuple[int, int], dimension: int) -> list[int]:
     return [rows * j + i for j in range(columns) for i in range(dimension)]
 
 
-def newton_iteration(system: ca.Function) -> ca.Function:
+def newton_iteration(system: ca.Function, positions: int) -> ca.Function:
     """(s, x, p, t, h) -> s where R = 0, number of iterations: Newton's method, at most 2^`DOUBLINGS` iterations.
 
     Steps that converge quadratically, |ds| = c |ds_before|², end when the next, |ds| (|ds| / |ds_before|)², would be
-    below roundoff, or when near it they no longer shrink; all relative to the size of the component.  Each doubling
-    does the iterations of the one before, and does them again if they did not end: of all conditionals only a few are
-    evaluated.
+    below roundoff, or when near it they no longer shrink; all relative to the size of the component.  Under a
+    constraint that is the size of its slopes, which the tangent velocity has to fit.  So many of x are `positions`,
+    but no stretch.  Each doubling does the iterations of the one before, and does them again if they did not end: of
+    all conditionals only a few are evaluated.
     """
     names = system.name_in()[:5]
     inputs = [ca.MX.sym(name, *system.size_in(i)) for i, name in enumerate(names)]
     (rows, m), d = inputs[0].shape, inputs[1].numel()
     s, ds, x, before = ca.SX.sym("s", rows, m), ca.SX.sym("ds", rows, m), ca.SX.sym("x", d), ca.SX.sym("before")
-    size = [ca.fabs(x[i]) + ca.mmax(ca.fabs(s[i, :])) + ca.mmax(ca.fabs(ds[i, :])) + TINY for i in range(d)]
+    largest = ca.mmax(ca.fabs(ca.horzcat(x, s[:d, :])[:positions, :]))
+    least = ca.fabs(x) if rows == d else ca.repmat(RESTING * largest, d, 1)
+    size = [least[i] + ca.mmax(ca.fabs(s[i, :])) + ca.mmax(ca.fabs(ds[i, :])) + TINY for i in range(d)]
     relative = ca.mmax(ca.fabs(ds[:d, :]) / ca.repmat(ca.vertcat(*size), 1, m))  # not of impulses, which follow
     large = relative * ca.fmin(1, relative / before) ** 2 > SMALLEST_STEP  # false if it is not a number
-    if rows > d:  # at rest the first step is roundoff, and so is what it leaves of the conditions
-        large = ca.logic_or(large, before == 0)
     stalled = ca.logic_and(ca.logic_and(before > 0, before <= NEAR), relative > before / 2)
     unfinished = ca.logic_and(large, ca.logic_not(stalled))
     update = ca.Function("update", [s, ds, x, before], [s + ds, relative, unfinished, 1])

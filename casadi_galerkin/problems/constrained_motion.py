@@ -122,6 +122,8 @@ def tangents(motion: ca.Function, t: float, x: np.ndarray) -> np.ndarray:
 
 def multipliers(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Multipliers λ of the constraint forces Gᵀλ; (k, K)."""
+    if not len(t):
+        return np.empty((motion.size1_out(0) - len(x), 0))
     return _solved(motion, t, x, v, _at(motion, t, x, v)[0])[len(x) :]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.nodes import barycentric_weights, lagrange_values
-from casadi_galerkin.calculus.numbers import counted
+from casadi_galerkin.calculus.numbers import counted, spanned
 from casadi_galerkin.calculus.piecewise_polynomial import times_at, times_within
 from casadi_galerkin.calculus.roundoff import EPS
 
@@ -61,7 +61,7 @@ class ControlPath:
         size, points = counted(len(self.values), "component"), counted(len(self.points), "point")
         return (
             f"ControlPath of {size} at {points} in each of {counted(len(self.mesh) - 1, 'interval')} of "
-            f"[{self.mesh[0]:g}, {self.mesh[-1]:g}]"
+            f"{spanned(self.mesh)}"
         )
 
     @property

@@ -11,7 +11,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import lagrange_values
-from casadi_galerkin.calculus.numbers import counted
+from casadi_galerkin.calculus.numbers import counted, spanned
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import component_sizes
@@ -268,7 +268,7 @@ class ControlTrajectory(Trajectory):
         for panel in drawn:
             for when in self.problem.breakpoints:
                 panel.axvline(when, color="0.6", linewidth=0.8)
-        top.set_title(f"Degree {self.method.degree} on {len(self.t) - 1} intervals: cost {self.cost:.6g}")
+        top.set_title(f"Degree {self.method.degree} on {counted(len(self.t) - 1, 'interval')}: cost {self.cost:.6g}")
         return top
 
     def plot_controls(self, axes: Axes | None = None, labels: Sequence[str] | None = None, time: str = "t") -> Axes:
@@ -321,14 +321,13 @@ class ControlTrajectory(Trajectory):
         size, n = counted(len(self.x), "component"), counted(len(self.control.values), "control")
         return "\n".join(
             [
-                f"ControlTrajectory of {size} and {n} on [{self.t[0]:g}, {self.t[-1]:g}], "
-                f"{counted(len(self.t) - 1, 'interval')}",
+                f"ControlTrajectory of {size} and {n} on {spanned(self.t)}, {counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
                 f"  cost        {self.cost:.12g}",
                 f"  Hamiltonian {self.hamiltonian[0]:.9g} at the start, varies by {np.ptp(self.hamiltonian):.1e}",
                 *self._accuracy(),
                 *self._between_points(),
-                f"  solver      {self.solver}, {self.iterations} iterations, violation {self.violation:.1e}",
+                f"  solver      {self.solver}, {counted(self.iterations, 'iteration')}, violation {self.violation:.1e}",
                 f"  seconds     {self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve",
             ]
         )

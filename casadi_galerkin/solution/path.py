@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.numbers import counted, whole, whole_number
+from casadi_galerkin.calculus.numbers import counted, finite, real_array, spanned, whole, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.solution.export import Table, by_component
 from casadi_galerkin.solution.plotting import Pictured, plot_path, plot_plane, plot_poses
@@ -84,7 +84,7 @@ class Path(Table, Pictured):
         axes : Matplotlib axes to draw into; default a new figure
         labels : names of both with units, such as ("x in km", "y in km")
         """
-        given = [whole(i) for i in components]
+        given = [whole(i) for i in np.ravel(np.asarray(components, dtype=object))]
         if len(given) != 2 or any(i is None or not 0 <= i < len(self.x) for i in given):
             raise ValueError(f"components must be two numbers from 0 to {len(self.x) - 1}, got {components!r}")
         chosen = list(components)
@@ -103,7 +103,7 @@ class Path(Table, Pictured):
         apart : how far every pose is moved to the right of the one before; a strip of them needs no trail
         """
         poses = self.places(points, np.linspace(self.t[0], self.t[-1], whole_number("count", count)))
-        poses[:, 0] += apart * np.arange(count)
+        poses[:, 0] += finite("apart", apart) * np.arange(count)
         trail = np.empty((2, 0)) if apart else self.places(points, self._fine())[-1]
         return plot_poses(poses, trail, axes)
 
@@ -111,13 +111,13 @@ class Path(Table, Pictured):
         """Where the ends of the bars of a mechanism are at times (K,); (n, 2, K)."""
         if not callable(points):
             raise TypeError(f"points must be a callable of positions, got {points!r}")
-        places = np.array(points(self(times)), dtype=float)
+        places = real_array("the places that points returns", points(self(times)))
         if places.ndim != 3 or places.shape[1:] != (2, len(times)):
             raise ValueError(f"points must return an array of shape (n, 2, {len(times)}), got {places.shape}")
         return places
 
     def _title(self) -> str:
-        return f"A path of degree {self.polynomial.degree} on {len(self.t) - 1} intervals, not an answer"
+        return f"A path of degree {self.polynomial.degree} on {counted(len(self.t) - 1, 'interval')}, not an answer"
 
     def _line(self, least: int = 2) -> tuple[np.ndarray, np.ndarray]:
         """Times (K,) and positions (d, K) of a smooth line, both of them where it jumps; `least` as for `_fine`."""
@@ -130,7 +130,4 @@ class Path(Table, Pictured):
     def __repr__(self) -> str:
         """Say what it is and over which time."""
         size, intervals = counted(len(self.x), "component"), counted(len(self.t) - 1, "interval")
-        return (
-            f"Path of {size} on [{self.t[0]:g}, {self.t[-1]:g}], degree {self.polynomial.degree} on {intervals}; "
-            "not an answer"
-        )
+        return f"Path of {size} on {spanned(self.t)}, degree {self.polynomial.degree} on {intervals}; not an answer"

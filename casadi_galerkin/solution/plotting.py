@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from casadi_galerkin.calculus.roundoff import ZERO
+
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
     from matplotlib.artist import Artist
@@ -179,15 +181,16 @@ def draw_multipliers(axes: Axes, times: np.ndarray, values: np.ndarray) -> None:
 def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None = None, time: str = "t") -> Axes:
     """Draw on a logarithmic scale how far paths are from a reference, (N + 1,) by name.
 
-    Values that are zero or not finite are left out, and what has no others.
+    Values that are zero, or too large for a logarithmic axis, are left out, and what has no others.
     """
     axes = axes_or_new(axes)
     for color, (name, gap) in zip(COLORS, gaps.items(), strict=False):
-        shown = np.isfinite(gap) & (gap > 0)
+        shown = (gap > 0) & (gap < 1 / ZERO)
         if np.any(shown):
             axes.plot(times[shown], gap[shown], ".-", markersize=3, color=color, label=name)
     axes.set(yscale="log", xlabel=time, ylabel="relative gap to the global path")
-    axes.legend(fontsize="small")
+    if axes.lines:
+        axes.legend(fontsize="small")
     return axes
 
 

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.mesh_adaptation import truncation
-from casadi_galerkin.calculus.numbers import counted, number, place
+from casadi_galerkin.calculus.numbers import counted, number, place, spanned, told_apart
+from casadi_galerkin.calculus.piecewise_polynomial import times_within
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, multipliers
@@ -57,7 +58,7 @@ class Trajectory(Path):
     t : (N + 1,), joints
     x : (d, N + 1), positions at the joints
     polynomial : PiecewisePolynomial, the path between the joints; its `values` (d, N m + 1) are the node values
-    momentum : (d, N + 1), by the discrete Legendre transform p_0 = -∂S/∂x_0, ..., p_N = ∂S/∂x_N; of order min(2m, u)
+    momentum : (d, N + 1), by the discrete Legendre transform -∂S/∂x_0, ..., ∂S/∂x_N; of order `method.order`
     action : value of the discrete action
     iterations : of the solver
     residual : largest residual over its own roundoff floor
@@ -148,7 +149,7 @@ class Trajectory(Path):
 
     @lazy
     def velocity(self) -> np.ndarray:
-        """Velocities at the joints that belong to the momenta, p = ∂L/∂v; (d, N + 1), of order min(2m, u).
+        """Velocities at the joints that belong to the momenta, p = ∂L/∂v; (d, N + 1), of order `method.order`.
 
         NaN where none was found.  Where a mass vanishes, as at a center, they are ``path(t, 1)``, the derivative of the
         polynomial, which is of order m only.
@@ -159,7 +160,7 @@ class Trajectory(Path):
     def multipliers(self, t: ArrayLike) -> np.ndarray:
         """Multipliers λ of the constraint at times t: its force is λ·∂g/∂x, in units of the action over t and x.
 
-        From position and velocity by the equations of motion: of order min(2m, u) at the joints, of order m between.
+        From position and velocity by the equations of motion, of order `method.order` at the joints and m between.
 
         Returns
         -------
@@ -167,17 +168,18 @@ class Trajectory(Path):
 
         Raises
         ------
-        ValueError
-            where the problem has no constraint
+        TypeError, ValueError
+            where the problem has no constraint, and for times that are not within the path's
         """
         motion = self._constrained_motion()
         if motion is None:
             raise ValueError("the problem has no constraint, so no multipliers")
-        times = np.asarray(t, dtype=float)
+        times = times_within(self.t, t)
         flat = times.ravel()
         velocity, joint = self(flat, 1), np.minimum(np.searchsorted(self.t, flat), len(self.t) - 1)
         velocity = np.where(self.t[joint] == flat, self.velocity[:, joint], velocity)
-        return multipliers(motion, flat, self(flat), velocity).reshape(-1, *times.shape)
+        values = multipliers(motion, flat, self(flat), velocity)
+        return values.reshape(len(values), *times.shape)
 
     def _constrained_motion(self) -> ca.Function | None:
         """What the multipliers are found from, with the forces on this path; None where there is no constraint."""
@@ -197,7 +199,7 @@ class Trajectory(Path):
 
     def _title(self) -> str:
         index = "" if self.morse_index is None else f", Morse index {self.morse_index}"
-        return f"Degree {self.method.degree} on {len(self.t) - 1} intervals: action {self.action:.6g}{index}"
+        return f"Degree {self.method.degree} on {counted(len(self.t) - 1, 'interval')}: action {self.action:.6g}{index}"
 
     def plot_phase(self, component: int = 0, axes: Axes | None = None, labels: tuple[str, str] | None = None) -> Axes:
         """Draw one component against its momentum, the start as a larger dot; returns the Matplotlib axes.
@@ -254,7 +256,7 @@ class Trajectory(Path):
         i = int(np.argmax(left_out))
         if not left_out[i] > UNRESOLVED:
             return []
-        where = f"between t = {self.t[i]:.4g} and {self.t[i + 1]:.4g}"
+        where = "between t = {} and {}".format(*told_apart(self.t[i], self.t[i + 1]))
         return [
             f"  NOT RESOLVED: about {left_out[i]:.0e} of x is left out {where}; take more intervals or a higher degree"
         ]
@@ -272,14 +274,14 @@ class Trajectory(Path):
             kind = f"no Morse index{least}"
         return "\n".join(
             [
-                f"Trajectory of {counted(len(self.x), 'component')} on [{self.t[0]:g}, {self.t[-1]:g}], "
+                f"Trajectory of {counted(len(self.x), 'component')} on {spanned(self.t)}, "
                 f"{counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
                 f"  action      {self.action:.15g}, {kind}",
                 f"  energy      {self.energy[0]:.12g} at the start, {self._balance()}",
                 *self._accuracy(),
-                f"  solver      {self.solver}, {self.iterations} iterations, residual {self.residual:.1g} times its "
-                "roundoff floor",
+                f"  solver      {self.solver}, {counted(self.iterations, 'iteration')}, "
+                f"residual {self.residual:.1g} times its roundoff floor",
                 f"  seconds     {self.build_seconds:.4f} to build, {self.solve_seconds:.4f} to solve",
             ]
         )

@@ -1,8 +1,10 @@
 """Geometry of a path: energy, momentum maps, and the Jacobians of its steps as maps of (x, p).
 
-Without forces each step is symplectic, AᵀΩA = Ω with Ω = [0 1; -1 0], whatever its length, so det A = 1; a symmetry
-x -> x + ε ξ(x) of L conserves its momentum map p·ξ(x) (E. Noether).  Energy is not conserved but, at fixed step
-lengths, stays within a band of the method's order.
+Without forces each step is symplectic, AᵀΩA = Ω with Ω = [0 1; -1 0], whatever its length, so det A = 1.  A symmetry
+x -> x + ε ξ(x) of L and of the constraint conserves its momentum map p·ξ(x) (E. Noether) where ξ is affine, as of
+translations and of rotations in Cartesian coordinates: only then it takes a path of degree m to another.  The map of
+any other symmetry varies by the method's order.  A force F with F·ξ = 0 changes neither.  Energy is not conserved but,
+at fixed step lengths, stays within a band of the method's order.
 """
 
 from __future__ import annotations
@@ -84,7 +86,7 @@ def geometry(path: Trajectory, symmetry: Traceable | None = None) -> Geometry:
     ----------
     path : Trajectory of a BoundaryProblem or InitialProblem, solved globally or stepwise
     symmetry : callable x -> (d,), the generator ξ(x) = dx/dε of a symmetry, such as ``lambda x: [-x[1], x[0]]`` of
-        rotations in the plane
+        rotations in the plane.  Its momentum map is kept to roundoff if ξ is affine, else to the method's order
 
     Raises
     ------

@@ -9,6 +9,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import interval_maxima, of_higher_degree
+from casadi_galerkin.calculus.numbers import told_apart
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -82,9 +83,9 @@ def verified(roll: Roll, stepper: Stepper) -> Roll:
     good, n = roll.verified, len(roll.mesh) - 1
     if good == n:
         return roll
-    start, end = roll.mesh[good : good + 2]
+    start, end = told_apart(*roll.mesh[good : good + 2])
     raise ConvergenceError(
-        f"step {good + 1} of {n}, from t = {start:.6g} to {end:.6g}, was not solved: its residual is "
+        f"step {good + 1} of {n}, from t = {start} to {end}, was not solved: its residual is "
         f"{roll.residual[good]:.1e} times its roundoff floor, up to {ROUNDOFF:g} is accepted. Take shorter steps "
         "there; the path may run into a collision or another singularity",
         Path(path_of(roll, stepper, good)) if good else None,

@@ -220,7 +220,8 @@ def shoot(
     TypeError, ValueError
         for input that does not fit, before anything is solved
     ConvergenceError
-        with the measured growth and the last path, if Newton's method fails or no start meets the end
+        with the measured growth and the last path, if Newton's method fails or no start meets the end;
+        ConjugatePointError where the ends do not determine the path
 
     Examples
     --------
@@ -236,8 +237,7 @@ def shoot(
     1.0
     """
     check_types(problem, method, BoundaryProblem)
-    if guess is not None and (not isinstance(guess, Trajectory) or len(guess.x) != problem.dimension):
-        raise TypeError(f"guess must be a Trajectory of {problem.dimension} component(s), got {guess!r}")
+    check_start(problem, guess)
     began = time.perf_counter()
     shooting = Shooting(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), guess)
     equations = time.perf_counter() - began - shooting.stepper.build_seconds
@@ -259,6 +259,12 @@ def shoot(
     if turned is not None:
         raise ConvergenceError(turned, Path(path.polynomial), shot.residual, iterations)
     return replace(path, action=action, residual=shot.residual, solver=solver + _far(guess, path))
+
+
+def check_start(problem: BoundaryProblem, guess: Trajectory | None) -> None:
+    """Refuse a guess that shooting cannot start from."""
+    if guess is not None and (not isinstance(guess, Trajectory) or len(guess.x) != problem.dimension):
+        raise TypeError(f"guess must be a Trajectory of {problem.dimension} component(s), got {guess!r}")
 
 
 def _far(guess: Trajectory | None, path: Trajectory) -> str:
@@ -301,7 +307,10 @@ def _newton(shooting: Shooting, state: np.ndarray, velocity: np.ndarray) -> tupl
         raise ConvergenceError(f"shooting failed: a step of the first path failed. {remedy}")
     for iteration in range(ITERATIONS):
         if np.all(np.abs(shot.miss) <= shot.floor):
-            return _met(shot, iteration), iteration
+            met = _met(shot, iteration)
+            if _singular(_scaled(shot)[0]):
+                _refuse_conjugate(shot, iteration)
+            return met, iteration
         step = _direction(shot, shot.miss, iteration)
         trial, damping = _line_search(shooting, shot, z, step)
         if trial is None:
@@ -330,19 +339,33 @@ def _line_search(shooting: Shooting, shot: Shot, z: np.ndarray, step: np.ndarray
 
 
 def _direction(shot: Shot, miss: np.ndarray, iteration: int = 0) -> np.ndarray:
-    """Newton step by z; rows and columns are scaled first, as their units differ."""
+    """Newton step by z."""
+    scaled, rows, columns = _scaled(shot)
+    if _singular(scaled):
+        _refuse_conjugate(shot, iteration)
+        raise _failure("rounding hides how the end depends on the start", shot, iteration)
+    return np.asarray(np.linalg.solve(scaled, -miss / rows[:, 0]) / columns)
+
+
+def _scaled(shot: Shot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The derivative by z with its rows and columns scaled, as their units differ; the scales (n, 1) and (n,)."""
     scale = np.where(shot.scale > 0, shot.scale, 1.0)
     rows = np.max(shot.terms * (scale / np.max(scale)), axis=1, keepdims=True)  # which would overflow with the growth
     rows[rows == 0] = 1.0
     columns = np.max(shot.terms / rows, axis=0)
-    scaled = shot.by_z / rows / np.where(columns > 0, columns, 1.0)
-    if not np.all(np.isfinite(scaled)) or np.linalg.svd(scaled, compute_uv=False)[-1] <= SINGULAR:
-        if np.max(np.abs(shot.growth)) < 1 / MISS:
-            reason = "the end does not depend on the start: the ends are conjugate points"
-            reason += ", or the guess rests at its start: give one that moves" if shot.stepper.stretched else ""
-            raise ConjugatePointError(reason, Path(shot.path), shot.residual, iteration)
-        raise _failure("rounding hides how the end depends on the start", shot, iteration)
-    return np.asarray(np.linalg.solve(scaled, -miss / rows[:, 0]) / columns)
+    return shot.by_z / rows / np.where(columns > 0, columns, 1.0), rows, columns
+
+
+def _singular(scaled: np.ndarray) -> bool:
+    return not np.all(np.isfinite(scaled)) or bool(np.linalg.svd(scaled, compute_uv=False)[-1] <= SINGULAR)
+
+
+def _refuse_conjugate(shot: Shot, iteration: int) -> None:
+    """Raise a ConjugatePointError for a singular derivative, unless only rounding may have made it so."""
+    if np.max(np.abs(shot.growth)) < 1 / MISS:
+        reason = "the end does not depend on the start: the ends are conjugate points, or a family of paths joins them"
+        reason += ", or the guess rests at its start: give one that moves" if shot.stepper.stretched else ""
+        raise ConjugatePointError(reason, Path(shot.path), shot.residual, iteration)
 
 
 def _met(shot: Shot, iteration: int) -> Shot:

@@ -79,7 +79,7 @@ class Stepper:
         if stretched:
             self.interval = self.interval.stretched()
         self._shape = self.interval.system.size_in(0)
-        self._newton = newton_iteration(self.interval.system)
+        self._newton = newton_iteration(self.interval.system, lagrangian.size1_in(1))
         self._step = self._predicted(self._newton)
         self._evaluators: dict[tuple[str, int], Evaluator] = {}
         self.build_seconds = time.perf_counter() - began

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin._solve import solve
 from casadi_galerkin.boundary.sensitivity import at_joints
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.numbers import counted, spanned
 from casadi_galerkin.calculus.roundoff import EPS, component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
@@ -35,7 +36,7 @@ from casadi_galerkin.solution.guess import apart
 from casadi_galerkin.solution.plotting import Pictured, plot_gaps
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.geometry import jacobians
-from casadi_galerkin.stepping.shooting import chain, shoot
+from casadi_galerkin.stepping.shooting import chain, check_start, shoot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -116,7 +117,7 @@ class Comparison(Table, Pictured):
         seconds = path.build_seconds + path.solve_seconds
         condition = "-" if np.isnan(self.condition_global) else f"{self.condition_global:.1e}"
         lines = [
-            f"Comparison on [{path.t[0]:g}, {path.t[-1]:g}], {len(path.t) - 1} intervals, {path.method}",
+            f"Comparison on {spanned(path.t)}, {counted(len(path.t) - 1, 'interval')}, {path.method}",
             "                         iterations    seconds  largest gap  condition",
             f"  {'global':22}{path.iterations:11d} {seconds:10.4f}  {'':11}  {condition:>9}",
         ]
@@ -193,6 +194,7 @@ def compare(
     (True, True)
     """
     check_types(problem, method, BoundaryProblem)
+    check_start(problem, guess)
     path = solve(problem, method, intervals, mesh=mesh, guess=guess)
     solved = path.problem
     assert isinstance(solved, BoundaryProblem)
@@ -224,9 +226,10 @@ def _attempt(path: Trajectory, way: Callable[[], Trajectory]) -> Attempt:
     try:
         found = way()
         answer, failure, iterations, x = found, None, found.iterations, found.x
-    except ConvergenceError as error:
-        answer, failure, iterations = None, str(error), error.iterations
-        x = np.empty((len(path.x), 0)) if error.path is None else error.path.x
+    except (ConvergenceError, ValueError) as error:  # a ValueError where the mass is singular at the start
+        left = getattr(error, "path", None)
+        answer, failure, iterations = None, str(error), getattr(error, "iterations", 0)
+        x = np.empty((len(path.x), 0)) if left is None else left.x
     seconds = time.perf_counter() - began
     count = x.shape[1]
     gap[:count] = np.max(np.abs(x - path.x[:, :count]) / component_sizes(path.x)[:, None], axis=0)
@@ -271,7 +274,8 @@ def _condition_stepwise(path: Trajectory) -> float:
     """κ of the map from (x_0, p_0) to the joints."""
     growth = chain(jacobians(path))[:, : len(path.x)]
     positions, momenta = component_sizes(path.x), component_sizes(path.momentum)
-    return float(np.max(np.abs(growth) @ np.concatenate((positions, momenta)) / positions))
+    with np.errstate(over="ignore"):
+        return float(np.max(np.abs(growth) @ np.concatenate((positions, momenta)) / positions))
 
 
 def _condition_global(problem: BoundaryProblem, path: Trajectory) -> float:

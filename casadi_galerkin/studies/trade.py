@@ -19,7 +19,7 @@ import numpy as np
 from casadi_galerkin._solve import transcribe
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import flag
+from casadi_galerkin.calculus.numbers import counted, flag
 from casadi_galerkin.control.transcription import check_solver
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -270,7 +270,7 @@ def trade(
         described = f"given, own error {own:.1e}"
     if reference is None:
         reference, own = finer(problem, paths, guess, measure)
-        described = f"{reference.method} on {len(reference.t) - 1} intervals, own error {own:.1e}"
+        described = f"{reference.method} on {counted(len(reference.t) - 1, 'interval')}, own error {own:.1e}"
     truth = ReferenceSolution(problem, reference, paths[0].parameters, measure)
     rows = [cell.row if cell.path is None else replace(cell.row, **truth.errors(cell.path)) for cell in cells]
     return Trade(tuple(rows), described, own, None if measure is None else _name(measure))

@@ -10,7 +10,7 @@ import numpy as np
 
 from casadi_galerkin._solve import solve
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import counted
+from casadi_galerkin.calculus.numbers import counted, finite
 from casadi_galerkin.calculus.quadrature import gauss, lobatto, radau
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.export import Table
@@ -158,7 +158,8 @@ class Trade(Table, Pictured):
         tol : largest error
         first_call : whether the fastest first call is wanted, not the fastest repeated solve
         """
-        good = [row for row in self._solved() if row.error + self.reference_error <= tol]
+        most = finite("tol", tol)
+        good = [row for row in self._solved() if row.error + self.reference_error <= most]
         if good:
             return min(good, key=lambda row: row.first_seconds if first_call else row.solve_seconds)
         best = min((row.error for row in self._solved()), default=np.nan)
@@ -221,7 +222,7 @@ class Trade(Table, Pictured):
         if not solved:
             return text
         best = min(solved, key=lambda row: row.error)
-        cost, how = f"{1e3 * best.solve_seconds:.3g} ms", f"{best.intervals} intervals, {best.way}"
+        cost, how = f"{1e3 * best.solve_seconds:.3g} ms", f"{counted(best.intervals or 0, 'interval')}, {best.way}"
         return f"{text}\n  least error {best.error:.1e} in {cost}: {best.method}, {how}"
 
     def __str__(self) -> str:

@@ -315,3 +315,8 @@ def test_the_nearest_joints_move_onto_breakpoints(breakpoints):
     assert set(breakpoints) <= set(mesh.tolist())
     assert np.all(np.diff(mesh) > 0)
     assert (mesh[0], mesh[-1]) == (0.0, 1.0)
+
+
+def test_what_is_no_method_has_no_calculus():
+    with pytest.raises(TypeError, match=r"method must be a Galerkin, such as Galerkin\(degree=4\), got 3"):
+        cg.DiscreteCalculus(3, [0.0, 1.0])

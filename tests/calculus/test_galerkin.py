@@ -9,6 +9,9 @@ from scenes import oscillator_problem
 
 import casadi_galerkin as cg
 
+COMPOSITE = cg.Quadrature([0, 1 / 2, 1], [1 / 4, 1 / 2, 1 / 4])  # two trapezoids
+NEGATIVE = cg.Quadrature([0.0, 0.1], [-4.0, 5.0])
+
 
 @pytest.mark.parametrize("degree", range(2, 11))
 def test_equispaced_control_points_up_to_ten_pass_without_a_word(degree):
@@ -87,6 +90,16 @@ def test_methods_are_values():
         ({"degree": 3, "quadrature": 4}, TypeError, "quadrature must be a Quadrature such as gauss.3., got 4"),
         ({"degree": 3, "quadrature": cg.gauss}, TypeError, "quadrature must be a Quadrature"),
         ({"degree": 3, "quadrature": cg.gauss(2)}, ValueError, "degree 3 needs at least 3 quadrature points, got 2"),
+        (
+            {"degree": 3, "quadrature": COMPOSITE},
+            ValueError,
+            "degree 3 needs a quadrature of order 3 at least, got order 2",
+        ),
+        (
+            {"degree": 2, "quadrature": NEGATIVE},
+            ValueError,
+            "squares of polynomials of degree 1 positive, got one of -0.8",
+        ),
     ],
 )
 def test_a_method_that_does_not_fit_is_refused(arguments, kind, message):
@@ -94,10 +107,31 @@ def test_a_method_that_does_not_fit_is_refused(arguments, kind, message):
         cg.Galerkin(**arguments)
 
 
+def with_rule(degree, rule):
+    """A method with its check passed by."""
+    method = cg.Galerkin(degree)
+    object.__setattr__(method, "quadrature", rule)
+    return method
+
+
+def test_with_an_order_below_the_degree_uniform_motion_would_be_no_solution():
+    """Why it is refused: the error stays, however many intervals there are."""
+    free = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0])
+    for intervals in (1, 10, 100):
+        path = cg.solve(free, with_rule(3, COMPOSITE), intervals)
+        assert np.max(np.abs(path.momentum - 1)) > 0.01
+
+
+def test_weights_that_are_too_negative_would_make_minima_saddles():
+    """Why they are refused: the path of a free particle is a minimum, and has no negative eigenvalue."""
+    free = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0, 1), [0.0], [1.0])
+    assert [cg.solve(free, with_rule(2, NEGATIVE), n).morse_index for n in (2, 4)] == [2, 4]
+    mild = cg.Quadrature([0.3, 0.5, 0.6], [25 / 18, -57 / 18, 50 / 18])
+    assert cg.solve(free, cg.Galerkin(2, quadrature=mild), 4).morse_index == 0
+
+
 def test_fewer_points_than_the_degree_would_be_silently_wrong():
     """Why they are refused: with the check passed by, the equations have a solution far from the path."""
-    method = cg.Galerkin(3)
-    object.__setattr__(method, "quadrature", cg.gauss(2))
-    tr = cg.transcribe(oscillator_problem(), method, 4)
+    tr = cg.transcribe(oscillator_problem(), with_rule(3, cg.gauss(2)), 4)
     hessian = np.array(ca.DM(tr.hessian(np.zeros(tr.gradient.size1_in(0)), [0.0], [1.0], tr.mesh)))
     assert np.count_nonzero(np.linalg.eigvalsh(hessian) < 0) == 4  # one spurious direction an interval

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from given import Arraylike, Quantity, Series
 
-from casadi_galerkin.calculus.numbers import components, number, numbers, real_array, times_inside, whole
+from casadi_galerkin.calculus.numbers import components, number, numbers, real_array, spanned, times_inside, whole
 
 
 @pytest.mark.parametrize(
@@ -130,3 +130,16 @@ def test_times_inside_of_a_span_increase():
     for times in ([0.0], [0.5, 0.5], [0.5, 0.25], [1.0]):
         with pytest.raises(ValueError, match=r"breakpoints must increase inside of \(0.0, 1.0\)"):
             times_inside("breakpoints", times, (0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("times", "words"),
+    [
+        ((0.0, 10.0), "[0, 10]"),
+        ((-1 / 3, 1 / 3), "[-0.333333, 0.333333]"),
+        ((2460000.5, 2460100.5), "[2460000.5, 2460100.5]"),
+        ((1e9, 1e9 + 1e-3), "[1000000000, 1000000000.001]"),
+    ],
+)
+def test_a_time_span_is_told_with_as_many_digits_as_it_takes(times, words):
+    assert spanned(np.array(times)) == words

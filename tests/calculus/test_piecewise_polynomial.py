@@ -65,3 +65,10 @@ def test_a_continuous_path_has_no_jumps():
     path = PiecewisePolynomial(np.array([0.0, 1.0, 3.0]), np.array([0.0, 1.0]), np.array([[0.0, 2.0, 0.0]]))
     assert path.jumps.size == 0
     assert path.before(1.0).tolist() == path(1.0).tolist() == [2.0]
+
+
+def test_values_may_be_lists_and_must_fit_the_mesh():
+    assert PiecewisePolynomial([0.0, 1.0], [0.0, 1.0], [[1.0, 2.0]])(0.5).tolist() == [1.5]
+    for values in ([[1.0, 2.0, 3.0]], [1.0, 2.0]):
+        with pytest.raises(ValueError, match=r"values at the nodes must have the shape \(d, 2\), got \("):
+            PiecewisePolynomial(np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.array(values))

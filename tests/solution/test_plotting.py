@@ -139,6 +139,7 @@ def test_a_way_through_the_plane_has_equal_axes_and_all_joints():
         (lambda path: path.animate(rods, seconds=-1.0), ValueError, r"seconds must be a positive number, got -1\.0"),
         (lambda path: path.animate(3), TypeError, "points must be a callable of positions, got 3"),
         (lambda path: path.plot_poses(rods, count=0), ValueError, "count must be at least 1, got 0"),
+        (lambda path: path.plot_poses(rods, apart="1"), ValueError, "apart must be a finite number, got '1'"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(draw, kind, message):
@@ -146,7 +147,7 @@ def test_what_cannot_be_drawn_is_refused(draw, kind, message):
         draw(planar().solve())
 
 
-@pytest.mark.parametrize("components", [(0, 2), (0,), (0, 1, 0), (0.0, 1.0), (-1, 0)])
+@pytest.mark.parametrize("components", [(0, 2), (0,), (0, 1, 0), (0.0, 1.0), (-1, 0), 1, None])
 def test_components_that_span_no_plane_are_refused(components):
     with pytest.raises(ValueError, match="components must be two numbers from 0 to 1, got"):
         planar().solve().plot_plane(components)
@@ -218,6 +219,11 @@ def test_animation_takes_the_duration_of_the_path_and_the_axes_given(tmp_path):
     assert axes.get_title() == "t = 0.200 ms"
     assert axes.get_xlabel() == "x in m"
     assert len(axes.get_lines()[0].get_xdata()) == 5  # 25 a second
+
+
+def test_points_that_are_no_numbers_are_refused():
+    with pytest.raises(TypeError, match="the places that points returns must be real numbers, got 'a'"):
+        planar().solve().plot_poses(lambda x: "a")
 
 
 def test_points_of_another_shape_are_refused():

@@ -121,6 +121,15 @@ def test_multipliers_of_steps_are_the_tension_of_the_rod():
     np.testing.assert_allclose(path.multipliers(path.t)[0], -tension / 2, rtol=0, atol=JOINTS)
 
 
+def test_multipliers_are_found_at_any_times_of_the_path():
+    path = cg.solve(motions("double pendulum", 1.0)[1], cg.Galerkin(4), 10)
+    assert path.multipliers(0.3).shape == (2,)
+    assert path.multipliers([[0.1, 0.2, 0.3]]).shape == (2, 1, 3)
+    assert path.multipliers([]).shape == (2, 0)
+    with pytest.raises(TypeError, match="times must be real numbers, got 'a'"):
+        path.multipliers("a")
+
+
 def test_of_a_momentum_the_part_along_the_constraint_counts():
     starts = ({"momentum": [0.7, 0.0]}, {"momentum": [0.7, -3.0]}, {"velocity": [0.7, 0.0]})
     first, *others = (
@@ -201,3 +210,30 @@ def test_a_component_that_rests_stays_at_rest(start, velocity, degree, unit):
     assert np.max(np.abs(path.x[resting])) < 1e-24 * unit
     np.testing.assert_allclose(np.sum(path.x**2, axis=0), unit**2, rtol=1e-14)
     assert np.ptp(path.energy) < 1e-2 * unit**2
+
+
+def chain_of_two(t, x):
+    return [ca.sumsqr(x[:3]) - 1, ca.sumsqr(x[3:] - x[:3]) - 1]
+
+
+STARTS_WITH_RESTING_COMPONENTS = {  # position, velocity, constraint
+    "a pendulum from rest": ([1.0, 0.0, 0.0], [0.0] * 3, unit_length),
+    "a chain from rest": ([1.0, 0.0, 0.0, 2.0, 0.0, 0.0], [0.0] * 6, chain_of_two),
+    "a chain pushed aside": ([1.0, 0.0, 0.0, 1.0, 0.0, 1.0], [0.0, 0.1, 0.0, 0.0, 0.3, 0.0], chain_of_two),
+}
+
+
+@pytest.mark.parametrize("degree", [1, 4])
+@pytest.mark.parametrize("step", [5e-2, 1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("name", STARTS_WITH_RESTING_COMPONENTS)
+def test_steps_of_any_length_leave_a_rest(name, step, degree):
+    """The first Newton steps say little of the next ones: they are as large as what moves, or as what does not."""
+    position, velocity, constraint = STARTS_WITH_RESTING_COMPONENTS[name]
+
+    def falling(t, x, v):
+        return ca.dot(v, v) / 2 - 9.81 * ca.sum1(x[2::3])
+
+    problem = cg.InitialProblem(falling, (0, 50 * step), position, velocity=velocity, constraint=constraint)
+    path = cg.solve(problem, cg.Galerkin(degree), 50)
+    assert np.max(np.abs(np.array(constraint(0.0, ca.DM(path.x[:, -1]))).ravel())) <= HELD
+    assert path.iterations <= 6 * 50

@@ -108,3 +108,35 @@ def test_friction_shrinks_every_step_by_the_same_factor():
     problem = cg.InitialProblem(oscillator, (0, 3), [1.0], momentum=[0.0], force=lambda t, x, v: -0.4 * v)
     measured = cg.geometry(cg.solve(problem, cg.Galerkin(6), intervals=10))
     np.testing.assert_allclose(measured.determinants, np.exp(-0.4 * 0.3), rtol=1e-13)
+
+
+def test_a_momentum_map_that_is_not_affine_is_kept_to_the_order_of_the_method():
+    """A particle on a sphere in angles: rotations about the pole are translations, about another axis not affine."""
+
+    def sphere(t, x, v):
+        return (v[0] ** 2 + ca.sin(x[0]) ** 2 * v[1] ** 2) / 2
+
+    start = cg.InitialProblem(sphere, (0, 3), [1.2, 0.0], velocity=[0.5, 0.7])
+    generators = {
+        "pole": lambda x: [0, 1],
+        "other": lambda x: [-ca.sin(x[1]), -ca.cos(x[1]) / ca.tan(x[0])],
+    }
+    spread = {name: [] for name in generators}
+    counts = np.array([20, 40, 80])
+    for n in counts:
+        path = cg.solve(start, cg.Galerkin(2), int(n))
+        for name, symmetry in generators.items():
+            spread[name].append(np.ptp(cg.geometry(path, symmetry).momentum_map))
+    assert max(spread["pole"]) < 1e-14
+    assert min(spread["other"]) > 1e-10
+    assert -np.polyfit(np.log(counts), np.log(spread["other"]), 1)[0] == pytest.approx(4, abs=0.2)
+
+
+def test_a_force_without_work_along_a_symmetry_keeps_its_momentum_map():
+    def central(t, x, v):
+        return -0.1 * ca.dot(x, v) * x
+
+    start = cg.InitialProblem(kepler, (0, 10), [1.0, 0.0], velocity=[0.3, 1.1], force=central)
+    kept = cg.geometry(cg.solve(start, cg.Galerkin(2), 40), symmetry=lambda x: [-x[1], x[0]])
+    assert np.ptp(kept.momentum_map) < 1e-14
+    assert np.max(np.abs(kept.determinants - 1)) > 0.01

@@ -240,3 +240,20 @@ def test_a_periodic_path_of_given_energy_needs_a_guess_that_moves_at_its_start()
     problem = cg.BoundaryProblem(pendulum, (0, 7.0), [None], periodic=True, energy=-0.5)
     with pytest.raises(ValueError, match="needs a guess that moves at its start, got one that rests there"):
         cg.shoot(problem, METHOD, 8)
+
+
+@pytest.mark.parametrize("length", [1e-10, 1.0, 1e8])
+@pytest.mark.parametrize("intervals", [4, 40])
+def test_a_given_energy_is_met_on_a_circle_of_any_length(length, intervals):
+    """The stretch of the steps is near 1, whatever the unit of length; it says nothing of the size of a step."""
+    ends = [[0.0, -length], [length * np.sin(0.5), -length * np.cos(0.5)]]
+    swing = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - x[1],
+        (0.0, 0.5 * np.sqrt(length)),
+        *ends,
+        constraint=lambda t, x: ca.dot(x, x) - length**2,
+        energy=0.5 * length,
+    )
+    shot, path = (way(swing, cg.Galerkin(4), intervals) for way in (cg.shoot, cg.solve))
+    assert shot.t[-1] == pytest.approx(path.t[-1], rel=1e-13)
+    assert shot.iterations <= 6

@@ -172,6 +172,16 @@ def test_a_longer_saddle_fails_with_its_growth(horizon):
         cg.shoot(problem, cg.Galerkin(8), intervals=2 * horizon)
 
 
+@pytest.mark.parametrize(
+    ("duration", "ends", "spring"), [(np.pi, [0.0], 1.0), (1.0, [None], 0.0)], ids=["conjugate points", "free at rest"]
+)
+def test_one_of_a_family_of_paths_is_refused_though_the_first_meets_the_end(duration, ends, spring):
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - spring * x[0] ** 2 / 2, (0, duration), ends, ends)
+    for way in (cg.solve, cg.shoot):
+        with pytest.raises(cg.ConjugatePointError, match="a family of paths"):
+            way(problem, cg.Galerkin(8), 20)
+
+
 def test_a_conjugate_point_is_named():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, np.pi), [0.0], [1.0])
     with pytest.raises(cg.ConjugatePointError, match="conjugate points") as caught:

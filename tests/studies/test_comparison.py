@@ -269,3 +269,34 @@ def test_only_a_boundary_problem_is_compared():
     start = cg.InitialProblem(saddle, (0, 1), [0.0], velocity=[1.0])
     with pytest.raises(TypeError, match="problem must be a BoundaryProblem, got InitialProblem"):
         cg.compare(start, METHOD, 4)
+
+
+@pytest.mark.usefixtures("headless")
+def test_a_start_that_cannot_be_stepped_from_is_part_of_the_answer():
+    """There the mass vanishes, which the global solve does not mind."""
+    compared = cg.compare(cg.BoundaryProblem(lambda t, x, v: x[0] * v[0] ** 2 / 2, (0, 1), [0.0], [1.0]), METHOD, 20)
+    assert "mass matrix ∂²L/∂v² is singular at the start" in compared.stepped.failure
+    assert compared.stepped.path is None
+    assert compared.stepped.iterations == 0
+    assert compared.global_path(1.0)[0] == 1.0
+    assert not compared.plot().lines
+
+
+@pytest.mark.usefixtures("headless")
+def test_steps_that_leave_the_range_of_doubles_are_compared_and_drawn():
+    compared = cg.compare(cg.BoundaryProblem(saddle, (0, 1000), [1.0], [1.0]), METHOD, 2000)
+    assert compared.condition_stepwise == np.inf
+    assert np.nanmax(compared.stepped.gap) > 1e300
+    compared.plot().figure.draw_without_rendering()
+
+
+def test_a_guess_that_shooting_cannot_start_from_is_refused_before_any_solve(monkeypatch):
+    module = import_module("casadi_galerkin.studies.comparison")
+    monkeypatch.setattr(module, "solve", lambda *_, **__: pytest.fail("the problem was solved"))
+    with pytest.raises(TypeError, match=r"guess must be a Trajectory of 1 component\(s\), got <function"):
+        cg.compare(cg.BoundaryProblem(pendulum, (0, 1), [0.0], [1.0]), METHOD, 4, guess=lambda t: [t])
+
+
+def test_one_interval_is_no_plural():
+    compared = cg.compare(cg.BoundaryProblem(pendulum, (0, 1), [0.0], [1.0]), METHOD, 1)
+    assert "1 interval, " in repr(compared)

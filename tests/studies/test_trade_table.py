@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import casadi_galerkin as cg
@@ -72,6 +73,12 @@ def test_many_rows_are_shown_by_their_front_and_failures():
     assert [line.startswith("*   ") for line in text.splitlines()].count(True) == 5
     assert "the other 58 rows are left out" in text
     assert "failed: 3 by rootfinder" in text
+
+
+@pytest.mark.parametrize("tol", [np.nan, "1e-3"])
+def test_cheapest_refuses_what_is_no_number(tol):
+    with pytest.raises(ValueError, match="tol must be a finite number, got"):
+        cg.Trade((row(1.0, 1e-3),), "given", 0.0).cheapest(tol)
 
 
 def test_cheapest_may_be_asked_for_the_first_call():
