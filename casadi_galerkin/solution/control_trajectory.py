@@ -42,7 +42,8 @@ class ControlTrajectory(Trajectory):
     Attributes
     ----------
     problem : ControlProblem
-    cost : value of the discrete cost, a local minimum: paths that differ much from this one may cost less
+    cost : value of the discrete cost, stationary, and a local minimum but for a guess as symmetric as the problem, from
+        which it may be a saddle: other paths may cost less
     cost_error : estimated relative error of the cost, zero where it is zero but for rounding; None without a tolerance
     control : callable, ``control(t)`` -> (number of controls,) + t.shape
     costate : multipliers λ of the equations of motion, and of the rates, as a path: ``costate(t)`` -> (d,) + t.shape.
