@@ -4,12 +4,12 @@ The relative changes of cost and duration and the largest change of x, at the sa
 to the size of its component, make D; with q the ratio of what the two paths leave out (`truncation`), the estimated
 error is D / (1 - q).  The error of the cost alone is far smaller, of the order of D².
 
-Three errors that both degrees share are looked for.  A switch from bound to bound is due where the switching function
+Four errors that both degrees share are looked for.  A switch from bound to bound is due where the switching function
 ∂(ℓ + λ·(F, ρ))/∂u, with forces F and rates ρ, is zero; if the next joint lies elsewhere, there may be no quadrature
 point between the two that shows it.  Bounds of positions hold at nodes only: a path that passes one by ε between them
-is moved by about √ε.  And where nothing depends on time the Hamiltonian is constant: what it varies by, times time over
-cost, was measured to be of the order of D where both degrees put a switch at the wrong place.  To the error of the cost
-all three add their squares.
+is moved by about √ε.  Those of controls and path constraints hold at quadrature points only: see `unmet`.  And where
+nothing depends on time the Hamiltonian is constant: what it varies by, times time over cost, was measured to be of the
+order of D where both degrees put a switch at the wrong place.  To the error of the cost all four add their squares.
 
 The new mesh spreads what the finer path has beyond degree m evenly.  Where a higher degree does not help the path has
 a kink, and intervals are split as for order 2.  Where a control switches inside an interval its impulse ∫ u dt tells
@@ -45,6 +45,7 @@ MARGIN = 3.0  # times what is not known of a switch: joints beside it
 DISTINCT = 1e-8  # of the duration: nearer switches are one, such as those of two controls at a breakpoint
 ROUNDOFF = 1e-15  # of positions relative to their size
 ROUNDED = 1e-13  # part of momenta that rounding leaves
+ALIKE = 0.1  # of what two degrees pass a bound by: they differ by less where no point sees it
 
 
 def parts_of(degree: int) -> np.ndarray:
@@ -63,6 +64,37 @@ def excess(path: ControlTrajectory) -> np.ndarray:
     positions = np.stack([path(when)[i] for i, when in enumerate(turning)])
     outside = beyond(positions, low, high) / component_sizes(path.polynomial.values)[:, None, None]
     return np.asarray(np.max(np.where(outside > ROUNDOFF, outside, 0.0), axis=(0, 2)))
+
+
+def limited_values(path: ControlTrajectory, parts: np.ndarray) -> np.ndarray:
+    """Controls, and then path constraints, at fractions (K,) of every interval; (count, N, K)."""
+    controls = path.control.at(parts).reshape(-1, len(path.t) - 1, len(parts))
+    constraints = () if path.path_multipliers is None else (path.path_constraints(parts),)
+    return np.concatenate((controls, *constraints))
+
+
+def unmet(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndarray:
+    """How far two degrees alike let controls and path constraints leave their bounds between the points, (N,).
+
+    Nothing holds the path where no point meets a bound, as next to the end of a path where a control is largest.  Both
+    degrees then pass it by ε of the size of what is bounded, and hardly differ on the interval; where a control jumps
+    they do.  A control, or a constraint that controls have a say in, then moves the cost by the mean of ε² over time;
+    another constraint, such as that of a velocity, moves the path by the largest ε.
+    """
+    low, high = path.problem.control_bounds
+    governed = np.full(len(low), True)
+    if path.problem.path_constraint is not None:
+        g, least, most = path.problem.path_constraint
+        low, high = low + least, high + most
+        governed = np.append(governed, np.isin(range(len(least)), g.sparsity_jac(3, 0).row()))
+    both = np.stack([limited_values(p, parts_of(path.method.degree)) for p in (path, higher)])
+    sizes = component_sizes(both[0].reshape(len(governed), -1))
+    lowest, highest, size = (np.reshape(a, (-1, 1, 1)) for a in (low, high, sizes))
+    passed = np.min(beyond(both, lowest, highest), axis=0)
+    apart, farthest = (np.max(a, axis=-1, keepdims=True) for a in (np.ptp(both, axis=0), passed))
+    alike = np.where(apart < ALIKE * farthest, passed, 0.0) / size
+    in_time = np.sqrt(np.diff(path.t) / np.ptp(path.t) * np.mean(alike**2, axis=-1))
+    return np.asarray(np.max(np.where(governed[:, None], in_time, np.max(alike, axis=-1)), axis=0))
 
 
 def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
@@ -122,8 +154,8 @@ class HigherDegree:
 
     @lazy
     def outside(self) -> np.ndarray:
-        """Distances √ε by which positions that leave their bounds by ε move the path, (N,)."""
-        return np.asarray(np.sqrt(excess(self.path)))
+        """Distances by which the path is moved by bounds that it leaves unseen, (N,); √ε where a position does by ε."""
+        return np.asarray(np.maximum(np.sqrt(excess(self.path)), unmet(self.path, self.higher)))
 
     @lazy
     def shared(self) -> float:

@@ -42,7 +42,8 @@ class ControlTrajectory(Trajectory):
     Attributes
     ----------
     problem : ControlProblem
-    cost : value of the discrete cost, a local minimum: paths that differ much from this one may cost less
+    cost : value of the discrete cost, stationary, and a local minimum but for a guess as symmetric as the problem, from
+        which it may be a saddle: other paths may cost less
     cost_error : estimated relative error of the cost, zero where it is zero but for rounding; None without a tolerance
     control : callable, ``control(t)`` -> (number of controls,) + t.shape
     costate : multipliers λ of the equations of motion, and of the rates, as a path: ``costate(t)`` -> (d,) + t.shape.
@@ -175,7 +176,7 @@ class ControlTrajectory(Trajectory):
         excess = beyond(u, low, high) / width
         return np.asarray(excess.max(axis=0).reshape(len(self.t) - 1, -1).max(axis=1))
 
-    def _path_constraints(self, parts: np.ndarray) -> np.ndarray:
+    def path_constraints(self, parts: np.ndarray) -> np.ndarray:
         """Values of the path constraints at fractions (K,) of every interval, joints included; (k, N, K)."""
         assert self.problem.path_constraint is not None
         constraint = with_parameters(self.problem.path_constraint[0], self.parameters)
@@ -193,7 +194,7 @@ class ControlTrajectory(Trajectory):
         if self.problem.path_constraint is None or self.path_multipliers is None:
             return np.zeros(len(self.t) - 1)
         low, high = (np.array(side)[:, None, None] for side in self.problem.path_constraint[1:])
-        values = self._path_constraints(np.linspace(0.0, 1.0, 4 * len(self.method.quadrature) + 1))
+        values = self.path_constraints(np.linspace(0.0, 1.0, 4 * len(self.method.quadrature) + 1))
         sizes = [np.max(np.abs(np.where(np.isfinite(a), a, 0.0)), axis=(1, 2)) for a in (values, low, high)]
         size = np.max(sizes, axis=0)[:, None, None]
         return np.asarray((beyond(values, low, high) / np.where(size > 0, size, 1.0)).max(axis=(0, 2)))
@@ -302,8 +303,8 @@ class ControlTrajectory(Trajectory):
         """
         if self.problem.path_constraint is None or self.path_multipliers is None:
             raise ValueError("there is no path constraint to draw")
-        times, lines = self._broken(self._path_constraints(SMOOTH))
-        values = self._path_constraints(self.path_multipliers.points)
+        times, lines = self._broken(self.path_constraints(SMOOTH))
+        values = self.path_constraints(self.path_multipliers.points)
         points = self.path_multipliers.times
         drawn = plot_path(times, lines, points, values.reshape(len(values), -1), axes, labels, time, "g", DOT)
         draw_bounds(drawn, np.array(self.problem.path_constraint[1:]))

@@ -144,6 +144,33 @@ def test_the_hamiltonian_tells_what_both_degrees_miss(asked):
     assert not double_integrator(force=lambda t, x, v, u: u * (1 + t)).autonomous
 
 
+@pytest.mark.parametrize("asked", [{"tol": 1e-7}, {"cost_tol": 1e-9}], ids=str)
+@pytest.mark.parametrize("stated", ["control_bounds", "path_constraint"])
+def test_a_bound_of_the_control_that_no_point_meets_is_seen(stated, asked):
+    """It acts in the first thousandth; both degrees passed it there, and agreed to 1e-11 on a path 9e-7 away."""
+    most, law = 6 - 12e-3, (lambda t, x, v, u: u, -np.inf, 6 - 12e-3)
+    problem = double_integrator(**{stated: (-np.inf, most) if stated == "control_bounds" else law})
+    path = cg.solve(problem, **asked)
+    s = 1 - 3 * (most / 2 - 1) / most  # u = most until s, then falls on a straight line
+    slope, t = 2 * most / (1 - s) ** 2, path.t
+    cost = most**2 * s / 2 + (most**3 + (slope * (1 - s) - most) ** 3) / (6 * slope)
+    way = most * t**2 / 2 - slope * np.maximum(t - s, 0) ** 3 / 6
+    assert abs(path.cost / cost - 1) <= 2 * path.cost_error <= 2e-9
+    assert np.max(np.abs(path.x[0] - way)) <= 2 * path.error_estimate
+    assert len(path.t) < 20
+
+
+def test_a_limit_of_the_speed_that_no_point_meets_is_seen():
+    """It acts in the middle, between two points; both degrees agreed to 5e-9 on a path 1.5e-6 away."""
+    most = 1.5 - 2e-5
+    path = cg.solve(double_integrator(path_constraint=(lambda t, x, v, u: v, -np.inf, most)), tol=1e-6)
+    s = 3 * (most - 1) / (2 * most)  # v rises to it until s
+    t = path.t[path.t <= 0.5]
+    way = np.where(t < s, most * t**2 * (1 - t / (3 * s)) / s, most * (t - s / 3))
+    assert path.cost / (4 * most**2 / (3 * s)) == pytest.approx(1, abs=2 * path.cost_error)
+    assert np.max(np.abs(path.x[0, : len(t)] - way)) <= path.error_estimate <= 1e-6
+
+
 COASTING = {"start_velocity": [1.5], "end_velocity": [0.5], "lagrangian": lambda t, x, v: v[0] ** 2 / 2 - x[0]}
 FREE = {
     "a swing": lambda: pendulum(3.0, start=[1.0], end=[None], end_velocity=[None]),
