@@ -95,3 +95,14 @@ def test_a_layer_thinner_than_doubles_tell_is_no_bad_mesh(capsys):
     with pytest.raises(cg.ConvergenceError, match="no path was found"):
         cg.solve(problem, tol=TOL, verbose=1)
     assert "Newton's method with IPOPT to its rescue: no path" in capsys.readouterr().out
+
+
+def test_values_at_the_first_joints_are_a_guess_on_any_mesh():
+    """On so few intervals Newton's method finds nothing, and a finer mesh is tried; the next time the first is fine."""
+    well = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 1e-3 / (x[0] ** 2 + 1e-4), (0, 2), [-1.0], [1.0])
+    line = np.linspace(-1, 1, 7)[None]
+    expected = cg.solve(well, tol=TOL, intervals=6, guess=([0, 2], [[-1, 1]]))
+    assert "first path by" in expected.solver
+    transcription = cg.transcribe(well, tol=TOL, intervals=6)
+    for path in (cg.solve(well, tol=TOL, intervals=6, guess=line), *(transcription.solve(guess=line) for _ in "ab")):
+        assert path.action == pytest.approx(expected.action, rel=TOL)
