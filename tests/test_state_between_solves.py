@@ -52,6 +52,33 @@ def test_an_optimization_that_was_interrupted_says_so_and_is_right_the_next_time
         signal.signal(signal.SIGALRM, before)
 
 
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs a timer signal")
+def test_ipopt_on_a_boundary_problem_is_interrupted_and_not_taken_for_failed():
+    """CasADi's own Python code drops some interrupts, outside of IPOPT."""
+    swings = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0.0, 10.0), [0.0], [3.0])
+    transcription = cg.transcribe(swings, cg.Galerkin(6), 400)
+    paths = [transcription.solve(solver=cg.minimizer) for _ in range(4)]
+    seconds, stopped = min(path.solve_seconds for path in paths[1:]), 0
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        for part in np.linspace(0.3, 0.7, 10):
+            signal.setitimer(signal.ITIMER_REAL, part * seconds)
+            try:
+                transcription.solve(solver=cg.minimizer)
+            except (KeyboardInterrupt, SystemError):
+                stopped += 1
+            again = transcription.solve(solver=cg.minimizer).polynomial.values
+            np.testing.assert_array_equal(again, paths[0].polynomial.values)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    assert stopped >= 5
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs forks")
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_a_process_forked_beside_a_solving_thread_solves_too(state):

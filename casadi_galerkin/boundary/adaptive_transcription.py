@@ -140,6 +140,8 @@ class AdaptiveTranscription:
             problem = problem.varied({}, (problem.t_span[0], problem.t_span[0] + float(known.t[-1] - known.t[0])))
         levels = self._levels.of(problem)
         refinement = BoundaryRefinement(levels, self.tol, self.method, solver, self.limits, verbose)
+        coarse = self._stretched(self._coarse, problem.t_span)
+        guess = refinement.on_any_mesh(guess, coarse)
         try:
             if known is not None:
                 return self._followed(refinement, known)
@@ -150,7 +152,7 @@ class AdaptiveTranscription:
             raise
         except ConvergenceError:
             pass  # what the first path is found by may find this one
-        return refinement.run(self._stretched(self._coarse, problem.t_span), guess)
+        return refinement.run(coarse, guess)
 
     def _followed(self, refinement: BoundaryRefinement, known: Trajectory) -> Trajectory:
         """The path that a known one of other given values leads to, on its mesh: with its Morse index, if possible.

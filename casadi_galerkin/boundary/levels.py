@@ -31,6 +31,8 @@ class Levels:
 
     def of(self, problem: BoundaryProblem) -> Levels:
         """The same graphs for a problem that is `varied` from this one's; what is built for it is kept here, too."""
+        if problem.parameters != self.problem.parameters:  # other masses, perhaps
+            check_mass(problem)
         other = copy(self)
         other.problem, other.iterations = problem, 0
         return other

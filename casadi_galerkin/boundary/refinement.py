@@ -24,7 +24,7 @@ from casadi_galerkin.boundary.error_estimate import discretization_error, roundo
 from casadi_galerkin.boundary.first_path import PATIENCE, first_path_strategies, following, is_newton
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.levels import Levels
-from casadi_galerkin.calculus.discrete_calculus import mesh_of
+from casadi_galerkin.calculus.discrete_calculus import NEAREST, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import (
     FEWER,
@@ -118,7 +118,10 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             self.check_stubborn(level, "Legendre coefficients", left_out, WANDERING)
             return Estimate(largest, False, "Legendre coefficients", left_out)
         error = math.hypot(self.error(path), floor)
-        self.roundoff_level = NOISE * floor
+        mesh, stretched = path.mesh, self.levels.problem.energy is not None
+        self.roundoff_level = NOISE * max(
+            floor, EPS * np.max(np.abs(mesh)) / (mesh[-1] - mesh[0]) if stretched else 0.0
+        )
         said = witnesses(self.levels.problem, path, level.momentum, self.tol)
         source, missed = max(said.items(), key=lambda item: float(np.max(item[1])))
         if np.max(missed) > max(self.tol, TELLS):
@@ -180,7 +183,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """Stop before there are too many intervals, or some so short that nothing more can be learned there."""
         steps, duration = np.diff(mesh), mesh[-1] - mesh[0]
         inside = np.minimum(mesh[:-1] - mesh[0], mesh[-1] - mesh[1:])
-        shortest = np.maximum(SHORTEST * duration, BLUNT * inside)
+        shortest = np.maximum(np.maximum(SHORTEST * duration, BLUNT * inside), NEAREST * np.max(np.abs(mesh)))
         i, few = int(np.argmin(steps / shortest)), len(steps) <= self.limits.intervals
         if few and steps[i] > shortest[i]:
             return
@@ -217,7 +220,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             return self.finish(*self.refine(level))
 
     def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:
-        """Refine the first path found that can be followed."""
+        """Refine the first path found that can be followed; values of a guess are those on this mesh."""
+        guess = self.on_any_mesh(guess, mesh)
         failures: list[ConvergenceError] = []
         for strategy in first_path_strategies(self.levels, self.method, mesh, guess, self.solver):
             self.patience, began, before = strategy.patience, time.perf_counter(), self.iterations
@@ -237,6 +241,12 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             else:
                 return replace(path, solver=f"{path.solver}; first path by {strategy.name}") if failures else path
         raise failures[-1]
+
+    def on_any_mesh(self, guess: Guess | None, mesh: np.ndarray) -> Guess | None:
+        """A guess that other meshes take, too: values at the joints or nodes of this mesh become a path."""
+        if guess is None or callable(guess) or (isinstance(guess, tuple) and len(guess) == 2):
+            return guess
+        return self.levels.transcription(self.method, mesh).guess_on_mesh(guess, mesh)
 
     def finish(self, point: CriticalPoint, error: float) -> Trajectory:
         """Wrap the path that passed."""

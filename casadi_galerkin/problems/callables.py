@@ -56,7 +56,13 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
         raise ValueError(f"{name} must return {expected}, got shape {value.shape}")
     traced = ca.Function(name, symbols, [ca.densify(value)], list(sizes), ["value"], {"allow_free": True})
     _refuse_free(name, traced, shapes)
-    constants = (k for k in range(traced.n_instructions()) if traced.instruction_id(k) == ca.OP_CONST)
+    kinds = [traced.instruction_id(k) for k in range(traced.n_instructions())]
+    if ca.OP_CALL in kinds:
+        try:
+            traced.jacobian()
+        except RuntimeError as error:
+            raise TypeError(f"{name} calls a casadi Function that has no derivatives, as a Callback alone") from error
+    constants = (k for k, kind in enumerate(kinds) if kind == ca.OP_CONST)
     if any(math.isnan(traced.instruction_constant(k)) for k in constants):  # as float() of a symbol, in math.cos(x)
         raise TypeError(
             f"{name} holds a constant that is not a number, as math.cos(x) gives for a CasADi symbol x. {ADVICE}"

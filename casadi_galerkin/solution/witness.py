@@ -8,7 +8,8 @@ with p at the joints from the discrete Legendre transform.  A discrete path keep
 not where L has a kink that no joint meets, or where the mesh is too coarse to be believed.
 
 The action by another rule.  Where L is smooth, the action of a path hardly changes with one quadrature point more.  It
-does where a path jumps over a singularity between two points, though the energies on both sides may agree.
+does where a path jumps over a singularity between two points, though the energies on both sides may agree.  What the
+rounding of positions does to the action is no change of it: a path far from zero, x = 1e6 + 1, has little else.
 """
 
 from __future__ import annotations
@@ -147,5 +148,6 @@ def _between_breakpoints(
     floor = EPS * (component_sizes(path.values) @ pushed / np.append(steps[0], steps) + scale)
     missed = missed_balance(energy + np.append(0.0, np.cumsum(supplied)), scale, floor, tol)
     coarser = lagrangian.reshape(len(steps), -1)[:, 2 + len(fine) :] @ coarse
-    change = np.abs(integral(lagrangian) - coarser) / (mean * float(np.sum(steps)))
+    rounded = steps * np.maximum(floor[1:], floor[:-1])
+    change = np.maximum(np.abs(integral(lagrangian) - coarser) - rounded, 0.0) / (mean * float(np.sum(steps)))
     return missed, np.where(np.isfinite(change), change, np.inf)

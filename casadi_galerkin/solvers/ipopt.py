@@ -11,9 +11,9 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import Data
-from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.solvers.deadline import limited, seconds_left
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
@@ -67,17 +67,16 @@ def _interior_point(
     with stationarity.linearization() as at:
         key = f"ipopt {minimize} {verbose > 1} {sorted(options.items())}"
 
-        def build() -> ca.Function:
-            return _nlpsol(stationarity.functional, minimize, verbose, limited(options))
+        def build() -> Evaluator:
+            return Evaluator(_nlpsol(stationarity.functional, minimize, verbose, limited(options)))
 
-        solver = at.keep(key, build) if math.isinf(seconds_left()) else build()
-        with fork_waits:
-            x = guess / sizes
-            first = {"x0": x[:own], "lam_g0": x[own:] if minimize else 0.0}
-            answer = solver(p=np.concatenate((*data, sizes, [unit])), lbg=0.0, ubg=0.0, **first)
-        stats = solver.stats()
+        run, first = at.keep(key, build) if math.isinf(seconds_left()) else build(), guess / sizes
+        zero, parameters = np.zeros(1), np.concatenate((*data, sizes, [unit]))
+        multipliers = first[own:] if minimize else zero
+        found = run(first[:own], parameters, zero - np.inf, zero + np.inf, zero, zero, zero, multipliers)
+        stats = run.stats
     iterations, status = int(stats["iter_count"]), str(stats["return_status"]).replace("_", " ")
-    x = sizes * np.array(ca.vertcat(answer["x"], answer["lam_g"])).ravel()[: len(guess)]
+    x = sizes * np.append(found[0], found[4])[: len(guess)]  # with the multipliers of the conditions
     if status == DIVERGED:
         raise SolveFailure(f"{name} stopped with '{status}'", guess, iterations)
     if not np.all(np.isfinite(x)):

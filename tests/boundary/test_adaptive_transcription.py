@@ -177,3 +177,19 @@ def test_it_says_what_mesh_is_kept(capsys):
 def test_what_does_not_fit_is_refused(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+def test_parameters_that_leave_no_mass_are_refused():
+    """At p = 1 only x[0] + x[1] has a mass."""
+    pair = cg.BoundaryProblem(
+        lambda t, x, v, p: p[0] * ca.sumsqr(v) / 2 + v[0] * v[1] - ca.sumsqr(x) / 2,
+        (0, 1),
+        [0.0, 0.2],
+        [1.0, 0.5],
+        parameters=[2.0],
+    )
+    transcription = cg.transcribe(pair, tol=TOL, limits=cg.Limits(levels=3))
+    expected = transcription.solve().action
+    with pytest.raises(ValueError, match="the lagrangian is degenerate"):
+        transcription.solve(parameters=[1.0])
+    assert transcription.solve().action == expected

@@ -339,3 +339,15 @@ def test_a_duration_of_given_energy_stays_positive_whatever_its_guess(duration):
     )
     flight = quad(lambda x: 1 / np.sqrt(2 * (0.5 + np.cos(x))), 0.0, 1.0, epsabs=1e-14)[0]
     assert cg.solve(problem, tol=1e-10).t[-1] == pytest.approx(flight, rel=1e-10)
+
+
+def test_a_duration_that_times_far_from_zero_cannot_hold_is_at_its_roundoff_floor():
+    """Times near 1e9 are rounded by 1e-7: so is the last one, and with it the duration."""
+    began = 1e9
+    orbit = cg.BoundaryProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2 + 1 / ca.norm_2(x), (began, began + 1.5), [1.0, 0.0], [0.0, 1.0], energy=-0.5
+    )
+    with pytest.raises(cg.LimitReached, match=r"1e-10 asked, .* is the roundoff floor"):
+        cg.solve(orbit, tol=1e-10)
+    path = cg.solve(orbit, tol=1e-6)
+    assert path.t[-1] - began == pytest.approx(np.pi / 2, rel=1e-6)

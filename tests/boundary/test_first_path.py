@@ -102,3 +102,14 @@ def test_joints_that_are_carried_along_leave_the_time_span_as_it_is():
     calculus = cg.DiscreteCalculus(cg.Galerkin(2), np.linspace(0.0, 1.0, 5))
     path = calculus.emb(calculus.node_times[None, :] ** 2)
     assert carried(path, np.full(path.values.shape, 0.1)).mesh[[0, -1]].tolist() == [0.0, 1.0]
+
+
+def test_values_at_the_first_joints_are_a_guess_on_any_mesh():
+    """On so few intervals Newton's method finds nothing, and a finer mesh is tried; the next time the first is fine."""
+    well = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 1e-3 / (x[0] ** 2 + 1e-4), (0, 2), [-1.0], [1.0])
+    line = np.linspace(-1, 1, 7)[None]
+    expected = cg.solve(well, tol=TOL, intervals=6, guess=([0, 2], [[-1, 1]]))
+    assert "first path by" in expected.solver
+    transcription = cg.transcribe(well, tol=TOL, intervals=6)
+    for path in (cg.solve(well, tol=TOL, intervals=6, guess=line), *(transcription.solve(guess=line) for _ in "ab")):
+        assert path.action == pytest.approx(expected.action, rel=TOL)

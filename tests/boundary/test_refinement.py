@@ -366,3 +366,14 @@ def test_no_lucky_estimate_is_accepted_near_a_conjugate_point(gap, tol):
         assert tol < 200 * EPS / gap  # nothing that could be reached is refused
         return
     assert relative_error(path, lambda t: np.sin(t)[None]) <= WORST * tol
+
+
+def test_a_tolerance_that_times_far_from_zero_cannot_keep_is_refused_before_joints_coincide():
+    """Times near 1e9 are rounded by 1e-7, and L depends on them."""
+    began = 1e9
+    late = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2 * (1 + ca.sin(t - began)), (began, began + 2), [0.1], [1.0]
+    )
+    with pytest.raises(cg.LimitReached, match="the mesh would need intervals of"):
+        cg.solve(late, tol=1e-10)
+    assert cg.solve(late, tol=1e-6).error_estimate <= 1e-6

@@ -155,3 +155,36 @@ def test_numpy_functions_that_casadi_can_trace_are_taken(function):
     """NumPy's ufuncs call the symbols' own methods: no reason to refuse them."""
     L = lambda t, x, v: v[0] ** 2 / 2 + function(x[0] + 1)  # noqa: E731
     assert oscillator_problem(lagrangian=L).lagrangian.n_in() == 3
+
+
+def test_a_callback_needs_derivatives():
+    class Sine(ca.Callback):
+        def __init__(self):
+            ca.Callback.__init__(self)
+            self.construct("sine")
+
+        def get_n_in(self):
+            return 1
+
+        def get_n_out(self):
+            return 1
+
+        def eval(self, values):
+            return [ca.sin(values[0])]
+
+    class Differentiated(Sine):
+        def has_jacobian(self):
+            return True
+
+        def get_jacobian(self, name, inputs, outputs, options):
+            x, y = ca.MX.sym("x"), ca.MX.sym("y")
+            return ca.Function(name, [x, y], [ca.cos(x)], inputs, outputs, options)
+
+    def stated(sine):
+        return cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - sine(x[0]), (0, 1), [0.0], [1.0])
+
+    plain, smooth = Sine(), Differentiated()
+    with pytest.raises(TypeError, match="lagrangian calls a casadi Function that has no derivatives"):
+        stated(plain)
+    found, expected = (cg.solve(stated(sine), cg.Galerkin(4), 5).action for sine in (smooth, ca.sin))
+    assert found == pytest.approx(expected, rel=1e-12)

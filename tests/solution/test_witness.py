@@ -167,3 +167,13 @@ def test_the_balance_holds_with_friction_and_under_a_constraint_that_moves():
     )
     exact = cg.solve(angle, tol=1e-12)
     np.testing.assert_allclose(np.arctan2(path.x[0], -path.x[1]), exact(path.t)[0], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("far", "tol"), [(1e6, 1e-12), (1e9, 1e-9)])
+def test_what_rounding_does_to_the_action_far_from_zero_is_no_doubt(far, tol):
+    """A pendulum whose angle is counted from far away: its errors count relative to that."""
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0] - far), (0, 2), [far], [far + 1])
+    near = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0, 2), [0.0], [1.0])
+    path, expected = (cg.solve(each, tol=tol) for each in (problem, near))
+    times = np.linspace(0, 2, 50)
+    np.testing.assert_allclose(path(times) - far, expected(times), rtol=0, atol=far * tol)
