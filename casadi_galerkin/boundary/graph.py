@@ -17,7 +17,7 @@ from casadi_galerkin.functional.mapping import Mapping, by_rows
 from casadi_galerkin.functional.numbering import Data, joints_of
 from casadi_galerkin.functional.statement import functional_of, given_values, has_phase, phase_plane
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.constrained_motion import motion_of, tangent_momenta
+from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
 from casadi_galerkin.solvers.solver import SolverLike, newton
@@ -38,12 +38,11 @@ class CriticalPoint:
     @lazy
     def momentum(self) -> np.ndarray:
         """Momenta at the joints, (d, N + 1); with velocities that are tangent to a constraint."""
-        path, problem = self.polynomial, self.problem
+        path = self.polynomial
         momentum = self.solution.momentum.reshape(len(path.values), -1, order="F")
-        motion = motion_of(problem)
-        if motion is None:
+        if self.problem.constraint is None:
             return momentum
-        return tangent_momenta(motion, path.mesh, path(path.mesh), momentum, path(path.mesh, 1))
+        return tangent_momenta(self.problem, path.mesh, path(path.mesh), momentum, path(path.mesh, 1))
 
 
 class BoundaryGraph:

@@ -30,7 +30,7 @@ from casadi_galerkin.control.program_bounds import check_count, check_stages, li
 from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.functional.mapping import Mapping, by_rows
 from casadi_galerkin.functional.statement import refuse_points
-from casadi_galerkin.problems.constrained_motion import tangent_momenta, unforced_motion_of
+from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.control_path import ControlPath
@@ -262,9 +262,8 @@ class ControlTranscription:
         problem = problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints)
         momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
         if problem.constraint is not None:  # which pushes at the joints, too
-            at = unforced_motion_of(problem), joints, polynomial(joints)
-            momentum = tangent_momenta(*at, momentum, polynomial(joints, 1))
-        rates = polynomial(joints[[0, -1]], 1)[chain.mechanical :].T if others.size else np.zeros((2, 0))
+            momentum = tangent_momenta(problem, joints, polynomial(joints), momentum, polynomial(joints, 1))
+        rates = polynomial(joints[[0, -1]], 1)[chain.mechanical :].T
         return ControlTrajectory(
             polynomial=polynomial,
             momentum=momentum,

@@ -301,9 +301,10 @@ class ControlProblem:
     def _check_constraint(self, name: str, t: float) -> None:
         """Refuse a fully given state at an end off a path constraint on which controls have no say, or not tangent."""
         x, v = getattr(self, name), getattr(self, f"{name}_velocity")
-        if self.constraint is not None and None not in (*x, *v):
-            check_tangent(self, name, t, x, v)
-        if self.path_constraint is None or None in (*x, *v):
+        if None in (*x, *v):
+            return
+        check_tangent(self, f"{name}_velocity", t, x, v)
+        if self.path_constraint is None:
             return
         g, low, high = self.path_constraint
         given = [] if self.parameters is None else [self.parameters]

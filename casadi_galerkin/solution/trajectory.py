@@ -181,7 +181,7 @@ class Trajectory(Path):
 
     def _constrained_motion(self) -> ca.Function | None:
         """What the multipliers are found from, with the forces on this path; None where there is no constraint."""
-        return motion_of(self.problem)
+        return motion_of(self.problem, self.problem.force)
 
     @lazy
     def energy(self) -> np.ndarray:

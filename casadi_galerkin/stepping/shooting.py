@@ -26,7 +26,7 @@ from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.statement import has_phase, phase_plane, turned_back
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.constrained_motion import motion_of, tangent_momenta
+from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
@@ -252,7 +252,7 @@ def shoot(
     if problem.energy is not None:  # the duration asked for was a guess
         problem = problem.varied({}, (float(roll.mesh[0]), float(roll.mesh[-1])))
     at = roll.mesh[:1], roll.x[:, :1]  # the steps do not depend on the normal part of the first momentum
-    first = tangent_momenta(motion_of(problem), *at, roll.p[:, :1], shooting.velocity(roll)[:, None])
+    first = tangent_momenta(problem, *at, roll.p[:, :1], shooting.velocity(roll)[:, None])
     roll = replace(roll, p=np.column_stack((first, roll.p[:, 1:])))
     path = trajectory(problem, shooting.stepper, roll, iterations, solver, build, seconds)
     turned = turned_back(problem, path.polynomial, shooting.plane)
