@@ -262,19 +262,3 @@ def first_mesh(
     if intervals is None and mesh is None:
         intervals = max(FEWEST, math.ceil(FIRST_NODES / first.degree), 1 + len(problem.breakpoints))
     return mesh_of(problem.t_span, intervals, mesh, problem.breakpoints)
-
-
-def solve_to_tolerance(
-    problem: BoundaryProblem,
-    tol: float,
-    method: Galerkin | None,
-    intervals: int | None,
-    mesh: ArrayLike | None,
-    guess: Guess | None,
-    solver: SolverLike,
-    limits: Limits,
-    verbose: int,
-) -> Trajectory:
-    """Solve a boundary problem to a tolerance; see `solve` for the arguments."""
-    joints = first_mesh(problem, tol, method, intervals, mesh)
-    return BoundaryRefinement(Levels(problem), tol, method, solver, limits, verbose).run(joints, guess)

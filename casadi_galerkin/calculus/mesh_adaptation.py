@@ -88,6 +88,11 @@ def interval_maxima(path: PiecewisePolynomial) -> np.ndarray:
     return np.asarray(np.max(np.abs(path.local @ _to_samples(tuple(path.nodes.tolist())).T), axis=2))
 
 
+def graded_alike(mesh: np.ndarray, intervals: int) -> np.ndarray:
+    """Joints that are graded as those of a mesh, with so many intervals."""
+    return np.asarray(np.interp(np.linspace(0, len(mesh) - 1, intervals + 1), np.arange(len(mesh)), mesh))
+
+
 def equidistributed(
     mesh: np.ndarray,
     error: np.ndarray,

@@ -35,6 +35,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import mesh_of, with_breakpoints
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.mesh_adaptation import graded_alike
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
@@ -68,7 +69,7 @@ def raised(method: Galerkin) -> Galerkin:
 
 def halved(mesh: np.ndarray) -> np.ndarray:
     """The mesh with every interval halved."""
-    return np.asarray(np.interp(np.arange(2 * len(mesh) - 1) / 2, np.arange(len(mesh)), mesh))
+    return graded_alike(mesh, 2 * (len(mesh) - 1))
 
 
 def fits_any_mesh(guess: Guess | None) -> bool:
@@ -160,7 +161,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         """Solve on the better mesh, from the path of higher degree; without that, on a mesh twice as fine."""
         detail = estimate.detail
         mesh = halved(level.t) if detail is None else detail.better_mesh(self.tol)
-        self.check_intervals(len(mesh) - 1, level, estimate.error)
+        if len(mesh) - 1 > self.limits.intervals:
+            raise self.stopped(f"the mesh would need {len(mesh) - 1} intervals", level, estimate.error)
         known = level if detail is None else detail.higher
         joints = self.scaled(mesh, known)
         if np.min(np.diff(joints)) < SHORTEST * 2**DOUBLINGS * np.ptp(joints):

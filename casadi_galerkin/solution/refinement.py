@@ -116,11 +116,6 @@ class Refinement(ABC, Generic[Level, Detail]):
         if self.out_of_time():
             raise self.stopped(f"{self.limits.seconds:g} seconds have passed", level, error)
 
-    def check_intervals(self, count: int, level: Level, error: float) -> None:
-        """Stop before a mesh of more intervals than allowed."""
-        if count > self.limits.intervals:
-            raise self.stopped(f"the mesh would need {count} intervals", level, error)
-
     def stopped(self, reason: str, level: Level, error: float) -> LimitReached:
         """Say how far it got; the best path is attached."""
         path = self.path(level, error)
