@@ -116,9 +116,8 @@ class BoundaryGraph:
         return np.asarray(np.concatenate((step, given))[self.numbering.of_nodes].T)
 
     def varied(self, changes: Named[str, object], joints: np.ndarray) -> BoundaryProblem:
-        """The problem with other given values, those that are None left out, on other joints; see its own `varied`."""
-        changes = {name: value for name, value in changes.items() if value is not None}
-        if not changes and joints is self.mesh:
+        """The problem with other given values on other joints; see its own `varied`."""
+        if joints is self.mesh and all(value is None for value in changes.values()):
             return self.problem
         return self.problem.varied(changes, (float(joints[0]), float(joints[-1])))
 

@@ -43,7 +43,7 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.limits import Limits, check_tolerance
+from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.refinement import Estimate, Refinement
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -256,7 +256,6 @@ def first_mesh(
     problem: BoundaryProblem, tol: float, method: Galerkin | None, intervals: int | None, mesh: ArrayLike | None
 ) -> np.ndarray:
     """Joints where a refinement begins; refuses what does not fit, see `solve` for the arguments."""
-    check_tolerance(tol)
     first = of_degree(degree_for(tol)) if method is None else method
     check_types(problem, first, BoundaryProblem)
     if intervals is None and mesh is None:

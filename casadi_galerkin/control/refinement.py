@@ -41,11 +41,11 @@ from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import check_types, marks
+from casadi_galerkin.problems.problem import between_marks, check_types, marks
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.limits import Limits, check_tolerance
+from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.refinement import Estimate, Refinement
 from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import Solver
@@ -116,7 +116,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def scaled(self, mesh: np.ndarray, path: ControlTrajectory) -> np.ndarray:
         """Joints in the times of a path, breakpoints among them, scaled to the phases of the problem."""
         joints = with_breakpoints(mesh, path.problem.breakpoints)
-        return np.asarray(np.interp(joints, marks(path.problem), marks(self.problem)))
+        return between_marks(joints, marks(path.problem), marks(self.problem))
 
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Solve with one degree on one mesh, in the times of the problem."""
@@ -207,7 +207,6 @@ def first_control_mesh(
     problem: ControlProblem, tol: float, method: Galerkin | None, intervals: int | None, mesh: ArrayLike | None
 ) -> np.ndarray:
     """Joints where a refinement begins; refuses what does not fit, see `solve` for the arguments."""
-    check_tolerance(tol)
     check_types(problem, Galerkin(degree_for(tol)) if method is None else method, ControlProblem)
     if problem.hold:
         raise ValueError(

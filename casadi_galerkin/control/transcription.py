@@ -146,8 +146,8 @@ class ControlTranscription:
         _check_steps(calculus.mesh)
         check_breakpoints(calculus.mesh, self.problem.breakpoints)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
-        changes = {name: value for name, value in {**ends, "parameters": parameters}.items() if value is not None}
-        problem = self.problem.varied(changes, (float(calculus.mesh[0]), float(calculus.mesh[-1])))
+        span = float(calculus.mesh[0]), float(calculus.mesh[-1])
+        problem = self.problem.varied({**ends, "parameters": parameters}, span)
         begun = self.start(problem, calculus, guess)
         path = _or_with_ipopt(solver, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began))
         if verbose:

@@ -17,6 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.linear_equations import solve_scaled
@@ -142,7 +143,9 @@ def check_constraint(problem: Problem) -> None:
     function = with_parameters(problem.constraint, problem.parameters)
     d, k = function.size1_in(1), function.size1_out(0)
     if k >= d:
-        raise ValueError(f"a constraint must leave the path free to move: {k} value(s) for {d} component(s)")
+        raise ValueError(
+            f"a constraint must leave the path free to move: {counted(k, 'value')} for {counted(d, 'component')}"
+        )
     first, last = problem.t_span
     for name, when in (("start", first), ("position", first), ("end", last)):
         where: Any = getattr(problem, name, (None,))

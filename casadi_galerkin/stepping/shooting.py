@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.buffers import Evaluator
@@ -237,7 +238,7 @@ def shoot(
     """
     check_types(problem, method, BoundaryProblem)
     if guess is not None and (not isinstance(guess, Trajectory) or len(guess.x) != problem.dimension):
-        raise TypeError(f"guess must be a Trajectory of {problem.dimension} component(s), got {guess!r}")
+        raise TypeError(f"guess must be a Trajectory of {counted(problem.dimension, 'component')}, got {guess!r}")
     began = time.perf_counter()
     shooting = Shooting(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), guess)
     equations = time.perf_counter() - began - shooting.stepper.build_seconds

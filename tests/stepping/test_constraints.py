@@ -164,7 +164,7 @@ def test_a_moving_constraint_is_met_up_to_the_rounding_of_the_time(constraint, d
         ),
         (
             {"constraint": lambda t, x: [ca.sumsqr(x) - 1, x[0]]},
-            r"must leave the path free to move: 2 value\(s\) for 2 component\(s\)",
+            r"must leave the path free to move: 2 values for 2 components",
         ),
     ],
 )
