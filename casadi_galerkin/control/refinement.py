@@ -82,6 +82,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     """One refinement of a trajectory optimization under way, to a tolerance of all or `of_cost` alone; see `solve`."""
 
     roundoff_level = 1e-8  # what the solvers leave
+    iterations = 0  # of the solver in all solves so far
 
     def __init__(
         self,
@@ -97,13 +98,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         self.problem, self.of_cost, self.solver = problem, of_cost, solver
         self.following = solver.with_options(**{"mu_init": FOLLOWING_BARRIER, **solver.options})
         self.method = Galerkin(degree_for(tol)) if method is None else method
-        self._iterations, self.build_seconds = 0, 0.0
+        self.build_seconds = 0.0
         self.known: HigherDegree | None = None
-
-    @property
-    def iterations(self) -> int:
-        """Iterations of the solver in all solves."""
-        return self._iterations
 
     def solved(self, level: ControlTrajectory) -> tuple[int, float]:
         """Iterations of the solver on one level, and the violation it left."""
@@ -126,11 +122,11 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             with until(self.deadline):
                 path = transcription.solve(guess=guess, solver=solver, verbose=max(self.verbose - 1, 0))
         except ConvergenceError as failure:
-            self._iterations += failure.iterations
+            self.iterations += failure.iterations
             raise
         finally:
             self.build_seconds += transcription.build_seconds
-        self._iterations += path.iterations
+        self.iterations += path.iterations
         return path
 
     def solve_finer(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
