@@ -276,7 +276,7 @@ class Walk(Curve[Solution]):
             try:
                 if answer is not None:
                     z, solution = answer
-                    if predicted[-1] == end and normal is not point.tangent:
+                    if normal is not point.tangent:
                         z[-1] = end
                     found = CriticalPoint(solution, self.problem(z), self.data(z), self.path(z))
                     trajectory = self.transcription.trajectory(found, 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.failure_report import explained
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_breakpoints
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -84,13 +84,8 @@ class BoundaryGraph:
         """
         if not callable(solver):
             raise TypeError(f"solver must be newton, rootfinder, ipopt or minimizer, got {solver!r}")
-        calculus, joints = self._calculus, self.mesh
-        if mesh is not None:
-            calculus = DiscreteCalculus(self.method, mesh)
-            joints, size = calculus.mesh, len(self.mesh) - 1
-            check_breakpoints(joints, self.problem.breakpoints)
-            if len(joints) != size + 1:
-                raise ValueError(f"this transcription has {size} intervals, got a mesh of {len(joints) - 1}")
+        calculus = self._calculus if mesh is None else remeshed(self._calculus, mesh, self.problem.breakpoints)
+        joints = calculus.mesh
         problem = self.varied(changes or {}, joints)
         data = self.data(joints, problem)
         values = self._guess(guess, calculus, data)
@@ -117,9 +112,10 @@ class BoundaryGraph:
 
     def varied(self, changes: Named[str, object], joints: np.ndarray) -> BoundaryProblem:
         """The problem with other given values on other joints; see its own `varied`."""
-        if joints is self.mesh and all(value is None for value in changes.values()):
+        span = float(joints[0]), float(joints[-1])
+        if span == self.problem.t_span and all(value is None for value in changes.values()):
             return self.problem
-        return self.problem.varied(changes, (float(joints[0]), float(joints[-1])))
+        return self.problem.varied(changes, span)
 
     def data(self, joints: np.ndarray, problem: BoundaryProblem | None = None, plane: np.ndarray | None = None) -> Data:
         """Values of all inputs of the graph but the unknowns, of the problem itself or of one that is `varied` from it.
@@ -148,8 +144,6 @@ class BoundaryGraph:
         """Unknowns ξ out of node values (N m + 1, d); multipliers are those that the Newton step from there finds."""
         numbering = self.numbering
         positions = np.asarray(values.ravel()[numbering.place])
-        if numbering.free == numbering.positions:
-            return positions
         unknowns = np.append(positions, np.zeros(numbering.free - numbering.positions))
         if numbering.multipliers:
             multipliers = slice(numbering.positions, numbering.positions + numbering.multipliers)

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_breakpoints, mesh_of
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS
@@ -135,16 +135,12 @@ class ControlTranscription:
         """
         began = time.perf_counter() - self.build_seconds
         check_solver(solver)
-        calculus = self.calculus if mesh is None else DiscreteCalculus(self.method, mesh)
-        if len(calculus.mesh) != len(self.mesh):
-            count = len(calculus.mesh) - 1
-            raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {count}")
+        calculus = self.calculus if mesh is None else remeshed(self.calculus, mesh, self.problem.breakpoints)
         if not np.array_equal(np.searchsorted(calculus.mesh, self.problem.breakpoints), self.chain.breaks):
             raise ValueError(
                 f"the breakpoints {self.problem.breakpoints} must be the joints {self.chain.breaks} of the mesh"
             )
         _check_steps(calculus.mesh)
-        check_breakpoints(calculus.mesh, self.problem.breakpoints)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         span = float(calculus.mesh[0]), float(calculus.mesh[-1])
         problem = self.problem.varied({**ends, "parameters": parameters}, span)
