@@ -7,6 +7,7 @@ from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscriptio
 from casadi_galerkin.boundary.continuation import Branch as Branch
 from casadi_galerkin.boundary.continuation import Fold as Fold
 from casadi_galerkin.boundary.continuation import continuation as continuation
+from casadi_galerkin.boundary.deflation import Paths as Paths
 from casadi_galerkin.boundary.deflation import paths as paths
 from casadi_galerkin.boundary.sensitivity import Sensitivity as Sensitivity
 from casadi_galerkin.boundary.sensitivity import sensitivity as sensitivity
@@ -34,7 +35,6 @@ from casadi_galerkin.solution.errors import ConjugatePointError as ConjugatePoin
 from casadi_galerkin.solution.errors import ConvergenceError as ConvergenceError
 from casadi_galerkin.solution.errors import LimitReached as LimitReached
 from casadi_galerkin.solution.limits import Limits as Limits
-from casadi_galerkin.solution.paths import Paths as Paths
 from casadi_galerkin.solution.plotting import panels as panels
 from casadi_galerkin.solution.trajectory import Trajectory as Trajectory
 from casadi_galerkin.solvers.solver import Solver as Solver

@@ -9,7 +9,8 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscription
-from casadi_galerkin.boundary.refinement import solve_to_tolerance
+from casadi_galerkin.boundary.levels import Levels
+from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_mesh
 from casadi_galerkin.boundary.sensitivity import boundary_function
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
@@ -152,7 +153,9 @@ def solve(
         refinement = ControlRefinement(problem, tolerance, of_cost, method, limits, solver or ipopt, verbose)
         path = refinement.run(joints, guess, starts)
     else:
-        path = solve_to_tolerance(problem, tolerance, method, intervals, mesh, guess, solver or newton, limits, verbose)
+        joints = first_mesh(problem, tolerance, method, intervals, mesh)
+        levels, solver = Levels(problem), solver or newton
+        path = BoundaryRefinement(levels, tolerance, method, solver, limits, verbose).run(joints, guess)
     if verbose:
         print(path)
     return path

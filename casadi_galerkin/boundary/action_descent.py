@@ -18,7 +18,7 @@ import numpy as np
 
 from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.discrete_calculus import too_near
-from casadi_galerkin.calculus.mesh_adaptation import equidistributed, truncation
+from casadi_galerkin.calculus.mesh_adaptation import equidistributed, graded_alike, truncation
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.numbering import Data
@@ -67,7 +67,7 @@ def descend(
             raise ConvergenceError("the time was up before a path was found", Path(path))
         mesh = equidistributed(path.mesh, error, len(path.nodes), tol, FINER, fewest)
         if len(mesh) - 1 > MOST_INTERVALS:
-            mesh = np.interp(np.linspace(0, 1, MOST_INTERVALS + 1), np.linspace(0, 1, len(mesh)), mesh)
+            mesh = graded_alike(mesh, MOST_INTERVALS)
         if np.any(too_near(mesh)):
             raise ConvergenceError("joints came too near to one another", Path(path))
         path = transcribed(mesh).guess_on_mesh(path, mesh)

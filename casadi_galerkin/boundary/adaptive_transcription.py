@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.graph import CriticalPoint
@@ -27,9 +26,10 @@ from casadi_galerkin.calculus.mesh_adaptation import degree_for, of_degree
 from casadi_galerkin.calculus.numbers import counted, time_span
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.problem import between_marks, marks
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.limits import Limits
+from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, newton
 
@@ -72,9 +72,9 @@ class AdaptiveTranscription:
         mesh: ArrayLike | None = None,
         limits: Limits | None = None,
     ) -> None:
-        self.problem, self.tol, self.limits = problem, tol, limits or Limits()
-        self._coarse = first_mesh(problem, tol, method, intervals, mesh)
-        self.method = method or of_degree(degree_for(tol))  # of all paths: the mesh is for later ones, too
+        self.problem, self.tol, self.limits = problem, check_tolerance(tol), limits or Limits()
+        self._coarse = first_mesh(problem, self.tol, method, intervals, mesh)
+        self.method = method or of_degree(degree_for(self.tol))  # of all paths: the mesh is for later ones, too
         self._levels = Levels(problem, by_rows)
         self.first: Trajectory | None = None
 
@@ -112,7 +112,6 @@ class AdaptiveTranscription:
         """
         check_given(given)
         changes = {"start": start, "end": end, "parameters": parameters, **given}
-        changes = {name: value for name, value in changes.items() if value is not None}
         problem = self.problem.varied(changes, self.problem.t_span if t_span is None else time_span(t_span))
         path = self.found(problem, guess, self.first, solver, verbose)
         self.first = self.first or path
@@ -140,13 +139,13 @@ class AdaptiveTranscription:
             problem = problem.varied({}, (problem.t_span[0], problem.t_span[0] + float(known.t[-1] - known.t[0])))
         levels = self._levels.of(problem)
         refinement = BoundaryRefinement(levels, self.tol, self.method, solver, self.limits, verbose)
-        coarse = self._stretched(self._coarse, problem.t_span)
+        coarse = between_marks(self._coarse, marks(self.problem), marks(problem))
         guess = refinement.on_any_mesh(guess, coarse)
         try:
             if known is not None:
                 return self._followed(refinement, known)
             if kept is not None:
-                mesh = self._stretched(kept.t, problem.t_span)
+                mesh = between_marks(kept.t, marks(kept.problem), marks(problem))
                 return refinement.resume(levels.solve(kept.method, mesh, guess, refinement.at_once))
         except LimitReached:
             raise
@@ -182,15 +181,10 @@ class AdaptiveTranscription:
         assert isinstance(known.problem, BoundaryProblem)
         for step in range(1, steps + 1):
             problem = levels.problem if step == steps else between(known.problem, levels.problem, step / steps)
-            mesh, guess = self._stretched(known.t, problem.t_span), ends_replaced(path, problem)
-            point = levels.solve(known.method, mesh, guess, refinement.at_once, problem)
+            mesh = between_marks(known.t, marks(known.problem), marks(problem))
+            point = levels.solve(known.method, mesh, ends_replaced(path, problem), refinement.at_once, problem)
             path = point.polynomial.values
         return point
-
-    def _stretched(self, mesh: np.ndarray, span: tuple[float, float]) -> np.ndarray:
-        """Joints over another time span; breakpoints stay where they are."""
-        fixed = self.problem.breakpoints
-        return np.asarray(np.interp(mesh, [mesh[0], *fixed, mesh[-1]], [span[0], *fixed, span[1]]))
 
     def __repr__(self) -> str:
         """Say what was built, and what mesh is kept."""

@@ -21,6 +21,7 @@ from casadi_galerkin.boundary.variations import nearest, values_of
 from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.problem import marks
 from casadi_galerkin.solution.trajectory import Trajectory
 
 ROUGH = 1e-6  # part of the action that may be the error of a coarse mesh
@@ -79,7 +80,7 @@ def _place(graph: Transcription, path: Trajectory, values: np.ndarray) -> Place:
     data = graph.data(mesh, problem)
     found = _slopes(graph.functional).call([graph.unknowns(path.polynomial.values.T, data), *data])
     action, at_start, at_end, by_joints, *further = (np.array(value).ravel() for value in found)
-    joints = [mesh[0], *problem.breakpoints, mesh[-1]]  # only the ends move
+    joints = marks(problem)  # only the ends move
     ways = np.zeros((2, len(joints)))
     ways[0, 0] = ways[1, -1] = 1.0
     by_times = [np.interp(mesh, joints, way) @ by_joints for way in ways]

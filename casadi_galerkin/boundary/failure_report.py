@@ -10,7 +10,7 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.embedding import embedding
 from casadi_galerkin.functional.functional import Functional
-from casadi_galerkin.functional.numbering import Data, Numbering, clock, joints_of
+from casadi_galerkin.functional.numbering import Data, joints_of
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
@@ -20,7 +20,9 @@ from casadi_galerkin.solvers.stationarity import Stationarity, joined
 def not_finite(functional: Functional, unknowns: np.ndarray, data: Data) -> str:
     """Say at which time the Lagrangian or its derivatives first are not finite."""
     pointwise, numbering, parameters = functional.pointwise, functional.numbering, functional.parameters_of(data)
-    times, steps = clock(numbering, joints_of(numbering, unknowns, data))
+    joints, points = joints_of(numbering, unknowns, data), numbering.method.element.points
+    steps = np.tile(np.diff(joints), len(points))
+    times = np.tile(joints[:-1], len(points)) + np.repeat(points, len(joints) - 1) * steps
     x, slope = (np.array(a) for a in embedding(numbering)(joined(unknowns, data)))
     for k in np.argsort(times, kind="stable"):
         results = pointwise.first(times[k], steps[k], x[:, k], slope[:, k], *parameters)
@@ -73,28 +75,19 @@ def explained(
     if not np.all(np.isfinite(g)):
         place = not_finite(stationarity.functional, unknowns, data)
     where = f"after {failure.iterations} iterations; {place}"
-    if failure.singular:
-        return ConjugatePointError(
-            f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free: "
-            f"move an end, change the time span, or fix that component{_about_conditions(numbering)}",
-            Path(path),
-            float(residual[worst]),
-            failure.iterations,
-        )
-    return ConvergenceError(
+    kind: type[ConvergenceError] = ConvergenceError
+    words = (
         f"no path was found: {failure} ({where}). Try a guess nearer to the path, more intervals, "
-        f"or a shorter time span; there may be no path between these ends{_about_conditions(numbering)}",
-        Path(path),
-        float(residual[worst]),
-        failure.iterations,
+        "or a shorter time span; there may be no path between these ends"
     )
-
-
-def _about_conditions(numbering: Numbering) -> str:
-    """What else may be wrong where a problem states conditions or an energy."""
-    words = ""
+    if failure.singular:
+        kind = ConjugatePointError
+        words = (
+            f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free: "
+            "move an end, change the time span, or fix that component"
+        )
     if numbering.multipliers:
         words += "; the constraints and the conditions on the ends may contradict one another, or say one thing twice"
     if numbering.stretched:
         words += "; there may be no path of this energy"
-    return words
+    return kind(words, Path(path), float(residual[worst]), failure.iterations)

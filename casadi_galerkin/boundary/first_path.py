@@ -16,7 +16,7 @@ from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, with_breakpoints
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import equidistributed, of_degree, truncation
+from casadi_galerkin.calculus.mesh_adaptation import equidistributed, graded_alike, of_degree, truncation
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -120,8 +120,7 @@ def first_path_strategies(
 
 def _with_more(mesh: np.ndarray, intervals: int) -> np.ndarray:
     """Joints that are graded as those of a mesh, with so many intervals if it has fewer."""
-    count = max(intervals + 1, len(mesh))
-    return np.asarray(np.interp(np.linspace(0, 1, count), np.linspace(0, 1, len(mesh)), mesh))
+    return graded_alike(mesh, max(intervals, len(mesh) - 1))
 
 
 def _by_descent(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.failure_report import explained
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_breakpoints
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -17,7 +17,7 @@ from casadi_galerkin.functional.mapping import Mapping, by_rows
 from casadi_galerkin.functional.numbering import Data, joints_of
 from casadi_galerkin.functional.statement import functional_of, given_values, has_phase, phase_plane
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.constrained_motion import motion_of, tangent_momenta
+from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
 from casadi_galerkin.solvers.solver import SolverLike, newton
@@ -38,12 +38,11 @@ class CriticalPoint:
     @lazy
     def momentum(self) -> np.ndarray:
         """Momenta at the joints, (d, N + 1); with velocities that are tangent to a constraint."""
-        path, problem = self.polynomial, self.problem
+        path = self.polynomial
         momentum = self.solution.momentum.reshape(len(path.values), -1, order="F")
-        motion = motion_of(problem)
-        if motion is None:
+        if self.problem.constraint is None:
             return momentum
-        return tangent_momenta(motion, path.mesh, path(path.mesh), momentum, path(path.mesh, 1))
+        return tangent_momenta(self.problem, path.mesh, path(path.mesh), momentum, path(path.mesh, 1))
 
 
 class BoundaryGraph:
@@ -85,13 +84,8 @@ class BoundaryGraph:
         """
         if not callable(solver):
             raise TypeError(f"solver must be cg.newton, cg.rootfinder, cg.ipopt or cg.minimizer, got {solver!r}")
-        calculus, joints = self._calculus, self.mesh
-        if mesh is not None:
-            calculus = DiscreteCalculus(self.method, mesh)
-            joints, size = calculus.mesh, len(self.mesh) - 1
-            check_breakpoints(joints, self.problem.breakpoints)
-            if len(joints) != size + 1:
-                raise ValueError(f"this transcription has {size} intervals, got a mesh of {len(joints) - 1}")
+        calculus = self._calculus if mesh is None else remeshed(self._calculus, mesh, self.problem.breakpoints)
+        joints = calculus.mesh
         problem = self.varied(changes or {}, joints)
         data = self.data(joints, problem)
         values = self._guess(guess, calculus, data)
@@ -117,11 +111,11 @@ class BoundaryGraph:
         return np.asarray(np.concatenate((step, given))[self.numbering.of_nodes].T)
 
     def varied(self, changes: Named[str, object], joints: np.ndarray) -> BoundaryProblem:
-        """The problem with other given values, those that are None left out, on other joints; see its own `varied`."""
-        changes = {name: value for name, value in changes.items() if value is not None}
-        if not changes and joints is self.mesh:
+        """The problem with other given values on other joints; see its own `varied`."""
+        span = float(joints[0]), float(joints[-1])
+        if span == self.problem.t_span and all(value is None for value in changes.values()):
             return self.problem
-        return self.problem.varied(changes, (float(joints[0]), float(joints[-1])))
+        return self.problem.varied(changes, span)
 
     def data(self, joints: np.ndarray, problem: BoundaryProblem | None = None, plane: np.ndarray | None = None) -> Data:
         """Values of all inputs of the graph but the unknowns, of the problem itself or of one that is `varied` from it.
@@ -150,8 +144,6 @@ class BoundaryGraph:
         """Unknowns ξ out of node values (N m + 1, d); multipliers are those that the Newton step from there finds."""
         numbering = self.numbering
         positions = np.asarray(values.ravel()[numbering.place])
-        if numbering.free == numbering.positions:
-            return positions
         unknowns = np.append(positions, np.zeros(numbering.free - numbering.positions))
         if numbering.multipliers:
             multipliers = slice(numbering.positions, numbering.positions + numbering.multipliers)

@@ -43,7 +43,7 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.limits import Limits, check_tolerance
+from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.refinement import Estimate, Refinement
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -266,25 +266,8 @@ def first_mesh(
     problem: BoundaryProblem, tol: float, method: Galerkin | None, intervals: int | None, mesh: ArrayLike | None
 ) -> np.ndarray:
     """Joints where a refinement begins; refuses what does not fit, see `solve` for the arguments."""
-    check_tolerance(tol)
     first = of_degree(degree_for(tol)) if method is None else method
     check_types(problem, first, BoundaryProblem)
     if intervals is None and mesh is None:
         intervals = max(FEWEST, math.ceil(FIRST_NODES / first.degree), 1 + len(problem.breakpoints))
     return mesh_of(problem.t_span, intervals, mesh, problem.breakpoints)
-
-
-def solve_to_tolerance(
-    problem: BoundaryProblem,
-    tol: float,
-    method: Galerkin | None,
-    intervals: int | None,
-    mesh: ArrayLike | None,
-    guess: Guess | None,
-    solver: SolverLike,
-    limits: Limits,
-    verbose: int,
-) -> Trajectory:
-    """Solve a boundary problem to a tolerance; see `solve` for the arguments."""
-    joints = first_mesh(problem, tol, method, intervals, mesh)
-    return BoundaryRefinement(Levels(problem), tol, method, solver, limits, verbose).run(joints, guess)

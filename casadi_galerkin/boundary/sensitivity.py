@@ -45,7 +45,7 @@ def boundary_function(
     nodes = ca.MX.sym("guess", problem.dimension, numbering.of_nodes.shape[0])
     first = ca.vertcat(ca.vec(nodes)[numbering.place.tolist()], ca.MX.zeros(numbering.multipliers))
     root = embeddable(functional, weights)(guess=first, **joints, **data)["unknowns"]
-    summary = transcription.summary(unknowns=root, **joints, **data)
+    summary = functional.function("summary")(unknowns=root, **joints, **data)
     u = ca.vertcat(root, data["start"], data["end"])
     x = ca.reshape(u[numbering.of_nodes[:: method.degree].ravel().tolist()], problem.dimension, -1)
     verified = _check(transcription.stationarity)(unknowns=root, **joints, **data)["verified"]

@@ -95,11 +95,6 @@ class Transcription(BoundaryGraph):
         """∇²S by the unknowns, sparse, of the same inputs."""
         return self.functional.function("hessian")
 
-    @property
-    def summary(self) -> ca.Function:
-        """S, momenta (d, N + 1) at all joints, ∇S and the sizes of the terms it sums, of the same inputs."""
-        return self.functional.function("summary")
-
     def solve(
         self,
         start: Sequence[float | None] | None = None,

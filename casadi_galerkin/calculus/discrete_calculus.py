@@ -186,6 +186,15 @@ def check_breakpoints(mesh: np.ndarray, breakpoints: tuple[float, ...]) -> None:
         )
 
 
+def remeshed(calculus: DiscreteCalculus, mesh: ArrayLike, breakpoints: tuple[float, ...]) -> DiscreteCalculus:
+    """The calculus of a transcription on other joints: as many, with the breakpoints among them."""
+    other, intervals = DiscreteCalculus(calculus.method, mesh), len(calculus.mesh) - 1
+    check_breakpoints(other.mesh, breakpoints)
+    if len(other.mesh) - 1 != intervals:
+        raise ValueError(f"this transcription has {intervals} intervals, got a mesh of {len(other.mesh) - 1}")
+    return other
+
+
 def _between(marks: np.ndarray, intervals: int) -> np.ndarray:
     """Joints that hold the marks, with so many intervals in all; each next one goes where they are longest."""
     if len(marks) == 2:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import component_sizes
 
@@ -52,12 +51,6 @@ def _to_legendre(nodes: tuple[float, ...]) -> np.ndarray:
     return np.linalg.inv(legendre.legvander(2 * np.array(nodes) - 1, len(nodes) - 1))
 
 
-@lru_cache(maxsize=64)
-def _to_samples(nodes: tuple[float, ...]) -> np.ndarray:
-    """Matrix from values at the nodes of [0, 1] to values at four times as many points."""
-    return lagrange_values(np.array(nodes), np.linspace(0, 1, 4 * len(nodes) - 3))
-
-
 def truncation(path: PiecewisePolynomial) -> np.ndarray:
     """Estimate what a path of its degree leaves out on each interval, relative to the size of the components; (N,).
 
@@ -85,7 +78,12 @@ def truncation(path: PiecewisePolynomial) -> np.ndarray:
 
 def interval_maxima(path: PiecewisePolynomial) -> np.ndarray:
     """Largest size of every component on every interval, (d, N), sampled between the nodes as well."""
-    return np.asarray(np.max(np.abs(path.local @ _to_samples(tuple(path.nodes.tolist())).T), axis=2))
+    return np.asarray(np.max(np.abs(path.at_parts(np.linspace(0, 1, 4 * path.degree + 1))[0]), axis=2))
+
+
+def graded_alike(mesh: np.ndarray, intervals: int) -> np.ndarray:
+    """Joints that are graded as those of a mesh, with so many intervals."""
+    return np.asarray(np.interp(np.linspace(0, len(mesh) - 1, intervals + 1), np.arange(len(mesh)), mesh))
 
 
 def equidistributed(

@@ -128,7 +128,8 @@ def components(name: str, values: Sequence[float | None], length: int | None = N
     if array.ndim != 1:
         raise ValueError(f"{name} must be one-dimensional, got an array of shape {array.shape}")
     if len(array) == 0 or (length is not None and len(array) != length):
-        raise ValueError(f"{name} must have {length or 'at least one'} component(s), got {len(array)}: {values!r}")
+        expected = counted(length, "component") if length else "components"
+        raise ValueError(f"{name} must have {expected}, got {len(array)}: {values!r}")
     checked = tuple(array.tolist())
     for i, value in enumerate(checked):
         if value is not None and not math.isfinite(value):

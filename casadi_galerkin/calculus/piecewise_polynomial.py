@@ -109,7 +109,7 @@ class PiecewisePolynomial:
 
     def at(self, nodes: np.ndarray) -> np.ndarray:
         """Node values (d, N m' + 1) on the same mesh with other nodes: no times, so no roundoff of theirs."""
-        inner = self.local @ _basis(tuple(self.nodes.tolist()), tuple(nodes[:-1].tolist()))[0].T
+        inner = self.at_parts(nodes[:-1])[0]
         return np.concatenate((inner.reshape(len(self.values), -1), self.values[:, -1:]), axis=1)
 
     def __call__(self, t: ArrayLike, nu: int = 0) -> np.ndarray:

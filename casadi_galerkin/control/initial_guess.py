@@ -13,7 +13,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.embedding import ChainEmbedding
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import marks
+from casadi_galerkin.problems.problem import between_marks, marks
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess, Values, guess_values, meeting_ends, sampled
 
@@ -51,7 +51,8 @@ def first_values(
     if isinstance(guess, ControlTrajectory):
         slopes = guess.start_velocity, guess.end_velocity
         if problem.duration_bounds is not None:
-            durations = np.clip(np.diff(_marks_before(guess, of_phases)), *problem.duration_bounds)
+            before = between_marks(of_phases, of_phases, marks(guess.problem))
+            durations = np.clip(np.diff(before), *problem.duration_bounds)
         found = guess.parameters
         if problem.parameter_bounds is not None and found is not None and len(found) == chain.parameters:
             parameters = np.clip(found, *problem.parameter_bounds)
@@ -77,19 +78,11 @@ def first_values(
     }
 
 
-def _marks_before(guess: ControlTrajectory, now: np.ndarray) -> np.ndarray:
-    """Where the phases of an earlier answer begin and end; where it has others, its ends and these in proportion."""
-    before = np.array(marks(guess.problem))
-    return before if len(before) == len(now) else np.interp(now, now[[0, -1]], before[[0, -1]])
-
-
 def _earlier(
     guess: ControlTrajectory, path: Callable[[np.ndarray], np.ndarray], now: np.ndarray, times: np.ndarray
 ) -> np.ndarray:
     """Values of an earlier answer, or of its controls, at the same fractions of the durations between marks."""
-    before = _marks_before(guess, now)
-    same = np.array_equal(before, now)
-    return np.asarray(path(times if same else np.clip(np.interp(times, now, before), before[0], before[-1])))
+    return path(between_marks(times, now, marks(guess.problem)))
 
 
 def _arrivals(

@@ -36,17 +36,18 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import mesh_of, with_breakpoints
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.mesh_adaptation import graded_alike
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.several_starts import different, optima_of
 from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import check_types, marks
+from casadi_galerkin.problems.problem import between_marks, check_types, marks
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solution.limits import Limits, check_tolerance
+from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.refinement import Estimate, Refinement
 from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import Solver
@@ -71,7 +72,7 @@ def raised(method: Galerkin) -> Galerkin:
 
 def halved(mesh: np.ndarray) -> np.ndarray:
     """The mesh with every interval halved."""
-    return np.asarray(np.interp(np.arange(2 * len(mesh) - 1) / 2, np.arange(len(mesh)), mesh))
+    return graded_alike(mesh, 2 * (len(mesh) - 1))
 
 
 def fits_any_mesh(guess: Guess | None) -> bool:
@@ -84,6 +85,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     """One refinement of a trajectory optimization under way, to a tolerance of all or `of_cost` alone; see `solve`."""
 
     roundoff_level = 1e-8  # what the solvers leave
+    iterations = 0  # of the solver in all solves so far
 
     def __init__(
         self,
@@ -99,14 +101,9 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         self.problem, self.of_cost, self.solver = problem, of_cost, solver
         self.following = solver.with_options(**{"mu_init": FOLLOWING_BARRIER, **solver.options})
         self.method = Galerkin(degree_for(tol)) if method is None else method
-        self._iterations, self.build_seconds = 0, 0.0
+        self.build_seconds = 0.0
         self.known: HigherDegree | None = None
         self.cost_known = np.inf  # smallest error of the cost of the path under way
-
-    @property
-    def iterations(self) -> int:
-        """Iterations of the solver in all solves."""
-        return self._iterations
 
     def solved(self, level: ControlTrajectory) -> tuple[int, float]:
         """Iterations of the solver on one level, and the violation it left."""
@@ -119,7 +116,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def scaled(self, mesh: np.ndarray, path: ControlTrajectory) -> np.ndarray:
         """Joints in the times of a path, breakpoints among them, scaled to the phases of the problem."""
         joints = with_breakpoints(mesh, path.problem.breakpoints)
-        return np.asarray(np.interp(joints, marks(path.problem), marks(self.problem)))
+        return between_marks(joints, marks(path.problem), marks(self.problem))
 
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Solve with one degree on one mesh, in the times of the problem."""
@@ -129,11 +126,11 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             with until(self.deadline):
                 path = transcription.solve(guess=guess, solver=solver, verbose=max(self.verbose - 1, 0))
         except ConvergenceError as failure:
-            self._iterations += failure.iterations
+            self.iterations += failure.iterations
             raise
         finally:
             self.build_seconds += transcription.build_seconds
-        self._iterations += path.iterations
+        self.iterations += path.iterations
         return path
 
     def solve_finer(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
@@ -234,7 +231,6 @@ def first_control_mesh(
     problem: ControlProblem, tol: float, method: Galerkin | None, intervals: int | None, mesh: ArrayLike | None
 ) -> np.ndarray:
     """Joints where a refinement begins; refuses what does not fit, see `solve` for the arguments."""
-    check_tolerance(tol)
     check_types(problem, Galerkin(degree_for(tol)) if method is None else method, ControlProblem)
     if problem.hold:
         raise ValueError(

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, check_breakpoints, mesh_of
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS
@@ -30,7 +30,7 @@ from casadi_galerkin.control.program_bounds import check_count, check_stages, li
 from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.functional.mapping import Mapping, by_rows
 from casadi_galerkin.functional.statement import refuse_points
-from casadi_galerkin.problems.constrained_motion import tangent_momenta, unforced_motion_of
+from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.control_path import ControlPath
@@ -135,19 +135,15 @@ class ControlTranscription:
         """
         began = time.perf_counter() - self.build_seconds
         check_solver(solver)
-        calculus = self.calculus if mesh is None else DiscreteCalculus(self.method, mesh)
-        if len(calculus.mesh) != len(self.mesh):
-            count = len(calculus.mesh) - 1
-            raise ValueError(f"this transcription has {len(self.mesh) - 1} intervals, got a mesh of {count}")
+        calculus = self.calculus if mesh is None else remeshed(self.calculus, mesh, self.problem.breakpoints)
         if not np.array_equal(np.searchsorted(calculus.mesh, self.problem.breakpoints), self.chain.breaks):
             raise ValueError(
                 f"the breakpoints {self.problem.breakpoints} must be the joints {self.chain.breaks} of the mesh"
             )
         _check_steps(calculus.mesh)
-        check_breakpoints(calculus.mesh, self.problem.breakpoints)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
-        changes = {name: value for name, value in {**ends, "parameters": parameters}.items() if value is not None}
-        problem = self.problem.varied(changes, (float(calculus.mesh[0]), float(calculus.mesh[-1])))
+        span = float(calculus.mesh[0]), float(calculus.mesh[-1])
+        problem = self.problem.varied({**ends, "parameters": parameters}, span)
         begun = self.start(problem, calculus, guess)
         path = _or_with_ipopt(solver, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began))
         if verbose:
@@ -262,9 +258,8 @@ class ControlTranscription:
         problem = problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints)
         momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
         if problem.constraint is not None:  # which pushes at the joints, too
-            at = unforced_motion_of(problem), joints, polynomial(joints)
-            momentum = tangent_momenta(*at, momentum, polynomial(joints, 1))
-        rates = polynomial(joints[[0, -1]], 1)[chain.mechanical :].T if others.size else np.zeros((2, 0))
+            momentum = tangent_momenta(problem, joints, polynomial(joints), momentum, polynomial(joints, 1))
+        rates = polynomial(joints[[0, -1]], 1)[chain.mechanical :].T
         return ControlTrajectory(
             polynomial=polynomial,
             momentum=momentum,

@@ -124,9 +124,3 @@ def joints_of(numbering: Numbering, unknowns: np.ndarray, data: Data) -> np.ndar
     """Joints of a path, (N + 1,): those of its mesh, stretched where the duration is free."""
     mesh = data[2]
     return np.asarray(mesh[0] + np.exp(unknowns[-1]) * (mesh - mesh[0])) if numbering.stretched else mesh
-
-
-def clock(numbering: Numbering, mesh: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Times t and steps h at the quadrature points, (N r,) each."""
-    points, steps = numbering.method.element.points, np.diff(mesh)
-    return (mesh[:-1] + np.multiply.outer(points, steps)).ravel(), np.tile(steps, len(points))

@@ -104,7 +104,7 @@ class BoundaryProblem:
         if periodic and any(value is not None for value in checked_end):
             raise ValueError(f"a periodic path ends where it starts: leave out end, got {end!r}")
         if end is None and not periodic:
-            raise ValueError(f"end must have {dimension} component(s), got None; None is for a periodic path")
+            raise ValueError(f"end must have {counted(dimension, 'component')}, got None; None is for a periodic path")
         checked = None if parameters is None else numbers("parameters", parameters)
         given = {
             "start_velocity": start_velocity,
@@ -160,7 +160,7 @@ class BoundaryProblem:
 
         Parameters
         ----------
-        changes : new values by name, one of `VARIED`: with None exactly where the problem has None
+        changes : new values by name, one of `VARIED`: with None exactly where the problem has None; or None, for none
         t_span : (t_0, t_N), checked before; with the breakpoints inside
         """
         other = with_changes(self, changes, t_span)
@@ -215,7 +215,7 @@ def _check_end_function(name: str, function: ca.Function, taken: list[list[str]]
         rank = ca.sprank(ca.DM(pattern, 1.0)[:, free])
         if rank < count:
             raise ValueError(
-                f"end_conditions are {count}, but only {rank} can be met by the {len(free)} component(s) that are free "
+                f"end_conditions are {count}, but only {rank} can be met by the {counted(len(free), 'component')} free "
                 "at the ends: leave out some, or free more components with None"
             )
 

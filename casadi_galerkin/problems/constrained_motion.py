@@ -17,6 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.linear_equations import solve_scaled
@@ -64,20 +65,15 @@ def _solver(motion: ca.Function) -> ca.Function:
     return ca.Function("solve", [*symbols, rhs], [solve_scaled(matrix, rhs, slice(motion.size1_in(1)))])
 
 
-def motion_of(problem: Problem) -> ca.Function | None:
-    """`constrained_motion` of a problem with its parameters put in; None where there is no constraint."""
+def motion_of(problem: Problem, force: ca.Function | None = None) -> ca.Function | None:
+    """`constrained_motion` of a problem under a force, with its parameters put in; None where there is no constraint.
+
+    Neither momenta nor tangents depend on the force.
+    """
     if problem.constraint is None:
         return None
-    functions = problem.lagrangian, problem.constraint, problem.force
+    functions = problem.lagrangian, problem.constraint, force
     return constrained_motion(*(with_parameters(f, problem.parameters) for f in functions))
-
-
-def unforced_motion_of(problem: Problem) -> ca.Function:
-    """`constrained_motion` of a problem without its forces, which neither momenta nor tangents depend on."""
-    assert problem.constraint is not None, "there is nothing to be tangent to"
-    return constrained_motion(
-        *(with_parameters(f, problem.parameters) for f in (problem.lagrangian, problem.constraint))
-    )
 
 
 def _at(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> list[np.ndarray]:
@@ -91,17 +87,20 @@ def _solved(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray, rh
 
 
 def tangent_momenta(
-    motion: ca.Function | None, t: np.ndarray, x: np.ndarray, momentum: np.ndarray, velocity: np.ndarray
+    problem: Problem, t: np.ndarray, x: np.ndarray, momentum: np.ndarray, velocity: np.ndarray
 ) -> np.ndarray:
     """The momenta p + Gᵀμ whose velocities are tangent to the constraint, by Newton's method; (d, K).
 
+    Where there is no constraint, every momentum is its own.
+
     Parameters
     ----------
-    motion : `constrained_motion`; None where there is no constraint, and every momentum is its own
+    problem : Problem
     t : (K,)
     x, momentum : (d, K)
     velocity : (d, K), near the velocities
     """
+    motion = motion_of(problem)
     if motion is None:
         return momentum
     v, d = velocity, len(x)
@@ -127,14 +126,11 @@ def multipliers(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray
     return _solved(motion, t, x, v, _at(motion, t, x, v)[0])[len(x) :]
 
 
-def moving_motion_of(problem: Problem) -> ca.Function | None:
-    """`motion_of` a problem whose constraint moves with time, and so does work; None for all others."""
-    moves = problem.constraint is not None and problem.constraint.sparsity_jac(0, 0).nnz() > 0
-    return motion_of(problem) if moves else None
-
-
-def work_of_constraint(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """λ·∂g/∂t, the rate at which a constraint that moves takes energy from the path; (K,), arguments as before."""
+def work_of_constraint(problem: Problem, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """λ·∂g/∂t, the rate at which a constraint takes energy from the path, zero unless it moves with time; (K,)."""
+    if problem.constraint is None or not problem.constraint.sparsity_jac(0, 0).nnz():
+        return 0 * t
+    motion = motion_of(problem, problem.force)
     rhs, _, _, pull = _at(motion, t, x, v)
     return np.asarray(np.sum(_solved(motion, t, x, v, rhs)[len(x) :] * pull, axis=0))
 
@@ -149,7 +145,9 @@ def check_constraint(problem: Problem) -> None:
     function = with_parameters(problem.constraint, problem.parameters)
     d, k = function.size1_in(1), function.size1_out(0)
     if k >= d:
-        raise ValueError(f"a constraint must leave the path free to move: {k} value(s) for {d} component(s)")
+        raise ValueError(
+            f"a constraint must leave the path free to move: {counted(k, 'value')} for {counted(d, 'component')}"
+        )
     first, last = problem.t_span
     for name, when in (("start", first), ("position", first), ("end", last)):
         where: Any = getattr(problem, name, (None,))
@@ -185,23 +183,18 @@ def _over_terms(
     return values.ravel(), np.abs(values.ravel()) / (HELD * np.abs(slopes) @ np.abs(at) + TINY), slopes
 
 
-def rates_of_constraint(
-    problem: Problem, t: float, x: Sequence[float] | np.ndarray, v: Sequence[float] | np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Rates G v + ∂g/∂t of the constraint's values, (k,), and how large they are relative to `HELD` of their terms."""
+def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v: tuple[float, ...]) -> None:
+    """Refuse a velocity of this name, given at a position, that leaves the constraint: G v + ∂g/∂t must be zero."""
+    if problem.constraint is None:
+        return
     function = with_parameters(problem.constraint, problem.parameters)
     time, place = function.sx_in()
     velocity, value = ca.SX.sym("v", place.numel()), function(time, place)
     rate = ca.jtimes(value, place, velocity) + ca.jacobian(value, time)
-    return _over_terms(rate, [time, place, velocity], [t, *x, *v])[:2]
-
-
-def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v: tuple[float, ...]) -> None:
-    """Refuse a given velocity at an end that leaves the constraint."""
-    rates, missed = rates_of_constraint(problem, t, x, v)
+    rates, missed, _ = _over_terms(rate, [time, place, velocity], [t, *x, *v])
     if np.any(missed > 1):
         i = int(np.argmax(missed))
         raise ValueError(
-            f"{name}_velocity must be tangent to the constraint at the {name}, got {list(v)}: the rate of its value "
-            f"{i} is {rates[i]:g}"
+            f"{name} must be tangent to the constraint at x = {list(x)}, got {list(v)}: the rate of its value {i} is "
+            f"{rates[i]:g}"
         )

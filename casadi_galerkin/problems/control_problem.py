@@ -158,7 +158,8 @@ class ControlProblem:
         own = trace("rates", _none if rates is None or _is_of_none(rates) else rates, sizes, "any")
         mechanical = d - own.numel_out(0)
         if mechanical < 0:
-            raise ValueError(f"rates must be those of at most all {d} component(s), got {d - mechanical} values")
+            size = counted(d, "component")
+            raise ValueError(f"rates must be those of at most all {size}, got {d - mechanical} values")
         _check_mechanics(mechanical, lagrangian, force)
         within = bounds("position_bounds", position_bounds, d)
         passed, laws = waypoints_of(waypoints, here, within), jumps_of(jumps, here, mechanical)
@@ -301,9 +302,10 @@ class ControlProblem:
     def _check_constraint(self, name: str, t: float) -> None:
         """Refuse a fully given state at an end off a path constraint on which controls have no say, or not tangent."""
         x, v = getattr(self, name), getattr(self, f"{name}_velocity")
-        if self.constraint is not None and None not in (*x, *v):
-            check_tangent(self, name, t, x, v)
-        if self.path_constraint is None or None in (*x, *v):
+        if None in (*x, *v):
+            return
+        check_tangent(self, f"{name}_velocity", t, x, v)
+        if self.path_constraint is None:
             return
         g, low, high = self.path_constraint
         given = [] if self.parameters is None else [self.parameters]
@@ -369,6 +371,6 @@ def _check_mechanics(mechanical: int, lagrangian: object, force: object) -> None
     """Refuse a Lagrangian or a force without a component to move, and components without both."""
     for name, given in (("lagrangian", lagrangian), ("force", force)):
         if given is None and mechanical:
-            raise ValueError(f"{name} is None, but {mechanical} component(s) follow no rates")
+            raise ValueError(f"{name} is None, but {counted(mechanical, 'component')} without rates must move")
         if given is not None and not mechanical:
             raise ValueError(f"all components follow rates: {name} must be None, got {given!r}")

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias, TypeGuard, TypeVar
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.numbers import finite, number
+from casadi_galerkin.calculus.numbers import counted, finite, number
 from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, limited_values
 from casadi_galerkin.problems.callables import Traceable, trace
 
@@ -91,7 +91,7 @@ def _positions(positions: Any, within: Bounds) -> Pairs:
     dimension = len(within[0])
     if not isinstance(positions, (tuple, list, np.ndarray)) or len(positions) != dimension:
         raise ValueError(
-            f"waypoint must have {dimension} position(s), each a number, a pair or None, or be (g, lo, hi), "
+            f"waypoint must have {counted(dimension, 'position')}, each a number, a pair or None, or be (g, lo, hi), "
             f"got {positions!r}"
         )
     pairs = [x if number(x) is None else (x, x) for x in positions]

@@ -10,7 +10,7 @@ import casadi as ca
 
 from casadi_galerkin.calculus.numbers import counted, numbers, time_span
 from casadi_galerkin.problems.callables import Traceable, arguments, trace_if, trace_lagrangian
-from casadi_galerkin.problems.constrained_motion import check_constraint
+from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
 from casadi_galerkin.problems.problem import shown
 
 
@@ -81,6 +81,8 @@ class InitialProblem:
         }
         self.__dict__.update(values)  # the class is frozen
         check_constraint(self)
+        if self.velocity is not None:
+            check_tangent(self, "velocity", self.t_span[0], self.position, self.velocity)
 
     def __repr__(self) -> str:
         """State the problem without its Lagrangian."""

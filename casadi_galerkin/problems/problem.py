@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, TypeVar
 
 import casadi as ca
+import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import components, finite, numbers, times_inside
@@ -47,6 +48,13 @@ def marks(problem: Problem) -> list[float]:
     return [problem.t_span[0], *problem.breakpoints, problem.t_span[1]]
 
 
+def between_marks(times: np.ndarray, own: Sequence[float] | np.ndarray, other: Sequence[float]) -> np.ndarray:
+    """Times at the same parts of the durations between other marks; where these are not as many, of the whole."""
+    if len(own) != len(other):
+        own, other = [own[0], own[-1]], [other[0], other[-1]]
+    return times if np.array_equal(own, other) else np.asarray(np.interp(times, own, other))
+
+
 def check_kind(problem: object, *kinds: type) -> None:
     """Refuse what is no problem of these kinds."""
     if not isinstance(problem, kinds):
@@ -69,11 +77,16 @@ def check_types(problem: object, method: object, *kinds: type) -> None:
 
 
 def with_changes(problem: Stated, changes: Mapping[str, Any], t_span: tuple[float, float]) -> Stated:
-    """Copy with other times around its breakpoints, and other values by name: None exactly where the problem has it."""
+    """Copy with other times around its breakpoints, and other values by name: None exactly where the problem has it.
+
+    What is None as a whole stays as it is.
+    """
     if t_span != problem.t_span:
         times_inside("breakpoints", problem.breakpoints, t_span)
     values: dict[str, Any] = {}
     for name, value in changes.items():
+        if value is None:
+            continue
         before = getattr(problem, name, None)
         if before is None:
             raise ValueError(f"the problem has no {name}, got {name}={value!r}")

@@ -19,7 +19,6 @@ from casadi_galerkin.problems.bounds import beyond
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import with_values
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_path
@@ -218,7 +217,7 @@ class ControlTrajectory(Trajectory):
 
     def _constrained_motion(self) -> ca.Function | None:
         """What the multipliers are found from, with the forces that the controls give."""
-        return None if self.problem.constraint is None else motion_of(with_values(self.problem, force=self._force()))
+        return None if self.problem.constraint is None else motion_of(self.problem, self._force())
 
     def table(self) -> dict[str, np.ndarray]:
         """What a Trajectory has, controls and costate at the joints, after a jump there, by name."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, time_scale
-from casadi_galerkin.calculus.numbers import real_array
+from casadi_galerkin.calculus.numbers import counted, real_array
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.solution.path import Path
@@ -126,7 +126,7 @@ def _values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndar
         path = guess.polynomial if isinstance(guess, Path) else guess
         old = path.mesh
         if len(path.values) != d:
-            raise ValueError(f"the guess must be a path of {d} component(s), got {len(path.values)}")
+            raise ValueError(f"the guess must be a path of {counted(d, 'component')}, got {len(path.values)}")
         same = old[0] == times[0] and old[-1] == times[-1]
         stretched = old[0] + calculus.node_parts * (old[-1] - old[0])
         return path(times if same else np.clip(stretched, old[0], old[-1]))

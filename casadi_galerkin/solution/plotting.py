@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import ZERO
 
 if TYPE_CHECKING:
@@ -157,7 +158,7 @@ def _named(name: str, count: int, labels: Sequence[str] | None) -> Sequence[str]
         return [f"{name}[{i}]" for i in range(count)]
     given = np.asarray(labels, dtype=object)  # by position; a set has none
     if given.shape != (count,) or not all(isinstance(label, str) for label in given):
-        raise ValueError(f"labels of {name} must be {count} name(s), one per component, got {labels!r}")
+        raise ValueError(f"labels of {name} must be {counted(count, 'name')}, one per component, got {labels!r}")
     names: list[str] = given.tolist()
     return names
 

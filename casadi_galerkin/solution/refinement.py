@@ -13,7 +13,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
-from casadi_galerkin.solution.limits import Limits, check_tolerance
+from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.progress import progress
 
@@ -52,7 +52,7 @@ class Refinement(ABC, Generic[Level, Detail]):
     best: tuple[Level, float]
 
     def __init__(self, tol: float, limits: Limits, verbose: int) -> None:
-        self.tol, self.limits, self.verbose = check_tolerance(tol), limits, verbose
+        self.tol, self.limits, self.verbose = tol, limits, verbose
         self.began = time.perf_counter()
         self.deadline = self.began + limits.seconds
 

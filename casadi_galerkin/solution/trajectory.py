@@ -138,11 +138,6 @@ class Trajectory(Path):
         return None if self.second_variation is None else self.second_variation.smallest()
 
     @property
-    def lagrangian(self) -> ca.Function:
-        """L(t, x, v[, p]) as a CasADi Function of one point."""
-        return self.problem.lagrangian
-
-    @property
     def parameters(self) -> tuple[float, ...] | None:
         """Values of the Lagrangian's parameters p."""
         return self.problem.parameters
@@ -183,7 +178,7 @@ class Trajectory(Path):
 
     def _constrained_motion(self) -> ca.Function | None:
         """What the multipliers are found from, with the forces on this path; None where there is no constraint."""
-        return motion_of(self.problem)
+        return motion_of(self.problem, self.problem.force)
 
     @lazy
     def energy(self) -> np.ndarray:
@@ -264,7 +259,7 @@ class Trajectory(Path):
     @property
     def _lagrangian(self) -> ca.Function:
         """L(t, x, v) with the parameters put in."""
-        return with_parameters(self.lagrangian, self.parameters)
+        return with_parameters(self.problem.lagrangian, self.parameters)
 
     def __repr__(self) -> str:
         """Summarize path and solve in a few lines."""

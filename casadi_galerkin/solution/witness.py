@@ -26,7 +26,7 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.functional.pointwise import pointwise
-from casadi_galerkin.problems.constrained_motion import moving_motion_of, work_of_constraint
+from casadi_galerkin.problems.constrained_motion import work_of_constraint
 from casadi_galerkin.problems.problem import Problem
 
 BALANCE = 0.3  # part of the tolerance by which the energy may be missed; smooth paths were measured below 0.25
@@ -106,8 +106,8 @@ def _between_breakpoints(
     Where the momentum p of a joint differs from ∂L/∂v at the path's own slope v there by δ, the energy is
     p·v - L + δᵀ(∂²L/∂v²)⁻¹δ/2 up to terms of third order.
     """
-    terms, moving = pointwise(problem.lagrangian, problem.force), moving_motion_of(problem)
-    steps, (parts, fine, coarse) = np.diff(path.mesh), _rules(path.degree)
+    terms, steps = pointwise(problem.lagrangian, problem.force), np.diff(path.mesh)
+    parts, fine, coarse = _rules(path.degree)
     x, v = (values.reshape(len(values), -1) for values in path.at_parts(parts))
     h = np.repeat(steps, len(parts))
     joints = np.append(np.arange(0, len(h), len(parts)), len(h) - len(parts) + 1)  # all starts, and the last end
@@ -136,10 +136,9 @@ def _between_breakpoints(
     correction = np.sum(np.sign(values) * roots**2, axis=1) / 2
     kinetic = np.sum(momentum * velocity, axis=0)
     energy = kinetic - lagrangian[joints, 0] / of_steps + correction
-    supplied = 0 * steps if terms.supplied is None else integral(evaluate(terms.supplied)[0])
-    if moving is not None:
-        rate = work_of_constraint(moving, times, x, v)
-        supplied = supplied + steps * integral(rate)
+    supplied = steps * integral(work_of_constraint(problem, times, x, v))
+    if terms.supplied is not None:
+        supplied += integral(evaluate(terms.supplied)[0])
     speed = np.abs(velocity)
     pushed = np.einsum("tij,jt->it", np.abs(mass), speed)
     local = np.abs(kinetic) + np.abs(energy) + np.sum(speed * pushed, axis=0)  # p·v may be a small difference of terms

@@ -7,11 +7,13 @@ import math
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.solvers.stationarity import Linearization, Stationarity, joined
 
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
+HIDDEN = 10 * EPS  # part of |z|ᵀ|∇²S||y| that rounding of the entries may make
 AGREED = 1e-3  # part of the assembled yᵀ∇²S y that the points must find; families 7e-7 at most, regular paths 1 - 1e-5
 
 
@@ -28,22 +30,27 @@ def softest(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.nda
     if len(unknowns) == 0:
         return unknowns, np.inf  # nothing can vary
     at.relinearize(unknowns, data)
-    linear = at.stationarity.linear_solver
+    linear, symmetric = at.stationarity.linear_solver, at.stationarity.functional.symmetric
     sizes, rhs = (np.array(a).ravel() for a in linear.sizes(joined(unknowns, data)))
     measured = np.where(np.isfinite(sizes), sizes, 0.0)  # not the multipliers
-    weights = np.array(ca.mtimes(ca.fabs(ca.DM(linear.sparsity, at.matrix)), measured)).ravel() / sizes
+    entries = ca.fabs(ca.DM(linear.sparsity, at.matrix))
+    weights = np.array(ca.mtimes(entries, measured)).ravel() / sizes
     y = z = force = np.zeros(len(unknowns))
     for _ in range(3):
         (solved,) = at.solve(rhs)
-        (other,) = (solved,) if at.stationarity.functional.symmetric else at.solve(weights * solved, transposed=True)
+        (other,) = (solved,) if symmetric else at.solve(weights * solved, transposed=True)
         if not (np.isfinite(solved).all() and np.isfinite(other).all()):
             return y, 0.0  # singular to the last digit
         largest = np.max(np.abs(solved / sizes))
         y, z, force = solved / largest, other / np.max(np.abs(other / sizes)), rhs / largest  # ∇²S y = -force
         rhs = weights * z
     signed, positive = (float(value[0]) for value in at.evaluate("curvature", unknowns, data, z, y))
-    regular = math.isfinite(signed) and AGREED * abs(z @ force) < positive < math.inf
-    return y, abs(signed) / positive if regular else 0.0
+    told = abs(z @ force)
+    if not (math.isfinite(signed) and AGREED * told < positive < math.inf):
+        return y, 0.0
+    path = slice(linear.numbering.positions)
+    terms = 0.0 if symmetric else float(ca.bilin(entries[path, path], abs(z[path]), abs(y[path])))
+    return y, abs(signed) / positive if told > HIDDEN * terms else 0.0
 
 
 def smallest_second_variation(stationarity: Stationarity, unknowns: np.ndarray, data: Data) -> float:

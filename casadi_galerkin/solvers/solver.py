@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -133,8 +134,4 @@ def _no_boundary_problem(*_: object, **__: Any) -> Solution:
     )
 
 
-def _check_fatrop(name: str, value: object) -> None:
-    interior_point.check_option(name, value, "fatrop")
-
-
-fatrop = Solver("fatrop", _no_boundary_problem, _check_fatrop)
+fatrop = Solver("fatrop", _no_boundary_problem, partial(interior_point.check_option, plugin="fatrop"))

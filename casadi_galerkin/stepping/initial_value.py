@@ -14,7 +14,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.constrained_motion import motion_of, rates_of_constraint, tangent_momenta
+from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate, velocities
 from casadi_galerkin.problems.problem import check_types
@@ -58,16 +58,9 @@ def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
 
     if problem.velocity is not None:
         v = np.array(problem.velocity)
-        if problem.constraint is not None:
-            rates, missed = rates_of_constraint(problem, start, x, v)
-            if np.any(missed > 1):
-                raise ValueError(
-                    "the velocity must be tangent to the constraint, ∂g/∂x·v + ∂g/∂t = 0, got "
-                    f"{rates.tolist()} for v = {v.tolist()}"
-                )
         return checked(v), v
     rest, at = np.zeros((len(x), 1)), (np.array([start]), x[:, None])
-    p = tangent_momenta(motion_of(problem), *at, np.array(problem.momentum)[:, None], rest)
+    p = tangent_momenta(problem, *at, np.array(problem.momentum)[:, None], rest)
     checked(rest[:, 0])
     v = velocities(legendre, *at, p, rest)[:, 0]
     if np.isnan(v).any():

@@ -20,13 +20,14 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.statement import has_phase, phase_plane, turned_back
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.constrained_motion import motion_of, tangent_momenta
+from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
@@ -252,7 +253,7 @@ def shoot(
     if problem.energy is not None:  # the duration asked for was a guess
         problem = problem.varied({}, (float(roll.mesh[0]), float(roll.mesh[-1])))
     at = roll.mesh[:1], roll.x[:, :1]  # the steps do not depend on the normal part of the first momentum
-    first = tangent_momenta(motion_of(problem), *at, roll.p[:, :1], shooting.velocity(roll)[:, None])
+    first = tangent_momenta(problem, *at, roll.p[:, :1], shooting.velocity(roll)[:, None])
     roll = replace(roll, p=np.column_stack((first, roll.p[:, 1:])))
     path = trajectory(problem, shooting.stepper, roll, iterations, solver, build, seconds)
     turned = turned_back(problem, path.polynomial, shooting.plane)
@@ -264,7 +265,7 @@ def shoot(
 def check_start(problem: BoundaryProblem, guess: Trajectory | None) -> None:
     """Refuse a guess that shooting cannot start from."""
     if guess is not None and (not isinstance(guess, Trajectory) or len(guess.x) != problem.dimension):
-        raise TypeError(f"guess must be a Trajectory of {problem.dimension} component(s), got {guess!r}")
+        raise TypeError(f"guess must be a Trajectory of {counted(problem.dimension, 'component')}, got {guess!r}")
 
 
 def _far(guess: Trajectory | None, path: Trajectory) -> str:

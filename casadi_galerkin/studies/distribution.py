@@ -29,8 +29,9 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.control.refinement import first_control_mesh
 from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import marks
+from casadi_galerkin.problems.problem import between_marks, marks
 from casadi_galerkin.solution.errors import ConvergenceError
+from casadi_galerkin.solution.limits import check_tolerance
 from casadi_galerkin.solution.progress import Advance
 from casadi_galerkin.solution.trajectory import Trajectory
 
@@ -96,7 +97,8 @@ def solver_of(
     if tol is not None:
         if isinstance(problem, BoundaryProblem):
             return Neighbors(problem, method, intervals, tol)
-        first_control_mesh(problem, tol, method, intervals, None)  # refuses here what would fail in every variation
+        # refuses here what would fail in every variation
+        first_control_mesh(problem, check_tolerance(tol), method, intervals, None)
 
         def refined(variation: Variation, _: Sequence[Known]) -> Trajectory:
             return solve(varied(problem, variation), method, intervals, tol=tol, guess=variation.get("guess"))
@@ -109,7 +111,7 @@ def solver_of(
     def joints(start: float, end: float) -> np.ndarray:
         if isinstance(problem, BoundaryProblem):
             return mesh_of((start, end), intervals, None, problem.breakpoints)
-        return np.asarray(np.interp(transcription.mesh, marks(problem), [start, *problem.breakpoints, end]))
+        return between_marks(transcription.mesh, marks(problem), [start, *problem.breakpoints, end])
 
     def solved(variation: Variation, _: Sequence[Known]) -> Trajectory:
         given = dict(variation)

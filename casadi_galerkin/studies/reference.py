@@ -18,14 +18,14 @@ from numpy.typing import ArrayLike
 from casadi_galerkin._solve import solve
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import number
+from casadi_galerkin.calculus.numbers import counted, number
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import marks
+from casadi_galerkin.problems.problem import between_marks, marks
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess, sampled
 from casadi_galerkin.solution.path import Path
@@ -55,10 +55,10 @@ def check_reference(problem: AnyProblem, given: Reference) -> None:
     if not isinstance(given, Trajectory):
         raise TypeError(f"the reference must be a Trajectory or a callable t -> ({d},), got {given!r}")
     if len(given.x) != d:
-        raise ValueError(f"the reference must be a path of {d} component(s), got {len(given.x)}")
+        raise ValueError(f"the reference must be a path of {counted(d, 'component')}, got {len(given.x)}")
     wanted, got = (len(parameters or ()) for parameters in (problem.parameters, given.parameters))
     if wanted != got:
-        raise ValueError(f"the reference must have {wanted} parameter(s), got {got}")
+        raise ValueError(f"the reference must have {counted(wanted, 'parameter')}, got {got}")
     if not free and not np.allclose(given.t[[0, -1]], span, rtol=0, atol=SLACK * (span[1] - span[0])):
         raise ValueError(f"the reference must run from {span[0]} to {span[1]}, got {given.t[0]} to {given.t[-1]}")
 
@@ -102,10 +102,7 @@ class ReferenceSolution:
 
     def _matching(self, path: Trajectory, times: np.ndarray) -> np.ndarray:
         """Times of the reference at the same parts of the durations between breakpoints."""
-        own, its = self._marks, marks(path.problem)
-        if len(own) != len(its):
-            own, its = [own[0], own[-1]], [its[0], its[-1]]
-        return times if own == its else np.interp(times, its, own)
+        return between_marks(times, marks(path.problem), self._marks)
 
     def _terms(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """L and p·v along the path, (K,) each."""

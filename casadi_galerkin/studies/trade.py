@@ -24,7 +24,7 @@ from casadi_galerkin.control.transcription import check_solver
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import check_kind, check_types, marks
+from casadi_galerkin.problems.problem import between_marks, check_kind, check_types, marks
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, guess_values
 from casadi_galerkin.solution.limits import check_tolerance
@@ -104,9 +104,7 @@ def _repeated(problem: AnyProblem, row: Row, guess: Guess | None) -> Callable[[]
 def _on_its_mesh(problem: AnyProblem, cell: _Cell) -> Row:
     """The way on a fixed mesh that a tolerance has found; where durations are free, over those guessed."""
     assert cell.path is not None
-    joints, row, found, guessed = cell.path.t, cell.row, marks(cell.path.problem), marks(problem)
-    if found != guessed:
-        joints = np.interp(joints, found, guessed)
+    row, joints = cell.row, between_marks(cell.path.t, marks(cell.path.problem), marks(problem))
     return Row(row.method, row.intervals, row.solver, row.tol, mesh=tuple(joints.tolist()))
 
 

@@ -378,7 +378,7 @@ def test_an_end_meets_a_moving_constraint_up_to_the_rounding_of_its_time():
         (
             {"constraint": lambda t, x: [ca.sumsqr(x) - 1, x[0]]},
             ValueError,
-            r"a constraint must leave the path free to move: 2 value\(s\) for 2 component\(s\)",
+            r"a constraint must leave the path free to move: 2 values for 2 components",
         ),
         ({"constraint": lambda t, x, v: v[0]}, TypeError, r"constraint is called as constraint\(t, x\)"),
         (

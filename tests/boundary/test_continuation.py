@@ -104,7 +104,7 @@ def test_bad_input_is_refused():
         cg.continuation(plain, [1.0], intervals=4)
     with pytest.raises(ValueError, match="the target must differ"):
         cg.continuation(problem, [1.0], intervals=4)
-    with pytest.raises(ValueError, match=r"target must have 1 component\(s\), got 2"):
+    with pytest.raises(ValueError, match=r"target must have 1 component, got 2"):
         cg.continuation(problem, [1.0, 2.0], intervals=4)
     with pytest.raises(ValueError, match="give either intervals or mesh"):
         cg.continuation(problem, [2.0])

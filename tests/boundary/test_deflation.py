@@ -225,7 +225,7 @@ def test_one_picture_shows_all(swings, geodesics):
     assert geodesics.plot(component=1).get_legend() is None  # more than there are colors
     with pytest.raises(ValueError, match="component must be a whole number from 0 to 1, got 2"):
         geodesics.plot(component=2)
-    with pytest.raises(ValueError, match=r"labels of x must be 1 name\(s\), one per component, got \[\['λ', 'φ'\]\]"):
+    with pytest.raises(ValueError, match=r"labels of x must be 1 name, one per component, got \[\['λ', 'φ'\]\]"):
         geodesics.plot(label=["λ", "φ"])
 
 

@@ -96,7 +96,7 @@ def test_given_ends_change_from_solve_to_solve():
     [
         ({"end_velocity": [1.0]}, r"end_velocity must have None where the problem has it, \(None,\), got \(1.0,\)"),
         ({"start_velocity": [None]}, r"start_velocity must have None where the problem has it, \(0.7,\)"),
-        ({"start_velocity": [0.0, 1.0]}, r"start_velocity must have 1 component\(s\), got 2"),
+        ({"start_velocity": [0.0, 1.0]}, r"start_velocity must have 1 component, got 2"),
         ({"energy": 1.0}, "the problem has no energy, got energy=1.0"),
     ],
 )

@@ -14,7 +14,7 @@ METHOD = cg.Galerkin(2)
 @pytest.mark.parametrize(
     ("changes", "kind", "message"),
     [
-        ({"start": [0.0, 1.0]}, ValueError, r"start must have 1 component\(s\), got 2"),
+        ({"start": [0.0, 1.0]}, ValueError, r"start must have 1 component, got 2"),
         ({"start": [None]}, ValueError, r"start must have None where the problem has it, \(0.0,\), got \(None,\)"),
         ({"end": [np.nan]}, ValueError, r"end\[0\] must be finite, got nan"),
         ({"end": ["1"]}, TypeError, r"end\[0\] must be a number or None, got '1'"),
@@ -34,7 +34,7 @@ def test_a_repeated_solve_with_input_that_does_not_fit_is_refused(changes, kind,
 
 def test_parameters_of_another_length_are_refused():
     tr = cg.transcribe(oscillator_problem(lagrangian=lambda t, x, v, p: p * v[0] ** 2, parameters=[1.0]), METHOD, 2)
-    with pytest.raises(ValueError, match=r"parameters must have 1 component\(s\), got 2"):
+    with pytest.raises(ValueError, match=r"parameters must have 1 component, got 2"):
         tr.solve(parameters=[1.0, 2.0])
 
 
@@ -100,7 +100,6 @@ def test_a_path_knows_the_problem_it_solves():
     assert asked == ((1.0, 2.0), (0.5,), (None,), (1.5, 0.1))
     again = cg.solve(path.problem, cg.Galerkin(4), mesh=path.t)
     np.testing.assert_array_equal(again.x, path.x)
-    assert path.lagrangian is problem.lagrangian
     assert (problem.start, problem.parameters) == ((0.0,), (2.0, 0.0))
 
 

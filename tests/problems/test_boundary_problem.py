@@ -14,8 +14,8 @@ import casadi_galerkin as cg
 @pytest.mark.parametrize(
     ("changes", "kind", "message"),
     [
-        ({"end": [1.0, 2.0]}, ValueError, r"end must have 1 component\(s\), got 2"),
-        ({"start": []}, ValueError, r"start must have at least one component\(s\), got 0"),
+        ({"end": [1.0, 2.0]}, ValueError, r"end must have 1 component, got 2"),
+        ({"start": []}, ValueError, r"start must have components, got 0"),
         ({"start": 0.0}, TypeError, "start must be a sequence of numbers, got 0.0"),
         ({"start": "0"}, TypeError, "start must be a sequence of numbers.* got '0'"),
         ({"start": (v for v in [0.0])}, TypeError, "start must be a sequence of numbers.* got <generator"),
@@ -40,13 +40,13 @@ import casadi_galerkin as cg
         ({"end": 3, "periodic": True}, TypeError, "end must be a sequence of numbers.* got 3"),
         ({"end": [np.nan]}, ValueError, r"end\[0\] must be finite, got nan"),
         ({"end": [np.inf]}, ValueError, r"end\[0\] must be finite, got inf"),
-        ({"end": None}, ValueError, r"end must have 1 component\(s\), got None; None is for a periodic path"),
+        ({"end": None}, ValueError, r"end must have 1 component, got None; None is for a periodic path"),
         ({"periodic": True}, ValueError, r"a periodic path ends where it starts: leave out end, got \[1.0\]"),
         ({"periodic": "yes", "end": None}, TypeError, "periodic must be True or False, got 'yes'"),
         ({"t_span": (1.0, 0.0)}, ValueError, r"t_span must increase, got \(1.0, 0.0\)"),
         ({"t_span": (1.0, 1.0)}, ValueError, r"t_span must increase, got \(1.0, 1.0\)"),
-        ({"t_span": (0.0,)}, ValueError, r"t_span must have 2 component\(s\), got 1"),
-        ({"t_span": (0.0, 1.0, 2.0)}, ValueError, r"t_span must have 2 component\(s\), got 3"),
+        ({"t_span": (0.0,)}, ValueError, r"t_span must have 2 components, got 1"),
+        ({"t_span": (0.0, 1.0, 2.0)}, ValueError, r"t_span must have 2 components, got 3"),
         ({"t_span": (0.0, None)}, ValueError, r"t_span must be all numbers, got \(0.0, None\)"),
         ({"t_span": (0.0, np.inf)}, ValueError, r"t_span\[1\] must be finite, got inf"),
         ({"t_span": {0.0, 1.0}}, TypeError, "t_span must be a sequence of numbers"),
@@ -60,7 +60,7 @@ import casadi_galerkin as cg
         ({"breakpoints": None}, TypeError, "breakpoints must be a sequence of numbers.* got None"),
         ({"breakpoints": 0.5}, TypeError, "breakpoints must be a sequence of numbers.* got 0.5"),
         ({"parameters": 2.0}, TypeError, "parameters must be a sequence of numbers.* got 2.0"),
-        ({"parameters": []}, ValueError, r"parameters must have at least one component\(s\), got 0"),
+        ({"parameters": []}, ValueError, r"parameters must have components, got 0"),
     ],
     ids=lambda value: str(value)[:40] if isinstance(value, dict) else "",
 )
@@ -108,7 +108,7 @@ def one(t, x, v):
             ValueError,
             r"got start_velocity\[0\] = 1.0 and start_momentum\[0\] = 2.0",
         ),
-        ({"end": [None], "end_velocity": [1.0, 2.0]}, ValueError, r"end_velocity must have 1 component\(s\), got 2"),
+        ({"end": [None], "end_velocity": [1.0, 2.0]}, ValueError, r"end_velocity must have 1 component, got 2"),
         ({"end": [None], "end_momentum": ["1"]}, TypeError, r"end_momentum\[0\] must be a number or None, got '1'"),
         ({"end": [None], "end_momentum": 1.0}, TypeError, "end_momentum must be a sequence of numbers.* got 1.0"),
         (
@@ -129,7 +129,7 @@ def one(t, x, v):
         (
             {"end": [None], "end_conditions": lambda x0, x1: [x1[0] - 1, x1[0] ** 2]},
             ValueError,
-            r"end_conditions are 2, but only 1 can be met by the 1 component\(s\) that are free at the ends: leave out",
+            r"end_conditions are 2, but only 1 can be met by the 1 component free at the ends: leave out",
         ),
         (
             {"end": [None], "end_velocity": [1.0], "end_conditions": lambda x0, x1: x1[0] - 1},

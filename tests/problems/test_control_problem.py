@@ -99,15 +99,15 @@ BADLY_STATED = {
     "more rates than components": (
         {"rates": lambda t, x, v, u: [u[0], 0]},
         ValueError,
-        r"rates must be those of at most all 1 component\(s\), got 2 values",
+        r"rates must be those of at most all 1 component, got 2 values",
     ),
     "mechanics of rates": (
         {"rates": lambda t, x, v, u: u},
         ValueError,
         "all components follow rates: lagrangian must be None, got",
     ),
-    "no lagrangian": ({"lagrangian": None}, ValueError, r"lagrangian is None, but 1 component\(s\) follow no rates"),
-    "no force": ({"force": None}, ValueError, r"force is None, but 1 component\(s\) follow no rates"),
+    "no lagrangian": ({"lagrangian": None}, ValueError, r"lagrangian is None, but 1 component without rates must move"),
+    "no force": ({"force": None}, ValueError, r"force is None, but 1 component without rates must move"),
     "condition alone": (
         {"end_conditions": lambda x0, v0, x1, v1: x1},
         TypeError,
@@ -197,7 +197,7 @@ def test_absolute_values_of_controls_of_both_signs_are_refused(cost, bounds, mes
 @pytest.mark.parametrize(
     ("waypoints", "kind", "message"),
     [
-        ([(1.0, [1.0])], ValueError, r"at t = 1: waypoint must have 2 position\(s\), .* got \[1.0\]"),
+        ([(1.0, [1.0])], ValueError, r"at t = 1: waypoint must have 2 positions, .* got \[1.0\]"),
         ([(3.0, [1.0, 1.0])], ValueError, r"must increase inside of \(0.0, 2.0\), got \(3.0,\)"),
         ([(1.0, [1.0, (2, 1)])], ValueError, r"at t = 1: the bounds of x\[1\] must have lo <= hi, got 2.0 and 1.0"),
         ([1.0], TypeError, r"waypoints must be pairs \(t, positions\) or .*, got 1.0"),

@@ -12,8 +12,8 @@ import casadi_galerkin as cg
     [
         ({}, "give either momentum or velocity, got momentum=None and velocity=None"),
         ({"momentum": [1.0], "velocity": [1.0]}, r"got momentum=\[1.0\] and velocity=\[1.0\]"),
-        ({"momentum": [1.0, 2.0]}, r"momentum must have 1 component\(s\), got 2"),
-        ({"velocity": [1.0, 2.0]}, r"velocity must have 1 component\(s\), got 2"),
+        ({"momentum": [1.0, 2.0]}, r"momentum must have 1 component, got 2"),
+        ({"velocity": [1.0, 2.0]}, r"velocity must have 1 component, got 2"),
         ({"momentum": [None]}, "momentum must be all numbers"),
         ({"position": [np.nan], "momentum": [1.0]}, r"position\[0\] must be finite"),
         ({"momentum": [1.0], "t_span": (1, 0)}, "t_span must increase"),

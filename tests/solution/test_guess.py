@@ -64,7 +64,7 @@ def test_a_path_of_other_components_is_refused_as_guess():
     planar = oscillator_problem(lagrangian=lambda t, x, v: ca.sumsqr(v), start=[0, 0], end=[1, 1])
     other = cg.solve(planar, METHOD, intervals=2)
     for guess in (other, other.polynomial):
-        with pytest.raises(ValueError, match=r"the guess must be a path of 1 component\(s\), got 2"):
+        with pytest.raises(ValueError, match=r"the guess must be a path of 1 component, got 2"):
             cg.solve(oscillator_problem(), METHOD, intervals=2, guess=guess)
 
 

@@ -48,7 +48,7 @@ def test_one_component_names_its_axis():
     "labels", [["one"], ["one", "two", "three"], "xy", 2, {"x", "y"}, {"x": "m", "y": "m"}, ["x", 1]]
 )
 def test_labels_that_are_not_one_a_component_are_refused(labels):
-    with pytest.raises(ValueError, match=r"labels of x must be 2 name\(s\), one per component, got"):
+    with pytest.raises(ValueError, match=r"labels of x must be 2 names, one per component, got"):
         planar().solve().plot(labels=labels)
 
 
@@ -76,7 +76,7 @@ def test_controls_and_costate_carry_names_and_units_too(driven):
 
 @pytest.mark.parametrize(("which", "name"), [("labels", "x"), ("control_labels", "u"), ("costate_labels", "λ")])
 def test_labels_of_controls_and_costate_that_do_not_fit_are_refused(driven, which, name):
-    with pytest.raises(ValueError, match=rf"labels of {name} must be 2 name\(s\), one per component, got \['one'\]"):
+    with pytest.raises(ValueError, match=rf"labels of {name} must be 2 names, one per component, got \['one'\]"):
         driven.plot(**{which: ["one"]})
 
 
@@ -132,9 +132,9 @@ def test_a_way_through_the_plane_has_equal_axes_and_all_joints():
         (
             lambda path: path.plot_phase(labels=("x",)),
             ValueError,
-            r"labels of x and p must be 2 name\(s\).*got \('x',\)",
+            r"labels of x and p must be 2 names.*got \('x',\)",
         ),
-        (lambda path: path.plot_plane(labels=("x",)), ValueError, r"labels of x must be 2 name\(s\).*got \('x',\)"),
+        (lambda path: path.plot_plane(labels=("x",)), ValueError, r"labels of x must be 2 names.*got \('x',\)"),
         (lambda path: path.animate(rods, seconds=0), ValueError, "seconds must be a positive number, got 0"),
         (lambda path: path.animate(rods, seconds=-1.0), ValueError, r"seconds must be a positive number, got -1\.0"),
         (lambda path: path.animate(3), TypeError, "points must be a callable of positions, got 3"),

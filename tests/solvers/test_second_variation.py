@@ -193,3 +193,25 @@ def test_a_family_of_paths_far_from_the_origin_is_named():
         near = [100 + 1.1 * np.cos(angle), 70 + 1.1 * np.sin(angle)]
         with pytest.raises(cg.ConjugatePointError):
             transcription.solve(guess=lambda t, near=near: near)
+
+
+def between_layers(epsilon):
+    """ε x'' = t x' from 1 to 3: by symmetry 2 between the layers, which depends on the ends through exp(-1/(2ε))."""
+    return cg.BoundaryProblem(
+        lambda t, x, v: epsilon * v[0] ** 2 / 2, (-1, 1), [1.0], [3.0], force=lambda t, x, v: t * v[0]
+    )
+
+
+@pytest.mark.parametrize("epsilon", [0.01, 0.005])
+def test_a_path_that_rounding_alone_chooses_is_refused(epsilon):
+    for how in (
+        {"tol": 1e-8},
+        {"method": cg.Galerkin(8), "intervals": 20},
+        {"method": cg.Galerkin(8), "intervals": 40},
+    ):
+        with pytest.raises(cg.ConjugatePointError):
+            cg.solve(between_layers(epsilon), **how)
+
+
+def test_a_path_between_layers_that_the_ends_still_choose_is_found():
+    assert cg.solve(between_layers(0.05), tol=1e-8)(0.0) == pytest.approx([2.0], rel=1e-8)

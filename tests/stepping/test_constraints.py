@@ -169,11 +169,11 @@ def test_a_moving_constraint_is_met_up_to_the_rounding_of_the_time(constraint, d
         ),
         (
             {"velocity": [0.7, 0.1]},
-            r"the velocity must be tangent to the constraint, .* got \[-0.2\] for v = \[0.7, 0.1\]",
+            r"velocity must be tangent to the constraint at .* got \[0.7, 0.1\]: the rate of its value 0 is -0.2",
         ),
         (
             {"constraint": lambda t, x: [ca.sumsqr(x) - 1, x[0]]},
-            r"must leave the path free to move: 2 value\(s\) for 2 component\(s\)",
+            r"must leave the path free to move: 2 values for 2 components",
         ),
     ],
 )

@@ -210,5 +210,5 @@ def test_bad_input_is_named():
         cg.shoot(problem, 3, 5)
     with pytest.raises(ValueError, match="give either intervals or mesh"):
         cg.shoot(problem, cg.Galerkin(3))
-    with pytest.raises(TypeError, match=r"guess must be a Trajectory of 1 component\(s\)"):
+    with pytest.raises(TypeError, match=r"guess must be a Trajectory of 1 component"):
         cg.shoot(problem, cg.Galerkin(3), 5, guess=[1.0])

@@ -293,7 +293,7 @@ def test_steps_that_leave_the_range_of_doubles_are_compared_and_drawn():
 def test_a_guess_that_shooting_cannot_start_from_is_refused_before_any_solve(monkeypatch):
     module = import_module("casadi_galerkin.studies.comparison")
     monkeypatch.setattr(module, "solve", lambda *_, **__: pytest.fail("the problem was solved"))
-    with pytest.raises(TypeError, match=r"guess must be a Trajectory of 1 component\(s\), got <function"):
+    with pytest.raises(TypeError, match=r"guess must be a Trajectory of 1 component, got <function"):
         cg.compare(cg.BoundaryProblem(pendulum, (0, 1), [0.0], [1.0]), METHOD, 4, guess=lambda t: [t])
 
 

@@ -44,12 +44,12 @@ def free(t, x, v):
 @pytest.mark.parametrize(
     ("reference", "error", "message"),
     [
-        (path_of(free, (0, 1), [0.0], [1.0]), ValueError, r"reference must be a path of 2 component\(s\), got 1"),
+        (path_of(free, (0, 1), [0.0], [1.0]), ValueError, r"reference must be a path of 2 components, got 1"),
         (path_of(free, (0, 2), [0, 0], [1, 1]), ValueError, r"reference must run from 0\.0 to 1\.0, got 0\.0 to 2\.0"),
         (
             path_of(lambda t, x, v, p: p[0] * free(t, x, v), (0, 1), [0, 0], [1, 1], parameters=[1.0]),
             ValueError,
-            r"reference must have 0 parameter\(s\), got 1",
+            r"reference must have 0 parameters, got 1",
         ),
         (lambda t: t, ValueError, r"the reference must return an array of shape \(2,\), got \(\)"),
         (lambda t: [t], ValueError, r"the reference must return an array of shape \(2,\), got \(1,\)"),
