@@ -34,8 +34,9 @@ class Solver:
     `fatrop` goes through a control problem stage by stage, with any rule of quadrature, in half the time of `ipopt`.
     It does not start warm, from multipliers; takes no `end_conditions` on the start; stalls where `ipopt` does not, as
     where a position touches its bound in a point, or where equations depend on one another; and needs units in which
-    positions and controls are of order one, 1e-5 to 1e4: far from these it may run for ever, without an iteration that
-    a limit could stop.  Where it stops without an answer, `ipopt` solves, and the report says so.
+    positions and controls are of order one, 1e-5 to 1e4.  Far from these, and seldom from a wild guess (one of 40 for
+    an acrobot), it runs for ever without an iteration that a limit could stop.  Where it stops without an answer,
+    `ipopt` solves, and the report says so.
 
     Attributes
     ----------
