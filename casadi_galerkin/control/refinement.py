@@ -85,6 +85,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     """One refinement of a trajectory optimization under way, to a tolerance of all or `of_cost` alone; see `solve`."""
 
     roundoff_level = 1e-8  # what the solvers leave
+    persistence = 10  # problems of the literature were solved after up to 4 such levels; others go round in circles
     iterations = 0  # of the solver in all solves so far
 
     def __init__(

@@ -5,6 +5,7 @@ What is estimated and how, and what a better mesh is, the wings say; the loop, i
 
 from __future__ import annotations
 
+import math
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -45,10 +46,12 @@ class Refinement(ABC, Generic[Level, Detail]):
     Attributes
     ----------
     roundoff_level : error below which one that no longer falls is at the roundoff floor
+    persistence : levels in a row that may come no nearer
     best : level of the smallest trusted error so far, and that error; where none is trusted yet, the last level
     """
 
     roundoff_level: float
+    persistence = math.inf
     best: tuple[Level, float]
 
     def __init__(self, tol: float, limits: Limits, verbose: int) -> None:
@@ -89,7 +92,7 @@ class Refinement(ABC, Generic[Level, Detail]):
         LimitReached
             with the best path attached
         """
-        smallest, number = np.inf, 0
+        smallest, number, fruitless = np.inf, 0, 0
         self.best = level, np.inf
         with progress("refinement", unit="level") as advance:
             while True:
@@ -98,13 +101,17 @@ class Refinement(ABC, Generic[Level, Detail]):
                 if estimate.trusted and estimate.error <= self.tol:
                     return level, estimate.error
                 at_floor = estimate.trusted and smallest / 2 < estimate.error < self.roundoff_level
-                if smallest == np.inf or (estimate.trusted and estimate.error < smallest):
+                nearer = estimate.trusted and estimate.error < smallest
+                fruitless = 0 if nearer else fruitless + 1
+                if smallest == np.inf or nearer:
                     self.best = level, estimate.error
                 if estimate.trusted:
                     smallest = self.best[1]
                 if at_floor:
                     raise self.stopped(f"{self.tol:g} asked, {smallest:.0e} is the roundoff floor here", *self.best)
                 self.check_time()
+                if fruitless >= self.persistence:
+                    raise self.stopped(f"{fruitless} levels in a row came no nearer", *self.best)
                 if number + 1 >= self.limits.levels:
                     words = "level was" if self.limits.levels == 1 else "levels were"
                     raise self.stopped(f"{self.limits.levels:g} {words} not enough", *self.best)

@@ -239,6 +239,15 @@ def test_best_path_is_attached_when_a_limit_is_reached(name):
     assert cg.solve(cart_pole(), tol=1e-3, guess=best).error_estimate <= 1e-3
 
 
+def test_levels_that_go_round_in_circles_are_ended(monkeypatch):
+    estimate, errors = ControlRefinement.estimate, iter([3e-2, 2e-2, 4e-2, 1e-2, *[2e-2, 3e-2] * 5])
+    monkeypatch.setattr(ControlRefinement, "estimate", lambda *args: replace(estimate(*args), error=next(errors)))
+    monkeypatch.setattr(ControlRefinement, "improve", lambda self, level, estimate: level)
+    with pytest.raises(cg.LimitReached, match=r"10 levels in a row came no nearer.* an estimated error of 1.0e-02"):
+        cg.solve(cart_pole(), tol=1e-8)
+    assert next(errors, None) is None
+
+
 def test_best_path_is_not_always_the_last(monkeypatch):
     estimate, errors = ControlRefinement.estimate, iter([2e-2, 1e-2, 3e-2])
     monkeypatch.setattr(ControlRefinement, "estimate", lambda *args: replace(estimate(*args), error=next(errors)))
