@@ -86,3 +86,11 @@ def test_fatrop_keeps_bounds_of_zero_by_itself():
     assert path.solver.startswith("fatrop (")
     assert path.control.values.min() >= 0
     assert path.control.values.max() <= 6
+
+
+def test_fatrop_takes_the_derivatives_of_the_graph():
+    """They are in its cache by names of CasADi's own; under others it would differentiate the graph again."""
+    transcription = cg.transcribe(double_integrator(), cg.Galerkin(3), 4)
+    program, graph = transcription.program(cg.fatrop, warm=False, verbose=0), transcription.graph
+    for name, function in (("nlp_jac_g", graph.jacobian), ("nlp_hess_l", graph.whole_hessian)):
+        assert hash(program.get_function(name)) == hash(function)
