@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.galerkin import Galerkin, check_method
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.numbers import counted, real_array, spanned, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
@@ -79,8 +79,7 @@ class DiscreteCalculus:
     """
 
     def __init__(self, method: Galerkin, mesh: ArrayLike) -> None:
-        if not isinstance(method, Galerkin):
-            raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
+        check_method(method)
         self.method, self.mesh = method, time_scale(mesh)
         self._element, self._nodes = method.element, (len(self.mesh) - 1) * method.degree + 1
 

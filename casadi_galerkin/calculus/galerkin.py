@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -113,6 +114,12 @@ class Galerkin:
         return f"degree {self.degree}, {control}{len(rule)} quadrature {points} of order {rule.order}"
 
 
+def check_method(method: object) -> None:
+    """Refuse what is no method."""
+    if not isinstance(method, Galerkin):
+        raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
+
+
 def _points(points: tuple[float, ...], placed: bool) -> str:
     """Points in words, with the first and the last if they are to be placed."""
     if len(points) == 1:
@@ -120,6 +127,7 @@ def _points(points: tuple[float, ...], placed: bool) -> str:
     return f"points from {points[0]:.4g} to {points[-1]:.4g}" if placed else "points"
 
 
+@lru_cache(64)
 def _check_rule(degree: int, rule: Quadrature) -> None:
     """Refuse a rule whose equations have solutions that are silently wrong, or indices that are."""
     if len(rule) < degree:

@@ -147,16 +147,16 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
     def estimate(self, level: ControlTrajectory) -> Estimate[HigherDegree | None]:
         """The error from the same mesh with a higher degree, where that is solved."""
-        degree = raised(self.method).degree
+        method = raised(self.method)
         self.check_time()
         try:
-            higher = self.solve(raised(self.method), self.scaled(level.t, level), level)
+            higher = self.solve(method, self.scaled(level.t, level), level)
         except ConvergenceError:
             self.check_time()
-            return Estimate(np.inf, False, f"no answer of degree {degree}", None)
+            return Estimate(np.inf, False, f"no answer of degree {method.degree}", None)
         detail = HigherDegree(level, higher)
         self.known, self.cost_known = detail, min(self.cost_known, detail.cost_error)
-        return Estimate(detail.cost_error if self.of_cost else detail.error, True, f"degree {degree}", detail)
+        return Estimate(detail.cost_error if self.of_cost else detail.error, True, f"degree {method.degree}", detail)
 
     def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:
         """Solve on the better mesh, from the path of higher degree; without that, on a mesh twice as fine."""

@@ -8,7 +8,7 @@ from typing import Any, Protocol, TypeVar
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.galerkin import check_method
 from casadi_galerkin.calculus.numbers import components, finite, numbers, times_inside
 
 
@@ -72,8 +72,7 @@ def with_values(problem: Stated, **values: Any) -> Stated:
 def check_types(problem: object, method: object, *kinds: type) -> None:
     """Refuse what is no problem of these kinds, or no method."""
     check_kind(problem, *kinds)
-    if not isinstance(method, Galerkin):
-        raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
+    check_method(method)
 
 
 def with_changes(problem: Stated, changes: Mapping[str, Any], t_span: tuple[float, float]) -> Stated:
