@@ -259,7 +259,7 @@ class ControlTranscription:
         momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
         if problem.constraint is not None:  # which pushes at the joints, too
             momentum = tangent_momenta(problem, joints, polynomial(joints), momentum, polynomial(joints, 1))
-        rates = polynomial(joints[[0, -1]], 1)[chain.mechanical :].T
+        rates = polynomial.at_parts(np.array([0.0, 1.0]))[1][chain.mechanical :, [0, -1], [0, 1]].T
         return ControlTrajectory(
             polynomial=polynomial,
             momentum=momentum,
