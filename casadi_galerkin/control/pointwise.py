@@ -23,6 +23,7 @@ import numpy as np
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.control.embedding import ChainEmbedding, Place
 from casadi_galerkin.functional.mapping import Mapping
+from casadi_galerkin.functional.pointwise import pulled_back
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import Crossing
 
@@ -161,7 +162,7 @@ def _at_points(problem: ControlProblem, *at: ca.SX) -> Terms:
     t, h, given = begin + duration * share, duration * part, _given(problem, p)
     mechanical, others = slice(problem.mechanical), slice(problem.mechanical, None)
     state = (t, x, slope / h, u, *given)
-    action = h * problem.lagrangian(t, x, slope / h, *given)
+    action = pulled_back(problem.lagrangian, t, h, x, slope, *given)
     work, momentum = (ca.gradient(action, by)[mechanical, 0] for by in (x, slope))
     rows = [(work + h * problem.force(*state)) / sizes, momentum / sizes]
     rows.append(slope[others, 0] - h * problem.rates(*state))

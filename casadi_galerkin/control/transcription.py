@@ -27,6 +27,7 @@ from casadi_galerkin.control.graph import ControlGraph, Report
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
 from casadi_galerkin.control.optimizer import RELAXED, Optimum, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import check_count, check_stages, limits_of
+from casadi_galerkin.control.second_variation import CostVariation
 from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.functional.mapping import Mapping, by_rows
 from casadi_galerkin.functional.statement import refuse_points
@@ -178,7 +179,9 @@ class ControlTranscription:
             told += f"; its tolerances are absolute, and may hide a change of the cost by {change:.1e}"
         violation = float(np.max(relative))
         told = f"{NAMES[solver.name]} ({told})"
-        return self._trajectory(told, optimum, report, problem, found, joints, violation, began)
+        at = optimum.unknowns, data, optimum.multipliers, optimum.bound_multipliers
+        variation = CostVariation(problem, self.method, mesh, *at, report.cost)
+        return self._trajectory(told, optimum, report, variation, problem, found, joints, violation, began)
 
     def start(
         self, problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None
@@ -243,6 +246,7 @@ class ControlTranscription:
         told: str,
         optimum: Optimum,
         report: Report,
+        variation: CostVariation,
         problem: ControlProblem,
         values: dict[str, np.ndarray],
         joints: np.ndarray,
@@ -271,6 +275,7 @@ class ControlTranscription:
             solve_seconds=time.perf_counter() - began - self.build_seconds,
             method=self.method,
             problem=problem,
+            second_variation=variation,
             cost=report.cost,
             control=self._over_time(joints, chain.control_times, values["controls"]),
             costate=chain.costate(multipliers, optimum.bound_multipliers, report.arriving, joints),

@@ -41,8 +41,7 @@ class ControlTrajectory(Trajectory):
     Attributes
     ----------
     problem : ControlProblem
-    cost : value of the discrete cost, stationary, and a local minimum but for a guess as symmetric as the problem, from
-        which it may be a saddle: other paths may cost less
+    cost : value of the discrete cost; stationary, and a minimum among paths near by where `morse_index` is 0
     cost_error : estimated relative error of the cost, zero where it is zero but for rounding; None without a tolerance
     control : callable, ``control(t)`` -> (number of controls,) + t.shape
     costate : multipliers λ of the equations of motion, and of the rates, as a path: ``costate(t)`` -> (d,) + t.shape.
@@ -66,7 +65,11 @@ class ControlTrajectory(Trajectory):
     At the time of a jump ``path(t)``, `x`, `momentum` and `velocity` are those after it; ``path.before(t)`` is the
     position before.  The costate jumps as well, there and at waypoints: ``costate(t)`` and ``costate.before(t)``.
 
-    `action` is that of the Lagrangian alone, `morse_index` is None, and `parameters` are the optimized ones.
+    `morse_index` is the number of independent directions, among those that keep the equations and the bounds that are
+    met, in which the cost decreases to second order, by more than 1e-6 of it for moves as large as the path.  From a
+    guess as symmetric as the problem it may be above 0; it is None where rounding hides it.
+
+    `action` is that of the Lagrangian alone, and `parameters` are the optimized ones.
 
     Examples
     --------
@@ -323,7 +326,7 @@ class ControlTrajectory(Trajectory):
             [
                 f"ControlTrajectory of {size} and {n} on {spanned(self.t)}, {counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
-                f"  cost        {self.cost:.12g}",
+                f"  cost        {self.cost:.12g}, {self._kind()}",
                 f"  Hamiltonian {self.hamiltonian[0]:.9g} at the start, varies by {np.ptp(self.hamiltonian):.1e}",
                 *self._accuracy(),
                 *self._between_points(),

@@ -36,13 +36,13 @@ TELLS = 1e-3  # a balance of energy that rounding alone misses by more tells not
 
 
 class SecondVariation(Protocol):
-    """How the action varies about a path, found when it is asked for."""
+    """How the action, or the cost, varies about a path, found when it is asked for."""
 
     def negative(self) -> int | None:
-        """Number of negative eigenvalues of the Hessian, or None where there is no finite one."""
+        """Number of negative eigenvalues of the Hessian, or None where there is no finite one, or none is known."""
 
-    def smallest(self) -> float:
-        """Smallest second variation relative to the sizes of its terms."""
+    def smallest(self) -> float | None:
+        """Smallest second variation relative to the sizes of its terms; None of a cost."""
 
 
 def _no_error(path: Trajectory) -> float:
@@ -133,7 +133,7 @@ class Trajectory(Path):
 
         It is zero at a conjugate point, and tells how well the ends determine the path: errors are magnified by its
         inverse.  Under a force it is that of the equations' Jacobian, between its softest directions.  It is None for
-        a path that was found step by step.
+        a path that was found step by step, and for one that was optimized.
         """
         return None if self.second_variation is None else self.second_variation.smallest()
 
@@ -261,18 +261,21 @@ class Trajectory(Path):
         """L(t, x, v) with the parameters put in."""
         return with_parameters(self.problem.lagrangian, self.parameters)
 
+    def _kind(self) -> str:
+        """What the path is among its neighbors."""
+        if self.morse_index is not None:
+            return "a local minimum" if self.morse_index == 0 else f"a saddle of Morse index {self.morse_index}"
+        least = "" if self.regularity is None else f", its smallest variation is {self.regularity:.0e} of its terms"
+        return f"no Morse index{least}"
+
     def __repr__(self) -> str:
         """Summarize path and solve in a few lines."""
-        kind = "a local minimum" if self.morse_index == 0 else f"a saddle of Morse index {self.morse_index}"
-        if self.morse_index is None:
-            least = "" if self.regularity is None else f", its smallest variation is {self.regularity:.0e} of its terms"
-            kind = f"no Morse index{least}"
         return "\n".join(
             [
                 f"Trajectory of {counted(len(self.x), 'component')} on {spanned(self.t)}, "
                 f"{counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
-                f"  action      {self.action:.15g}, {kind}",
+                f"  action      {self.action:.15g}, {self._kind()}",
                 f"  energy      {self.energy[0]:.12g} at the start, {self._balance()}",
                 *self._accuracy(),
                 f"  solver      {self.solver}, {counted(self.iterations, 'iteration')}, "

@@ -431,6 +431,7 @@ def flown(rates, path, start):
 
 def constraints_are_met(module, path):
     assert path.violation < 1e-9
+    assert path.morse_index == 0
 
 
 def kellys_cost(module, path):

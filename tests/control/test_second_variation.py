@@ -1,0 +1,89 @@
+"""Whether an optimum is a minimum or a saddle."""
+
+import pickle
+
+import casadi as ca
+import numpy as np
+import pytest
+from control_problems import double_integrator
+
+import casadi_galerkin as cg
+
+METHOD = cg.Galerkin(degree=4)
+CLAMPED = (4.730040744862704, 7.853204624095838, 10.995607838001671)  # roots of cos β cosh β = 1, of a clamped beam
+
+
+def over_a_hill(across, height=100.0, length=1.0, price=1.0):
+    """From rest on one side of a hill of cost to rest on the other, with so many directions across the line."""
+    d = 1 + across
+
+    def running_cost(t, x, v, u):
+        return price * (ca.sumsqr(u / length) / 2 + height * ca.exp(-8 * ca.sumsqr(x / length)))
+
+    return cg.ControlProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2,
+        (0.0, 1.0),
+        start=[-length] + [0.0] * across,
+        end=[length] + [0.0] * across,
+        start_velocity=[0.0] * d,
+        end_velocity=[0.0] * d,
+        force=lambda t, x, v, u: u,
+        running_cost=running_cost,
+        controls=d,
+    )
+
+
+@pytest.mark.parametrize("across", [1, 2])
+@pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=lambda solver: solver.name)
+def test_a_line_over_a_hill_is_a_saddle_in_every_direction_across(across, solver):
+    path = cg.solve(over_a_hill(across), METHOD, 12, solver=solver)
+    assert path.morse_index == across
+    assert f"a saddle of Morse index {across}" in repr(path)
+
+
+def test_the_way_round_the_hill_is_a_minimum_and_costs_less():
+    problem = over_a_hill(1)
+    over, around = (cg.solve(problem, METHOD, 12, guess=guess) for guess in (None, lambda t: [2 * t - 1, t * (1 - t)]))
+    assert around.morse_index == 0
+    assert around.cost < 0.98 * over.cost
+    assert "a local minimum" in repr(around)
+
+
+@pytest.mark.parametrize(("length", "price"), [(1e-2, 1.0), (1e4, 1.0), (1.0, 1e-6), (1.0, 1e6)])
+def test_units_change_nothing(length, price):
+    assert cg.solve(over_a_hill(1, length=length, price=price), METHOD, 12).morse_index == 1
+
+
+@pytest.mark.parametrize("below", [0, 1, 2])
+@pytest.mark.parametrize("side", [0.99, 1.01])
+def test_rest_is_a_saddle_from_the_eigenvalues_of_a_clamped_beam_on(below, side):
+    """∫ (x''² - k x²)/2 has as many negative directions as there are eigenvalues x'''' = β⁴ x below k."""
+    stiffness = side * CLAMPED[below] ** 4
+    path = cg.solve(
+        double_integrator(
+            end=[0.0], running_cost=lambda t, x, v, u: u[0] ** 2 / 2 - stiffness * (x[0] ** 2 / 2 - x[0] ** 4 / 4)
+        ),
+        METHOD,
+        12,
+    )
+    assert np.max(np.abs(path.x)) == 0
+    assert path.morse_index == below + (side > 1)
+
+
+def test_bounds_that_are_met_hold_what_would_lower_the_cost():
+    path = cg.solve(
+        double_integrator(
+            end=[None], end_velocity=[None], running_cost=lambda t, x, v, u: -(u[0] ** 2) / 2, control_bounds=(0.5, 1.0)
+        ),
+        METHOD,
+        3,
+        guess=(lambda t: [t**2 / 2], lambda t: [0.9]),
+    )
+    assert path.cost == pytest.approx(-0.5)
+    assert path.morse_index == 0
+
+
+def test_a_pickled_path_still_tells():
+    path = pickle.loads(pickle.dumps(cg.solve(over_a_hill(1), METHOD, 12)))
+    assert path.morse_index == 1
+    assert path.regularity is None
