@@ -16,8 +16,8 @@ from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.program_bounds import limits_of
 from casadi_galerkin.functional.mapping import one_by_one
-from casadi_galerkin.functional.threads import without_zero_pivots
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
 MET = 1e-6  # of the size of an unknown: distance from a bound up to which it is met
 FLAT = 1e-6  # part of the cost; along a singular arc it hardly changes, and less than this tells nothing
@@ -47,9 +47,9 @@ class CostVariation:
     cost: float
 
     def negative(self) -> int | None:
-        """Number of independent directions that lower the cost, by more than `FLAT` of it for moves as large as the path.
+        """Number of independent directions that lower the cost; None where rounding hides it.
 
-        None where rounding hides it.
+        By more than `FLAT` of it, for moves as large as the path.
         """
         chain = Chain(self.problem, self.method, self.mesh)
         graph, limits = ControlGraph(self.problem, chain, one_by_one), limits_of(self.problem, chain)
@@ -59,10 +59,13 @@ class CostVariation:
         low, high, least, most = limits.sides
         free = np.flatnonzero(~_met(self.unknowns, low, high, self.bound_multipliers, sizes)).tolist()
         held = np.flatnonzero(_met(rows, least, most, self.multipliers, np.abs(rows))).tolist()
+        if not free:
+            return 0
         units, flat = (ca.diag(ca.DM(a)) for a in (np.where(sizes > 0, sizes, 1.0), np.where(sizes > 0, FLAT, 0.0)))
         relative = ca.mtimes(units, ca.mtimes(hessian, units)) / (abs(self.cost) or 1.0) + flat
         hessian, gradients = _scaled(relative[free, free], ca.mtimes(gradients, units)[held, free])
-        counts = {_negative(hessian + ca.mtimes(gradients.T, gradients) / softened) for softened in SOFTENED}
+        matrices = [hessian + ca.mtimes(gradients.T, gradients) / softened for softened in SOFTENED]
+        counts = {negative_pivots(matrix, factors_of(matrix.sparsity())) for matrix in matrices}
         return counts.pop() if len(counts) == 1 else None
 
     def smallest(self) -> None:
@@ -96,13 +99,3 @@ def _scaled(hessian: ca.DM, gradients: ca.DM) -> tuple[ca.DM, ca.DM]:
         units = ca.diag(ca.DM(1 / np.sqrt(np.where(largest > 0, largest, 1.0))))
         matrix = ca.mtimes(units, ca.mtimes(matrix, units))
     return matrix[:n, :n], matrix[n:, :n]
-
-
-def _negative(matrix: ca.DM) -> int:
-    """Number of negative eigenvalues, from the inertia of LDLᵀ."""
-    if matrix.is_empty():
-        return 0
-    factors = ca.Linsol("inertia", "ldl", matrix.sparsity())
-    with without_zero_pivots():
-        factors.nfact(matrix)
-    return int(factors.neig(matrix))

@@ -224,16 +224,28 @@ class LinearSolver:
     def negative_eigenvalues(self, matrix: ca.DM, keep: Callable[[str, Callable[[], ca.Linsol]], ca.Linsol]) -> int:
         """Number of negative eigenvalues among the directions that keep the conditions, from the inertia of LDLᵀ.
 
-        Where a pivot is exactly zero, those of a matrix that is so near that they have the same signs.  Room for the
-        factors is kept with a solve, because a Linsol keeps what it factored last.
+        Room for the factors is kept with a solve, because a Linsol keeps what it factored last.
         """
         softened = self._softened(matrix) + 0 * ca.DM.eye(self.numbering.free)  # with its whole diagonal
-        factors = keep("inertia", lambda: ca.Linsol("inertia", "ldl", softened.sparsity()))
-        with without_zero_pivots():
-            factors.nfact(softened)
-            if factors.rank(softened) < self.numbering.free:
-                factors.nfact(softened + SHIFTED * ca.diag(ca.sum2(ca.fabs(softened))))
-        return int(factors.neig(softened)) - self.numbering.multipliers
+        factors = keep("inertia", lambda: factors_of(softened.sparsity()))
+        return negative_pivots(softened, factors) - self.numbering.multipliers
+
+
+def factors_of(sparsity: ca.Sparsity) -> ca.Linsol:
+    """Room for LDLᵀ without pivoting of a symmetric matrix with its whole diagonal."""
+    return ca.Linsol("inertia", "ldl", sparsity)
+
+
+def negative_pivots(matrix: ca.DM, factors: ca.Linsol) -> int:
+    """Number of negative eigenvalues of a symmetric matrix, by Sylvester's law of inertia.
+
+    Where a pivot is exactly zero, those of a matrix that is so near that they have the same signs.
+    """
+    with without_zero_pivots():
+        factors.nfact(matrix)
+        if factors.rank(matrix) < matrix.size1():
+            factors.nfact(matrix + SHIFTED * ca.diag(ca.sum2(ca.fabs(matrix))))
+    return int(factors.neig(matrix))
 
 
 @lru_cache(KEPT)

@@ -83,6 +83,21 @@ def test_bounds_that_are_met_hold_what_would_lower_the_cost():
     assert path.morse_index == 0
 
 
+def test_where_bounds_hold_everything_nothing_can_lower_the_cost():
+    filling = cg.ControlProblem(
+        None,
+        (0.0, 1.0),
+        start=[0.0],
+        end=[None],
+        rates=lambda t, x, v, u: u,
+        running_cost=lambda t, x, v, u: -x[0],
+        controls=1,
+        control_bounds=(0.0, 1.0),
+        position_bounds=(0.0, 0.0),
+    )
+    assert cg.solve(filling, METHOD, 1).morse_index == 0
+
+
 def test_a_pickled_path_still_tells():
     path = pickle.loads(pickle.dumps(cg.solve(over_a_hill(1), METHOD, 12)))
     assert path.morse_index == 1
