@@ -84,18 +84,21 @@ def test_bounds_that_are_met_hold_what_would_lower_the_cost():
 
 
 def test_where_bounds_hold_everything_nothing_can_lower_the_cost():
-    filling = cg.ControlProblem(
+    full = cg.ControlProblem(
         None,
         (0.0, 1.0),
-        start=[0.0],
+        start=[1.0],
         end=[None],
+        start_velocity=[None],
+        end_velocity=[None],
+        force=None,
         rates=lambda t, x, v, u: u,
         running_cost=lambda t, x, v, u: -x[0],
         controls=1,
         control_bounds=(0.0, 1.0),
-        position_bounds=(0.0, 0.0),
+        position_bounds=(1.0, 1.0),
     )
-    assert cg.solve(filling, METHOD, 1).morse_index == 0
+    assert cg.solve(full, METHOD, 1).morse_index == 0
 
 
 def test_a_pickled_path_still_tells():
