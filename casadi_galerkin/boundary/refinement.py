@@ -122,7 +122,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         self.roundoff_level = NOISE * max(
             floor, EPS * np.max(np.abs(mesh)) / (mesh[-1] - mesh[0]) if stretched else 0.0
         )
-        said = witnesses(self.levels.problem, path, level.momentum, self.tol)
+        said = witnesses(self.levels.problem, path, level.momentum)
         source, missed = max(said.items(), key=lambda item: float(np.max(item[1])))
         if np.max(missed) > max(self.tol, TELLS):
             self.check_stubborn(level, source, missed, STUBBORN)

@@ -16,7 +16,6 @@ from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.mesh_adaptation import truncation
 from casadi_galerkin.calculus.numbers import counted, number, place, spanned, told_apart
 from casadi_galerkin.calculus.piecewise_polynomial import times_within
-from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, multipliers
 from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
 
 
 UNRESOLVED = 1e-3  # part of a component that the polynomials leave out from which a path is called unresolved
-TELLS = 1e-3  # a balance of energy that rounding alone misses by more tells nothing
 
 
 class SecondVariation(Protocol):
@@ -111,11 +109,11 @@ class Trajectory(Path):
 
     def doubted(self, error: float) -> float:
         """The larger of an error and of what the balance of energy and the action by a finer rule are violated by."""
-        return max(error, *self._doubts(max(error, EPS)))
+        return max(error, *self._doubts())
 
-    def _doubts(self, tol: float) -> list[float]:
-        """How far the balance of energy and the action by a finer rule are missed at most."""
-        return [float(np.max(missed)) for missed in doubts(self.problem, self.polynomial, self.momentum, tol)]
+    def _doubts(self) -> list[float]:
+        """How far the balance of energy and the action by a finer rule are missed at most, beyond rounding."""
+        return [float(np.max(missed)) for missed in doubts(self.problem, self.polynomial, self.momentum)]
 
     @lazy
     def morse_index(self) -> int | None:
@@ -241,7 +239,7 @@ class Trajectory(Path):
 
     def _balance(self) -> str:
         """Words on how well the balance of energy is kept."""
-        return f"its balance kept to {self._doubts(TELLS)[0]:.1e} of its terms"
+        return f"its balance kept to {self._doubts()[0]:.1e} of its terms"
 
     def _accuracy(self) -> list[str]:
         """A line on the error of x, if it is known, or if this mesh plainly does not resolve the path."""

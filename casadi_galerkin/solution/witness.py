@@ -20,6 +20,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.nodes import differentiation_matrix
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
@@ -31,49 +32,41 @@ from casadi_galerkin.problems.problem import Problem
 
 BALANCE = 0.3  # part of the tolerance by which the energy may be missed; smooth paths were measured below 0.25
 ACTION = 0.1  # part of the tolerance by which an action may change; smooth paths were measured below 0.03
+BLURRED = 10.0  # floors up to which rounding may move a value: what is missed by less tells nothing
 
 
-def missed_balance(kept: np.ndarray, scale: np.ndarray, floor: np.ndarray, tol: float) -> np.ndarray:
+def missed_balance(kept: np.ndarray, scale: np.ndarray, floor: np.ndarray) -> np.ndarray:
     """By how much every interval misses the balance of energy, over its scale; (N,), infinite where it is undefined.
 
     Any two joints are compared, relative to the larger of their scales: near a singularity energies are large, and
     what goes wrong there shows between its two sides.  The worst difference is shared out among all intervals by
-    what changes there.  Joints where rounding alone comes near the tolerance tell nothing.
+    what changes there.
 
     Parameters
     ----------
     kept : (N + 1,), E + ∫ ∂L/∂t dt, the same at all joints of a true path
     scale : (N + 1,), what `kept` is measured by: |p·v| + |E| + |v|ᵀ|∂²L/∂v²||v|, no less than its mean over time
-    floor : (N + 1,), what the rounding of positions and momenta does to `kept`
-    tol : relative tolerance
+    floor : (N + 1,), what rounding may have done to `kept`, which is no miss
     """
-    missed = np.zeros(len(kept) - 1)
     if not np.all(np.isfinite(kept)):
         return np.where(np.isfinite(kept[1:] + kept[:-1]), 0.0, np.inf)
-    told = np.flatnonzero(floor <= BALANCE * tol / 2 * scale)
-    if len(told) < 2:
-        return missed
-    order = told[np.argsort(scale[told])]
-    ordered = kept[order]
-    gaps = np.maximum(np.maximum.accumulate(ordered) - ordered, ordered - np.minimum.accumulate(ordered))
-    change = np.abs(np.diff(kept[told]))
-    shared = float(np.max(gaps / scale[order])) * change / max(float(np.max(change)), TINY)
-    missed[told[0] : told[-1]] = np.repeat(shared, np.diff(told))
-    return missed
+    order = np.argsort(scale)
+    least, most = (kept - floor)[order], (kept + floor)[order]
+    gaps = np.maximum(np.maximum.accumulate(least) - most, least - np.minimum.accumulate(most))
+    change = np.abs(np.diff(kept))
+    return max(float(np.max(gaps / scale[order])), 0.0) * change / max(float(np.max(change)), TINY)
 
 
-def witnesses(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray, tol: float) -> dict[str, np.ndarray]:
+def witnesses(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> dict[str, np.ndarray]:
     """What each witness says against a path, in parts of what is accepted of it; arguments as for `doubts`."""
-    balance, action = doubts(problem, path, momentum, tol)
+    balance, action = doubts(problem, path, momentum)
     return {"balance of energy": balance / BALANCE, "action by a finer rule": action / ACTION}
 
 
-def doubts(
-    problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray, tol: float
-) -> tuple[np.ndarray, np.ndarray]:
+def doubts(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How far the balance of energy, and the action by a finer rule, are missed on every interval; (N,) each.
 
-    Both are relative to the sizes of their terms.  The balance is drawn up between breakpoints: at a step of L in time
+    Both are relative to the sizes of their terms, and beyond what rounding of the path does to them.  The balance is drawn up between breakpoints: at a step of L in time
     the energy jumps.
 
     Parameters
@@ -81,12 +74,9 @@ def doubts(
     problem : Problem
     path : PiecewisePolynomial of degree m
     momentum : (d, N + 1), at the joints
-    tol : relative tolerance
     """
     joints = [0, *np.searchsorted(path.mesh, problem.breakpoints), len(path.mesh) - 1]
-    parts = [
-        _between_breakpoints(problem, path.between(i, j), momentum[:, i : j + 1], tol) for i, j in pairwise(joints)
-    ]
+    parts = [_between_breakpoints(problem, path.between(i, j), momentum[:, i : j + 1]) for i, j in pairwise(joints)]
     balance, action = (np.concatenate(values) for values in zip(*parts, strict=True))
     return balance, action
 
@@ -99,7 +89,7 @@ def _rules(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _between_breakpoints(
-    problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray, tol: float
+    problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The same without breakpoints.
 
@@ -142,11 +132,14 @@ def _between_breakpoints(
     speed = np.abs(velocity)
     pushed = np.einsum("tij,jt->it", np.abs(mass), speed)
     local = np.abs(kinetic) + np.abs(energy) + np.sum(speed * pushed, axis=0)  # p·v may be a small difference of terms
-    mean = max(float(steps @ (local[1:] + local[:-1])) / 2 / float(np.sum(steps)), TINY)
+    duration, sizes = float(np.sum(steps)), component_sizes(path.values)
+    rest = EPS * float(np.max(np.einsum("i,tij,j->t", sizes, np.abs(mass), sizes))) / duration**2  # all there is at rest
+    mean = max(float(steps @ (local[1:] + local[:-1])) / 2 / duration, rest, TINY)
     scale = np.maximum(local, mean)
-    floor = EPS * (component_sizes(path.values) @ pushed / np.append(steps[0], steps) + scale)
-    missed = missed_balance(energy + np.append(0.0, np.cumsum(supplied)), scale, floor, tol)
+    sum_of_slopes = np.abs(differentiation_matrix(path.nodes)[0]).sum()  # what rounding of values does to x'
+    floor = BLURRED * EPS * (sum_of_slopes * sizes @ pushed / np.append(steps[0], steps) + scale)
+    missed = missed_balance(energy + np.append(0.0, np.cumsum(supplied)), scale, floor)
     coarser = lagrangian.reshape(len(steps), -1)[:, 2 + len(fine) :] @ coarse
     rounded = steps * np.maximum(floor[1:], floor[:-1])
-    change = np.maximum(np.abs(integral(lagrangian) - coarser) - rounded, 0.0) / (mean * float(np.sum(steps)))
+    change = np.maximum(np.abs(integral(lagrangian) - coarser) - rounded, 0.0) / (mean * duration)
     return missed, np.where(np.isfinite(change), change, np.inf)
