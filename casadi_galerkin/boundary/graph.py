@@ -16,6 +16,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import Mapping, by_rows
 from casadi_galerkin.functional.numbering import Data, joints_of
 from casadi_galerkin.functional.statement import functional_of, given_values, has_phase, phase_plane
+from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
@@ -92,7 +93,8 @@ class BoundaryGraph:
         if self.phase:
             data = self.data(joints, problem, self.plane(calculus.emb(values.T)))
         try:
-            solution = solver(self.stationarity, self.unknowns(values, data), data, verbose)
+            with fork_waits:  # it builds its Functions when they are first needed
+                solution = solver(self.stationarity, self.unknowns(values, data), data, verbose)
         except SolveFailure as failure:
             path = self.emb(failure.unknowns, data)
             raise explained(self.stationarity, failure, path, data) from None

@@ -17,7 +17,6 @@ import numpy as np
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.functional.buffers import Evaluator, Lender
-from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.solvers.deadline import limited
 
 ITERATION_LIMIT = 500  # the scenes take 5 to 100; a problem without a bound from below walks on for ever
@@ -121,7 +120,7 @@ def optimize(
     solver: Lender[Evaluator], guess: np.ndarray, data: np.ndarray, limits: ProgramBounds, *duals: Any
 ) -> Optimum:
     """Run the solver from a guess, to start warm with the multipliers of the bounds and of the equations."""
-    with solver.lend() as run, fork_waits:
+    with solver.lend() as run:
         x, _, _, bounds, equations, _ = run(guess, data, *limits.sides, *(duals or (0.0, 0.0)))
         stats = run.stats
     status = str(stats["return_status"]).replace("_", " ")

@@ -31,6 +31,7 @@ from casadi_galerkin.control.second_variation import CostVariation
 from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.functional.mapping import Mapping, by_rows
 from casadi_galerkin.functional.statement import refuse_points
+from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import check_types
@@ -145,8 +146,9 @@ class ControlTranscription:
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         span = float(calculus.mesh[0]), float(calculus.mesh[-1])
         problem = self.problem.varied({**ends, "parameters": parameters}, span)
-        begun = self.start(problem, calculus, guess)
-        path = _or_with_ipopt(solver, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began))
+        with fork_waits:  # it builds its Functions when they are first needed
+            begun = self.start(problem, calculus, guess)
+            path = _or_with_ipopt(solver, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began))
         if verbose:
             print(path)
         return path

@@ -4,9 +4,10 @@ From some 250,000 multiplications on it shares a product among all cores.  Those
 cores it was no faster and took twice the processor time, and beside another busy pool of threads, such as SciPy's, a
 solve took 22 ms instead of 3.  Other users of the library are not asked, so the number is put back.
 
-CasADi lets one thread at a time into IPOPT, and takes short locks whenever a Function is evaluated.  A process that is
-forked beside a thread that holds one would find it taken for ever: 2 of 450 forked children hung.  A fork waits until
-what runs without Python's own lock, IPOPT and evaluations of buffers, is left.
+CasADi runs without Python's own lock, lets one thread at a time into IPOPT, and takes short locks of its own whenever
+an expression or a Function is made, evaluated or deleted.  A process that is forked beside a thread that holds one
+finds it taken for ever: beside first solves 2 of 60 forked children hung.  So a fork waits for the solves of other
+threads, with all that they build, and for evaluations; not for `transcribe`, nor for what is deleted outside of solves.
 
 Its LDLᵀ writes a line to ``sys.stderr`` for every pivot that is exactly zero, and no option stops it.  The package
 measures what such a factorization gives and takes another where it is useless, so the line says nothing.
@@ -32,7 +33,7 @@ def _functions() -> tuple[Callable[[], int], Callable[[int], object]]:
     path = Path(ca.__file__).parent / LIBRARY
     if not path.exists():
         return lambda: 1, lambda _: None
-    library = ctypes.CDLL(str(path))  # the one that is loaded already
+    library = ctypes.PyDLL(str(path))  # the one that is loaded already; no fork comes into a call, nor into its locks
     return library.openblas_get_num_threads, library.openblas_set_num_threads
 
 
@@ -53,7 +54,7 @@ def one_thread() -> Iterator[None]:
         use(several)
 
 
-fork_waits = threading.RLock()  # held wherever CasADi runs without Python's own lock
+fork_waits = threading.RLock()  # held by every solve, and wherever buffers are evaluated
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(
         before=fork_waits.acquire, after_in_parent=fork_waits.release, after_in_child=fork_waits.release

@@ -13,7 +13,6 @@ answer, and never ends the process that asks.
 from __future__ import annotations
 
 import pickle
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import ExitStack, suppress
@@ -27,6 +26,7 @@ from casadi_galerkin.boundary.variations import nearest, values_of
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.control.refinement import first_control_mesh
+from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import between_marks, marks
@@ -37,7 +37,6 @@ from casadi_galerkin.solution.trajectory import Trajectory
 
 CHUNKS, LARGEST_CHUNK = 64, 50  # enough chunks to keep workers equally busy; few enough that sending costs little
 SMALLEST_NEIGHBORHOOD = 4  # variations about one that has to be solved before
-_one_at_a_time = threading.Lock()  # a worker of a cluster may run several chunks in threads of one process
 
 Variation = Mapping[str, Any]
 Answer = Trajectory | Exception
@@ -165,7 +164,7 @@ def _unpickled(pickled: bytes) -> Solve:
 
 def _chunk(pickled: bytes, variations: Sequence[Variation], known: Sequence[Known] = ()) -> list[Answer]:
     """What a worker does."""
-    with _one_at_a_time:
+    with fork_waits:  # a worker of a cluster may run several chunks in threads of one process
         return [_sendable(answer) for answer in _answers(_unpickled(pickled), variations, known)]
 
 
