@@ -66,8 +66,8 @@ def witnesses(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray)
 def doubts(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How far the balance of energy, and the action by a finer rule, are missed on every interval; (N,) each.
 
-    Both are relative to the sizes of their terms, and beyond what rounding of the path does to them.  The balance is drawn up between breakpoints: at a step of L in time
-    the energy jumps.
+    Both are relative to the sizes of their terms, and beyond what rounding of the path does to them.  The balance is
+    drawn up between breakpoints: at a step of L in time the energy jumps.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def _between_breakpoints(
         """∫ over every interval by the finer rule, (N,)."""
         return np.asarray(values.reshape(len(steps), -1)[:, 2 : 2 + len(fine)] @ fine)
 
-    lagrangian, _, slope, *blocks = evaluate(terms.derivatives)
+    lagrangian, work, slope, *blocks = evaluate(terms.derivatives)
     of_steps = h[joints]
     mass = terms.mass([of_steps * block[joints].T for block in blocks])
     velocity, missing = v[:, joints], momentum - slope[joints].T
@@ -133,11 +133,14 @@ def _between_breakpoints(
     pushed = np.einsum("tij,jt->it", np.abs(mass), speed)
     local = np.abs(kinetic) + np.abs(energy) + np.sum(speed * pushed, axis=0)  # p·v may be a small difference of terms
     duration, sizes = float(np.sum(steps)), component_sizes(path.values)
-    rest = EPS * float(np.max(np.einsum("i,tij,j->t", sizes, np.abs(mass), sizes))) / duration**2  # all there is at rest
+    rest = (
+        EPS * float(np.max(np.einsum("i,tij,j->t", sizes, np.abs(mass), sizes))) / duration**2
+    )  # all there is at rest
     mean = max(float(steps @ (local[1:] + local[:-1])) / 2 / duration, rest, TINY)
     scale = np.maximum(local, mean)
     sum_of_slopes = np.abs(differentiation_matrix(path.nodes)[0]).sum()  # what rounding of values does to x'
-    floor = BLURRED * EPS * (sum_of_slopes * sizes @ pushed / np.append(steps[0], steps) + scale)
+    pulled = np.median(np.abs(work[joints]) @ sizes / of_steps)  # not that beside a singularity
+    floor = BLURRED * EPS * (sum_of_slopes * sizes @ pushed / np.append(steps[0], steps) + pulled + scale)
     missed = missed_balance(energy + np.append(0.0, np.cumsum(supplied)), scale, floor)
     coarser = lagrangian.reshape(len(steps), -1)[:, 2 + len(fine) :] @ coarse
     rounded = steps * np.maximum(floor[1:], floor[:-1])
