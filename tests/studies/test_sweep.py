@@ -131,6 +131,7 @@ def test_with_a_tolerance_every_path_keeps_it():
     assert sweep[0].error_estimate <= 1e-8
     assert sweep[1].error_estimate <= 1e-8
     assert list(sweep.failures) == [2]
+    assert "no path was found" in str(sweep[2])
 
 
 def test_paths_on_different_meshes_make_no_array():
