@@ -79,14 +79,6 @@ def test_both_paths_of_bratu_are_found(rate):
         np.testing.assert_allclose(path(0.5), height, rtol=1e-10, atol=0)
 
 
-def test_both_catenoids_are_found():
-    found = cg.paths(cg.BoundaryProblem(catenoid, (-0.5, 0.5), [1.0], [1.0]), cg.Galerkin(8), 16)
-    assert found.solves <= SOLVES
-    assert [path.morse_index for path in found] == [0, 1]
-    narrowest = [path(0.0)[0] for path in found]
-    np.testing.assert_allclose(narrowest, [0.848337938094979, 0.235094990234533], rtol=1e-12, atol=0)
-
-
 def test_thirteen_geodesics_join_two_points_of_a_torus(geodesics):
     assert len(geodesics) == 13
     assert geodesics.solves <= SOLVES
