@@ -65,7 +65,7 @@ SCENES = {
     "cart-pole": (cart_pole, lambda: resolved(cart_pole)),
 }
 SMOOTH = ("effort", "pendulum in 3", "pendulum in 5", "cart-pole")
-CASES = [(name, tol) for name in SCENES for tol in (1e-3, 1e-6)] + [(name, 1e-8) for name in SMOOTH]
+CASES = [(name, tol) for name in SCENES for tol in (1e-3, 1e-8 if name in SMOOTH else 1e-6)]
 
 
 @pytest.mark.parametrize(("name", "tol"), CASES)
@@ -76,8 +76,8 @@ def test_true_error_is_below_the_tolerance(name, tol):
     assert true_error(path, *known()) <= tol
 
 
-@pytest.mark.parametrize("tol", [1e-3, 1e-6])
-def test_obstacle_is_passed_below_at_the_exact_cost(monkeypatch, tol):
+def test_obstacle_is_passed_below_at_the_exact_cost(monkeypatch):
+    tol = 1e-6
     monkeypatch.syspath_prepend(EXAMPLES)
     module = importlib.import_module("obstacle")
     path = cg.solve(module.problem(), tol=tol, guess=lambda t: [t, -0.8 * t * (1 - t)])
@@ -100,8 +100,7 @@ def wall_cost():
     return minimize_scalar(touching, bounds=(0.01, 0.4), method="bounded", options={"xatol": 1e-10}).fun
 
 
-@pytest.mark.parametrize("intervals", [7, 8])
-@pytest.mark.parametrize("tol", [1e-3, 1e-6])
+@pytest.mark.parametrize(("intervals", "tol"), [(7, 1e-3), (8, 1e-6)])
 def test_a_bound_of_the_position_is_touched_at_the_exact_cost(intervals, tol):
     path = cg.solve(wall(), tol=tol, intervals=intervals)
     assert path.error_estimate <= tol
@@ -109,12 +108,12 @@ def test_a_bound_of_the_position_is_touched_at_the_exact_cost(intervals, tol):
 
 
 def test_a_loose_tolerance_takes_less_work():
-    loose, tight = (cg.solve(cart_pole(), tol=tol) for tol in (1e-3, 1e-8))
+    loose, tight = (cg.solve(pendulum(3.0), tol=tol) for tol in (1e-3, 1e-8))
     assert len(loose.polynomial.values[0]) < len(tight.polynomial.values[0])
     assert loose.error_estimate > tight.error_estimate
 
 
-@pytest.mark.parametrize("tol", [1e-3, 1e-5, 1e-7])
+@pytest.mark.parametrize("tol", [1e-3, 1e-7])
 @pytest.mark.parametrize("name", ["minimum time, moving", "pendulum in 5", "cart-pole"])
 def test_tolerance_of_the_cost_alone_bounds_its_error_with_less_work(name, tol):
     make, known = SCENES[name]
@@ -244,7 +243,7 @@ def test_levels_that_go_round_in_circles_are_ended(monkeypatch):
     monkeypatch.setattr(ControlRefinement, "estimate", lambda *args: replace(estimate(*args), error=next(errors)))
     monkeypatch.setattr(ControlRefinement, "improve", lambda self, level, estimate: level)
     with pytest.raises(cg.LimitReached, match=r"10 levels in a row came no nearer.* an estimated error of 1.0e-02"):
-        cg.solve(cart_pole(), tol=1e-8)
+        cg.solve(pendulum(3.0), tol=1e-8)
     assert next(errors, None) is None
 
 
