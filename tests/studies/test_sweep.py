@@ -159,7 +159,7 @@ def lambert(count, seed=None):
 
 @pytest.mark.parametrize("seed", [None, 0])
 def test_with_a_tolerance_neighbors_are_on_one_branch(seed, pool):
-    problem, ends = lambert(41, seed)
+    problem, ends = lambert(21, seed)
     ends[0]["guess"] = lambert_guess(ends[0]["end"])
     sweep = cg.sweep(problem, ends, tol=1e-7)
     assert not sweep.failures
