@@ -322,9 +322,9 @@ def test_an_answer_of_other_times_and_breakpoints_is_a_guess(breakpoints):
     np.testing.assert_array_equal(path.t, cg.solve(problem, tol=1e-5).t)
 
 
-@pytest.mark.parametrize("tol", [1e-3, 1e-6])
-def test_two_controls_may_switch_at_the_same_time(tol):
+def test_two_controls_may_switch_at_the_same_time():
     """Two joints, one for each, were as close as rounding, and refused."""
+    tol = 1e-6
     problem = cg.ControlProblem(
         lambda t, x, v: (v[0] ** 2 + v[1] ** 2) / 2,
         (0.0, 1.3),

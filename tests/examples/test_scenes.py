@@ -23,7 +23,7 @@ from paths import EXAMPLES
 from scenes import TROESCH
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve, minimize
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 import casadi_galerkin as cg
 
@@ -134,9 +134,9 @@ def uncertainty_of_the_fit(module, first):
     for estimate, covariance, _, _ in runs:
         error = estimate - module.TRUE
         distances.append(error @ np.linalg.solve(covariance, error))
-    assert distances[-1] < chi2.ppf(0.99, 4)
+    assert distances[-1] < chdtri(4, 0.01)  # quantiles of χ², by the probability to be above
     # the sum tells an uncertainty that is too large from one that is too small: both ends are 1 in 1000
-    assert chi2.ppf(0.001, 4 * len(runs)) < sum(distances) < chi2.ppf(0.999, 4 * len(runs))
+    assert chdtri(4 * len(runs), 0.999) < sum(distances) < chdtri(4 * len(runs), 0.001)
 
 
 def residuals_of_the_fit(module, answer):
