@@ -129,7 +129,7 @@ def one_path_in_every_way(module, measured):
 
 
 def uncertainty_of_the_fit(module, first):
-    runs = [module.main(seed=seed) for seed in range(1, 4)] + [first]
+    runs = [module.main(seed=seed) for seed in range(1, 6)] + [first]
     distances = []
     for estimate, covariance, _, _ in runs:
         error = estimate - module.TRUE

@@ -91,7 +91,7 @@ def test_a_step_in_time_that_is_named_is_resolved(before, when, tol):
     assert abs(y[0] + 0.5) <= 10 * tol + 1e-11
 
 
-@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("tol", [1e-3, 1e-9])
 @pytest.mark.parametrize(("start", "end", "duration"), [(0.5, -0.5, 1.0), (1.0, -2.0, 3.0)])
 def test_no_path_through_the_sun_is_returned(start, end, duration, tol):
     """From the straight line all of these were returned, with an estimate below the tolerance."""
