@@ -90,7 +90,7 @@ def test_a_process_forked_beside_a_solving_thread_solves_too(state):
 
 
 def test_threads_may_share_transcriptions(state):
-    assert state.threads(40) == 0
+    assert state.threads(80) == 0
 
 
 def swing(gravity):
