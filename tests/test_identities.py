@@ -61,7 +61,7 @@ def gauss_collocation(lagrangian, d, t0, x, p, h, stages):
 
 
 @pytest.mark.parametrize("lagrangian", [pendulum, varying_mass, driven_pair], ids=lambda f: f.__name__)
-@pytest.mark.parametrize("degree", [1, 2, 3, 5])
+@pytest.mark.parametrize("degree", [1, 2, 5])
 def test_gauss_rule_of_the_degree_is_gauss_collocation_of_hamiltons_equations(lagrangian, degree):
     """The global solution is followed step by step, from its own first momentum."""
     d = 2 if lagrangian is driven_pair else 1
@@ -109,7 +109,7 @@ def test_degree_one_with_the_left_rectangle_is_symplectic_euler():
     np.testing.assert_allclose(np.diff(x), h * p[1:], rtol=0, atol=IDENTITY)
 
 
-@pytest.mark.parametrize("degree", [2, 3, 6, 9])
+@pytest.mark.parametrize("degree", [2, 5, 9])
 @pytest.mark.parametrize("other", ["chebyshev", "equispaced", "odd"])
 def test_two_families_of_control_points_give_the_same_path(degree, other):
     points = {
@@ -131,7 +131,7 @@ def gauge(t, x, v):
     return x[0] ** 3 / 3 + (t * x[0] ** 2 - 2 * x[0]) * v[0]
 
 
-@pytest.mark.parametrize("degree", [1, 2, 4])
+@pytest.mark.parametrize("degree", [1, 4])
 def test_adding_a_total_derivative_moves_nothing_once_the_quadrature_is_exact(degree):
     F = lambda t, x: t * x**3 / 3 - x**2  # noqa: E731
     points = (3 * degree + 2) // 2  # dF/dt is of degree 3 m: 2 r - 1 >= 3 m
@@ -171,7 +171,7 @@ def test_discrete_action_of_the_short_pendulum_has_its_computed_value(degree, ru
     assert path.action == pytest.approx(action, rel=IDENTITY)
 
 
-@pytest.mark.parametrize("degree", [2, 3, 5, 8])
+@pytest.mark.parametrize("degree", [2, 5, 8])
 @pytest.mark.parametrize("rule", [cg.gauss, lambda m: cg.lobatto(m + 1), lambda m: cg.radau(m)])
 @pytest.mark.parametrize("name", ["free particle", "uniform gravity"])
 def test_parabolas_are_reproduced_on_any_mesh(degree, rule, name):

@@ -14,6 +14,7 @@ import signal
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -45,6 +46,7 @@ def solved(transcription, case):
     return transcription.solve(end=end, mesh=mesh).polynomial.values
 
 
+@cache
 def answers():
     """Node values of all problems and cases, found undisturbed by graphs of their own."""
     cases = range(len(MESHES) * len(ENDS))

@@ -63,7 +63,7 @@ def test_a_path_is_followed_on_its_branch():
 
 
 def test_times_ends_and_momenta_may_be_others():
-    problem = cg.BoundaryProblem(pendulum, (0.0, 2.0), [0.0], [None], end_momentum=[0.5], breakpoints=[0.7])
+    problem = cg.BoundaryProblem(pendulum, (0.0, 1.2), [0.0], [None], end_momentum=[0.5], breakpoints=[0.7])
     transcription = cg.transcribe(problem, tol=TOL)
     transcription.solve()
     path = transcription.solve(start=[0.1], end_momentum=[0.3], t_span=(0.25, 3.0))
@@ -129,12 +129,6 @@ def test_another_solver_is_asked_every_time():
     saddle = transcription.solve(guess=scene.guess)
     assert transcription.solve(guess=saddle, end=[1.01]).morse_index == saddle.morse_index == 1
     assert transcription.solve(guess=saddle, end=[1.01], solver=cg.minimizer).morse_index == 0
-
-
-def test_there_is_no_path_beyond_the_fold():
-    transcription = cg.transcribe(bratu(), tol=1e-6)
-    with pytest.raises(cg.ConvergenceError, match="no path was found"):
-        transcription.solve(parameters=[5.0], guess=transcription.solve())
 
 
 def test_a_path_of_a_higher_degree_is_a_guess():

@@ -1,5 +1,7 @@
 """Holonomic constraints between two ends: the same paths as in angles, orders, multipliers, indices, refusals."""
 
+from functools import cache
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -19,44 +21,43 @@ ENDS = {  # duration, angles at both ends
 }
 
 
-def both_ways(name, method=METHOD, intervals=12, **changes):
-    """The path in angles, and that in Cartesian coordinates from the guess that turns the angles evenly."""
-    (angular, cartesian, place, constraint), (duration, *ends) = MECHANISMS[name], ENDS[name]
+@cache
+def angles_of(name):
+    duration, first, last = ENDS[name]
+    return cg.solve(cg.BoundaryProblem(MECHANISMS[name][0], (0, duration), first, last), METHOD, intervals=12)
+
+
+def constrained_path(name, method=METHOD, intervals=12, solver=cg.newton):
+    """The path in Cartesian coordinates from the guess that turns the angles evenly."""
+    (_, cartesian, place, constraint), (duration, *ends) = MECHANISMS[name], ENDS[name]
     first, last = np.array(ends)
-    angles = cg.solve(cg.BoundaryProblem(angular, (0, duration), first, last), METHOD, intervals=intervals)
     problem = cg.BoundaryProblem(cartesian, (0, duration), place(first), place(last), constraint=constraint)
     guess = lambda t: place(first + (last - first) * t / duration)  # noqa: E731
-    return angles, cg.solve(problem, method, intervals=intervals, guess=guess, **changes)
+    return cg.solve(problem, method, intervals=intervals, guess=guess, solver=solver)
 
 
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_a_mechanism_in_cartesian_coordinates_is_that_in_angles(name):
-    angles, path = both_ways(name)
+    angles, path = angles_of(name), constrained_path(name)
     np.testing.assert_allclose(path.x, MECHANISMS[name][2](angles.x), rtol=0, atol=JOINTS)
     assert path.action == pytest.approx(angles.action, rel=1e-13)
     np.testing.assert_allclose(path.energy, angles.energy, rtol=1e-11)
 
 
 @pytest.mark.parametrize("name", MECHANISMS)
-@pytest.mark.parametrize("degree", [1, 2, 5, 10])
-def test_a_constraint_holds_at_joints_and_nodes_whatever_the_degree(name, degree):
-    path, constraint = both_ways(name, cg.Galerkin(degree))[1], MECHANISMS[name][3]
+@pytest.mark.parametrize("degree", [1, 3, 10])
+def test_a_constraint_holds_at_all_nodes_and_velocities_are_tangent_at_the_joints_whatever_the_degree(name, degree):
+    path, constraint = constrained_path(name, cg.Galerkin(degree)), MECHANISMS[name][3]
     off = [np.array(constraint(0, ca.DM(x))) for x in path.polynomial.values.T]
     assert np.max(np.abs(off)) <= HELD
-
-
-@pytest.mark.parametrize("name", MECHANISMS)
-@pytest.mark.parametrize("degree", [1, 3])
-def test_velocities_are_tangent_at_the_joints_whatever_the_degree(name, degree):
-    path, d = both_ways(name, cg.Galerkin(degree))[1], len(MECHANISMS[name][2](ENDS[name][1]))
-    x = ca.SX.sym("x", d)
-    slope = ca.Function("slope", [x], [ca.jacobian(MECHANISMS[name][3](0, x), x)])
+    x = ca.SX.sym("x", len(path.x))
+    slope = ca.Function("slope", [x], [ca.jacobian(constraint(0, x), x)])
     off = [np.array(slope(x)) @ v for x, v in zip(path.x.T, path.velocity.T, strict=True)]
     assert np.max(np.abs(off)) <= HELD
 
 
 def test_a_spherical_pendulum_on_its_sphere_keeps_its_spin_at_any_degree():
-    path = both_ways("spherical pendulum", cg.Galerkin(2))[1]
+    path = constrained_path("spherical pendulum", cg.Galerkin(2))
     spin = path.x[0] * path.momentum[1] - path.x[1] * path.momentum[0]
     np.testing.assert_allclose(spin, spin[0], rtol=1e-12)
     assert np.ptp(path.energy) > 1e-7  # while its energy has the error of the method
@@ -77,9 +78,7 @@ def uneven_in_angle(t, x, v):
 
 MESHES = {  # duration and intervals that show the order: past the coarse meshes, and clear of roundoff
     1: (1.5, (24, 32, 48)),
-    2: (1.5, (12, 16, 24)),
     3: (1.5, (8, 10, 12)),
-    4: (2.0, (6, 8, 10)),
     5: (2.8, (5, 6, 7)),
 }
 PLATEAU = 1e-13
@@ -129,7 +128,7 @@ def test_control_points_that_lose_the_order_are_refused(points):
 
 def test_the_multiplier_of_a_pendulum_is_the_tension_of_its_rod():
     """Half of it and towards the pivot, as g = |x|² - 1 grows by 2 along the rod."""
-    angles, path = both_ways("pendulum")
+    angles, path = angles_of("pendulum"), constrained_path("pendulum")
     tension = angles.velocity[0] ** 2 + np.cos(angles.x[0])
     multipliers = path.multipliers(path.t)
     assert multipliers.shape == (1, 13)
@@ -137,17 +136,17 @@ def test_the_multiplier_of_a_pendulum_is_the_tension_of_its_rod():
 
 
 def test_multipliers_come_in_the_shape_of_the_times_asked_for():
-    path = both_ways("double pendulum")[1]
+    path = constrained_path("double pendulum")
     assert path.multipliers(0.2).shape == (2,)
     assert path.multipliers(np.full((3, 4), 0.2)).shape == (2, 3, 4)
     np.testing.assert_allclose(path.multipliers(path.t[3]), path.multipliers(path.t)[:, 3], rtol=0, atol=0)
 
 
 def test_multipliers_between_the_joints_have_order_m():
-    exact = both_ways("pendulum", cg.Galerkin(12))[1]
+    exact = constrained_path("pendulum", cg.Galerkin(12))
     times, counts, errors = np.linspace(0.01, 1.49, 301), (10, 20, 40), []
     for count in counts:
-        path = both_ways("pendulum", cg.Galerkin(3), intervals=count)[1]
+        path = constrained_path("pendulum", cg.Galerkin(3), intervals=count)
         errors.append(np.sqrt(np.mean((path.multipliers(times) - exact.multipliers(times)) ** 2)))
     assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] == pytest.approx(3, abs=0.2)
 
@@ -283,14 +282,14 @@ def test_a_constraint_on_a_component_that_stays_zero_is_harmless():
     )
     guess = lambda t: np.array([np.sin(0.2 + 1.1 * t / 1.5), 0.0, -np.cos(0.2 + 1.1 * t / 1.5)])  # noqa: E731
     path = cg.solve(problem, METHOD, intervals=8, guess=guess)
-    np.testing.assert_allclose(path.x[::2], both_ways("pendulum")[1](path.t), rtol=0, atol=JOINTS)
+    np.testing.assert_allclose(path.x[::2], constrained_path("pendulum")(path.t), rtol=0, atol=JOINTS)
     assert not np.any(path.x[1])
 
 
 # index, many constraints, tolerances, solvers
 
 
-@pytest.mark.parametrize("duration", [1.0, 4.0, 7.0, 10.0])
+@pytest.mark.parametrize("duration", [1.0, 4.0, 10.0])
 def test_the_morse_index_on_a_constraint_is_that_in_the_angle(duration):
     """Small oscillations, which gain an index every half period."""
     angle = cg.solve(cg.BoundaryProblem(pendulum, (0, duration), [0.05], [0.1]), METHOD, intervals=12)
@@ -332,7 +331,7 @@ def test_fifty_coupled_rods_are_solved():
     assert np.max(np.abs(path.x[0::2] ** 2 + path.x[1::2] ** 2 - 1)) <= HELD
 
 
-@pytest.mark.parametrize("tol", [1e-4, 1e-7, 1e-10])
+@pytest.mark.parametrize("tol", [1e-4, 1e-10])
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_a_constrained_path_found_to_a_tolerance_meets_it(name, tol):
     (angular, cartesian, place, constraint), (duration, *ends) = MECHANISMS[name], ENDS[name]
@@ -348,7 +347,7 @@ def test_a_constrained_path_found_to_a_tolerance_meets_it(name, tol):
 @pytest.mark.parametrize("solver", [cg.rootfinder, cg.ipopt, cg.minimizer], ids=str)
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_solvers_agree_on_a_constrained_path(name, solver):
-    newton, other = (both_ways(name, solver=each)[1] for each in (cg.newton, solver))
+    newton, other = (constrained_path(name, solver=each) for each in (cg.newton, solver))
     np.testing.assert_allclose(other.x, newton.x, rtol=0, atol=1e-13)
     assert other.action == pytest.approx(newton.action, rel=1e-13)
 

@@ -69,7 +69,7 @@ def test_the_swings_of_the_pendulum_are_all_and_no_others(swings):
     assert euler_characteristic(swings) == 1
 
 
-@pytest.mark.parametrize("rate", [0.5, 1.0, 2.0, 3.0, 3.5])
+@pytest.mark.parametrize("rate", [0.5, 2.0, 3.5])
 def test_both_paths_of_bratu_are_found(rate):
     found = cg.paths(cg.BoundaryProblem(bratu(rate), (0, 1), [0.0], [0.0]), cg.Galerkin(8), 16)
     assert found.solves <= SOLVES
@@ -77,14 +77,6 @@ def test_both_paths_of_bratu_are_found(rate):
     for path, upper in zip(found, (False, True), strict=True):
         height = 2 * np.log(np.cosh(bratu_theta(rate, upper) / 4))
         np.testing.assert_allclose(path(0.5), height, rtol=1e-10, atol=0)
-
-
-def test_both_catenoids_are_found():
-    found = cg.paths(cg.BoundaryProblem(catenoid, (-0.5, 0.5), [1.0], [1.0]), cg.Galerkin(8), 16)
-    assert found.solves <= SOLVES
-    assert [path.morse_index for path in found] == [0, 1]
-    narrowest = [path(0.0)[0] for path in found]
-    np.testing.assert_allclose(narrowest, [0.848337938094979, 0.235094990234533], rtol=1e-12, atol=0)
 
 
 def test_thirteen_geodesics_join_two_points_of_a_torus(geodesics):
@@ -136,8 +128,9 @@ def test_a_symmetry_may_take_all_paths_of_a_class_to_one():
     problem = cg.BoundaryProblem(pendulum, (0.0, 5.0), [None], [None])
     found = cg.paths(
         problem,
-        cg.Galerkin(8),
+        cg.Galerkin(6),
         8,
+        patience=8,
         symmetries=[lambda x: x - 2 * np.pi * np.round((x[0, 0] - 0.1) / (2 * np.pi))],
     )
     places = [np.exp(1j * path.x[0]) for path in found]
@@ -148,7 +141,7 @@ def test_a_symmetry_may_take_all_paths_of_a_class_to_one():
 
 
 def test_free_and_periodic_ends():
-    free = cg.paths(cg.BoundaryProblem(pendulum, (0.0, 10.0), [1.0], [None]), cg.Galerkin(8), 24)
+    free = cg.paths(cg.BoundaryProblem(pendulum, (0.0, 10.0), [1.0], [None]), cg.Galerkin(8), 16, patience=6)
     assert len(free) == 7
     for path in free:
         np.testing.assert_allclose(path.momentum[0, -1], 0.0, rtol=0, atol=1e-10)
@@ -338,7 +331,7 @@ def test_paths_on_a_circle_in_the_plane_are_those_in_its_angle(swings):
         pose(1.0),
         constraint=lambda t, x: ca.dot(x, x) - 1,
     )
-    found = cg.paths(problem, cg.Galerkin(8), 30, count=4)
+    found = cg.paths(problem, cg.Galerkin(8), 16, count=4)
     assert len(found) >= 2
     for path in found:
         angles = np.unwrap(np.arctan2(path.x[0], -path.x[1]))

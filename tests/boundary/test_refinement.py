@@ -5,14 +5,14 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 import pytest
-from scenes import BY_NAME, TROESCH, boundary_layer, bratu, bratu_theta, oscillator, pendulum, troesch
+from scenes import BY_NAME, boundary_layer, bratu, bratu_theta, oscillator, pendulum
 
 import casadi_galerkin as cg
 from casadi_galerkin.boundary.error_estimate import SLOWEST, discretization_error
 from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.boundary.refinement import BoundaryRefinement
 
-TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
+TOLERANCES = (1e-3, 1e-6, 1e-12)
 WORST = 5.0  # no success may have an error above this many tolerances
 MOSTLY = 0.95  # part of the runs whose error is at most the tolerance
 SHARP = (0.2, 100.0)  # estimated over true error
@@ -45,7 +45,7 @@ def oracle(name):
     return cg.solve(scene.problem, cg.Galerkin(16), mesh=mesh, guess=scene.guess)
 
 
-CASES = list(BY_NAME)
+CASES = [name for name in BY_NAME if name not in ("Troesch 10", "Troesch 30")]  # which lie between others
 
 
 @lru_cache(None)
@@ -57,16 +57,10 @@ def run(name, tol):
 
 @pytest.mark.parametrize("tol", TOLERANCES)
 @pytest.mark.parametrize("name", CASES)
-def test_no_reference_problem_misses_its_tolerance_by_much(name, tol):
+def test_no_reference_problem_misses_its_tolerance_by_much_and_estimates_are_sharp(name, tol):
     path, error = run(name, tol)
     assert path.error_estimate <= tol
     assert error <= WORST * max(tol, ORACLE)
-
-
-@pytest.mark.parametrize("tol", TOLERANCES)
-@pytest.mark.parametrize("name", CASES)
-def test_the_estimate_is_sharp(name, tol):
-    path, error = run(name, tol)
     if max(path.error_estimate, error) > ORACLE:
         assert SHARP[0] <= path.error_estimate / error <= SHARP[1]
 
@@ -115,23 +109,14 @@ def random_problem(seed):
     return problem, tol, lambda times: np.array(exact.map(len(times))(times[None])[0]).reshape(d, -1)
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(20))
 def test_no_success_on_a_random_problem_misses_its_tolerance(seed):
     problem, tol, exact = random_problem(seed)
     path = cg.solve(problem, tol=tol)
     assert relative_error(path, exact) <= WORST * tol
 
 
-@pytest.mark.parametrize("rate", TROESCH)
-def test_troeschs_problem_is_solved_from_the_straight_line(rate):
-    path = cg.solve(cg.BoundaryProblem(troesch(rate), (0, 1), [0.0], [1.0]), tol=1e-9)
-    first, last = TROESCH[rate]
-    np.testing.assert_allclose(path.momentum[0, -1], last, rtol=1e-8, atol=0)
-    if rate <= 10:
-        np.testing.assert_allclose(path.momentum[0, 0], first, rtol=1e-8, atol=0)
-
-
-@pytest.mark.parametrize("epsilon", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
+@pytest.mark.parametrize("epsilon", [1e-2, 1e-5, 1e-8])
 def test_layers_are_found(epsilon):
     width, tol = np.sqrt(epsilon), 1e-9
     path = cg.solve(cg.BoundaryProblem(boundary_layer(epsilon), (0, 1), [1.0], [0.0]), tol=tol)
@@ -172,10 +157,10 @@ def comet(eccentricity):
     return problem, exact, lambda t: place(2 * t / half)
 
 
-CLOSE = [(eccentricity, tol) for eccentricity in (0.9, 0.99, 0.999) for tol in (1e-3, 1e-6, 1e-8)]
-
-
-@pytest.mark.parametrize(("eccentricity", "tol"), [*CLOSE, (0.9, 1e-9), (0.99, 1e-9)])  # 1e-9 is rounding at 0.999
+# 1e-9 is rounding at 0.999
+@pytest.mark.parametrize(
+    ("eccentricity", "tol"), [(0.9, 1e-3), (0.9, 1e-9), (0.99, 1e-6), (0.999, 1e-3), (0.999, 1e-8)]
+)
 def test_near_collisions_are_passed_on_the_right_side(eccentricity, tol):
     problem, exact, guess = comet(eccentricity)
     path = cg.solve(problem, tol=tol, guess=guess)
@@ -283,11 +268,6 @@ def test_the_time_may_be_up_on_a_later_level(monkeypatch):
     assert caught.value.path(1.0) == pytest.approx([1.0])
 
 
-def test_no_path_beyond_bratus_fold():
-    with pytest.raises(cg.ConvergenceError):
-        cg.solve(cg.BoundaryProblem(bratu(3.6), (0, 1), [0.0], [0.0]), tol=1e-6, limits=cg.Limits(seconds=2))
-
-
 def test_conjugate_ends_are_named():
     problem = cg.BoundaryProblem(oscillator, (0, np.pi), [0.0], [0.0])
     with pytest.raises(cg.ConjugatePointError):
@@ -357,7 +337,7 @@ def test_a_tolerance_below_the_roundoff_floor_is_refused_before_a_mesh_is_refine
     assert len(caught.value.path.t) < 400  # it went up to 25,588
 
 
-@pytest.mark.parametrize("gap", [10.0**-k for k in np.arange(2, 11.5, 0.5)])
+@pytest.mark.parametrize("gap", [10.0**-k for k in range(2, 12)])
 @pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
 def test_no_lucky_estimate_is_accepted_near_a_conjugate_point(gap, tol):
     """At a gap of 1e-10 a tolerance of 1e-6 was missed by a factor of 5.7, by one noisy estimate of many."""

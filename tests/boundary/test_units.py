@@ -11,7 +11,7 @@ SAME = 1e-12
 DERIVATIVE = (
     1e-7  # of what follows by one linear system, refined once; 2e-8 beside an unknown velocity in units of 1e12
 )
-UNITS = [(s, x, t) for s in (1e-12, 1.0, 1e12) for x in (1e-12, 1e12) for t in (1e-12, 1e12)]
+UNITS = [(1e-12, 1e-12, 1e12), (1e-12, 1e12, 1e-12), (1e12, 1e-12, 1e-12), (1e12, 1e12, 1e12)]  # every pair of extremes
 
 
 def stated(ends, units, *acting):

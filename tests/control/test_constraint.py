@@ -32,10 +32,10 @@ def test_cartesian_swing_up_is_that_in_angles(solver):
     assert np.max(path.dynamics_defect) < 1e-6
 
 
-@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+@pytest.mark.parametrize("degree", [1, 2, 4])
 @pytest.mark.parametrize("rule", [cg.gauss, lambda m: cg.lobatto(m + 1)], ids=["gauss", "lobatto"])
 def test_order_is_twice_the_degree(degree, rule):
-    meshes = {1: (20, 40, 80), 2: (10, 20, 40), 3: (10, 14, 20), 4: (8, 10, 12)}[degree]
+    meshes = {1: (20, 40, 80), 2: (10, 20, 40), 4: (8, 10, 12)}[degree]
     method = cg.Galerkin(degree, quadrature=rule(degree))
     errors = [abs(cg.solve(cartesian_pendulum(), method, n, guess=guess).cost - EXACT) for n in meshes]
     assert -np.polyfit(np.log(meshes), np.log(errors), 1)[0] == pytest.approx(2 * degree, abs=0.4)

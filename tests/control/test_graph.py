@@ -8,20 +8,15 @@ from control_problems import cart_pole, cartesian_pendulum, everything, minimum_
 import casadi_galerkin as cg
 
 ROUNDOFF = 1e-12  # of sums of a few hundred terms of order 1 to 100
-METHODS = [
-    cg.Galerkin(1),
-    cg.Galerkin(3),
-    cg.Galerkin(3, quadrature=cg.gauss(4)),
-    cg.Galerkin(2, quadrature=cg.lobatto(3)),
-]
+METHODS = [cg.Galerkin(1), cg.Galerkin(3, quadrature=cg.gauss(4)), cg.Galerkin(2, quadrature=cg.lobatto(3))]
 
 
-@pytest.fixture(params=METHODS, ids=str)
+@pytest.fixture(params=METHODS, ids=str, scope="module")
 def method(request):
     return request.param
 
 
-@pytest.fixture(params=[everything, cart_pole, minimum_time, cartesian_pendulum, two_phases, staged])
+@pytest.fixture(params=[everything, cart_pole, minimum_time, cartesian_pendulum, two_phases, staged], scope="module")
 def graph(request, method):
     return cg.transcribe(request.param(), method, 4).graph
 

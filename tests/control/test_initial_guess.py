@@ -76,22 +76,27 @@ def test_guess_that_does_not_fit_is_refused():
         cg.solve(problem, cg.Galerkin(2), intervals=4, guess=lambda t: [np.nan])
 
 
+@pytest.fixture(scope="module")
+def swinging():
+    """The pendulum's transcription, and its answer."""
+    program = cg.transcribe(pendulum(3.0), cg.Galerkin(4), 10)
+    return program, program.solve()
+
+
 @pytest.mark.parametrize(
     "controls",
     [lambda t: [1.5 * np.sin(3 * t)], np.zeros((1, 40)), [[0.1] * 40], "path"],
     ids=["callable", "array", "list", "control path"],
 )
 @pytest.mark.parametrize("path", [lambda t: [np.pi * t / 3], np.linspace(0, np.pi, 11)[None, :], "trajectory"])
-def test_guess_may_be_a_pair_of_path_and_controls(path, controls):
-    program = cg.transcribe(pendulum(3.0), cg.Galerkin(4), 10)
-    known = program.solve()
+def test_guess_may_be_a_pair_of_path_and_controls(swinging, path, controls):
+    program, known = swinging
     given = (known if isinstance(path, str) else path, known.control if isinstance(controls, str) else controls)
     assert program.solve(guess=given).cost == pytest.approx(known.cost, abs=SOLVED)
 
 
-def test_controls_of_a_pair_are_where_the_solve_starts():
-    program = cg.transcribe(pendulum(3.0), cg.Galerkin(4), 10)
-    known = program.solve()
+def test_controls_of_a_pair_are_where_the_solve_starts(swinging):
+    program, known = swinging
     calculus = cg.DiscreteCalculus(program.method, program.mesh)
     values = first_values(program.problem, program.chain, calculus, (known, known.control), None)
     controls = known.control.values.reshape(1, 10, 4).transpose(1, 2, 0)
@@ -147,8 +152,8 @@ def test_a_warm_start_does_not_depend_on_who_found_the_answer():
     assert far.solve(end=[np.pi], guess=near.solve()).iterations <= 1
 
 
-def test_another_layout_starts_from_the_path_alone():
-    known = cg.solve(pendulum(3.0), cg.Galerkin(4), 10)
+def test_another_layout_starts_from_the_path_alone(swinging):
+    same, known = swinging
     meshes = {"mesh": 3 * np.linspace(0, 1, 11) ** 1.3}, {"mesh": np.linspace(0, 3, 12)}
     for method, mesh in ((cg.Galerkin(5), {"intervals": 10}), *((cg.Galerkin(4), mesh) for mesh in meshes)):
         program = cg.transcribe(pendulum(3.0), method, **mesh)
@@ -156,11 +161,11 @@ def test_another_layout_starts_from_the_path_alone():
         assert near_answer(known, program.chain, calculus) is None
         assert program.solve(guess=known).cost == pytest.approx(known.cost, rel=1e-3)
     later = cg.DiscreteCalculus(cg.Galerkin(4), np.linspace(7, 9, 11))
-    assert near_answer(known, cg.transcribe(pendulum(3.0), cg.Galerkin(4), 10).chain, later) is known
+    assert near_answer(known, same.chain, later) is known
 
 
-def test_an_answer_with_other_ends_given_starts_warm():
-    known, freed = cg.solve(pendulum(3.0), cg.Galerkin(4), 10), pendulum(3.0, end_velocity=[None])
+def test_an_answer_with_other_ends_given_starts_warm(swinging):
+    (_, known), freed = swinging, pendulum(3.0, end_velocity=[None])
     program = cg.transcribe(freed, cg.Galerkin(4), 10)
     assert near_answer(known, program.chain, cg.DiscreteCalculus(program.method, program.mesh)) is known
     assert program.solve(guess=known).cost == pytest.approx(program.solve().cost, abs=SOLVED)
@@ -175,7 +180,7 @@ def test_a_warm_start_survives_pickling():
 
 
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=str)
-@pytest.mark.parametrize("size", [1e6, 1e12, 1e15])
+@pytest.mark.parametrize("size", [1e6, 1e15])
 def test_a_wild_guess_neither_scales_nor_measures_the_equations(size, solver):
     """Measured along the guess, a path that missed its equations altogether passed, with a cost of 1e-48."""
     for guess in (lambda t: [t + size * np.sin(37 * t)], (lambda t: [t], lambda t: [size * np.cos(9 * t)])):

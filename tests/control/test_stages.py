@@ -1,6 +1,7 @@
 """Components that follow rates, conditions on the ends, phases, held controls, fatrop: exact values and orders."""
 
 from dataclasses import replace
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -73,11 +74,15 @@ def test_first_order_problem_is_exact(solver, rule):
     np.testing.assert_allclose(path.hamiltonian, path.hamiltonian[0], rtol=1e-9)
 
 
+@cache
+def resolved(make):
+    return cg.solve(make(), cg.Galerkin(12), 12)
+
+
 @pytest.mark.parametrize("make", [nonlinear, driven])
-@pytest.mark.parametrize(("degree", "meshes"), {1: (20, 40, 80), 2: (12, 18, 24), 3: (6, 9, 12)}.items())
+@pytest.mark.parametrize(("degree", "meshes"), {1: (20, 40, 80), 3: (6, 9, 12)}.items())
 def test_cost_and_joints_of_components_with_rates_have_twice_the_degree(make, degree, meshes):
-    exact = cg.solve(make(), cg.Galerkin(12), 12)
-    errors = []
+    exact, errors = resolved(make), []
     for n in meshes:
         path = cg.solve(make(), cg.Galerkin(degree), n)
         sizes = np.max(np.abs(exact.x), axis=1, keepdims=True)
@@ -86,18 +91,18 @@ def test_cost_and_joints_of_components_with_rates_have_twice_the_degree(make, de
     np.testing.assert_allclose(slopes, -2 * degree, rtol=0, atol=0.4)
 
 
-@BOTH
 @pytest.mark.parametrize("changes", [{}, {"hold": True}, {"path_constraint": (lambda t, x, v, u: x[2], -9, 6.5)}])
-@pytest.mark.parametrize("pushed", [0, 1, 2])
-def test_the_costate_says_what_a_small_force_or_rate_costs(pushed, changes, solver):
+def test_the_costate_says_what_a_small_force_or_rate_costs(changes):
     method, step = cg.Galerkin(5, quadrature=cg.lobatto(6)), 1e-3
-    path = cg.solve(driven(**changes), method, 12, solver=solver)
-    costs = [cg.solve(driven(pushed, size, **changes), method, 12, solver=solver).cost for size in (step, -step)]
-    steps = np.diff(path.t)[:, None]
-    times = (path.t[:-1, None] + steps * method.quadrature.points).ravel()
+    paths = [cg.solve(driven(**changes), method, 12, solver=solver) for solver in (cg.ipopt, cg.fatrop)]
+    steps = np.diff(paths[0].t)[:, None]
+    times = (paths[0].t[:-1, None] + steps * method.quadrature.points).ravel()
     weights = (steps * method.quadrature.weights).ravel()
-    known = np.sum(weights * path.costate(times)[pushed] * np.sin(3 * times))
-    assert (costs[0] - costs[1]) / (2 * step) == pytest.approx(known, rel=1e-4, abs=1e-7)
+    for pushed in range(3):
+        more, less = (cg.solve(driven(pushed, size, **changes), method, 12).cost for size in (step, -step))
+        for path in paths:
+            known = np.sum(weights * path.costate(times)[pushed] * np.sin(3 * times))
+            assert (more - less) / (2 * step) == pytest.approx(known, rel=1e-4, abs=1e-7)
 
 
 def test_a_rate_of_a_mechanical_motion_is_its_integral():
@@ -179,7 +184,7 @@ def test_a_condition_takes_parameters():
 
 
 @BOTH
-@pytest.mark.parametrize("degree", [2, 3, 6])
+@pytest.mark.parametrize("degree", [2, 6])
 def test_a_switching_time_is_found_and_the_control_exact_between(degree, solver):
     problem = replace(minimum_time(), breakpoints=[0.3], duration_bounds=(0.1, 10.0), hold=True)
     path = cg.solve(problem, cg.Galerkin(degree), 2, solver=solver)

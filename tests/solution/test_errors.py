@@ -1,5 +1,6 @@
 """What a failed solve had come to can be looked at: joints, positions, a call and a plot."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from control_problems import double_integrator
@@ -13,7 +14,9 @@ FAILURES = {
     "rootfinder": lambda: cg.solve(UNSOLVABLE, cg.Galerkin(4), 6, solver=cg.rootfinder),
     "ipopt": lambda: cg.solve(UNSOLVABLE, cg.Galerkin(4), 6, solver=cg.ipopt),
     "minimizer": lambda: cg.solve(UNSOLVABLE, cg.Galerkin(4), 6, solver=cg.minimizer),
-    "refinement": lambda: cg.solve(UNSOLVABLE, tol=1e-6),
+    "refinement": lambda: cg.solve(
+        cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.exp(ca.exp(x[0])), (0, 1), [2.4], [13.4]), tol=1e-6
+    ),
     "conjugate ends": lambda: cg.solve(
         cg.BoundaryProblem(lambda t, x, v: (v[0] ** 2 - x[0] ** 2) / 2, (0, np.pi), [0.0], [0.0]), cg.Galerkin(9), 9
     ),

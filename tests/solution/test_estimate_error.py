@@ -27,7 +27,7 @@ def difference(path, fine):
     return np.max(np.abs(path(times) - x) / np.max(np.abs(x), axis=1, keepdims=True))
 
 
-@pytest.mark.parametrize("degree", [1, 2, 4, 7])
+@pytest.mark.parametrize("degree", [1, 4, 7])
 @pytest.mark.parametrize("name", ["short pendulum", "Troesch 5", "oscillator 7.0"])
 def test_the_estimate_between_ends_is_sharp(name, degree):
     scene = BY_NAME[name]
@@ -37,7 +37,7 @@ def test_the_estimate_between_ends_is_sharp(name, degree):
     assert 1 / SHARP < path.estimate_error() / difference(path, fine) < SHARP
 
 
-@pytest.mark.parametrize("degree", [1, 2, 4])
+@pytest.mark.parametrize("degree", [1, 4])
 @pytest.mark.parametrize("eccentricity", [0.0, 0.3])
 def test_the_estimate_of_steps_is_sharp(eccentricity, degree):
     path = cg.solve(orbit(eccentricity), cg.Galerkin(degree), 40)

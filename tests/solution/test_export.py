@@ -2,6 +2,7 @@
 
 import csv
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -11,26 +12,30 @@ from scenes import BY_NAME, oscillator_problem
 import casadi_galerkin as cg
 
 
+@cache
 def answers():
     """One of each kind, with the columns that it has."""
     orbit, moved = BY_NAME["Lambert"].solve(), cg.solve(double_integrator(), cg.Galerkin(3), 4)
     places = [f"{name}[{i}]" for name in ("x", "velocity", "momentum") for i in range(3)]
     plain = ["t", "x[0]", "velocity[0]", "momentum[0]", "energy"]
-    yield orbit, ["t", *places, "energy"]
-    yield moved, [*plain, "control[0]", "costate[0]"]
-    yield cg.compare(oscillator_problem(), cg.Galerkin(3), 4), ["t", "stepped", "shooting"]
     ends = [f"{end}_{name}[0]" for name in ("x", "momentum") for end in ("start", "end")]
     over = [{"end": [2.0]}, {"guess": lambda t: [np.nan]}, {"end": [3.0]}]
-    yield cg.sweep(oscillator_problem(), over, cg.Galerkin(3), 4), ["failure", "action", "duration", *ends]
+    swept = cg.sweep(oscillator_problem(), over, cg.Galerkin(3), 4)
     errors = [f"{of}error" for of in ("", "path_", "joint_", "functional_", "energy_")]
     costs = ["tol", "unknowns", "first_seconds", "solve_seconds", "iterations", *errors]
     traded = cg.trade(oscillator_problem(), [cg.Galerkin(3)], [2, 4], tolerances=[1e-3])
-    yield traded, ["way", "method", "degree", "intervals", *costs, "failure"]
+    return [
+        (orbit, ["t", *places, "energy"]),
+        (moved, [*plain, "control[0]", "costate[0]"]),
+        (cg.compare(oscillator_problem(), cg.Galerkin(3), 4), ["t", "stepped", "shooting"]),
+        (swept, ["failure", "action", "duration", *ends]),
+        (traded, ["way", "method", "degree", "intervals", *costs, "failure"]),
+    ]
 
 
 @pytest.fixture(scope="module", params=range(5), ids=["trajectory", "controls", "comparison", "sweep", "trade"])
 def answer(request):
-    return list(answers())[request.param]
+    return answers()[request.param]
 
 
 def test_columns_have_the_names_of_the_attributes_and_one_length(answer):

@@ -69,7 +69,7 @@ def test_a_step_in_time_is_refused_with_its_time(when):
     assert float(re.search(r"near t = (\S+),? ", str(caught.value))[1].rstrip(".,")) == pytest.approx(when, abs=1e-3)
 
 
-@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9, 1e-12])
+@pytest.mark.parametrize("tol", [1e-3, 1e-12])
 @pytest.mark.parametrize("when", [0.4, 1.1, 1.7])
 @pytest.mark.parametrize("before", [operator.lt, operator.le])
 def test_a_step_in_time_that_is_named_is_resolved(before, when, tol):
@@ -91,10 +91,8 @@ def test_a_step_in_time_that_is_named_is_resolved(before, when, tol):
     assert abs(y[0] + 0.5) <= 10 * tol + 1e-11
 
 
-@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
-@pytest.mark.parametrize(
-    ("start", "end", "duration"), [(0.7, -0.7, 1.5), (0.5, -0.5, 1.0), (1.0, -2.0, 3.0), (0.3, -0.7, 1.5)]
-)
+@pytest.mark.parametrize("tol", [1e-3, 1e-9])
+@pytest.mark.parametrize(("start", "end", "duration"), [(0.5, -0.5, 1.0), (1.0, -2.0, 3.0)])
 def test_no_path_through_the_sun_is_returned(start, end, duration, tol):
     """From the straight line all of these were returned, with an estimate below the tolerance."""
     problem = cg.BoundaryProblem(
@@ -104,8 +102,7 @@ def test_no_path_through_the_sun_is_returned(start, end, duration, tol):
         cg.solve(problem, tol=tol)
 
 
-@pytest.mark.parametrize("tol", [1e-4, 1e-9])
-@pytest.mark.parametrize("duration", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize(("duration", "tol"), [(0.5, 1e-9), (1.0, 1e-4), (2.0, 1e-9)])
 def test_no_path_over_a_pole_on_its_line_is_returned(duration, tol):
     """Nothing passes the pole of the attraction 1/x²; paths over it were returned, with estimates below these."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + 1 / ca.fabs(x[0]), (0, duration), [1.0], [-1.0])

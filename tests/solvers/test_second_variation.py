@@ -46,8 +46,7 @@ def test_kinetic_energy_indefinite_by_its_values_has_no_morse_index(coupling, se
     assert "no Morse index" in str(path)
 
 
-@pytest.mark.parametrize("intervals", [5, 20])
-@pytest.mark.parametrize("degree", [6, 8, 12])
+@pytest.mark.parametrize(("degree", "intervals"), [(6, 5), (8, 20), (12, 5)])
 def test_conjugate_ends_are_named(degree, intervals):
     """At T = π, to within a discretization error that is at roundoff."""
     with pytest.raises(cg.ConjugatePointError, match="conjugate points") as caught:
@@ -65,7 +64,7 @@ def test_nearly_conjugate_ends_are_solved(degree, intervals, offset):
     assert path.solver == "Newton"
 
 
-@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+@pytest.mark.parametrize("degree", [1, 2, 4])
 @pytest.mark.parametrize("intervals", [4, 8])
 def test_coarse_methods_are_singular_at_a_conjugate_point_of_their_own(degree, intervals):
     """It is found by bisection of the Morse index, and lies as far from π as the method's order says."""

@@ -81,10 +81,8 @@ def valley():
     ("method", "order", "counts"),
     [
         (cg.Galerkin(1, quadrature=cg.left_rectangle()), 1, (64, 128)),
-        (cg.Galerkin(1), 2, (16, 32)),
         (cg.Galerkin(2), 4, (10, 20)),
         (cg.Galerkin(3, quadrature=cg.radau(3)), 5, (8, 16)),
-        (cg.Galerkin(3), 6, (8, 16)),
     ],
     ids=str,
 )

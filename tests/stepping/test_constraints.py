@@ -48,15 +48,19 @@ def test_constraint_and_tangent_velocity_hold_whatever_the_degree(name, degree):
         assert np.max(np.abs(slope @ velocity)) <= 10 * HELD  # velocities of up to 5
 
 
-@pytest.mark.parametrize("rule", [cg.gauss, lambda m: cg.lobatto(m + 1), cg.radau], ids=["gauss", "lobatto", "radau"])
-@pytest.mark.parametrize(("degree", "counts"), [(1, (60, 80, 120)), (2, (24, 32, 48)), (3, (16, 20, 24))])
-def test_order_at_the_joints_is_that_without_a_constraint(degree, counts, rule):
-    """In a potential that is no polynomial, which Radau's rule of m points would integrate exactly."""
-    method = cg.Galerkin(degree, quadrature=rule(degree))
+@pytest.fixture(scope="module")
+def uneven():
+    """A problem in a potential that is no polynomial, which Radau's rule of m points would integrate exactly."""
     lagrangian = lambda t, x, v: (1 + x[0] / 3) * ca.sumsqr(v) / 2 - ca.exp(x[1])  # noqa: E731
     start = {"position": on_circle(0.2), "velocity": 1.2 * np.array([np.cos(0.2), np.sin(0.2)])}
     problem = cg.InitialProblem(lagrangian, (0, 3), constraint=unit_length, **start)
-    exact, errors = cg.solve(problem, cg.Galerkin(10), intervals=60), []
+    return problem, cg.solve(problem, cg.Galerkin(10), intervals=60)
+
+
+@pytest.mark.parametrize("rule", [cg.gauss, lambda m: cg.lobatto(m + 1), cg.radau], ids=["gauss", "lobatto", "radau"])
+@pytest.mark.parametrize(("degree", "counts"), [(1, (60, 80, 120)), (3, (16, 20, 24))])
+def test_order_at_the_joints_is_that_without_a_constraint(uneven, degree, counts, rule):
+    method, (problem, exact), errors = cg.Galerkin(degree, quadrature=rule(degree)), uneven, []
     for count in counts:
         path = cg.solve(problem, method, intervals=count)
         ends = [np.concatenate((each.x[:, -1], each.velocity[:, -1])) for each in (path, exact)]
@@ -189,8 +193,8 @@ def test_control_points_that_lose_the_order_are_refused():
         cg.solve(problem, cg.Galerkin(3, control_points=cg.equispaced_points(4)[:2]), intervals=4)
 
 
-@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
-@pytest.mark.parametrize("degree", [1, 3, 6, 10])
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+@pytest.mark.parametrize("degree", [1, 3, 10])
 @pytest.mark.parametrize(
     ("start", "velocity"),
     [([0.6, 0.0, -0.8], [0.0, 0.0, 0.0]), ([0.0, 0.0, -1.0], [0.0, 1.0, 0.0]), ([0.0, 0.0, -1.0], [0.0, 0.0, 0.0])],
@@ -224,7 +228,7 @@ STARTS_WITH_RESTING_COMPONENTS = {  # position, velocity, constraint
 
 
 @pytest.mark.parametrize("degree", [1, 4])
-@pytest.mark.parametrize("step", [5e-2, 1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("step", [5e-2, 1e-2, 1e-4])
 @pytest.mark.parametrize("name", STARTS_WITH_RESTING_COMPONENTS)
 def test_steps_of_any_length_leave_a_rest(name, step, degree):
     """The first Newton steps say little of the next ones: they are as large as what moves, or as what does not."""

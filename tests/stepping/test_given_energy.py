@@ -46,7 +46,7 @@ def shot_and_solved(problem, method, mesh, guess=None):
 # from one end to the other
 
 
-@pytest.mark.parametrize("eccentricity", [0.1, 0.3, 0.5, 0.7, 0.9])
+@pytest.mark.parametrize("eccentricity", [0.1, 0.5, 0.9])
 def test_half_an_ellipse_of_given_energy_takes_half_of_keplers_period(eccentricity):
     mesh = of_anomaly(eccentricity, np.linspace(0, np.pi, 25))[1] * 0.98  # the duration is a guess
     problem = cg.BoundaryProblem(kepler, (0, mesh[-1]), [1 - eccentricity, 0.0], [None, 0.0], energy=-0.5)
@@ -57,7 +57,7 @@ def test_half_an_ellipse_of_given_energy_takes_half_of_keplers_period(eccentrici
     np.testing.assert_allclose(path.x[:, -1], [-1 - eccentricity, 0], rtol=0, atol=10 * DURATION)
 
 
-@pytest.mark.parametrize(("eccentricity", "first", "last"), [(0.2, 0.5, 2.0), (0.6, 0.3, 2.5), (0.9, 1.0, 4.0)])
+@pytest.mark.parametrize(("eccentricity", "first", "last"), [(0.2, 0.5, 2.0), (0.9, 1.0, 4.0)])
 def test_an_arc_of_given_energy_takes_the_time_of_keplers_equation(eccentricity, first, last):
     (start, began), (end, ended) = (of_anomaly(eccentricity, anomaly) for anomaly in (first, last))
     problem = cg.BoundaryProblem(kepler, (0, 1.1 * (ended - began)), start.tolist(), end.tolist(), energy=-0.5)

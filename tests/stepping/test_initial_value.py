@@ -1,5 +1,7 @@
 """The step (x, p) -> (x, p): its digits, its identity with the global solve, its geometry, its failures."""
 
+from functools import cache
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -70,14 +72,18 @@ HIGH_ORDERS = [
 ]
 
 
+@cache
+def exact_motion(lagrangian):
+    problem = cg.InitialProblem(lagrangian, (0, 6), [0.7], momentum=[0.9])
+    return problem, cg.solve(problem, cg.Galerkin(10), intervals=60)
+
+
 @pytest.mark.parametrize(
     ("lagrangian", "degree", "rule", "order", "counts"),
-    [(lagrangian, *case) for lagrangian in (pendulum, varying_mass, quartic) for case in ORDERS] + HIGH_ORDERS,
+    [(lagrangian, *case) for lagrangian in (varying_mass, quartic) for case in ORDERS] + HIGH_ORDERS,
 )
 def test_order_at_the_joints_is_that_of_the_global_solve(lagrangian, degree, rule, order, counts):
-    problem = cg.InitialProblem(lagrangian, (0, 6), [0.7], momentum=[0.9])
-    exact = cg.solve(problem, cg.Galerkin(10), intervals=60)
-    errors = []
+    (problem, exact), errors = exact_motion(lagrangian), []
     for count in counts:
         path = cg.solve(problem, cg.Galerkin(degree, quadrature=rule), intervals=count)
         ends = [np.concatenate((each.x[:, -1], each.momentum[:, -1])) for each in (path, exact)]

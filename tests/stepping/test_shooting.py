@@ -52,9 +52,8 @@ def test_breakpoints_are_joints_of_a_shot_path():
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
-@pytest.mark.parametrize("degree", [2, 5])
-def test_shooting_finds_the_global_path(name, degree):
-    problem, method = PROBLEMS[name], cg.Galerkin(degree)
+def test_shooting_finds_the_global_path(name):
+    problem, method = PROBLEMS[name], cg.Galerkin(5)
     mesh = problem.t_span[1] * np.linspace(0, 1, 11) ** 1.3
     shot, whole = (way(problem, method, mesh=mesh) for way in (cg.shoot, cg.solve))
     for ours, theirs in ((shot.x, whole.x), (shot.momentum, whole.momentum)):
@@ -136,7 +135,7 @@ def test_residual_holds_the_miss_over_what_rounding_becomes_at_the_end(horizon):
     assert path.residual < 1 < shot.residual
 
 
-@pytest.mark.parametrize("intervals", [40, 4000])
+@pytest.mark.parametrize("intervals", [40, 1000])
 def test_residual_does_not_grow_with_the_number_of_steps(intervals):
     assert cg.shoot(cg.BoundaryProblem(pendulum, (0, 10), [0.0], [1.0]), cg.Galerkin(4), intervals).residual < 1.0
 
@@ -152,24 +151,17 @@ def test_a_miss_above_its_roundoff_floor_is_refused():
     assert caught.value.residual == shot.residual > 1e4
 
 
-@pytest.mark.parametrize("horizon", [30, 40, 200, 700])
-def test_a_failure_holds_the_last_path_and_its_residual(horizon):
+@pytest.mark.parametrize("horizon", [30, 200, 700])
+def test_a_failure_tells_the_growth_and_holds_the_last_path_and_its_residual(horizon):
     problem = cg.BoundaryProblem(saddle, (0, horizon), [1.0], [1.0])
-    with pytest.raises(cg.ConvergenceError) as caught:
+    growth = f"{np.cosh(horizon):.1e}".replace("+", r"\+")
+    with pytest.raises(cg.ConvergenceError, match=rf"the end is missed by .* grows up to {growth} times") as caught:
         cg.shoot(problem, cg.Galerkin(8), intervals=2 * horizon)
     path = caught.value.path
     assert path(0.0) == 1.0
     assert abs(path(horizon) - 1.0) > MISS
     assert caught.value.residual < 1.0  # at roundoff, and yet far from the end
     assert caught.value.iterations > 0
-
-
-@pytest.mark.parametrize("horizon", [30, 40, 200, 700])
-def test_a_longer_saddle_fails_with_its_growth(horizon):
-    problem = cg.BoundaryProblem(saddle, (0, horizon), [1.0], [1.0])
-    growth = f"{np.cosh(horizon):.1e}".replace("+", r"\+")
-    with pytest.raises(cg.ConvergenceError, match=rf"the end is missed by .* grows up to {growth} times"):
-        cg.shoot(problem, cg.Galerkin(8), intervals=2 * horizon)
 
 
 @pytest.mark.parametrize(

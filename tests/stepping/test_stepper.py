@@ -12,7 +12,7 @@ SAME = 1e-13  # two ways of solving the same equations, relative to the path's s
 
 
 @pytest.mark.parametrize("scene", MOTIONS)
-@pytest.mark.parametrize("degree", range(1, 9))
+@pytest.mark.parametrize("degree", [1, 4, 8])
 def test_steps_are_the_global_solution_between_the_same_ends(scene, degree):
     problem, method = start_of(scene, 4), cg.Galerkin(degree)
     stepped = cg.solve(problem, method, intervals=4)
@@ -46,7 +46,7 @@ def test_control_points_do_not_move_the_steps():
     np.testing.assert_allclose(lobatto(times), chebyshev(times), rtol=0, atol=SAME)
 
 
-@pytest.mark.parametrize("scene", MOTIONS)
+@pytest.mark.parametrize("scene", ["double pendulum", "varying mass in time"])
 def test_jacobian_of_a_step_is_its_derivative(scene):
     lagrangian, x, p, h = MOTIONS[scene]
     problem, start, d = start_of(scene, 1), np.array(x + p), len(x)
@@ -110,10 +110,9 @@ def test_units_do_not_matter(scale):
     np.testing.assert_allclose(cg.solve(scaled, cg.Galerkin(5), 30).x / scale, unit.x, rtol=0, atol=SAME)
 
 
-@pytest.mark.parametrize("degree", [20, 40])
-def test_high_degrees_step_to_roundoff(degree):
+def test_high_degrees_step_to_roundoff():
     problem = cg.InitialProblem(pendulum, (0, 10), [2.0], velocity=[0.3])
-    high = cg.solve(problem, cg.Galerkin(degree), intervals=4)
+    high = cg.solve(problem, cg.Galerkin(40), intervals=4)
     low = cg.solve(problem, cg.Galerkin(8), intervals=100)
     np.testing.assert_allclose(high.x, low.x[:, ::25], rtol=0, atol=2e-13)  # 10 units of time magnify rounding
 

@@ -39,10 +39,9 @@ def every_way():
     """The pendulum nearly over the top, in ten seconds, and its trade over every way there is."""
     problem = cg.BoundaryProblem(pendulum, (0.0, 10.0), [0.0], [1.0])
     guess = cg.solve(problem, cg.Galerkin(3), 12, guess=lambda t: [t / 10 + 3 * np.sin(np.pi * t / 10)])
-    rules = [(m, rule) for m in (4, 12) for rule in (cg.gauss(m), cg.lobatto(m + 1))]
     measured = cg.trade(
         problem,
-        [cg.Galerkin(m, quadrature=rule) for m, rule in rules],
+        [cg.Galerkin(4), cg.Galerkin(12, quadrature=cg.lobatto(13))],
         (10, 20),
         tolerances=(1e-3, 1e-9),
         solvers=(cg.newton, cg.rootfinder, cg.ipopt),
@@ -66,7 +65,7 @@ def test_every_way_has_its_row(every_way):
     _, _, measured = every_way
     ways = Counter(row.way for row in measured.rows)
     assert ways == {
-        **dict.fromkeys(("newton", "rootfinder", "ipopt", "shooting"), 2 * 2 * 2),
+        **dict.fromkeys(("newton", "rootfinder", "ipopt", "shooting"), 2 * 2),
         **{
             f"{solver}, {kind} {tol:g}": 1
             for solver in ("newton", "rootfinder", "ipopt")
