@@ -25,6 +25,7 @@ SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if 
 STRONG_CONTRACTION = 0.1  # the same for a long first step: from a straight line, all steps are long
 NEARLY_FULL = 0.5  # forecast from which a short step is first tried in full: forecasts are cautious
 SMALLEST_DAMPING = 1e-7
+SIGNS = 4  # random signs of the rounding of the equations, from which its effect is told
 DRIFT = 10.0  # change of the second variation over that which the last two steps show; along families at most 0.7
 
 
@@ -77,7 +78,13 @@ def damped_newton(
     Arguments and failures are those of a `Solver`.
     """
     with stationarity.linearization(linear_solver) as linear:
-        return _iterate(linear, guess, data, verbose, max_iter)
+        try:
+            return _iterate(linear, guess, data, verbose, max_iter)
+        except SolveFailure as failure:
+            solution = _without_rounding(linear, failure.unknowns, data, failure.iterations)
+            if solution is None:
+                raise
+            return solution
 
 
 def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int, max_iter: int) -> Solution:
@@ -113,6 +120,27 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
     raise SolveFailure(
         f"no convergence in {max_iter} iterations, last relative step {at.norm:.1e}", at.unknowns, max_iter
     )
+
+
+def _without_rounding(linear: Linearization, x: np.ndarray, data: Data, iterations: int) -> Solution | None:
+    """What the next step leads to if components that are rounding alone are zero; None if there are none.
+
+    Where terms of others cancel in the equations of a component that is zero, rounding keeps it from being zero, and
+    its steps are never small relative to itself.
+    """
+    at, numbering = linear.newton_step(x, data), linear.stationarity.functional.numbering
+    if not (math.isfinite(at.norm) and linear.verification(x, data)[2] <= ROUNDOFF):
+        return None
+    floor = np.array(linear.stationarity.floor(x, *data)[1]).ravel()
+    signs = np.random.default_rng(len(x)).choice((-1.0, 1.0), (SIGNS, len(x)))
+    blurred, moving = np.abs(linear.solve(*(signs * floor))).max(axis=0), np.fmax(np.abs(x), np.abs(at.step))
+    components, nothing = numbering.component[: numbering.positions], np.zeros(len(x), dtype=bool)
+    for i in range(numbering.dimension):
+        own = np.flatnonzero(components == i)
+        nothing[own] = np.max(moving[own], initial=0.0) <= ROUNDOFF * np.max(blurred[own], initial=0.0)
+    if not (np.any(nothing) and np.max((np.abs(at.step) / at.sizes)[~nothing], initial=0.0) ** 2 <= EPS):
+        return None
+    return verified(linear, np.where(nothing, 0.0, at.unknowns + at.step), data, iterations, "Newton")
 
 
 def _check_going_on(linear: Linearization, at: Iterate, iteration: int) -> None:

@@ -135,3 +135,34 @@ def test_a_search_that_ends_at_a_singular_hessian_fails_without_a_warning():
         near = [1 + np.cos(angle), 1 + np.sin(np.cos(angle)) + 0.01]
         with pytest.raises(cg.ConvergenceError):
             transcription.solve(guess=lambda t, near=near: near)
+
+
+HOW = [{"method": cg.Galerkin(4), "intervals": 5}, {"tol": 1e-9}]
+
+
+@pytest.mark.parametrize("how", HOW, ids=["mesh", "tol"])
+@pytest.mark.parametrize(("magnetic", "electric"), [(0.3, 0.21), (1.0, 1.0), (2.1, 0.9)])
+def test_a_component_whose_forces_cancel_is_zero(magnetic, electric, how):
+    """A velocity filter: the line through crossed fields is straight, and rounding is all that is beside it."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 + magnetic * x[0] * v[1] + electric * x[1],
+        (0.0, 2.0),
+        [0.0, 0.0],
+        [2 * electric / magnetic, 0.0],
+    )
+    path = cg.solve(problem, **how)
+    np.testing.assert_allclose(path.x, [electric / magnetic * path.t, 0 * path.t], rtol=1e-14, atol=0)
+    assert path.morse_index == 0
+
+
+@pytest.mark.parametrize("how", HOW, ids=["mesh", "tol"])
+@pytest.mark.parametrize("place", [0.0, 0.7])
+def test_rest_in_a_magnetic_field_is_found(place, how):
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 + 0.3 * ca.sin(x[0]) * v[1] - ((x[0] - place) ** 2 + x[1] ** 2) / 2,
+        (0.0, 2.0),
+        [None, None],
+        periodic=True,
+    )
+    path = cg.solve(problem, **how)
+    np.testing.assert_allclose(path.x, np.array([[place], [0.0]]) + 0 * path.t, rtol=1e-14, atol=1e-300)
