@@ -24,6 +24,7 @@ from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.statement import turned_back
 from casadi_galerkin.problems.boundary_problem import RATES, BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.constrained_motion import off_constraint
 from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -145,9 +146,9 @@ class Transcription(BoundaryGraph):
         solution, data = point.solution, point.data
         problem, path = point.problem, point.polynomial
         refuse_undefined(self.functional, solution, path, data)
-        turned = turned_back(problem, path, self.plane_in(data))
-        if turned is not None:
-            raise ConvergenceError(turned, Path(path), solution.residual, solution.iterations)
+        wrong = turned_back(problem, path, self.plane_in(data)) or off_constraint(problem, path)
+        if wrong is not None:
+            raise ConvergenceError(wrong, Path(path), solution.residual, solution.iterations)
         self.refuse_conjugate(point)
         if self.numbering.stretched:  # the duration asked for was a guess
             problem = problem.varied({}, (float(path.mesh[0]), float(path.mesh[-1])))

@@ -32,13 +32,14 @@ from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.functional.mapping import Mapping, by_rows
 from casadi_galerkin.functional.statement import refuse_points
 from casadi_galerkin.functional.threads import fork_waits
-from casadi_galerkin.problems.constrained_motion import tangent_momenta
+from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_momenta
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 
@@ -176,6 +177,10 @@ class ControlTranscription:
         joints = self._joints(found, mesh)
         if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
             raise explained(NAMES[solver.name], chain, optimum, report.cost, relative, chain.path(found, joints))
+        off = off_constraint(problem, chain.path(found, joints))
+        if off is not None:
+            path = Path(chain.path(found, joints))
+            raise ConvergenceError(f"no path was found: {off}", path, np.max(relative) / EPS, optimum.iterations)
         change, told = unseen_change(chain, limits, optimum, report), optimum.status
         if change > UNSEEN * abs(report.cost):
             told += f"; its tolerances are absolute, and may hide a change of the cost by {change:.1e}"
