@@ -26,12 +26,11 @@ def legendre_transform(lagrangian: ca.Function) -> ca.Function:
 
 def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """Velocities v (d, K) -> momenta (d, K), mass matrices (K, d, d)."""
-    d, count = x.shape
-    mapped = transform.map(count)
+    mapped = transform.map(len(t))
 
     def at(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         momenta, masses = (np.array(a) for a in mapped(t[None, :], x, v))
-        return momenta, masses.reshape(d, count, d).transpose(1, 0, 2)
+        return momenta, masses.reshape(len(v), len(t), len(v)).transpose(1, 0, 2)
 
     return at
 
