@@ -87,7 +87,8 @@ def velocities(
         whole = np.einsum("kij,jk->ik", inverse, momentum - found)
         length, size = np.max(np.abs(whole), axis=0), np.max(np.abs(v), axis=0)
         at_rest = (length <= nothing) & (size <= nothing)
-        settled = at_rest | (length <= 4 * EPS * size) | ((length <= FOUND * size) & (length >= last / 2))
+        least = 4 * EPS * np.maximum(size, np.max(np.einsum("kij,jk->ik", np.abs(inverse), np.abs(momentum)), axis=0))
+        settled = at_rest | (length <= least) | ((length <= FOUND * size) & (length >= last / 2))
         if (settled | np.isnan(length)).all():
             break
         damping = np.where(settled, 0.0, 1.0)
