@@ -223,8 +223,8 @@ class SecondVariation:
         """Number of negative eigenvalues, or None where there is no finite one."""
         problem, mesh = self._problem, self._path.mesh
         index = negative_eigenvalues(*self._at_path())
-        if not index:
-            return index
+        if index is None:
+            return None
         transform = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
         return index if convex(transform, mesh, self._path(mesh), self._path(mesh, 1)) else None
 
