@@ -17,7 +17,7 @@ from casadi_galerkin.boundary.graph import BoundaryGraph, CriticalPoint
 from casadi_galerkin.boundary.mass import check_mass
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import counted
+from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import Mapping, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data
@@ -132,6 +132,7 @@ class Transcription(BoundaryGraph):
             for input that does not fit
         """
         check_given(given)
+        check_verbose(verbose)
         began = time.perf_counter() - self.build_seconds
         changes = {"start": start, "end": end, "parameters": parameters, **given}
         point = self.critical_point(changes, guess, mesh, solver, verbose)
