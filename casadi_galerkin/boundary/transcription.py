@@ -79,15 +79,16 @@ class Transcription(BoundaryGraph):
 
     @property
     def action(self) -> ca.Function:
-        """S, and the work of given momenta, of (unknowns, start, end, mesh[, parameters]).
+        """S, with the end action and the work of given momenta, of (unknowns, start, end, mesh[, parameters]).
 
-        Of `start` and `end` the fixed components.
+        Of `start` and `end` the fixed components.  Multipliers times what they hold to zero, such as end conditions and
+        constraints, are left out, and so is a given energy times the duration.
         """
         return self.functional.function("action")
 
     @property
     def gradient(self) -> ca.Function:
-        """∇S by the unknowns, of the same inputs."""
+        """∇S by the unknowns, of the same inputs; with the terms that `action` leaves out, and with forces."""
         return self.functional.function("gradient")
 
     @property
