@@ -15,6 +15,7 @@ from casadi_galerkin.boundary.sensitivity import boundary_function
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.numbers import check_verbose
 from casadi_galerkin.control.control_function import control_function
 from casadi_galerkin.control.refinement import ControlRefinement, first_control_mesh
 from casadi_galerkin.control.several_starts import best_of
@@ -127,6 +128,7 @@ def solve(
     >>> float(path(0.5)[0].round(6))
     0.569747
     """
+    check_verbose(verbose)
     if not isinstance(problem, ControlProblem) and starts != 1:
         several = "`paths` finds several paths of a BoundaryProblem"
         raise ValueError(f"starts is for a ControlProblem, got {starts!r}; {several}")

@@ -1,6 +1,7 @@
 """The two verbs: which arguments go together, and what is neither problem nor method."""
 
 import pytest
+from control_problems import double_integrator
 from motions import start_of
 from scenes import BY_NAME, oscillator, oscillator_problem
 
@@ -64,3 +65,22 @@ def test_an_initial_problem_takes_a_method_and_no_guess_solver_or_tolerance():
         cg.solve(problem, intervals=5)
     with pytest.raises(ValueError, match="give either intervals or mesh"):
         cg.solve(problem, cg.Galerkin(3))
+
+
+@pytest.mark.parametrize("verbose", ["x", 3, -1, None, 1.5])
+@pytest.mark.parametrize(
+    "solve",
+    [
+        lambda verbose: cg.solve(oscillator_problem(), METHOD, 2, verbose=verbose),
+        lambda verbose: cg.solve(oscillator_problem(), tol=1e-3, verbose=verbose),
+        lambda verbose: cg.solve(start_of("pendulum", 5), METHOD, 2, verbose=verbose),
+        lambda verbose: cg.solve(double_integrator(), METHOD, 2, verbose=verbose),
+        lambda verbose: cg.solve(double_integrator(), tol=1e-3, verbose=verbose),
+        lambda verbose: cg.transcribe(oscillator_problem(), METHOD, 2).solve(verbose=verbose),
+        lambda verbose: cg.transcribe(oscillator_problem(), tol=1e-3).solve(verbose=verbose),
+        lambda verbose: cg.transcribe(double_integrator(), METHOD, 2).solve(verbose=verbose),
+    ],
+)
+def test_what_tells_not_how_much_to_print_is_refused(solve, verbose):
+    with pytest.raises(ValueError, match=f"verbose must be 0, 1 or 2, got {verbose!r}"):
+        solve(verbose)

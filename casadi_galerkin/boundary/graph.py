@@ -13,11 +13,12 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, remeshe
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.functional.end_velocities import EndVelocities
 from casadi_galerkin.functional.mapping import Mapping, by_rows
 from casadi_galerkin.functional.numbering import Data, joints_of
 from casadi_galerkin.functional.statement import functional_of, given_values, has_phase, phase_plane
 from casadi_galerkin.functional.threads import fork_waits
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.boundary_problem import ENDS, BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
@@ -143,17 +144,39 @@ class BoundaryGraph:
         return data[-1][-2 * self.problem.dimension - 1 : -1] if self.phase else None
 
     def unknowns(self, values: np.ndarray, data: Data) -> np.ndarray:
-        """Unknowns ξ out of node values (N m + 1, d); multipliers are those that the Newton step from there finds."""
+        """Unknowns ξ out of node values (N m + 1, d): those of the critical point if they are its node values.
+
+        Velocities at the ends are those of the path's momenta there, and multipliers, which enter linearly, those that
+        the Newton step from there finds.
+        """
         numbering = self.numbering
-        positions = np.asarray(values.ravel()[numbering.place])
-        unknowns = np.append(positions, np.zeros(numbering.free - numbering.positions))
-        if numbering.multipliers:
-            multipliers = slice(numbering.positions, numbering.positions + numbering.multipliers)
+        unknowns = np.zeros(numbering.free)
+        unknowns[: numbering.positions] = values.ravel()[numbering.place]
+        last = numbering.positions + numbering.multipliers
+        multipliers = slice(numbering.positions, last - sum(len(end.unknown) for end in self._end_velocities))
+        if multipliers.stop < last:
+            unknowns[multipliers.stop : last] = self._velocities_of_ends(unknowns, data)
+        if multipliers.stop > multipliers.start:
             with self.stationarity.linearization() as at:
                 step = at.newton_step(unknowns, data).step
             if np.all(np.isfinite(step)):
                 unknowns[multipliers] = step[multipliers]
         return unknowns
+
+    @lazy
+    def _end_velocities(self) -> list[EndVelocities]:
+        return [EndVelocities(self.problem, end) for end in ENDS]
+
+    def _velocities_of_ends(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
+        """Unknown velocities at the ends, of the path's momenta there."""
+        path, parameters, given = self.emb(unknowns, data), self.functional.parameters_of(data), data[-1]
+        momenta, found = np.array(self.functional.function("summary")(unknowns, *data)[1]), []
+        for end in self._end_velocities:
+            t, v = path.mesh[end.joint], path(path.mesh[end.joint], 1)
+            v[end.given], given = np.split(given, [len(end.given)])
+            if end.unknown:
+                found.append(end.of_momentum(t, path.values[:, end.joint], v, momenta[:, end.joint], parameters))
+        return np.concatenate(found)
 
     def _guess(self, guess: Guess | None, calculus: DiscreteCalculus, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) of a guess, bent to meet the fixed ends."""

@@ -188,7 +188,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         if few and steps[i] > shortest[i]:
             return
         needs = f"intervals of {max(steps[i], 0.0):.1e}" if few else f"{len(steps)} intervals"
-        sharp = f", the shortest near t = {mesh[i]:.9g}. {UNSMOOTH}" if steps[i] < SHARP * duration else ""
+        crowded = steps[i] < SHARP * duration
+        sharp = f", the shortest near t = {mesh[i]:.9g}. {self.unsmooth(mesh[i], duration)}" if crowded else ""
         reason = (
             f"the mesh would need {needs} for an error of {estimate.error:.1e}, estimated from {estimate.source}{sharp}"
         )
@@ -204,9 +205,20 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         count = count + 1 if worst > last / 2 and abs(when - place) <= width + step else 0
         self.seen[source] = worst, when, step, count
         if count == patience or hidden:
-            where = f"near t = {when:.9g}"
-            reason = f"an error of {worst:.1e} {where}, measured by the {source}, stays on any mesh. {UNSMOOTH}"
+            where, unsmooth = f"near t = {when:.9g}", self.unsmooth(when, mesh[-1] - mesh[0])
+            reason = f"an error of {worst:.1e} {where}, measured by the {source}, stays on any mesh. {unsmooth}"
             raise self.stopped(reason, level, worst)
+
+    def unsmooth(self, when: float, duration: float) -> str:
+        """What may keep the error at a time, in words."""
+        rule = self.method.quadrature
+        beside = [time for time in self.levels.problem.breakpoints if abs(time - when) <= SHORT * duration]
+        if beside and {0.0, 1.0}.intersection(rule.points):
+            return (
+                f"The quadrature has a point at the joint t = {beside[0]:.9g}, a breakpoint, and sees one side of a "
+                f"jump there: take gauss({len(rule)}), whose points are inside the intervals"
+            )
+        return UNSMOOTH
 
     @property
     def at_once(self) -> SolverLike:

@@ -43,7 +43,7 @@ def boundary_function(
     data = {name: floor.mx_in(name) for name in names}
     joints = {"mesh": ca.DM(point.data[2])} | ({"given": ca.DM(point.data[-1])} if "given" in floor.name_in() else {})
     nodes = ca.MX.sym("guess", problem.dimension, numbering.of_nodes.shape[0])
-    first = ca.vertcat(ca.vec(nodes)[numbering.place.tolist()], ca.MX.zeros(numbering.multipliers))
+    first = ca.vertcat(ca.vec(nodes)[numbering.place.tolist()], unknowns[numbering.positions :])
     root = embeddable(functional, weights)(guess=first, **joints, **data)["unknowns"]
     summary = functional.function("summary")(unknowns=root, **joints, **data)
     u = ca.vertcat(root, data["start"], data["end"])

@@ -17,7 +17,7 @@ from casadi_galerkin.boundary.graph import BoundaryGraph, CriticalPoint
 from casadi_galerkin.boundary.mass import check_mass
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import counted
+from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import Mapping, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data
@@ -80,15 +80,16 @@ class Transcription(BoundaryGraph):
 
     @property
     def action(self) -> ca.Function:
-        """S, and the work of given momenta, of (unknowns, start, end, mesh[, parameters]).
+        """S, with the end action and the work of given momenta, of (unknowns, start, end, mesh[, parameters]).
 
-        Of `start` and `end` the fixed components.
+        Of `start` and `end` the fixed components.  Multipliers times what they hold to zero, such as end conditions and
+        constraints, are left out, and so is a given energy times the duration.
         """
         return self.functional.function("action")
 
     @property
     def gradient(self) -> ca.Function:
-        """∇S by the unknowns, of the same inputs."""
+        """∇S by the unknowns, of the same inputs; with the terms that `action` leaves out, and with forces."""
         return self.functional.function("gradient")
 
     @property
@@ -133,6 +134,7 @@ class Transcription(BoundaryGraph):
             for input that does not fit
         """
         check_given(given)
+        check_verbose(verbose)
         began = time.perf_counter() - self.build_seconds
         changes = {"start": start, "end": end, "parameters": parameters, **given}
         point = self.critical_point(changes, guess, mesh, solver, verbose)
@@ -224,8 +226,8 @@ class SecondVariation:
         """Number of negative eigenvalues, or None where there is no finite one."""
         problem, mesh = self._problem, self._path.mesh
         index = negative_eigenvalues(*self._at_path())
-        if not index:
-            return index
+        if index is None:
+            return None
         transform = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
         return index if convex(transform, mesh, self._path(mesh), self._path(mesh, 1)) else None
 

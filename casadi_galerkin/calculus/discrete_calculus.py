@@ -166,7 +166,12 @@ def mesh_of(
     if (intervals is None) == (mesh is None):
         raise ValueError(f"give either intervals or mesh, got intervals={intervals!r} and mesh={mesh!r}")
     if mesh is None:
-        count = whole_number("intervals", intervals, 1 + len(breakpoints))
+        count = whole_number("intervals", intervals)
+        if count <= len(breakpoints):
+            raise ValueError(
+                f"intervals must be at least {1 + len(breakpoints)}, as {counted(len(breakpoints), 'breakpoint')} "
+                f"{'is a joint' if len(breakpoints) == 1 else 'are joints'}, got {count}"
+            )
         return time_scale(_between(np.array([t_span[0], *breakpoints, t_span[1]]), count))
     joints = time_scale(mesh)
     if (joints[0], joints[-1]) != t_span:

@@ -57,6 +57,12 @@ def finite(name: str, value: object) -> float:
     return checked
 
 
+def check_verbose(value: object) -> None:
+    """Refuse what tells no solve how much to print."""
+    if not (isinstance(value, (int, np.integer)) and 0 <= value <= 2):
+        raise ValueError(f"verbose must be 0, 1 or 2, got {value!r}")
+
+
 def flag(name: str, value: object) -> bool:
     """Check a truth."""
     if not isinstance(value, (bool, np.bool_)):

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import counted
+from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import FEASIBLE, unseen_change, violations
@@ -138,6 +138,7 @@ class ControlTranscription:
         """
         began = time.perf_counter() - self.build_seconds
         check_solver(solver)
+        check_verbose(verbose)
         calculus = self.calculus if mesh is None else remeshed(self.calculus, mesh, self.problem.breakpoints)
         if not np.array_equal(np.searchsorted(calculus.mesh, self.problem.breakpoints), self.chain.breaks):
             raise ValueError(

@@ -19,11 +19,12 @@ from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import lobatto_points
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.functional.end_velocities import EndVelocities
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import Mapping
 from casadi_galerkin.functional.numbering import Numbering
-from casadi_galerkin.problems.boundary_problem import RATES, BoundaryProblem, says
+from casadi_galerkin.problems.boundary_problem import ENDS, RATES, BoundaryProblem, says
 
 AT_REST = 1e-3  # speed at the start over the largest, below which the start tells no phase
 
@@ -140,7 +141,7 @@ class _Statement:
             tuple(i for i, value in enumerate(side) if value is not None) for side in (problem.start, problem.end)
         )
         d, last = problem.dimension, intervals * method.degree
-        self.unknown = [self._unknown_velocities(name) for name in RATES[:2]]
+        self.unknown = [EndVelocities(problem, end).unknown for end in ENDS]
         self.held = [[i for i in found if i in given] for found, given in zip(self.unknown, (start, end), strict=True)]
         self.constrained = np.arange(len(start) == d, last + (not problem.periodic and len(end) < d))
         self.constraints = 0 if problem.constraint is None else problem.constraint.size1_out(0)
@@ -268,15 +269,3 @@ class _Statement:
         """∂L/∂v, (d,)."""
         symbol = ca.SX.sym("v", self.problem.dimension)
         return ca.substitute(ca.gradient(self._called(self.problem.lagrangian, t, x, symbol), symbol), symbol, v)
-
-    def _unknown_velocities(self, name: str) -> list[int]:
-        """Components whose velocity is not given, but occurs in a momentum that follows from given velocities."""
-        chosen = found = np.array([value is not None for value in getattr(self.problem, name)])
-        if not found.any():
-            return []
-        v = ca.SX.sym("v", len(found))
-        mass = ca.jacobian(self._momentum(ca.SX.sym("t"), ca.SX.sym("x", len(found)), v), v)
-        coupled = np.array(ca.DM(mass.sparsity(), 1.0).full(), dtype=bool)
-        for _ in found:
-            found = found | coupled[found].any(axis=0)
-        return np.flatnonzero(found & ~chosen).tolist()

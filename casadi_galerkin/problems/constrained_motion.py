@@ -177,6 +177,11 @@ def check_constraint(problem: Problem) -> None:
         raise ValueError(
             f"a constraint must leave the path free to move: {counted(k, 'value')} for {counted(d, 'component')}"
         )
+    constant = sorted(set(range(k)).difference(problem.constraint.sparsity_jac(1, 0).row()))
+    if constant:
+        raise ValueError(
+            f"the constraint must depend on x, but its value {constant[0]} does not: no path can be held to it"
+        )
     first, last = problem.t_span
     for name, when in (("start", first), ("position", first), ("end", last)):
         where: Any = getattr(problem, name, (None,))

@@ -26,12 +26,11 @@ def legendre_transform(lagrangian: ca.Function) -> ca.Function:
 
 def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """Velocities v (d, K) -> momenta (d, K), mass matrices (K, d, d)."""
-    d, count = x.shape
-    mapped = transform.map(count)
+    mapped = transform.map(len(t))
 
     def at(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         momenta, masses = (np.array(a) for a in mapped(t[None, :], x, v))
-        return momenta, masses.reshape(d, count, d).transpose(1, 0, 2)
+        return momenta, masses.reshape(len(v), len(t), len(v)).transpose(1, 0, 2)
 
     return at
 
@@ -88,7 +87,8 @@ def velocities(
         whole = np.einsum("kij,jk->ik", inverse, momentum - found)
         length, size = np.max(np.abs(whole), axis=0), np.max(np.abs(v), axis=0)
         at_rest = (length <= nothing) & (size <= nothing)
-        settled = at_rest | (length <= 4 * EPS * size) | ((length <= FOUND * size) & (length >= last / 2))
+        least = 4 * EPS * np.maximum(size, np.max(np.einsum("kij,jk->ik", np.abs(inverse), np.abs(momentum)), axis=0))
+        settled = at_rest | (length <= least) | ((length <= FOUND * size) & (length >= last / 2))
         if (settled | np.isnan(length)).all():
             break
         damping = np.where(settled, 0.0, 1.0)
@@ -101,14 +101,19 @@ def velocities(
                 break
             damping[refused] /= 2
         v, last = trial, length
-    rounded = np.abs(v) + EPS / FOUND * np.max(np.abs(v), axis=0)  # a component near zero is as good as the others
-    sizes = np.abs(momentum) + np.abs(found) + 4 * np.einsum("kij,jk->ik", np.abs(masses), rounded)
+    # a component near zero is as good as the others, and rest as good as the guess
+    rounded = np.abs(v) + np.where(at_rest, nothing, EPS * np.max(np.abs(v), axis=0)) / FOUND
+    sizes = np.abs(momentum) + np.abs(found) + 4 * np.einsum("kij,jk->ik", np.abs(_defined(masses)), rounded)
     sizes += EPS / FOUND * np.max(np.abs(momentum), axis=1, keepdims=True)  # where a mass vanishes, p is only rounding
     missed = (np.abs(momentum - found) > FOUND * sizes).any(axis=0)  # where ∂²L/∂v² vanishes, there are no steps
-    return np.where(at_rest | (settled & ~missed), v, np.nan)
+    return np.where(settled & ~missed, v, np.nan)
 
 
 def _inverse(masses: np.ndarray) -> np.ndarray:
-    """Pseudo-inverses of mass matrices (K, d, d); zero where one is not finite."""
-    finite = np.isfinite(masses).all(axis=(1, 2))
-    return np.linalg.pinv(np.where(finite[:, None, None], masses, 0.0), rcond=UNDETERMINED, hermitian=True)
+    """Pseudo-inverses of mass matrices (K, d, d)."""
+    return np.linalg.pinv(_defined(masses), rcond=UNDETERMINED, hermitian=True)
+
+
+def _defined(masses: np.ndarray) -> np.ndarray:
+    """Mass matrices (K, d, d), zero where one is not finite."""
+    return np.where(np.isfinite(masses).all(axis=(1, 2))[:, None, None], masses, 0.0)

@@ -24,8 +24,9 @@ from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.buffers import Evaluator
+from casadi_galerkin.functional.end_velocities import EndVelocities
 from casadi_galerkin.functional.statement import has_phase, phase_plane, turned_back
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.boundary_problem import ENDS, BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform
@@ -277,17 +278,23 @@ def _far(guess: Trajectory | None, path: Trajectory) -> str:
     return f", has found a path up to {distance:.2g} of the guess's size away from the guess" if distance > FAR else ""
 
 
-def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarray, np.ndarray]:
-    """(x_0, p_0) and velocity of the guess, or of the straight line; a free end takes the value of the other."""
+def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(x_0, p_0), unknown velocities at the ends and velocity at the start of the guess, or of the straight line.
+
+    A free end of the line takes the value of the other.
+    """
     duration = problem.t_span[1] - problem.t_span[0]
     if guess is None:
         x, p, v, stretch = *_line(problem), 1.0
+        ends = [v, v]
     else:
         x, p, v = (a[:, 0] for a in (guess.x, guess.momentum, guess.velocity))
         stretch = (guess.t[-1] - guess.t[0]) / duration
+        ends = [v, guess.velocity[:, -1]]
+    own = np.concatenate([at[EndVelocities(problem, end).unknown] for at, end in zip(ends, ENDS, strict=True)])
     if problem.energy is None:
-        return np.concatenate((x, p)), v
-    return np.concatenate((x, [stretch], p, [0.0])), np.append(stretch * v, 0.0)
+        return np.concatenate((x, p)), own, v
+    return np.concatenate((x, [stretch], p, [0.0])), own, np.append(stretch * v, 0.0)
 
 
 def _line(problem: BoundaryProblem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -299,9 +306,10 @@ def _line(problem: BoundaryProblem) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return x, np.array(legendre(problem.t_span[0], x, v)[0]).ravel(), v
 
 
-def _newton(shooting: Shooting, state: np.ndarray, velocity: np.ndarray) -> tuple[Shot, int]:
+def _newton(shooting: Shooting, state: np.ndarray, own: np.ndarray, velocity: np.ndarray) -> tuple[Shot, int]:
     """Newton's method with natural monotonicity line search: the shot that meets the end, and its iterations."""
-    z = np.append(state, np.zeros(len(shooting.told) - len(state)))[shooting.free]
+    multipliers = np.zeros(len(shooting.told) - len(state) - len(own))
+    z = np.concatenate((state, multipliers, own))[shooting.free]
     shot = shooting.shoot(z, velocity)
     if shot is None:
         remedy = "Give a guess with a better start, or solve it globally, with `solve`"

@@ -373,7 +373,8 @@ def test_an_end_meets_a_moving_constraint_up_to_the_rounding_of_its_time():
             r"must be zero at the given start, x = \[0.0, -0.9\]: its value 0 is -0.19, and only .* up to 2e-12",
         ),
         ({"end": [2.0, 0.0]}, ValueError, r"must be zero at the given end, x = \[2.0, 0.0\]: its value 0 is 3"),
-        ({"constraint": lambda t, x: [0]}, ValueError, "the constraints are redundant at the given start"),
+        ({"constraint": lambda t, x: [0]}, ValueError, "the constraint must depend on x, but its value 0 does not"),
+        ({"constraint": lambda t, x: 1}, ValueError, "the constraint must depend on x, but its value 0 does not"),
         (
             {"constraint": lambda t, x: [ca.sumsqr(x) - 1, x[0]]},
             ValueError,

@@ -342,3 +342,79 @@ def coupled(units):
 
 def test_derivatives_do_not_depend_on_units():
     np.testing.assert_allclose(coupled((1e-10, 1e10)), coupled((1.0, 1.0)), rtol=0, atol=1e-12)
+
+
+def charged(t, x, v):
+    """A relativistic charge in a uniform field, whose momentum (a, b - t/2) is known; L is defined for |v| < 1 only."""
+    return -ca.sqrt(1 - ca.dot(v, v)) - x[1] / 2
+
+
+def drifted(at, a=1.2, b=0.9):
+    """Position of the charge at some times, from x(0) = 0."""
+    rest = np.hypot(1, a)
+    along = 2 * a * (np.arcsinh(b / rest) - np.arcsinh((b - at / 2) / rest))
+    return np.array([along, 2 * (np.hypot(rest, b) - np.hypot(rest, b - at / 2))])
+
+
+def log_momentum(t, x, v):
+    """Not defined at rest."""
+    return ca.dot(v, ca.log(v)) + v[0] * v[1] / 4 - x[0] * x[1] / 10
+
+
+def quartic(sign):
+    return lambda t, x, v: v[0] ** 2 / 2 + sign * v[0] * v[1] / 2 + v[1] ** 4 / 4 + v[1] ** 2 / 2 - x[0] ** 2 * x[1] / 2
+
+
+UNKNOWN_VELOCITIES = {
+    "start": cg.BoundaryProblem(quartic(1), (0, 1), [None, 0.0], [0.5, 3.0], start_velocity=[0.6, None]),
+    "end": cg.BoundaryProblem(quartic(-1), (0, 1), [0.5, 3.0], [None, 0.0], end_velocity=[0.6, None]),
+    "log": cg.BoundaryProblem(log_momentum, (0, 1), [None, 0.0], [1.0, 2.0], start_velocity=[1.5, None]),
+    "both, beside a multiplier": cg.BoundaryProblem(
+        lambda t, x, v: quartic(1)(t, x[:2], v[:2]) + v[2] ** 2 / 2,
+        (0, 1),
+        [None, 0.0, None],
+        [1.0, None, None],
+        start_velocity=[0.6, None, None],
+        end_velocity=[None, 0.3, None],
+        end_conditions=lambda x0, x1: x0[2] - x1[2] ** 2 - 0.2,
+        end_action=lambda x0, x1: (x1[2] - 1) ** 2,
+    ),
+}
+
+
+@pytest.mark.parametrize("problem", UNKNOWN_VELOCITIES.values(), ids=UNKNOWN_VELOCITIES)
+def test_velocities_that_are_unknowns_follow_from_the_path(problem):
+    transcription = cg.transcribe(problem, cg.Galerkin(6), 8)
+    path = transcription.solve(guess=lambda t: np.linspace(1.4, 2.0, problem.dimension) * t)
+    point = transcription.critical_point(guess=path)
+    assert point.solution.iterations == 1
+    known = transcription.unknowns(path.polynomial.values.T, point.data)
+    np.testing.assert_allclose(known, point.solution.unknowns, rtol=0, atol=1e-12)
+    assert path.estimate_error() < 1e-10
+    step = 1e-5
+    moved = [transcription.solve(end=varied(problem.end, sign * step), guess=path).x for sign in (1, -1)]
+    by_end = cg.sensitivity(path).end[:, :, -1]
+    np.testing.assert_allclose(by_end, (moved[0] - moved[1]) / (2 * step), rtol=0, atol=1e-8)
+    f = cg.solution_function(problem, cg.Galerkin(6), 8, guess=path)
+    data = {name: given(getattr(problem, name)) for name in ("start", "end")}
+    np.testing.assert_allclose(dense(f(**data, guess=path.polynomial.values)["x"]), path.x, rtol=0, atol=1e-12)
+
+
+def given(values):
+    return [value for value in values if value is not None]
+
+
+def varied(values, change):
+    """An end whose last given component is changed."""
+    last = max(i for i, value in enumerate(values) if value is not None)
+    return [value + change if i == last else value for i, value in enumerate(values)]
+
+
+def test_the_error_of_a_path_whose_velocity_is_an_unknown_is_that_of_the_closed_form():
+    """Its Lagrangian is that of a charge, and v_1 at the start an unknown, as only v_0 is given."""
+    at_start = 1.2 / np.sqrt(1 + 1.2**2 + 0.9**2)
+    problem = cg.BoundaryProblem(charged, (0, 3), [None, 0.0], drifted(3.0), start_velocity=[at_start, None])
+    fixed, to_tolerance = cg.solve(problem, cg.Galerkin(8), 8), cg.solve(problem, tol=1e-10)
+    for path, tol in ((fixed, 1e-12), (to_tolerance, 1e-10)):
+        assert np.max(np.abs(path(1.0) - drifted(1.0))) < tol
+        assert path.estimate_error() < tol

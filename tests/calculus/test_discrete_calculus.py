@@ -305,7 +305,7 @@ def test_equal_intervals_bend_to_hold_the_breakpoints(intervals):
 def test_a_mesh_that_misses_a_breakpoint_is_refused():
     with pytest.raises(ValueError, match=r"every breakpoint as a joint, but has none at 0\.5; the nearest is 0\.4"):
         mesh_of((0.0, 1.0), None, [0.0, 0.4, 1.0], (0.5,))
-    with pytest.raises(ValueError, match="intervals must be at least 3, got 2"):
+    with pytest.raises(ValueError, match="intervals must be at least 3, as 2 breakpoints are joints, got 2"):
         mesh_of((0.0, 1.0), 2, None, (0.2, 0.3))
 
 

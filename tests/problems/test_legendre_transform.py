@@ -64,3 +64,16 @@ def test_where_the_mass_vanishes_the_velocity_is_the_slope_of_the_path():
     np.testing.assert_allclose(path.velocity[0, 1:], np.cos(r) / r - np.sin(r) / r**2, rtol=1e-12)
     np.testing.assert_allclose(path.velocity[0, 0], 0.0, atol=1e-8)
     assert abs(path.energy[0]) < 1e-20
+
+
+def test_rest_is_found_where_its_momentum_is_not_zero():
+    """Under a magnetic term p = M v + A(x): the rounding of p is all that a velocity of zero has to be measured by."""
+    mass, x = ca.DM([[5.7, -2.1], [-2.1, 2.4]]), np.random.default_rng(1).uniform(-1, 1, (2, 500))
+    potential = ca.DM([[-0.27, -0.0071], [0.037, -0.19]])
+    problem = cg.InitialProblem(
+        lambda t, x, v: ca.bilin(mass, v, v) / 2 + ca.bilin(potential, ca.sin(x), v), (0, 1), [0, 0], velocity=[0, 0]
+    )
+    zero, at_rest = np.zeros(x.shape), potential.full().T @ np.sin(x)
+    rounded = at_rest * (1 + np.random.default_rng(2).choice([-1, 1], x.shape) * np.finfo(float).eps)
+    found = velocities_of_momenta(legendre_transform(problem.lagrangian), zero[0], x, rounded, zero)
+    np.testing.assert_allclose(found, 0, rtol=0, atol=1e-15)

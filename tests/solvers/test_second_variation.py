@@ -36,6 +36,14 @@ def test_indefinite_kinetic_energy_has_no_morse_index():
     assert "no Morse index" in str(path)
 
 
+def test_a_mass_that_is_negative_at_a_joint_has_no_morse_index():
+    """No quadrature point of this mesh sees it, so that no eigenvalue of the Hessian is negative."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: (1 - 2 * ca.exp(-((20 * (t - 0.5)) ** 2))) * v[0] ** 2 / 2, (0, 1), [0.0], [1.0]
+    )
+    assert cg.solve(problem, cg.Galerkin(2), 2).morse_index is None
+
+
 @pytest.mark.parametrize(("coupling", "second"), [(0.0, -1.0), (2.0, 1.0)])
 def test_kinetic_energy_indefinite_by_its_values_has_no_morse_index(coupling, second):
     problem = cg.BoundaryProblem(
