@@ -63,6 +63,7 @@ LEAST, MOST = 0.1, 1e6  # parts that an interval is split into for the energy it
 SHORTEST = 1e-13  # interval over the duration at which a refinement stops: a double has three digits more
 SHARP = 1e-6  # interval over the duration from which a refused mesh is said to crowd at a place
 BLUNT = 1e5 * EPS  # the same over the distance to the ends, at which a layer may be: inside, times are too blunt
+BESIDE = 1e-2  # the same between a breakpoint and a place where the error stays that it may be the cause of
 CROWD, SHORT = 20, 1e-3  # intervals, in this part of the duration, among which rounding hides a kink
 WANDERING = 12  # the same of Legendre coefficients, while intervals are moved to where they are large
 STUBBORN = 3  # meshes on which what a witness misses may stay until it is said to do so on any
@@ -212,7 +213,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     def unsmooth(self, when: float, duration: float) -> str:
         """What may keep the error at a time, in words."""
         rule = self.method.quadrature
-        beside = [time for time in self.levels.problem.breakpoints if abs(time - when) <= SHORT * duration]
+        beside = [time for time in self.levels.problem.breakpoints if abs(time - when) <= BESIDE * duration]
         if beside and {0.0, 1.0}.intersection(rule.points):
             return (
                 f"The quadrature has a point at the joint t = {beside[0]:.9g}, a breakpoint, and sees one side of a "

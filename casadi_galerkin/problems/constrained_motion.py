@@ -119,8 +119,8 @@ def tangent_momenta(
 def off_constraint(problem: Problem, path: PiecewisePolynomial) -> str | None:
     """Where a path leaves its constraint between the nodes, in words, if it does so by more than `OFF`; else None.
 
-    What it misses is compared with the largest change of g by as much as the path moves: a mass on a rod may have jumped
-    from one side to the other.
+    What it misses is compared with the largest change of g by as much as the path moves: a mass on a rod may have
+    jumped from one side to the other.
     """
     if problem.constraint is None:
         return None
@@ -137,8 +137,8 @@ def off_constraint(problem: Problem, path: PiecewisePolynomial) -> str | None:
     if part[k] <= OFF:
         return None
     return (
-        f"the path leaves its constraint between the nodes, near t = {times[k]:.6g}, by {part[k]:.0%} of what its motion "
-        "changes there. Take more intervals, or give a guess that keeps to it"
+        f"the path leaves its constraint between the nodes, near t = {times[k]:.6g}, by {part[k]:.0%} of what its "
+        "motion changes there. Take more intervals, or give a guess that keeps to it"
     )
 
 

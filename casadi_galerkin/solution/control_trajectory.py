@@ -336,10 +336,10 @@ class ControlTrajectory(Trajectory):
         )
 
     def _accuracy(self) -> list[str]:
-        """A line on the errors of cost and path, as far as they are known."""
+        """A line on the errors of cost and path as far as they are known, or if this mesh does not resolve the path."""
         known = [(self.cost_error, "of the cost"), (self.error_estimate, "of the path")]
         told = ", ".join(f"{error:.1e} {whose}" for error, whose in known if error is not None)
-        return [f"  error       {told}, estimated"] if told else []
+        return [f"  error       {told}, estimated"] if told else self._unresolved()
 
     def _between_points(self) -> list[str]:
         """Lines on what the points do not see: the defect, and what leaves its bounds there."""

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+UNBALANCED = 0.1  # part of its terms by which a balance of energy is missed from which a path is called unresolved
 UNRESOLVED = 1e-3  # part of a component that the polynomials leave out from which a path is called unresolved
 
 
@@ -243,8 +244,12 @@ class Trajectory(Path):
 
     def _accuracy(self) -> list[str]:
         """A line on the error of x, if it is known, or if this mesh plainly does not resolve the path."""
-        if self.error_estimate is not None:
-            return [f"  error       {self.error_estimate:.1e}, estimated, relative to the size of each component"]
+        if self.error_estimate is None:
+            return self._unresolved() or self._unbalanced()
+        return [f"  error       {self.error_estimate:.1e}, estimated, relative to the size of each component"]
+
+    def _unresolved(self) -> list[str]:
+        """A line on where this mesh plainly does not resolve the path, if anywhere."""
         left_out = truncation(self.polynomial)
         i = int(np.argmax(left_out))
         if not left_out[i] > UNRESOLVED:
@@ -253,6 +258,15 @@ class Trajectory(Path):
         return [
             f"  NOT RESOLVED: about {left_out[i]:.0e} of x is left out {where}; take more intervals or a higher degree"
         ]
+
+    def _unbalanced(self) -> list[str]:
+        """A line on a balance of energy that is plainly not kept: beside a singularity, no step may be too large."""
+        missed = doubts(self.problem, self.polynomial, self.momentum)[0]
+        i = int(np.argmax(missed))
+        if not missed[i] > UNBALANCED:
+            return []
+        where = "between t = {} and {}".format(*told_apart(self.t[i], self.t[i + 1]))
+        return [f"  NOT RESOLVED: the balance of energy is missed by {missed[i]:.0e} of its terms {where}"]
 
     @property
     def _lagrangian(self) -> ca.Function:

@@ -361,12 +361,11 @@ def test_a_tolerance_that_times_far_from_zero_cannot_keep_is_refused_before_join
     assert cg.solve(late, tol=1e-6).error_estimate <= 1e-6
 
 
-@pytest.mark.parametrize("rule", [cg.lobatto(5), cg.radau(5)])
-def test_a_rule_with_points_on_a_named_jump_is_told_so(rule):
+def test_a_rule_with_points_on_a_named_jump_is_told_so():
     problem = cg.BoundaryProblem(
         lambda t, x, v: v[0] ** 2 / 2 + ca.if_else(t < 1.1, 0, 1) * x[0], (0, 2), [0.0], [1.0], breakpoints=[1.1]
     )
     message = r"a point at the joint t = 1\.1, a breakpoint, and sees one side of a jump there: take gauss\(5\)"
     with pytest.raises(cg.LimitReached, match=message):
-        cg.solve(problem, cg.Galerkin(4, quadrature=rule), tol=1e-10)
+        cg.solve(problem, cg.Galerkin(4, quadrature=cg.lobatto(5)), tol=1e-10)
     assert cg.solve(problem, cg.Galerkin(4, quadrature=cg.gauss(5)), tol=1e-10).error_estimate <= 1e-10

@@ -97,3 +97,13 @@ def test_bad_constraints_are_refused(changes, message):
 def test_control_points_that_lose_order_are_refused():
     with pytest.raises(ValueError, match="a constraint is held at the control points"):
         cg.solve(cartesian_pendulum(), cg.Galerkin(4, control_points=cg.equispaced_points(4)), 10, guess=guess)
+
+
+@pytest.mark.parametrize(
+    "how", [{"method": cg.Galerkin(4), "intervals": 12}, {"method": cg.Galerkin(6), "intervals": 8}]
+)
+def test_a_path_that_jumps_through_the_center_of_its_circle_is_refused(how):
+    """It costs nothing, and all nodes are held."""
+    with pytest.raises(cg.ConvergenceError, match=r"leaves its constraint between the nodes, near t = 1\.5"):
+        cg.solve(cartesian_pendulum(), **how)
+    assert cg.solve(cartesian_pendulum(), **how, starts=4).cost > 1

@@ -237,6 +237,23 @@ def test_excess_between_the_points_is_told():
     assert not np.any(cg.solve(double_integrator(), cg.Galerkin(4), 3).constraint_excess)
 
 
+def test_a_mesh_that_misses_the_layers_is_told():
+    layers = cg.ControlProblem(
+        None,
+        (0.0, 1000.0),
+        [1.0],
+        [1.5],
+        [None],
+        [None],
+        force=None,
+        rates=lambda t, x, v, u: -(x**3) + u,
+        running_cost=lambda t, x, v, u: (x**2 + u**2) / 2,
+        controls=1,
+    )
+    assert "NOT RESOLVED" in repr(cg.solve(layers, cg.Galerkin(3), 10))
+    assert "NOT RESOLVED" not in repr(cg.solve(layers, cost_tol=1e-3))
+
+
 @pytest.mark.usefixtures("headless")
 def test_a_picture_shows_path_constraints_bounds_and_breakpoints():
     problem = double_integrator(

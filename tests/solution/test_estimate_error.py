@@ -116,6 +116,12 @@ def test_a_path_that_is_plainly_not_resolved_says_so(degree, few, many):
     assert "NOT RESOLVED" not in str(fine)
 
 
+def test_steps_through_a_center_say_that_they_do_not_keep_the_balance_of_energy():
+    """The path beyond is so fast that it is nearly a line, which its polynomials do resolve."""
+    fall = cg.InitialProblem(lambda t, x, v: v[0] ** 2 / 2 + 1 / x[0], (0.0, 5.0), [1.0], velocity=[0.0])
+    assert "NOT RESOLVED: the balance of energy" in str(cg.solve(fall, cg.Galerkin(4), 40))
+
+
 def test_the_balance_of_energy_is_printed_also_where_the_energy_changes():
     driven = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] * ca.cos(5 * t), (0, 2), [0.0], [1.0])
     path = cg.solve(driven, cg.Galerkin(8), 10)
