@@ -9,7 +9,8 @@ Four errors that both degrees share are looked for.  A switch from bound to boun
 point between the two that shows it.  Bounds of positions hold at nodes only: a path that passes one by ε between them
 is moved by about √ε.  Those of controls and path constraints hold at quadrature points only: see `unmet`.  And where
 nothing depends on time the Hamiltonian is constant: what it varies by, times time over cost, was measured to be of the
-order of D where both degrees put a switch at the wrong place.  To the error of the cost all four add their squares.
+order of D where both degrees put a switch at the wrong place.  To the error of the cost all four add their squares, and
+the solver adds what it leaves.
 
 The new mesh spreads what the finer path has beyond degree m evenly.  Where a higher degree does not help the path has
 a kink, and intervals are split as for order 2.  Where a control switches inside an interval its impulse ∫ u dt tells
@@ -173,6 +174,11 @@ class HigherDegree:
         return self.of_cost(float(max(np.ptp(part) for part in parts) * np.ptp(path.t)))
 
     @property
+    def unseen(self) -> float:
+        """What the solver leaves of the cost with either degree, relative to it; no mesh makes it less."""
+        return self.of_cost(min(self.path.unseen_change, self.higher.unseen_change))
+
+    @property
     def error(self) -> float:
         """Relative error of cost, duration and positions."""
         return max(self.change, self.shared, self.cost_error)
@@ -184,7 +190,8 @@ class HigherDegree:
         The costs of two different paths tell nothing: their distance is the error.
         """
         apart = self.change if self.change > FAR else 0.0
-        return max(self.cost_change / (1 - SLOWEST), self.shared**2, self.unbalanced**2, apart)
+        left = self.of_cost(self.path.unseen_change)
+        return max(self.cost_change / (1 - SLOWEST), self.shared**2, self.unbalanced**2, apart, left)
 
     def better_mesh(self, tol: float) -> np.ndarray:
         """Joints, in the time of the higher path, on which the error should be below the tolerance."""

@@ -8,7 +8,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.constraint_violation import FEASIBLE
+from casadi_galerkin.control.constraint_violation import FEASIBLE, UNITS
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -21,7 +21,7 @@ HINTS = {
     "Infeasible Problem Detected": NO_PATH,
     INVALID: "A callable or one of its derivatives is not finite there",
     "Maximum WallTime Exceeded": "Allow more seconds, or give a guess nearer to the path",
-    "Solve Succeeded": "Its tolerances are absolute: take units in which lengths, times and masses are near one",
+    "Solve Succeeded": UNITS,
     "Restoration Failed": NO_PATH,
 }
 OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"

@@ -18,6 +18,8 @@ from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.progress import progress
 
+HINT = "Try a looser tolerance, a guess nearer to the path, or higher limits"
+
 Level = TypeVar("Level")
 Detail = TypeVar("Detail")
 
@@ -127,13 +129,12 @@ class Refinement(ABC, Generic[Level, Detail]):
         if self.out_of_time():
             raise self.stopped(f"{self.limits.seconds:g} seconds have passed", *self.best)
 
-    def stopped(self, reason: str, level: Level, error: float) -> LimitReached:
-        """Say how far it got; the best path is attached."""
+    def stopped(self, reason: str, level: Level, error: float, hint: str = HINT) -> LimitReached:
+        """Say how far it got, and what to try; the best path is attached."""
         path = self.path(level, error)
         return LimitReached(
             f"tolerance {self.tol:g} was not reached: {reason}. The best path has {len(path.t) - 1} intervals "
-            f"and an estimated error of {error:.1e}; it is attached to this error as `path`. "
-            "Try a looser tolerance, a guess nearer to the path, or higher limits",
+            f"and an estimated error of {error:.1e}; it is attached to this error as `path`. {hint}",
             path,
             self.solved(level)[1],
             self.iterations,

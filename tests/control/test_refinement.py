@@ -214,6 +214,25 @@ def test_error_of_the_cost_is_told_where_a_limit_is_reached(monkeypatch):
         cg.solve(rocket.problem(), tol=1e-5, limits=cg.Limits(levels=1))
 
 
+def test_what_the_solver_leaves_of_the_cost_is_part_of_its_error():
+    """The least cost of a move within T is 6 / T³: both degrees agreed to 1e-14 on one that is 1.5e-5 too high."""
+    slow = double_integrator(duration_bounds=(0.1, 1e3))
+    path = cg.solve(slow, tol=1e-3)
+    error = path.cost * 1e9 / 6 - 1
+    assert 1e-5 < error < 1.01 * path.cost_error
+    assert error < 1.01 * path.error_estimate < 1e-4
+
+
+def test_a_cost_too_small_for_the_solver_ends_a_refinement_at_once(capsys):
+    small = double_integrator(running_cost=lambda t, x, v, u: 5e-10 * u[0] ** 2, control_bounds=(-5.0, 5.0))
+    units = "take units in which cost, lengths, times and masses are near one"
+    with pytest.raises(cg.LimitReached, match=f"may have left .* of the cost.* tolerances are absolute: {units}"):
+        cg.solve(small, tol=1e-5, verbose=1)
+    assert len(capsys.readouterr().out.splitlines()) == 2
+    with pytest.raises(cg.LimitReached, match=f"1 level was not enough.*{units}"):
+        cg.solve(small, tol=1e-5, limits=cg.Limits(levels=1))
+
+
 def test_lines_of_the_levels(capsys):
     cg.solve(cart_pole(), tol=1e-4, verbose=1)
     lines = capsys.readouterr().out.splitlines()
