@@ -173,7 +173,7 @@ class ControlTranscription:
         joints = self._joints(found, mesh)
         if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
             raise explained(NAMES[solver.name], chain, optimum, report.cost, relative, chain.path(found, joints))
-        change, told = unseen_change(chain, limits, optimum, report), optimum.status
+        change, told = unseen_change(chain, limits, optimum, report, joints), optimum.status
         if change > UNSEEN * abs(report.cost):
             told += f"; its tolerances are absolute, and may hide a change of the cost by {change:.1e}"
         violation = float(np.max(relative))
