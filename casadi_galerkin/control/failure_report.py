@@ -15,13 +15,16 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 
 INVALID = "Invalid Number Detected"
-NO_PATH = "There may be no path within these ends and bounds; else try a guess nearer to it, or several `starts`"
+NO_PATH = (
+    "There may be no path within these ends and bounds; else try a guess nearer to it, several `starts`, or units in "
+    "which lengths, times and masses are near one"
+)
 HINTS = {
     "Diverging Iterates": "The cost may have no lower bound: bound the controls, the positions or the duration",
     "Infeasible Problem Detected": NO_PATH,
     INVALID: "A callable or one of its derivatives is not finite there",
     "Maximum WallTime Exceeded": "Allow more seconds, or give a guess nearer to the path",
-    "Solve Succeeded": UNITS,
+    "Solve Succeeded": f"{UNITS}, and bound a free duration",
     "Restoration Failed": NO_PATH,
 }
 OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"

@@ -18,7 +18,7 @@ literature at 1e-3 ... 1e-6 it bounds the error of the cost in all of 50 answers
 ended without one.
 
 What the solver itself leaves of the cost (`unseen_change`) is part of the error of the cost.  No mesh makes it less:
-where it is above the tolerance the refinement ends at once.  For these problems it is below 1e-7 of the cost.
+where it is above the tolerance the refinement ends at once.  For these problems it is below 1e-8 of the cost.
 
 Out of reach is a path with a singular arc, where controls differ from mesh to mesh and cost the same: the cost is then
 known long before the path.  The error raised says so, and a tolerance of the cost alone is met: for the fourteen
