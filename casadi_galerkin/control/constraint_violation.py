@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.control.chain import Chain, largest_of
 from casadi_galerkin.control.graph import Report
 from casadi_galerkin.control.optimizer import Optimum
@@ -12,6 +13,8 @@ from casadi_galerkin.problems.bounds import beyond
 
 NOTHING = 1e-20  # terms that are what rounding leaves of a component that is zero; the solvers' tolerances are absolute
 FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
+UNSEEN = 1e-6  # part of the cost that it may change by without a word; optima near one were measured below 1e-9
+UNITS = "The solver's tolerances are absolute: take units in which cost, lengths, times and masses are near one"
 VANISHED = 1e-13  # part of its terms along the guess below which a component's are taken for their roundoff
 
 
@@ -43,17 +46,28 @@ def violations(
     )
 
 
-def unseen_change(chain: Chain, limits: ProgramBounds, optimum: Optimum, report: Report) -> float:
+def unseen_change(chain: Chain, limits: ProgramBounds, optimum: Optimum, report: Report, mesh: np.ndarray) -> float:
     """How much the cost may still change by, to first order.
 
     These are the derivatives that are left by unknowns that are not given, times the largest sizes of such unknowns,
-    and multipliers of bounds that are not met, times the distance to these.
+    and multipliers of bounds that are not met, times the distance to these.  The path as a whole may move by its size,
+    and vary by it over its duration: what rounding leaves of derivatives by nodes of short intervals, which cancel, is
+    no change of the cost.
     """
-    x, bounds, kinds = optimum.unknowns, optimum.bound_multipliers, chain.unknown_kinds
+    x, bounds, kinds, fields = optimum.unknowns, optimum.bound_multipliers, chain.unknown_kinds, chain.fields
     low, high, least, most = limits.sides
-    left = np.abs(report.slope + bounds) * largest_of(np.abs(x), kinds)[kinds] + _gap(x, bounds, low, high)
+    left = np.where(low < high, report.slope + bounds, 0.0)
+    change = np.abs(left) * largest_of(np.abs(x), kinds)[kinds]
+    of_nodes = np.zeros((chain.intervals * chain.method.degree + 1, chain.dimension))
+    of_nodes[:: chain.method.degree] += left[fields["x"]]
+    of_nodes[1:] += left[fields["nodes"]].reshape(-1, chain.dimension)
+    change[np.concatenate((fields["x"].ravel(), fields["nodes"].ravel()))] = 0.0
+    times = np.append(times_at(mesh, chain.method.element.nodes[:-1]), mesh[-1])
+    sums = np.abs(np.cumsum(of_nodes, axis=0))
+    moved = (sums[-1] + np.diff(times) @ sums[:-1] / np.ptp(mesh)) @ largest_of(np.abs(x), kinds)[: chain.dimension]
     rows = _gap(report.equations, optimum.multipliers, least, most)
-    return float(np.sum(rows[least < most]) + np.sum(left[low < high]))
+    unmet = _gap(x, bounds, low, high)
+    return float(moved + np.sum(change) + np.sum(rows[least < most]) + np.sum(unmet[low < high]))
 
 
 def _gap(values: np.ndarray, multipliers: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

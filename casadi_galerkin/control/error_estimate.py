@@ -10,6 +10,7 @@ point between the two that shows it.  Bounds of positions hold at nodes only: a 
 is moved by about √ε.  Those of controls and path constraints hold at quadrature points only: see `unmet`.  And where
 nothing depends on time the Hamiltonian is constant: what it varies by, times time over cost, was measured to be of the
 order of D where both degrees put a switch at the wrong place.  To the error of the cost all four add their squares.
+Jumps in time are of first order in both errors, see `time_witness`, and the solver adds what it leaves of the cost.
 
 The new mesh spreads what the finer path has beyond degree m evenly.  Where a higher degree does not help the path has
 a kink, and intervals are split as for order 2.  Where a control switches inside an interval its impulse ∫ u dt tells
@@ -30,6 +31,7 @@ from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.control.switching import Switch, switches
+from casadi_galerkin.control.time_witness import jumps_in_time
 from casadi_galerkin.problems.bounds import beyond
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import FAR
@@ -172,6 +174,18 @@ class HigherDegree:
         parts = np.split(path.hamiltonian, np.searchsorted(path.t, path.problem.breakpoints))
         return self.of_cost(float(max(np.ptp(part) for part in parts) * np.ptp(path.t)))
 
+    @lazy
+    def jumps(self) -> np.ndarray:
+        """Relative changes of the cost, and of the path, by jumps in time inside of intervals, (N,)."""
+        if self.path.problem.autonomous:
+            return np.zeros(len(self.path.t) - 1)
+        return np.array([self.of_cost(change) for change in jumps_in_time(self.path)])
+
+    @property
+    def unseen(self) -> float:
+        """What the solver leaves of the cost with either degree, relative to it; no mesh makes it less."""
+        return self.of_cost(min(self.path.unseen_change, self.higher.unseen_change))
+
     @property
     def error(self) -> float:
         """Relative error of cost, duration and positions."""
@@ -184,7 +198,8 @@ class HigherDegree:
         The costs of two different paths tell nothing: their distance is the error.
         """
         apart = self.change if self.change > FAR else 0.0
-        return max(self.cost_change / (1 - SLOWEST), self.shared**2, self.unbalanced**2, apart)
+        left, jumped = self.of_cost(self.path.unseen_change), float(np.sum(self.jumps))
+        return max(self.cost_change / (1 - SLOWEST), self.shared**2, self.unbalanced**2, apart, left, jumped)
 
     def better_mesh(self, tol: float) -> np.ndarray:
         """Joints, in the time of the higher path, on which the error should be below the tolerance."""
@@ -194,7 +209,8 @@ class HigherDegree:
         error *= self.change / max(np.max(error), 1e-300)
         kinked = (truncation(higher.polynomial) > STUBBORN * truncation(path.polynomial)) & (error > target)
         error[kinked] = target * (error[kinked] / target) ** (order / KINK_ORDER)
-        error = np.maximum(error, target * (self.outside / target) ** order)  # of the order of a distance: of order 1
+        first = np.maximum(self.outside, self.jumps)  # of the order of a distance
+        error = np.maximum(error, target * (first / target) ** order)
         mesh, error = widened(higher.t, error, self.found, target)
         mesh = equidistributed(mesh, error, order, tol, FINEST)
         return with_jumps(mesh, self.found, tol)

@@ -8,20 +8,23 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.constraint_violation import FEASIBLE
+from casadi_galerkin.control.constraint_violation import FEASIBLE, UNITS
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 
 INVALID = "Invalid Number Detected"
-NO_PATH = "There may be no path within these ends and bounds; else try a guess nearer to it, or several `starts`"
+NO_PATH = (
+    "There may be no path within these ends and bounds; else try a guess nearer to it, several `starts`, or units in "
+    "which lengths, times and masses are near one"
+)
 HINTS = {
     "Diverging Iterates": "The cost may have no lower bound: bound the controls, the positions or the duration",
     "Infeasible Problem Detected": NO_PATH,
     INVALID: "A callable or one of its derivatives is not finite there",
     "Maximum WallTime Exceeded": "Allow more seconds, or give a guess nearer to the path",
-    "Solve Succeeded": "Its tolerances are absolute: take units in which lengths, times and masses are near one",
+    "Solve Succeeded": f"{UNITS}, and bound a free duration",
     "Restoration Failed": NO_PATH,
 }
 OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -86,7 +87,14 @@ def optima_of(
     count = len(different(optima))
     met = f"{count} optima, with costs up to {optima[-1].cost:.6g}" if count > 1 else "one optimum"
     told = f"; best of {counted(len(optima) + len(failures), 'start')}, which met {met}"
-    return optima, told + (f"; {len(failures)} of them failed" if failures else "")
+    return optima, told + (f"; {len(failures)} of them failed, {_most_often(failures)}" if failures else "")
+
+
+def _most_often(failures: list[Exception]) -> str:
+    """What most failures say first."""
+    reasons = Counter(str(failure).split(" after ")[0] for failure in failures)
+    ((reason, count),) = reasons.most_common(1)
+    return reason if count == len(failures) else f"most often: {reason}"
 
 
 def different(optima: list[ControlTrajectory]) -> list[ControlTrajectory]:

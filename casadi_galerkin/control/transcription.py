@@ -21,7 +21,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.constraint_violation import FEASIBLE, unseen_change, violations
+from casadi_galerkin.control.constraint_violation import FEASIBLE, UNSEEN, unseen_change, violations
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
 from casadi_galerkin.control.graph import ControlGraph, Report
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
@@ -44,7 +44,6 @@ from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 
 WILD = 10.0  # terms along a guess over those on the straight line; noise has more, a way round has less
-UNSEEN = 1e-6  # part of the cost that it may change by without a word; optima near one were measured below 1e-9
 SHORTEST = 1e-10  # interval over the duration; at 1e-9 to 1e-12 IPOPT was seen to fail, and at 1e-13 to be wrong
 NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
 
@@ -182,14 +181,14 @@ class ControlTranscription:
         if off is not None:
             path = Path(chain.path(found, joints))
             raise ConvergenceError(f"no path was found: {off}", path, np.max(relative) / EPS, optimum.iterations)
-        change, told = unseen_change(chain, limits, optimum, report), optimum.status
+        change, told = unseen_change(chain, limits, optimum, report, joints), optimum.status
         if change > UNSEEN * abs(report.cost):
             told += f"; its tolerances are absolute, and may hide a change of the cost by {change:.1e}"
         violation = float(np.max(relative))
         told = f"{NAMES[solver.name]} ({told})"
         at = optimum.unknowns, data, optimum.multipliers, optimum.bound_multipliers
         variation = CostVariation(problem, self.method, mesh, *at, report.cost)
-        return self._trajectory(told, optimum, report, variation, problem, found, joints, violation, began)
+        return self._trajectory(told, optimum, report, variation, problem, found, joints, change, violation, began)
 
     def start(
         self, problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None
@@ -258,6 +257,7 @@ class ControlTranscription:
         problem: ControlProblem,
         values: dict[str, np.ndarray],
         joints: np.ndarray,
+        change: float,
         violation: float,
         began: float,
     ) -> ControlTrajectory:
@@ -290,6 +290,7 @@ class ControlTranscription:
             path_multipliers=self._path_multipliers(multipliers, joints),
             duals=(multipliers, optimum.bound_multipliers),
             hamiltonian=report.hamiltonian,
+            unseen_change=change,
             violation=violation,
             start_velocity=np.append(values["start_velocity"], rates[0]),
             end_velocity=np.append(values["end_velocity"], rates[1]),

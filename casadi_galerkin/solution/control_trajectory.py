@@ -55,6 +55,8 @@ class ControlTrajectory(Trajectory):
         no waypoint or jump has a given time; zero as well where the duration is free, was found strictly inside
         `duration_bounds`, and no terminal cost depends on t.  With `hold` neither is true of single intervals, but
         the second is of the mean over a phase of free duration
+    unseen_change : how much the cost may still change by, to first order, from the derivatives and the distances to
+        bounds that the solver has left
     violation : largest violation of an equation or bound, relative to the sizes of the terms it compares; at most 1e-8
     residual : the same in units of the relative precision of a double, 2.2e-16; at most 4.5e7
     start_velocity, end_velocity : (d,), the velocities given or found at the ends; of a component that follows a rate,
@@ -92,6 +94,7 @@ class ControlTrajectory(Trajectory):
     path_multipliers: ControlPath | None
     duals: tuple[np.ndarray, np.ndarray]
     hamiltonian: np.ndarray
+    unseen_change: float
     violation: float
     start_velocity: np.ndarray
     end_velocity: np.ndarray

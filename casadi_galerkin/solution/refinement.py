@@ -18,6 +18,9 @@ from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.progress import progress
 
+HINT = "Try a looser tolerance, a guess nearer to the path, or higher limits"
+ROUND = "Try another tolerance, looser or tighter, breakpoints where controls switch, or a guess nearer to the path"
+
 Level = TypeVar("Level")
 Detail = TypeVar("Detail")
 
@@ -48,11 +51,13 @@ class Refinement(ABC, Generic[Level, Detail]):
     roundoff_level : error below which one that no longer falls is at the roundoff floor
     persistence : levels in a row that may come no nearer
     best : level of the smallest trusted error so far, and that error; where none is trusted yet, the last level
+    fruitless : levels in a row that came no nearer
     """
 
     roundoff_level: float
     persistence = math.inf
     best: tuple[Level, float]
+    fruitless: int
 
     def __init__(self, tol: float, limits: Limits, verbose: int) -> None:
         self.tol, self.limits, self.verbose = tol, limits, verbose
@@ -92,8 +97,8 @@ class Refinement(ABC, Generic[Level, Detail]):
         LimitReached
             with the best path attached
         """
-        smallest, number, fruitless = np.inf, 0, 0
-        self.best = level, np.inf
+        smallest, number = np.inf, 0
+        self.best, self.fruitless = (level, np.inf), 0
         with progress("refinement", unit="level") as advance:
             while True:
                 estimate = self.estimate(level)
@@ -102,7 +107,7 @@ class Refinement(ABC, Generic[Level, Detail]):
                     return level, estimate.error
                 at_floor = estimate.trusted and smallest / 2 < estimate.error < self.roundoff_level
                 nearer = estimate.trusted and estimate.error < smallest
-                fruitless = 0 if nearer else fruitless + 1
+                self.fruitless = 0 if nearer else self.fruitless + 1
                 if smallest == np.inf or nearer:
                     self.best = level, estimate.error
                 if estimate.trusted:
@@ -110,8 +115,8 @@ class Refinement(ABC, Generic[Level, Detail]):
                 if at_floor:
                     raise self.stopped(f"{self.tol:g} asked, {smallest:.0e} is the roundoff floor here", *self.best)
                 self.check_time()
-                if fruitless >= self.persistence:
-                    raise self.stopped(f"{fruitless} levels in a row came no nearer", *self.best)
+                if self.fruitless >= self.persistence:
+                    raise self.stopped(f"{self.fruitless} levels in a row came no nearer", *self.best, ROUND)
                 if number + 1 >= self.limits.levels:
                     words = "level was" if self.limits.levels == 1 else "levels were"
                     raise self.stopped(f"{self.limits.levels:g} {words} not enough", *self.best)
@@ -127,13 +132,12 @@ class Refinement(ABC, Generic[Level, Detail]):
         if self.out_of_time():
             raise self.stopped(f"{self.limits.seconds:g} seconds have passed", *self.best)
 
-    def stopped(self, reason: str, level: Level, error: float) -> LimitReached:
-        """Say how far it got; the best path is attached."""
+    def stopped(self, reason: str, level: Level, error: float, hint: str = HINT) -> LimitReached:
+        """Say how far it got, and what to try; the best path is attached."""
         path = self.path(level, error)
         return LimitReached(
             f"tolerance {self.tol:g} was not reached: {reason}. The best path has {len(path.t) - 1} intervals "
-            f"and an estimated error of {error:.1e}; it is attached to this error as `path`. "
-            "Try a looser tolerance, a guess nearer to the path, or higher limits",
+            f"and an estimated error of {error:.1e}; it is attached to this error as `path`. {hint}",
             path,
             self.solved(level)[1],
             self.iterations,

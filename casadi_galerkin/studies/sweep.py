@@ -241,11 +241,12 @@ def sweep(
 
 def _checked(problem: BoundaryProblem | ControlProblem, number: int, variation: Variation) -> Variation:
     """Check one variation against the problem."""
+    told = ", ".join(name for name in FIELDS if name not in VARIED or hasattr(problem, name))
     if not isinstance(variation, Mapping):
-        raise TypeError(f"variation {number} must be a dict of {', '.join(FIELDS)}, got {variation!r}")
+        raise TypeError(f"variation {number} must be a dict of {told}, got {variation!r}")
     unknown = [key for key in variation if key not in FIELDS]
     if unknown:
-        raise ValueError(f"variation {number} has {unknown[0]!r}; what can be varied is {', '.join(FIELDS)}")
+        raise ValueError(f"variation {number} has {unknown[0]!r}; what can be varied is {told}")
     checked = dict(variation)
     try:
         if "t_span" in checked:

@@ -72,8 +72,24 @@ def test_a_cost_too_small_for_the_solver_is_right_or_told(length, time, mass):
 
 
 def test_a_path_that_only_the_solver_takes_for_one_is_refused_with_a_word_on_units():
-    with pytest.raises(cg.ConvergenceError, match=r"Solve Succeeded.* of its terms\. Its tolerances are absolute"):
+    with pytest.raises(cg.ConvergenceError, match=r"Solve Succeeded.* of its terms\. The solver's tolerances"):
         cg.solve(pushed_pendulum(1.0, 1e4, 1e-8), cg.Galerkin(4), intervals=10)
+
+
+UNITS_OF_TIME = {
+    "nanoseconds": (
+        {"t_span": (0.0, 1e-9), "control_bounds": (-5e18, 5e18)},
+        "Infeasible.* or units in which .* times",
+    ),
+    "no end": ({"duration_bounds": (0.1, np.inf)}, "Solve Succeeded.*near one, and bound a free duration"),
+}
+
+
+@pytest.mark.parametrize("name", UNITS_OF_TIME)
+def test_what_units_of_time_may_do_is_said(name):
+    changes, message = UNITS_OF_TIME[name]
+    with pytest.raises(cg.ConvergenceError, match=message):
+        cg.solve(double_integrator(**changes), tol=1e-5)
 
 
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop])

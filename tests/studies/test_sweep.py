@@ -273,6 +273,11 @@ def test_a_failure_of_a_control_problem_is_kept():
     ("arguments", "error", "message"),
     [
         (([{"energy": 1.0}], METHOD, INTERVALS), ValueError, "variation 0: the problem has no energy, got energy=1.0"),
+        (
+            ([{"u": 1.0}], METHOD, INTERVALS),
+            ValueError,
+            "is start, end, parameters, start_velocity, end_velocity, t_span, guess$",
+        ),
         (([{"end": [None]}], METHOD, INTERVALS), ValueError, "variation 0: end must have None where the problem has"),
         (([{"start": [2.0]}], METHOD, INTERVALS), ValueError, r"variation 0: start\[0\] = 2.0 lies outside"),
         (([{}], METHOD), ValueError, "give a method and intervals, or tol"),
