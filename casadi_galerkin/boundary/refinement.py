@@ -45,7 +45,7 @@ from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
-from casadi_galerkin.solution.refinement import Estimate, Refinement
+from casadi_galerkin.solution.refinement import HINT, Estimate, Refinement
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solution.witness import witnesses
 from casadi_galerkin.solvers.deadline import until
@@ -130,6 +130,14 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed, path.degree))
         left_out *= error / max(np.max(left_out), 1e-300)
         return Estimate(error, True, f"degree {of_higher_degree(path.degree).degree}", left_out)
+
+    def stopped(self, reason: str, level: CriticalPoint, error: float, hint: str = HINT) -> LimitReached:
+        """Say how far it got; where times are so far from zero that their rounding may be why, that."""
+        mesh = level.polynomial.mesh
+        latest = float(np.max(np.abs(mesh)))
+        if EPS * latest > self.tol * (mesh[-1] - mesh[0]):
+            hint = f"Times near {latest:.1e} are rounded by {EPS * latest:.0e}: count them from the start"
+        return super().stopped(reason, level, error, hint)
 
     def floor(self, level: CriticalPoint) -> float:
         """What rounding does to the path, zero where that is far below the tolerance; refuses a tolerance below it."""

@@ -356,7 +356,7 @@ def test_a_tolerance_that_times_far_from_zero_cannot_keep_is_refused_before_join
     late = cg.BoundaryProblem(
         lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2 * (1 + ca.sin(t - began)), (began, began + 2), [0.1], [1.0]
     )
-    with pytest.raises(cg.LimitReached, match="the mesh would need intervals of"):
+    with pytest.raises(cg.LimitReached, match=r"the mesh would need intervals of .* count them from the start"):
         cg.solve(late, tol=1e-10)
     assert cg.solve(late, tol=1e-6).error_estimate <= 1e-6
 
