@@ -122,7 +122,8 @@ class Trajectory(Path):
 
         It is None for a path that was found step by step; under a force, and where the momentum of a given velocity
         depends on more than that, because the path is then a critical point of no action; and where ∂²L/∂v² is not
-        positive at every joint, because no finer mesh then has a finite index.
+        positive at every joint, because no finer mesh then has a finite index.  Of an optimization it is that of the
+        cost; see `ControlTrajectory`.
         """
         return None if self.second_variation is None else self.second_variation.negative()
 
