@@ -240,9 +240,11 @@ def solve_chunks(
     advance: Advance,
 ) -> None:
     """Solve all chunks; those of a worker that fails are left out."""
+    taken: list[Future[list[Answer]]] = []
 
     def submitted(some: Sequence[Variation], known: Sequence[Known]) -> Future[list[Answer]]:
-        return executor.submit(_chunk, pickled, some, known)
+        taken.append(executor.submit(_chunk, pickled, some, known))
+        return taken[-1]
 
     chunks = _chunks(solver, variations, answers, advance, lambda *given: submitted(*given).result())
     futures: dict[Future[list[Answer]], Sequence[int]] = {}
@@ -251,7 +253,7 @@ def solve_chunks(
             try:
                 futures[submitted([variations[i] for i in numbers], known)] = numbers
             except Exception:
-                if not futures:
+                if not taken:
                     raise  # it has never worked
                 break  # a worker has failed meanwhile
         for future in as_completed(futures):
