@@ -38,8 +38,7 @@ def switching_function(path: ControlTrajectory, times: np.ndarray) -> np.ndarray
     cost = with_parameters(path.problem.running_cost, path.parameters)(*along)
     total = cost + ca.dot(costate, motion(*along, 0 * push)[1])
     slope = ca.Function("slope", [*along, costate], [ca.densify(ca.gradient(total, along[3]))]).map(len(times))
-    along = (path(times), path(times, 1), path.control(times), path.costate(times))
-    return np.array(slope(times[None, :], *along))
+    return np.array(slope(times[None, :], path(times), path(times, 1), path.control(times), path.costate(times)))
 
 
 def sides(u: np.ndarray, low: float, high: float) -> np.ndarray:

@@ -183,10 +183,9 @@ class ControlTranscription:
             raise ConvergenceError(f"no path was found: {off}", Path(path), violation / EPS, optimum.iterations)
         at = optimum.unknowns, data, optimum.multipliers, optimum.bound_multipliers
         variation = CostVariation(problem, self.method, mesh, *at, report.cost)
-        change, told = unseen_change(chain, limits, optimum, report, path.mesh), optimum.status
-        if change > UNSEEN * abs(report.cost):
-            told += f"; its tolerances are absolute, and may hide a change of the cost by {change:.1e}"
-        told = f"{NAMES[solver.name]} ({told})"
+        change = unseen_change(chain, limits, optimum, report, path.times(path.nodes[:-1]))
+        hidden = f"; its tolerances are absolute, and may hide a change of the cost by {change:.1e}"
+        told = f"{NAMES[solver.name]} ({optimum.status}{hidden if change > UNSEEN * abs(report.cost) else ''})"
         return self._trajectory(told, optimum, report, variation, problem, found, path, change, violation, began)
 
     def start(

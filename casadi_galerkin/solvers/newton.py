@@ -194,9 +194,8 @@ def _line_search(
         simplified, length, nonlinearity = linear.simplified_step(trial, data, at, damping)
         if length <= (1 - damping / 4) * at.norm:
             return trial, simplified, damping
-        damping = min(
-            damping / 2, at.norm * damping**2 / (2 * max(nonlinearity, 1e-300))
-        )  # half where it is not a number
+        # half of it where the nonlinearity is not a number
+        damping = min(damping / 2, at.norm * damping**2 / (2 * max(nonlinearity, 1e-300)))
     if softest(linear, at.unknowns, data)[1] < SINGULAR:
         raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=True)
     raise SolveFailure("the line search found no step that comes nearer to a solution", at.unknowns, iteration)
