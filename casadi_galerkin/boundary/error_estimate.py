@@ -16,7 +16,6 @@ from casadi_galerkin.solution.trajectory import Trajectory
 
 SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
 ROUNDED = 0.2  # of eps: what rounding to the nearest double changes in the root mean square
-SIGNS = 4  # random signs of the rounding of the equations, from which its effect on the path is estimated
 
 
 def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial, tol: float = 0.0) -> float:
@@ -61,10 +60,9 @@ def roundoff_error(graph: BoundaryGraph, point: CriticalPoint) -> float:
     """
     unknowns, data = point.solution.unknowns, point.data
     terms = ROUNDED * EPS * np.array(graph.functional.function("summary")(unknowns, *data)[3]).ravel()
-    signs = np.random.default_rng(len(unknowns)).choice((-1.0, 1.0), (SIGNS, len(unknowns)))
     with graph.stationarity.linearization() as at:
         at.relinearize(unknowns, data)
-        moved = np.array(at.solve(*(signs * terms))) / graph.stationarity.sizes(unknowns, data)
+        moved = at.blurs(terms) / graph.stationarity.sizes(unknowns, data)
     floor = float(np.sqrt(np.mean(np.max(np.abs(moved), axis=1) ** 2))) + EPS
     return floor if math.isfinite(floor) else math.inf
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.control.chain import Chain, largest_of
 from casadi_galerkin.control.graph import Report
 from casadi_galerkin.control.optimizer import Optimum
@@ -46,13 +45,13 @@ def violations(
     )
 
 
-def unseen_change(chain: Chain, limits: ProgramBounds, optimum: Optimum, report: Report, mesh: np.ndarray) -> float:
+def unseen_change(chain: Chain, limits: ProgramBounds, optimum: Optimum, report: Report, times: np.ndarray) -> float:
     """How much the cost may still change by, to first order.
 
     These are the derivatives that are left by unknowns that are not given, times the largest sizes of such unknowns,
     and multipliers of bounds that are not met, times the distance to these.  The path as a whole may move by its size,
     and vary by it over its duration: what rounding leaves of derivatives by nodes of short intervals, which cancel, is
-    no change of the cost.
+    no change of the cost.  `times` (N m + 1,) are those of the nodes.
     """
     x, bounds, kinds, fields = optimum.unknowns, optimum.bound_multipliers, chain.unknown_kinds, chain.fields
     low, high, least, most = limits.sides
@@ -62,9 +61,8 @@ def unseen_change(chain: Chain, limits: ProgramBounds, optimum: Optimum, report:
     of_nodes[:: chain.method.degree] += left[fields["x"]]
     of_nodes[1:] += left[fields["nodes"]].reshape(-1, chain.dimension)
     change[np.concatenate((fields["x"].ravel(), fields["nodes"].ravel()))] = 0.0
-    times = np.append(times_at(mesh, chain.method.element.nodes[:-1]), mesh[-1])
     sums = np.abs(np.cumsum(of_nodes, axis=0))
-    moved = (sums[-1] + np.diff(times) @ sums[:-1] / np.ptp(mesh)) @ largest_of(np.abs(x), kinds)[: chain.dimension]
+    moved = (sums[-1] + np.diff(times) @ sums[:-1] / np.ptp(times)) @ largest_of(np.abs(x), kinds)[: chain.dimension]
     rows = _gap(report.equations, optimum.multipliers, least, most)
     unmet = _gap(x, bounds, low, high)
     return float(moved + np.sum(change) + np.sum(rows[least < most]) + np.sum(unmet[low < high]))

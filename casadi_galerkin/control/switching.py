@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory, equations_of_motion
 
 AT_BOUND = 0.05  # of the bounds' distance: a switch is from one bound to the other within this
 ZOOMS = 4  # of 32 parts each, in search of a zero: 1e-6 of the bracket, then linear
@@ -33,15 +33,12 @@ class Switch:
 
 def switching_function(path: ControlTrajectory, times: np.ndarray) -> np.ndarray:
     """∂(ℓ + λ·(F, ρ))/∂u along the path, with the forces F and the rates ρ; (n, K)."""
-    problem, d = path.problem, path.problem.dimension
-    symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d), ca.SX.sym("u", problem.controls)]
-    costate = ca.SX.sym("costate", d)
-    functions = problem.running_cost, problem.force, problem.rates
-    cost, *motion = (with_parameters(f, path.parameters)(*symbols) for f in functions)
-    total = cost + ca.dot(costate, ca.vertcat(*motion))
-    slope = ca.Function("slope", [*symbols, costate], [ca.densify(ca.gradient(total, symbols[3]))]).map(len(times))
-    along = (path(times), path(times, 1), path.control(times), path.costate(times))
-    return np.array(slope(times[None, :], *along))
+    motion, costate = equations_of_motion(path.problem, path.parameters), ca.SX.sym("costate", path.problem.dimension)
+    *along, push = motion.sx_in()
+    cost = with_parameters(path.problem.running_cost, path.parameters)(*along)
+    total = cost + ca.dot(costate, motion(*along, 0 * push)[1])
+    slope = ca.Function("slope", [*along, costate], [ca.densify(ca.gradient(total, along[3]))]).map(len(times))
+    return np.array(slope(times[None, :], path(times), path(times, 1), path.control(times), path.costate(times)))
 
 
 def sides(u: np.ndarray, low: float, high: float) -> np.ndarray:

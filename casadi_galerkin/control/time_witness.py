@@ -2,7 +2,7 @@
 
 With the path, the controls and the multipliers found, the cost is ∫ I dt to first order, where
 
-    I(t, z) = ℓ + λ·(∂L/∂x + F, ρ) + dλ/dt·∂L/∂v + μ·g,        z = (x, v, u, λ, dλ/dt, μ).
+    I(t, z) = ℓ + λ·(∂L/∂x + F, ρ) + dλ/dt·(∂L/∂v, x) + μ·g,        z = (x, v, u, λ, dλ/dt, μ).
 
 A quadrature point stands for a share of the time, its weight.  Over that share, with z as it is at the point,
 
@@ -21,28 +21,24 @@ from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.solution.control_path import SAME_TIME
-from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory, equations_of_motion
 
 INNER = gauss(4)  # integrates ∂I/∂t over the share of a point
 
 
 def integrand(path: ControlTrajectory) -> ca.Function:
-    """I and ∂I/∂t as a Function of t and z."""
-    problem, mechanical, d = path.problem, path.problem.mechanical, path.problem.dimension
-    sizes = {"t": 1, "x": d, "v": d, "u": problem.controls, "costate": d, "costate_rate": d}
-    t, x, v, u, costate, rate = symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
-    functions = problem.lagrangian, problem.running_cost, problem.force, problem.rates
-    lagrangian, cost, force, rates = (with_parameters(f, path.parameters) for f in functions)
-    action = lagrangian(t, x, v)
-    work, momentum = (ca.gradient(action, by)[:mechanical, 0] for by in (x, v))
-    along = t, x, v, u
-    total = cost(*along) + ca.dot(costate, ca.vertcat(work + force(*along), rates(*along)))
-    total += ca.dot(rate[:mechanical, 0], momentum)
+    """I and ∂I/∂t as a Function of t and z, without the force of a holonomic constraint."""
+    problem, motion = path.problem, equations_of_motion(path.problem, path.parameters)
+    *along, push = motion.sx_in()
+    costate, rate = (ca.SX.sym(name, problem.dimension) for name in ("costate", "costate_rate"))
+    symbols, (momentum, changes) = [*along, costate, rate], motion(*along, 0 * push)
+    cost = with_parameters(problem.running_cost, path.parameters)(*along)
+    total = cost + ca.dot(costate, changes) + ca.dot(rate, momentum)
     if problem.path_constraint is not None:
         constraint = with_parameters(problem.path_constraint[0], path.parameters)(*along)
         symbols.append(ca.SX.sym("multipliers", constraint.numel()))
         total += ca.dot(symbols[-1], constraint)
-    return ca.Function("integrand", symbols, [ca.densify(total), ca.densify(ca.gradient(total, t))])
+    return ca.Function("integrand", symbols, [ca.densify(total), ca.densify(ca.gradient(total, along[0]))])
 
 
 def jumps_in_time(path: ControlTrajectory) -> np.ndarray:

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import FEASIBLE, UNSEEN, unseen_change, violations
@@ -173,22 +174,19 @@ class ControlTranscription:
             refuse_derivatives(self.graph, unknowns, data, mesh)
         report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
         relative = violations(chain, limits, optimum.unknowns, report, before)
-        found = chain.unpack(optimum.unknowns, data)
-        joints = self._joints(found, mesh)
-        if not (optimum.success and np.isfinite(report.cost) and np.max(relative) <= FEASIBLE):
-            raise explained(NAMES[solver.name], chain, optimum, report.cost, relative, chain.path(found, joints))
-        off = off_constraint(problem, chain.path(found, joints))
+        found, violation = chain.unpack(optimum.unknowns, data), float(np.max(relative))
+        path = chain.path(found, self._joints(found, mesh))
+        if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
+            raise explained(NAMES[solver.name], chain, optimum, report.cost, relative, path)
+        off = off_constraint(problem, path)
         if off is not None:
-            path = Path(chain.path(found, joints))
-            raise ConvergenceError(f"no path was found: {off}", path, np.max(relative) / EPS, optimum.iterations)
-        change, told = unseen_change(chain, limits, optimum, report, joints), optimum.status
-        if change > UNSEEN * abs(report.cost):
-            told += f"; its tolerances are absolute, and may hide a change of the cost by {change:.1e}"
-        violation = float(np.max(relative))
-        told = f"{NAMES[solver.name]} ({told})"
+            raise ConvergenceError(f"no path was found: {off}", Path(path), violation / EPS, optimum.iterations)
         at = optimum.unknowns, data, optimum.multipliers, optimum.bound_multipliers
         variation = CostVariation(problem, self.method, mesh, *at, report.cost)
-        return self._trajectory(told, optimum, report, variation, problem, found, joints, change, violation, began)
+        change = unseen_change(chain, limits, optimum, report, path.times(path.nodes[:-1]))
+        hidden = f"; its tolerances are absolute, and may hide a change of the cost by {change:.1e}"
+        told = f"{NAMES[solver.name]} ({optimum.status}{hidden if change > UNSEEN * abs(report.cost) else ''})"
+        return self._trajectory(told, optimum, report, variation, problem, found, path, change, violation, began)
 
     def start(
         self, problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None
@@ -256,24 +254,22 @@ class ControlTranscription:
         variation: CostVariation,
         problem: ControlProblem,
         values: dict[str, np.ndarray],
-        joints: np.ndarray,
+        path: PiecewisePolynomial,
         change: float,
         violation: float,
         began: float,
     ) -> ControlTrajectory:
-        chain = self.chain
+        chain, joints = self.chain, path.mesh
         multipliers = optimum.multipliers / chain.units(values["sizes"])
         parameters = None if problem.parameters is None else tuple(values["parameters"].tolist())
         breakpoints = tuple(joints[chain.breaks].tolist())
         others = np.zeros((chain.dimension - chain.mechanical, len(joints)))
-        polynomial = chain.path(values, joints)
         problem = problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints)
         momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
-        if problem.constraint is not None:  # which pushes at the joints, too
-            momentum = tangent_momenta(problem, joints, polynomial(joints), momentum, polynomial(joints, 1))
-        rates = polynomial.at_parts(np.array([0.0, 1.0]))[1][chain.mechanical :, [0, -1], [0, 1]].T
+        momentum = tangent_momenta(problem, joints, path(joints), momentum, path(joints, 1))
+        rates = path.at_parts(np.array([0.0, 1.0]))[1][chain.mechanical :, [0, -1], [0, 1]].T
         return ControlTrajectory(
-            polynomial=polynomial,
+            polynomial=path,
             momentum=momentum,
             action=report.action,
             iterations=optimum.iterations,

@@ -160,8 +160,7 @@ def work_of_constraint(problem: Problem, t: np.ndarray, x: np.ndarray, v: np.nda
     if problem.constraint is None or not problem.constraint.sparsity_jac(0, 0).nnz():
         return 0 * t
     motion = motion_of(problem, problem.force)
-    rhs, _, _, pull = _at(motion, t, x, v)
-    return np.asarray(np.sum(_solved(motion, t, x, v, rhs)[len(x) :] * pull, axis=0))
+    return np.asarray(np.sum(multipliers(motion, t, x, v) * _at(motion, t, x, v)[3], axis=0))
 
 
 def check_constraint(problem: Problem) -> None:

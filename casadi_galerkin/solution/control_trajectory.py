@@ -206,20 +206,10 @@ class ControlTrajectory(Trajectory):
 
     def _motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """∂L/∂v and ∂L/∂x + F along the path, and what follows rates with these; (d, K) each."""
-        problem, parts = self.problem, [0, self.problem.mechanical, self.problem.dimension]
-        t, x, v = self._lagrangian.sx_in()
-        u, lagrangian = ca.SX.sym("u", problem.controls), self._lagrangian(t, x, v)
-        force, own = (with_parameters(f, self.parameters)(t, x, v, u) for f in (problem.force, problem.rates))
-        work, momentum = (ca.vertsplit(ca.gradient(lagrangian, by), parts)[0] for by in (x, v))
-        held, multipliers = ca.SX(0, 1), np.empty((0, len(times)))
-        if problem.constraint is not None:
-            held, multipliers = with_parameters(problem.constraint, self.parameters)(t, x), self.multipliers(times)
-        push = ca.SX.sym("push", held.numel())
-        rate = ca.vertcat(work + force, own) + ca.mtimes(ca.jacobian(held, x).T, push)
-        outputs = map(ca.densify, (ca.vertcat(momentum, ca.vertsplit(x, parts)[1]), rate))
-        motion = ca.Function("motion", [t, x, v, u, push], [*outputs]).map(len(times))
-        values = motion(times[None, :], self(times), self(times, 1), self.control(times), multipliers)
-        return np.array(values[0]), np.array(values[1])
+        pushes = np.empty((0, len(times))) if self.problem.constraint is None else self.multipliers(times)
+        motion = equations_of_motion(self.problem, self.parameters).map(len(times))
+        momentum, rate = motion(times[None, :], self(times), self(times, 1), self.control(times), pushes)
+        return np.array(momentum), np.array(rate)
 
     def _constrained_motion(self) -> ca.Function | None:
         """What the multipliers are found from, with the forces that the controls give."""
@@ -358,3 +348,20 @@ class ControlTrajectory(Trajectory):
         """Largest of one value per interval, and where."""
         i = int(np.argmax(values))
         return f"{values[i]:.1e} between the points of [{self.t[i]:.4g}, {self.t[i + 1]:.4g}]"
+
+
+def equations_of_motion(problem: ControlProblem, parameters: tuple[float, ...] | None) -> ca.Function:
+    """(t, x, v, u, multipliers of the constraint) -> ∂L/∂v, and x where that follows rates, and what changes these.
+
+    That is ∂L/∂x + F with the constraint's force, and the rates; (d,) each.
+    """
+    names = "lagrangian", "force", "rates", "constraint"
+    lagrangian, force, rates, constraint = (with_parameters(getattr(problem, name), parameters) for name in names)
+    parts, u = [0, problem.mechanical, problem.dimension], ca.SX.sym("u", problem.controls)
+    t, x, v = lagrangian.sx_in()
+    work, momentum = (ca.vertsplit(ca.gradient(lagrangian(t, x, v), by), parts)[0] for by in (x, v))
+    held = ca.SX(0, 1) if constraint is None else constraint(t, x)
+    push = ca.SX.sym("push", held.numel())
+    changes = ca.vertcat(work + force(t, x, v, u), rates(t, x, v, u)) + ca.jtimes(held, x, push, True)
+    outputs = map(ca.densify, (ca.vertcat(momentum, ca.vertsplit(x, parts)[1]), changes))
+    return ca.Function("motion", [t, x, v, u, push], [*outputs])

@@ -110,11 +110,12 @@ class Trajectory(Path):
 
     def doubted(self, error: float) -> float:
         """The larger of an error and of what the balance of energy and the action by a finer rule are violated by."""
-        return max(error, *self._doubts())
+        return max(error, *(float(np.max(missed)) for missed in self._doubts))
 
-    def _doubts(self) -> list[float]:
-        """How far the balance of energy and the action by a finer rule are missed at most, beyond rounding."""
-        return [float(np.max(missed)) for missed in doubts(self.problem, self.polynomial, self.momentum)]
+    @lazy
+    def _doubts(self) -> tuple[np.ndarray, np.ndarray]:
+        """How far the balance of energy, and the action by a finer rule, are missed on every interval; (N,) each."""
+        return doubts(self.problem, self.polynomial, self.momentum)
 
     @lazy
     def morse_index(self) -> int | None:
@@ -239,10 +240,6 @@ class Trajectory(Path):
         times = np.linspace(self.t[0], self.t[-1], count)
         return animate_linkage(times, self.places(points, times), duration / count, axes, unit)
 
-    def _balance(self) -> str:
-        """Words on how well the balance of energy is kept."""
-        return f"its balance kept to {self._doubts()[0]:.1e} of its terms"
-
     def _accuracy(self) -> list[str]:
         """A line on the error of x, if it is known, or if this mesh plainly does not resolve the path."""
         if self.error_estimate is None:
@@ -251,23 +248,18 @@ class Trajectory(Path):
 
     def _unresolved(self) -> list[str]:
         """A line on where this mesh plainly does not resolve the path, if anywhere."""
-        left_out = truncation(self.polynomial)
-        i = int(np.argmax(left_out))
-        if not left_out[i] > UNRESOLVED:
-            return []
-        where = "between t = {} and {}".format(*told_apart(self.t[i], self.t[i + 1]))
-        return [
-            f"  NOT RESOLVED: about {left_out[i]:.0e} of x is left out {where}; take more intervals or a higher degree"
-        ]
+        words = "about {:.0e} of x is left out {}; take more intervals or a higher degree"
+        return self._missed(truncation(self.polynomial), UNRESOLVED, words)
 
     def _unbalanced(self) -> list[str]:
         """A line on a balance of energy that is plainly not kept: beside a singularity, no step may be too large."""
-        missed = doubts(self.problem, self.polynomial, self.momentum)[0]
-        i = int(np.argmax(missed))
-        if not missed[i] > UNBALANCED:
-            return []
+        return self._missed(self._doubts[0], UNBALANCED, "the balance of energy is missed by {:.0e} of its terms {}")
+
+    def _missed(self, values: np.ndarray, accepted: float, words: str) -> list[str]:
+        """A line with the largest of one value per interval, and where it is, if it is more than what is accepted."""
+        i = int(np.argmax(values))
         where = "between t = {} and {}".format(*told_apart(self.t[i], self.t[i + 1]))
-        return [f"  NOT RESOLVED: the balance of energy is missed by {missed[i]:.0e} of its terms {where}"]
+        return [f"  NOT RESOLVED: {words.format(values[i], where)}"] if values[i] > accepted else []
 
     @property
     def _lagrangian(self) -> ca.Function:
@@ -289,7 +281,8 @@ class Trajectory(Path):
                 f"{counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
                 f"  action      {self.action:.15g}, {self._kind()}",
-                f"  energy      {self.energy[0]:.12g} at the start, {self._balance()}",
+                f"  energy      {self.energy[0]:.12g} at the start, "
+                f"its balance kept to {np.max(self._doubts[0]):.1e} of its terms",
                 *self._accuracy(),
                 f"  solver      {self.solver}, {counted(self.iterations, 'iteration')}, "
                 f"residual {self.residual:.1g} times its roundoff floor",

@@ -91,11 +91,7 @@ def _rules(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _between_breakpoints(
     problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same without breakpoints.
-
-    Where the momentum p of a joint differs from ∂L/∂v at the path's own slope v there by δ, the energy is
-    p·v - L + δᵀ(∂²L/∂v²)⁻¹δ/2 up to terms of third order.
-    """
+    """The same without breakpoints."""
     terms, steps = pointwise(problem.lagrangian, problem.force), np.diff(path.mesh)
     parts, fine, coarse = _rules(path.degree)
     x, v = (values.reshape(len(values), -1) for values in path.at_parts(parts))
@@ -116,33 +112,39 @@ def _between_breakpoints(
         return np.asarray(values.reshape(len(steps), -1)[:, 2 : 2 + len(fine)] @ fine)
 
     lagrangian, work, slope, *blocks = evaluate(terms.derivatives)
-    of_steps = h[joints]
-    mass = terms.mass([of_steps * block[joints].T for block in blocks])
-    velocity, missing = v[:, joints], momentum - slope[joints].T
-    values, vectors = np.linalg.eigh(mass)
-    regular = np.abs(values) > EPS * np.max(np.abs(values), axis=1, keepdims=True) + TINY
-    inverse = np.divide(1.0, values, out=np.zeros_like(values), where=regular)
-    roots = np.einsum("it,tij->tj", missing, vectors) * np.sqrt(np.abs(inverse))  # squares of momenta may overflow
-    correction = np.sum(np.sign(values) * roots**2, axis=1) / 2
-    kinetic = np.sum(momentum * velocity, axis=0)
-    energy = kinetic - lagrangian[joints, 0] / of_steps + correction
+    of_steps, velocity = h[joints], v[:, joints]
+    mass, kinetic = terms.mass([of_steps * block[joints].T for block in blocks]), np.sum(momentum * velocity, axis=0)
+    energy = kinetic - lagrangian[joints, 0] / of_steps + _correction(mass, momentum - slope[joints].T)
     supplied = steps * integral(work_of_constraint(problem, times, x, v))
     if terms.supplied is not None:
         supplied += integral(evaluate(terms.supplied)[0])
-    speed = np.abs(velocity)
+    speed, sizes, duration = np.abs(velocity), component_sizes(path.values), float(np.sum(steps))
     pushed = np.einsum("tij,jt->it", np.abs(mass), speed)
     local = np.abs(kinetic) + np.abs(energy) + np.sum(speed * pushed, axis=0)  # p·v may be a small difference of terms
-    duration, sizes = float(np.sum(steps)), component_sizes(path.values)
-    rest = (
-        EPS * float(np.max(np.einsum("i,tij,j->t", sizes, np.abs(mass), sizes))) / duration**2
-    )  # all there is at rest
-    mean = max(float(steps @ (local[1:] + local[:-1])) / 2 / duration, rest, TINY)
+    least = EPS * np.max(np.einsum("i,tij,j->t", sizes, np.abs(mass), sizes)) / duration**2  # where a path is at rest
+    mean = max(float(steps @ (local[1:] + local[:-1])) / 2 / duration, float(least), TINY)
     scale = np.maximum(local, mean)
     sum_of_slopes = np.abs(differentiation_matrix(path.nodes)[0]).sum()  # what rounding of values does to x'
     pulled = np.median(np.abs(work[joints]) @ sizes / of_steps)  # not that beside a singularity
-    floor = BLURRED * EPS * (sum_of_slopes * sizes @ pushed / np.append(steps[0], steps) + pulled + scale)
+    before = np.append(steps[0], steps)  # a momentum is that of the interval before its joint
+    floor = BLURRED * EPS * (sum_of_slopes * sizes @ pushed / before + pulled + scale)
     missed = missed_balance(energy + np.append(0.0, np.cumsum(supplied)), scale, floor)
     coarser = lagrangian.reshape(len(steps), -1)[:, 2 + len(fine) :] @ coarse
     rounded = steps * np.maximum(floor[1:], floor[:-1])
     change = np.maximum(np.abs(integral(lagrangian) - coarser) - rounded, 0.0) / (mean * duration)
     return missed, np.where(np.isfinite(change), change, np.inf)
+
+
+def _correction(mass: np.ndarray, missing: np.ndarray) -> np.ndarray:
+    """δᵀ(∂²L/∂v²)⁻¹δ/2, which the energy of a momentum p has beyond p·v - L up to terms of third order; (K,).
+
+    Parameters
+    ----------
+    mass : (K, d, d), ∂²L/∂v²
+    missing : (d, K), δ = p - ∂L/∂v at the path's own slope v
+    """
+    values, vectors = np.linalg.eigh(mass)
+    regular = np.abs(values) > EPS * np.max(np.abs(values), axis=1, keepdims=True) + TINY
+    inverse = np.divide(1.0, values, out=np.zeros_like(values), where=regular)
+    roots = np.einsum("it,tij->tj", missing, vectors) * np.sqrt(np.abs(inverse))  # squares of momenta may overflow
+    return np.asarray(np.sum(np.sign(values) * roots**2, axis=1) / 2)

@@ -25,7 +25,6 @@ SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if 
 STRONG_CONTRACTION = 0.1  # the same for a long first step: from a straight line, all steps are long
 NEARLY_FULL = 0.5  # forecast from which a short step is first tried in full: forecasts are cautious
 SMALLEST_DAMPING = 1e-7
-SIGNS = 4  # random signs of the rounding of the equations, from which its effect is told
 DRIFT = 10.0  # change of the second variation over that which the last two steps show; along families at most 0.7
 
 
@@ -132,8 +131,7 @@ def _without_rounding(linear: Linearization, x: np.ndarray, data: Data, iteratio
     if not (math.isfinite(at.norm) and linear.verification(x, data)[2] <= ROUNDOFF):
         return None
     floor = np.array(linear.stationarity.floor(x, *data)[1]).ravel()
-    signs = np.random.default_rng(len(x)).choice((-1.0, 1.0), (SIGNS, len(x)))
-    blurred, moving = np.abs(linear.solve(*(signs * floor))).max(axis=0), np.fmax(np.abs(x), np.abs(at.step))
+    blurred, moving = np.abs(linear.blurs(floor)).max(axis=0), np.fmax(np.abs(x), np.abs(at.step))
     components, nothing = numbering.component[: numbering.positions], np.zeros(len(x), dtype=bool)
     for i in range(numbering.dimension):
         own = np.flatnonzero(components == i)
@@ -196,9 +194,8 @@ def _line_search(
         simplified, length, nonlinearity = linear.simplified_step(trial, data, at, damping)
         if length <= (1 - damping / 4) * at.norm:
             return trial, simplified, damping
-        damping = min(
-            damping / 2, at.norm * damping**2 / (2 * max(nonlinearity, 1e-300))
-        )  # half where it is not a number
+        # half of it where the nonlinearity is not a number
+        damping = min(damping / 2, at.norm * damping**2 / (2 * max(nonlinearity, 1e-300)))
     if softest(linear, at.unknowns, data)[1] < SINGULAR:
         raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=True)
     raise SolveFailure("the line search found no step that comes nearer to a solution", at.unknowns, iteration)

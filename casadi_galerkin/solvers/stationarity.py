@@ -28,6 +28,7 @@ from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
 Built = TypeVar("Built")
 
 ROUNDOFF = 50.0  # accepted residual over its roundoff floor; correct solutions were measured at 0.01 to 5
+SIGNS = 4  # random signs of the rounding of the equations, from which its effect is told
 
 
 class Iterate(NamedTuple):
@@ -282,6 +283,14 @@ class Linearization:
             if not np.any(y):  # CasADi's QR answers a rank-deficient system with zeros
                 y[:] = np.nan
         return list(y.reshape(columns, -1))
+
+    def blurs(self, terms: np.ndarray) -> np.ndarray:
+        """What rounding of the equations by these sizes does to the unknowns, for each of `SIGNS` random signs of it.
+
+        ∇²S is the one that was left; (SIGNS, n).
+        """
+        signs = np.random.default_rng(len(terms)).choice((-1.0, 1.0), (SIGNS, len(terms)))
+        return np.array(self.solve(*(signs * terms)))
 
 
 def joined(unknowns: np.ndarray, data: Data) -> np.ndarray:

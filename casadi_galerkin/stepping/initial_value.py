@@ -14,7 +14,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.constrained_motion import tangent_momenta
+from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_momenta
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.legendre_transform import legendre_transform, refuse_degenerate, velocities
 from casadi_galerkin.problems.problem import check_types
@@ -121,8 +121,12 @@ def trajectory(
     solve_seconds: float,
 ) -> Trajectory:
     """Wrap verified steps as an answer; there is no Hessian of the whole action, so no Morse index."""
+    path = path_of(roll, stepper, len(roll.mesh) - 1)
+    off = off_constraint(problem, path)
+    if off is not None:
+        raise ConvergenceError(off, Path(path), float(roll.residual.max()), iterations)
     return Trajectory(
-        polynomial=path_of(roll, stepper, len(roll.mesh) - 1),
+        polynomial=path,
         momentum=roll.p,
         action=float(roll.action.sum()),
         iterations=iterations,

@@ -78,6 +78,13 @@ def test_a_path_on_the_other_side_of_the_sun_is_not_taken_for_the_one_meant():
     assert "smoothed" not in path.solver
 
 
+def test_a_guess_that_turns_sharply_is_resolved_by_the_first_mesh():
+    """On the coarse one alone the path on the other side was found."""
+    problem, exact = kepler(0.97)
+    path = cg.solve(problem, tol=1e-3, guess=lambda t: exact(t).reshape(2, *np.shape(t)))
+    assert off(path, exact) < 1e-2
+
+
 def test_a_descent_whose_times_cannot_be_told_goes_on():
     """Where the path rests, no joint has a better time: its row is zero."""
     ball = cg.BoundaryProblem(

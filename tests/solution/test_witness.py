@@ -45,14 +45,11 @@ def test_a_kink_in_x_is_found_and_resolved(tol):
 
 @pytest.mark.parametrize("tol", [1e-3, 1e-6])
 @pytest.mark.parametrize("when", [0.3333, 0.777, 1.1, 1.49])
-def test_a_kink_in_time_is_resolved_or_refused(when, tol):
+def test_a_kink_in_time_is_resolved(when, tol):
     problem = cg.BoundaryProblem(
         lambda t, x, v: v[0] ** 2 / 2 + 50 * x[0] * ca.fmax(t - when, 0), (0, 2), [1.0], [-0.5]
     )
-    try:
-        path = cg.solve(problem, tol=tol, limits=cg.Limits(seconds=5))
-    except cg.LimitReached:
-        return
+    path = cg.solve(problem, tol=tol)
     times = np.linspace(0, 2, 1001)
     pushed = 50 * np.maximum(times - when, 0) ** 3 / 6
     exact = 1 + pushed + times / 2 * (-1.5 - 50 * (2 - when) ** 3 / 6)
@@ -111,7 +108,7 @@ def test_no_path_over_a_pole_on_its_line_is_returned(duration, tol):
 
 
 @pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
-@pytest.mark.parametrize("name", [name for name in SMOOTH if name in BY_NAME])
+@pytest.mark.parametrize("name", SMOOTH)
 def test_nothing_is_said_against_a_smooth_path(name, tol):
     scene = BY_NAME[name]
     path = cg.solve(scene.problem, tol=tol, guess=scene.guess)

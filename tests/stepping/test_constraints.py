@@ -241,3 +241,17 @@ def test_steps_of_any_length_leave_a_rest(name, step, degree):
     path = cg.solve(problem, cg.Galerkin(degree), 50)
     assert np.max(np.abs(np.array(constraint(0.0, ca.DM(path.x[:, -1]))).ravel())) <= HELD
     assert path.iterations <= 6 * 50
+
+
+def test_steps_that_leave_their_constraint_between_the_nodes_are_refused():
+    """All nodes are held, and between them the rod is up to a fifth too short."""
+    message = "leaves its constraint between the nodes"
+    swing = cg.InitialProblem(planar, (0, 6), [0.0, -1.0], velocity=[1.0, 0.0], constraint=unit_length)
+    with pytest.raises(cg.ConvergenceError, match=message):
+        cg.solve(swing, cg.Galerkin(4), 3)
+    lift = cg.BoundaryProblem(planar, (0, 2), [0.0, -1.0], on_circle(1.5), constraint=unit_length)
+    for found in (cg.shoot, cg.solve):
+        with pytest.raises(cg.ConvergenceError, match=message):
+            found(lift, cg.Galerkin(1), 2)
+    for path in (cg.solve(swing, cg.Galerkin(4), 12), cg.shoot(lift, cg.Galerkin(4), 6)):
+        assert np.max(np.abs(np.sum(path(np.linspace(*path.t[[0, -1]], 99)) ** 2, axis=0) - 1)) < 1e-2

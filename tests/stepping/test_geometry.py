@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from constrained import MECHANISMS
 from control_problems import double_integrator
 from motions import MOTIONS, kepler, oscillator, start_of
 
@@ -60,6 +61,18 @@ def test_steps_are_symplectic(scene, method):
     measured = cg.geometry(cg.solve(problem, method, intervals=30))
     assert np.max(measured.symplecticity_defects) <= 1e-12
     np.testing.assert_allclose(measured.determinants, 1, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_steps_on_a_constraint_are_symplectic_between_its_tangents(name):
+    _, cartesian, place, constraint = MECHANISMS[name]
+    first, last = np.array([0.3, 0.4]), np.array([1.2, 1.3])
+    problem = cg.BoundaryProblem(cartesian, (0, 1), place(first), place(last), constraint=constraint)
+    path = cg.solve(problem, cg.Galerkin(4), 12, guess=lambda t: place(first + t * (last - first)))
+    measured = cg.geometry(path)
+    free = 2 * (len(path.x) - len(path.multipliers(0.5)))
+    assert measured.jacobians.shape == (12, free, free)
+    assert np.max(measured.symplecticity_defects) <= 1e-12
 
 
 @pytest.mark.parametrize("length", [1e-9, 1e9])
