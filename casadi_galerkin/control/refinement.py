@@ -178,10 +178,10 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         detail = estimate.detail
         if detail is not None and detail.unseen > self.tol:
             raise self.stopped(f"the solver may have left {detail.unseen:.0e} of the cost", *self.best, UNITS)
-        mesh = halved(level.t) if detail is None or self.fruitless == PATIENCE else detail.better_mesh(self.tol)
+        known = level if detail is None else detail.higher
+        mesh = halved(known.t) if detail is None or self.fruitless == PATIENCE else detail.better_mesh(self.tol)
         if len(mesh) - 1 > self.limits.intervals:
             raise self.stopped(f"the mesh would need {len(mesh) - 1} intervals", *self.best)
-        known = level if detail is None else detail.higher
         joints = self.scaled(mesh, known)
         if np.min(np.diff(joints)) < SHORTEST * 2**DOUBLINGS * np.ptp(joints):
             reason = f"the mesh would need an interval near {SHORTEST:g} of the duration"

@@ -62,7 +62,8 @@ class CostVariation:
         if not free:
             return 0
         units, flat = (ca.diag(ca.DM(a)) for a in (np.where(sizes > 0, sizes, 1.0), np.where(sizes > 0, FLAT, 0.0)))
-        relative = ca.mtimes(units, ca.mtimes(hessian, units)) / (abs(self.cost) or 1.0) + flat
+        curved = ca.mtimes(units, ca.mtimes(hessian, units))
+        relative = curved / (abs(self.cost) or float(ca.norm_inf(curved)) or 1.0) + flat
         hessian, gradients = _scaled(relative[free, free], ca.mtimes(gradients, units)[held, free])
         matrices = [hessian + ca.mtimes(gradients.T, gradients) / softened for softened in SOFTENED]
         counts = {negative_pivots(matrix, factors_of(matrix.sparsity())) for matrix in matrices}
