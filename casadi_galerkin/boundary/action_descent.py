@@ -183,8 +183,8 @@ def retimed(
     `slope` (N + 1,), and `diagonal` (N + 1,) and `beside` (N,) of a tridiagonal matrix, are the action's derivatives by
     all joints.
     """
-    shift = np.zeros(len(slope))
     pivots, rhs, upper = diagonal.tolist(), (-slope).tolist(), beside.tolist()
+    shift = [0.0] * len(rhs)  # of Python's numbers, which do not warn of what is not finite
     try:
         for i in range(2, len(shift) - 1):  # symmetric elimination without the ends; faster here than a dense solve
             factor = upper[i - 1] / pivots[i - 1]
@@ -196,7 +196,7 @@ def retimed(
         return path
     if not np.all(np.isfinite(shift)):
         return path
-    return PiecewisePolynomial(path.mesh + squeezed(shift, np.diff(path.mesh)), path.nodes, path.values)
+    return PiecewisePolynomial(path.mesh + squeezed(np.array(shift), np.diff(path.mesh)), path.nodes, path.values)
 
 
 def squeezed(shift: np.ndarray, steps: np.ndarray) -> np.ndarray:

@@ -69,19 +69,13 @@ def name_equation(chain: Chain, row: int) -> tuple[str, float]:
     """What an equation is called, and where it stands, in intervals since the start."""
     names = {
         "x": "the continuity of x",
-        "momentum": "the equation of motion of x",
         "constants": "the continuity of the duration or parameter",
-        "motion": "the equation of motion of x",
-        "start": "the equation of motion of x",
-        "end": "the equation of motion of x",
+        **dict.fromkeys(("momentum", "motion", "start", "end", "arrival"), "the equation of motion of x"),
         "rates": "the rate of x",
         "path": "path constraint",
         "ends": "end condition",
-        "held": "constraint",
-        "start_held": "constraint",
-        "start_tangent": "the rate of constraint",
-        "end_tangent": "the rate of constraint",
-        "arrival": "the equation of motion of x",
+        **dict.fromkeys(("held", "start_held"), "constraint"),
+        **dict.fromkeys(("start_tangent", "end_tangent"), "the rate of constraint"),
         "waypoint": "condition",
     }
     name, found = _found(chain.rows, row)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import casadi_galerkin as cg
-from casadi_galerkin.boundary.action_descent import carried
+from casadi_galerkin.boundary.action_descent import carried, retimed
 
 TOL = 1e-6
 
@@ -109,6 +109,12 @@ def test_joints_that_are_carried_along_leave_the_time_span_as_it_is():
     calculus = cg.DiscreteCalculus(cg.Galerkin(2), np.linspace(0.0, 1.0, 5))
     path = calculus.emb(calculus.node_times[None, :] ** 2)
     assert carried(path, np.full(path.values.shape, 0.1)).mesh[[0, -1]].tolist() == [0.0, 1.0]
+
+
+@pytest.mark.parametrize("pivot", [0.0, np.nan])
+def test_joints_whose_times_cannot_be_told_stay(pivot):
+    path = cg.DiscreteCalculus(cg.Galerkin(1), np.linspace(0.0, 1.0, 3)).emb(np.array([[0.0, 1.0, 3.0]]))
+    assert retimed(path, np.ones(3), np.full(3, pivot), np.zeros(2)) is path
 
 
 def test_values_at_the_first_joints_are_a_guess_on_any_mesh():
