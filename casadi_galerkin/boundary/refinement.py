@@ -128,6 +128,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         if np.max(missed) > max(self.tol, TELLS):
             self.check_stubborn(level, source, missed, STUBBORN)
             return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed, path.degree))
+        error = max(error, float(np.max(said["force"])))
         left_out *= error / max(np.max(left_out), 1e-300)
         return Estimate(error, True, f"degree {of_higher_degree(path.degree).degree}", left_out)
 

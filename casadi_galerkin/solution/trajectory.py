@@ -113,7 +113,7 @@ class Trajectory(Path):
         return max(error, *(float(np.max(missed)) for missed in self._doubts))
 
     @lazy
-    def _doubts(self) -> tuple[np.ndarray, np.ndarray]:
+    def _doubts(self) -> tuple[np.ndarray, ...]:
         """How far the balance of energy, and the action by a finer rule, are missed on every interval; (N,) each."""
         return doubts(self.problem, self.polynomial, self.momentum)
 

@@ -1,4 +1,4 @@
-"""Two witnesses of a path that are not among the equations it solves, nor among the points of its error estimate.
+"""Three witnesses of a path that are not among the equations it solves, nor among the points of its error estimate.
 
 The balance of energy.  Along a true path the energy E = p·v - L changes by what L depends on time,
 
@@ -10,6 +10,10 @@ not where L has a kink that no joint meets, or where the mesh is too coarse to b
 The action by another rule.  Where L is smooth, the action of a path hardly changes with one quadrature point more.  It
 does where a path jumps over a singularity between two points, though the energies on both sides may agree.  What the
 rounding of positions does to the action is no change of it: a path far from zero, x = 1e6 + 1, has little else.
+
+Jumps of the force.  Along the path f(t) = F(t, x̄, dx̄/dt) is smooth where F is, and f(b) - f(a) = ∫ df/dt dt.  What is
+missing is a jump between a and b, and may change the momentum by as much as that times b - a, because no rule knows
+when it is.  Where two degrees have points on the same sides of it, they agree on a wrong path.
 """
 
 from __future__ import annotations
@@ -20,18 +24,22 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.nodes import differentiation_matrix
+from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.functional.pointwise import pointwise
+from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import work_of_constraint
 from casadi_galerkin.problems.problem import Problem
 
 BALANCE = 0.3  # part of the tolerance by which the energy may be missed; smooth paths were measured below 0.25
 ACTION = 0.1  # part of the tolerance by which an action may change; smooth paths were measured below 0.03
+JUMPS = 0.3  # part of the tolerance by which jumps of a force may change a momentum
+MARGIN = 1e-9  # part of an interval beside a joint where a jump is at the joint
+INNER = gauss(4)  # integrates df/dt over the share of time that a quadrature point stands for
 BLURRED = 10.0  # floors up to which rounding may move a value: what is missed by less tells nothing
 
 
@@ -59,15 +67,15 @@ def missed_balance(kept: np.ndarray, scale: np.ndarray, floor: np.ndarray) -> np
 
 def witnesses(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> dict[str, np.ndarray]:
     """What each witness says against a path, in parts of what is accepted of it; arguments as for `doubts`."""
-    balance, action = doubts(problem, path, momentum)
-    return {"balance of energy": balance / BALANCE, "action by a finer rule": action / ACTION}
+    balance, action, jumps = doubts(problem, path, momentum)
+    return {"balance of energy": balance / BALANCE, "action by a finer rule": action / ACTION, "force": jumps / JUMPS}
 
 
-def doubts(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far the balance of energy, and the action by a finer rule, are missed on every interval; (N,) each.
+def doubts(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> tuple[np.ndarray, ...]:
+    """How far the balance of energy, and the action by a finer rule, are missed, and jumps of the force; (N,) each.
 
-    Both are relative to the sizes of their terms, and beyond what rounding of the path does to them.  The balance is
-    drawn up between breakpoints: at a step of L in time the energy jumps.
+    They are relative to the sizes of their terms, the first two beyond what rounding of the path does to them.  The
+    balance is drawn up between breakpoints: at a step of L in time the energy jumps.
 
     Parameters
     ----------
@@ -78,7 +86,34 @@ def doubts(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) ->
     joints = [0, *np.searchsorted(path.mesh, problem.breakpoints), len(path.mesh) - 1]
     parts = [_between_breakpoints(problem, path.between(i, j), momentum[:, i : j + 1]) for i, j in pairwise(joints)]
     balance, action = (np.concatenate(values) for values in zip(*parts, strict=True))
-    return balance, action
+    return balance, action, _jumps_of_force(problem, path, momentum)
+
+
+def _jumps_of_force(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> np.ndarray:
+    """By how much jumps of the force on every interval may change a momentum, over that and all impulses; (N,)."""
+    if problem.force is None:
+        return np.zeros(len(path.mesh) - 1)
+    steps, edges = np.diff(path.mesh), np.append(0.0, np.cumsum(gauss(path.degree).weights))
+    edges = np.clip(edges, MARGIN, 1 - MARGIN)
+    shares = np.diff(edges)
+    parts = (edges[:-1, None] + shares[:, None] * np.array([0.0, *INNER.points, 1.0])).ravel()
+    slopes = differentiation_matrix(path.nodes)
+    bends = lagrange_values(path.nodes, parts) @ slopes @ slopes
+    local = path.local
+    accelerations = (local - local[:, :, :1]) @ bends.T / steps[:, None] ** 2
+    force = with_parameters(problem.force, problem.parameters)
+    t, x, v = force.sx_in()
+    a, value = ca.SX.sym("a", x.numel()), force(t, x, v)
+    rate = ca.jacobian(value, t) + ca.mtimes(ca.jacobian(value, x), v) + ca.mtimes(ca.jacobian(value, v), a)
+    along = ca.Function("along", [t, x, v, a], [ca.densify(value), ca.densify(rate)])
+    given = [values.reshape(len(values), -1) for values in (*path.at_parts(parts), accelerations)]
+    found = along.map(given[0].shape[1])(times_at(path.mesh, parts)[None, :], *given)
+    forces, rates = (np.array(values).reshape(len(local), len(steps), len(shares), -1) for values in found)
+    lasting = steps[:, None] * shares
+    missing = forces[..., -1] - forces[..., 0] - lasting * (rates[..., 1:-1] @ np.array(INNER.weights))
+    impulses = np.nansum(np.abs(missing) * lasting, axis=2)
+    whole = np.max(np.abs(momentum), axis=1) + np.nansum(np.abs(forces).mean(axis=3) * lasting, axis=(1, 2))
+    return np.asarray(np.max(impulses / np.maximum(whole, TINY)[:, None], axis=0))
 
 
 @lru_cache(64)
