@@ -100,8 +100,9 @@ class Trajectory(Path):
 
         The path is compared with one of a higher degree on the same mesh: with Newton steps from it where it joins two
         ends, with steps from the same start otherwise.  The estimate is at least what the balance of energy is violated
-        by, relative to the energy's terms, and at least the change of the action by a finer rule: these show a kink of
-        L or a singularity, which both degrees may miss.  It is infinite where the higher degree has no answer.
+        by, relative to the energy's terms, the change of the action by a finer rule, and what jumps of the force may
+        change: these show a kink or a singularity, which both degrees may miss.  It is infinite where the higher degree
+        has no answer.
         """
         if self.error_estimate is None:
             object.__setattr__(self, "error_estimate", self.find_error(self))

@@ -37,7 +37,7 @@ from casadi_galerkin.problems.problem import Problem
 
 BALANCE = 0.3  # part of the tolerance by which the energy may be missed; smooth paths were measured below 0.25
 ACTION = 0.1  # part of the tolerance by which an action may change; smooth paths were measured below 0.03
-JUMPS = 0.3  # part of the tolerance by which jumps of a force may change a momentum
+JUMPS = 0.1  # part of the tolerance by which jumps of a force may change a momentum
 MARGIN = 1e-9  # part of an interval beside a joint where a jump is at the joint
 INNER = gauss(4)  # integrates df/dt over the share of time that a quadrature point stands for
 BLURRED = 10.0  # floors up to which rounding may move a value: what is missed by less tells nothing

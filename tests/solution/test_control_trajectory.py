@@ -89,8 +89,8 @@ def replayed(path):
 
 @pytest.mark.parametrize("degree", [20, 40])
 def test_replay_is_the_same_path_at_high_degrees(degree):
-    # IPOPT holds the equations to roundoff of terms of order 10; monomials lost 5e-10 at degree 20, 2e-3 at 40
-    assert max(replayed(cg.solve(pendulum(3.0), cg.Galerkin(degree), intervals=3))) < ROUNDOFF
+    # IPOPT holds the equations to 1e-12 of terms of order 10; monomials lost 5e-10 at degree 20, 2e-3 at 40
+    assert max(replayed(cg.solve(pendulum(3.0), cg.Galerkin(degree), intervals=3))) < 1e-11
 
 
 def jumps(path):
