@@ -274,6 +274,11 @@ class Trajectory(Path):
         least = "" if self.regularity is None else f", its smallest variation is {self.regularity:.0e} of its terms"
         return f"no Morse index{least}"
 
+    def _kept(self) -> str:
+        """How well the balance of energy is kept."""
+        missed = float(np.max(self._doubts[0]))
+        return f"{missed:.1e} of its terms" if missed > 0 else "rounding"
+
     def __repr__(self) -> str:
         """Summarize path and solve in a few lines."""
         return "\n".join(
@@ -282,8 +287,7 @@ class Trajectory(Path):
                 f"{counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
                 f"  action      {self.action:.15g}, {self._kind()}",
-                f"  energy      {self.energy[0]:.12g} at the start, "
-                f"its balance kept to {np.max(self._doubts[0]):.1e} of its terms",
+                f"  energy      {self.energy[0]:.12g} at the start, its balance kept to {self._kept()}",
                 *self._accuracy(),
                 f"  solver      {self.solver}, {counted(self.iterations, 'iteration')}, "
                 f"residual {self.residual:.1g} times its roundoff floor",

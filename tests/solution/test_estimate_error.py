@@ -126,8 +126,7 @@ def test_the_balance_of_energy_is_printed_also_where_the_energy_changes():
     driven = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] * ca.cos(5 * t), (0, 2), [0.0], [1.0])
     path = cg.solve(driven, cg.Galerkin(8), 10)
     assert np.ptp(path.energy) > 0.1
-    (line,) = (line for line in str(path).splitlines() if "energy" in line)
-    assert float(line.split("kept to ")[1].split()[0]) < 1e-12
+    assert "its balance kept to rounding" in str(path)
 
 
 def test_an_optimal_path_refers_to_its_tolerance():
