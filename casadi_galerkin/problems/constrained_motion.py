@@ -116,6 +116,15 @@ def tangent_momenta(
     return _at(motion, t, x, v)[1]
 
 
+@lru_cache(8)
+def _missed(constraint: ca.Function) -> ca.Function:
+    """(t, x, moves) -> |g| and |∂g/∂x| moves, (k,) each."""
+    t, x = constraint.sx_in()
+    held, moves = constraint(t, x), ca.SX.sym("moves", x.numel())
+    changes = ca.mtimes(ca.fabs(ca.jacobian(held, x)), moves)
+    return ca.Function("missed", [t, x, moves], [ca.densify(ca.fabs(held)), ca.densify(changes)])
+
+
 def off_constraint(problem: Problem, path: PiecewisePolynomial) -> str | None:
     """Where a path leaves its constraint between the nodes, in words, if it does so by more than `OFF`; else None.
 
@@ -126,12 +135,9 @@ def off_constraint(problem: Problem, path: PiecewisePolynomial) -> str | None:
         return None
     parts = np.linspace(0.0, 1.0, 4 * path.degree + 1)
     x, times = path.at_parts(parts)[0].reshape(len(path.values), -1), times_at(path.mesh, parts)
-    held = with_parameters(problem.constraint, problem.parameters)
-    t, y = held.sx_in()
-    value, moves = held(t, y), np.ptp(x, axis=1) + ROUNDED * component_sizes(x)
-    changes = ca.mtimes(ca.fabs(ca.jacobian(value, y)), ca.DM(moves))
-    measured = ca.Function("measured", [t, y], [ca.densify(ca.fabs(value)), ca.densify(changes)])
-    missed, largest = (np.array(a) for a in measured.map(len(times))(times[None, :], x))
+    moves = np.ptp(x, axis=1, keepdims=True) + ROUNDED * component_sizes(x)[:, None]
+    measured = _missed(with_parameters(problem.constraint, problem.parameters)).map(len(times))
+    missed, largest = (np.array(a) for a in measured(times[None, :], x, np.broadcast_to(moves, x.shape)))
     part = np.max(missed / np.maximum(np.max(largest, axis=1, keepdims=True), TINY), axis=0)
     k = int(np.argmax(part))
     if part[k] <= OFF:

@@ -110,12 +110,12 @@ class Trajectory(Path):
         return self.error_estimate
 
     def doubted(self, error: float) -> float:
-        """The larger of an error and of what the balance of energy and the action by a finer rule are violated by."""
+        """The largest of an error and of what the witnesses of this path say."""
         return max(error, *(float(np.max(missed)) for missed in self._doubts))
 
     @lazy
     def _doubts(self) -> tuple[np.ndarray, ...]:
-        """How far the balance of energy, and the action by a finer rule, are missed on every interval; (N,) each."""
+        """What each witness says on every interval; (N,) each, the balance of energy first."""
         return doubts(self.problem, self.polynomial, self.momentum)
 
     @lazy

@@ -89,6 +89,15 @@ def doubts(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) ->
     return balance, action, _jumps_of_force(problem, path, momentum)
 
 
+@lru_cache(8)
+def _force_along(force: ca.Function) -> ca.Function:
+    """(t, x, v, a) -> F, and its derivative with time at an acceleration a; (d,) each."""
+    t, x, v = force.sx_in()
+    a, value = ca.SX.sym("a", x.numel()), force(t, x, v)
+    rate = ca.jacobian(value, t) + ca.mtimes(ca.jacobian(value, x), v) + ca.mtimes(ca.jacobian(value, v), a)
+    return ca.Function("along", [t, x, v, a], [ca.densify(value), ca.densify(rate)])
+
+
 def _jumps_of_force(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> np.ndarray:
     """By how much jumps of the force on every interval may change a momentum, over that and all impulses; (N,)."""
     if problem.force is None:
@@ -101,11 +110,7 @@ def _jumps_of_force(problem: Problem, path: PiecewisePolynomial, momentum: np.nd
     bends = lagrange_values(path.nodes, parts) @ slopes @ slopes
     local = path.local
     accelerations = (local - local[:, :, :1]) @ bends.T / steps[:, None] ** 2
-    force = with_parameters(problem.force, problem.parameters)
-    t, x, v = force.sx_in()
-    a, value = ca.SX.sym("a", x.numel()), force(t, x, v)
-    rate = ca.jacobian(value, t) + ca.mtimes(ca.jacobian(value, x), v) + ca.mtimes(ca.jacobian(value, v), a)
-    along = ca.Function("along", [t, x, v, a], [ca.densify(value), ca.densify(rate)])
+    along = _force_along(with_parameters(problem.force, problem.parameters))
     given = [values.reshape(len(values), -1) for values in (*path.at_parts(parts), accelerations)]
     found = along.map(given[0].shape[1])(times_at(path.mesh, parts)[None, :], *given)
     forces, rates = (np.array(values).reshape(len(local), len(steps), len(shares), -1) for values in found)
