@@ -1,19 +1,16 @@
-"""Boundary problems solved stepwise: single shooting on the start of the path.
+"""Boundary problems solved stepwise: single shooting, Newton's method on the start of the path.
 
-The unknown z holds those entries of the start (x_0, p_0, η) that the problem does not give: momenta at the start or,
-where the start is free, positions, and multipliers.  The equations are those that remain between the ends
-(`end_equations`).  For a given energy the stretch of the steps is one more component of x.
-The derivative of the joint values by z is the product of the steps' Jacobians, exact by the implicit function theorem.
-Newton's method has the line search of the global solve, the natural monotonicity test.
+What a start z leads to is a `shot`.  Newton's method has the line search of the global solve, the natural monotonicity
+test.
 
-Shooting can be no better than that product: it magnifies the rounding of z.  Where the growth comes near 1/eps, no z
-that a computer holds meets the end, and `shoot` says so.
+Shooting can be no better than the product of the steps' Jacobians: it magnifies the rounding of z.  Where the growth
+comes near 1/eps, no z that a computer holds meets the end, and `shoot` says so.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,11 +18,9 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY
-from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.end_velocities import EndVelocities
-from casadi_galerkin.functional.statement import has_phase, phase_plane, turned_back
+from casadi_galerkin.functional.statement import turned_back
 from casadi_galerkin.problems.boundary_problem import ENDS, BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
@@ -37,154 +32,12 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import SMALLEST_DAMPING
 from casadi_galerkin.solvers.stationarity import ROUNDOFF
-from casadi_galerkin.stepping.end_equations import end_equations
-from casadi_galerkin.stepping.initial_value import path_of, trajectory
-from casadi_galerkin.stepping.stepper import Roll, Stepper
+from casadi_galerkin.stepping.initial_value import trajectory
+from casadi_galerkin.stepping.shot import Shooting, Shot
 
 ITERATIONS = 50
 MISS = EPS**0.5  # accepted miss of the end over the size of the path: half of the digits
 SINGULAR = 1e-14  # smallest singular value of the derivative, over the terms it sums, taken for dependence on the start
-
-
-@dataclass(frozen=True)
-class Shot:
-    """One path from a start z.
-
-    Attributes
-    ----------
-    roll : Roll
-    sizes : (4d + k,), of the ends as `EndEquations` has them
-    scale : (n,), sizes of z
-    miss : (n,), by how much the equations between the ends are missed
-    floor : (n,), what the rounding of the start and of the end do to it; Newton's method may stop below it
-    stepper : Stepper that made the steps
-    steps : (N, 2d, 2d), Jacobians of the steps
-    wanted : (n, 4d + k), derivatives of the miss by the ends
-    by_z : (n, n), its derivative
-    terms : (n, n), sizes of the terms that the derivative sums
-    growth : (N + 1, 2d, 2d), derivatives of (x_i, p_i) by (x_0, p_0)
-    """
-
-    roll: Roll
-    sizes: np.ndarray
-    scale: np.ndarray
-    miss: np.ndarray
-    floor: np.ndarray
-    stepper: Stepper
-    steps: np.ndarray
-    wanted: np.ndarray
-    by_z: np.ndarray
-    terms: np.ndarray
-    growth: np.ndarray
-
-    @property
-    def path(self) -> PiecewisePolynomial:
-        """The path from joint to joint."""
-        return path_of(self.stepper.timed(self.roll), self.stepper, len(self.steps))
-
-    @property
-    def residual(self) -> float:
-        """Largest residual of a step, or miss of the end, over its roundoff floor.
-
-        The floor of the miss is the rounding of the states at all joints, carried on to the end.
-        """
-        states = np.abs(np.concatenate((self.roll.x, self.roll.p)))
-        onward = chain(self.steps[::-1].transpose(0, 2, 1))[::-1].transpose(0, 2, 1)  # ∂(x_N, p_N)/∂(x_i, p_i)
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            floor = self.sizes.copy()
-            floor[-len(states) :] = np.einsum("iab,bi->a", np.abs(onward), states)
-            ratios = np.abs(self.miss) / (np.abs(self.wanted) @ (EPS * floor + TINY))
-        return float(max(np.max(self.roll.residual), np.max(ratios, initial=0.0)))
-
-
-class Shooting:
-    """The boundary problem as equations in the start.
-
-    The unknowns are those entries of (x_0, p_0, η) that no equation gives by itself.  The other equations are solved.
-
-    Attributes
-    ----------
-    told : (2d + k,), as of `EndEquations`
-    free : (n,), which entries of (x_0, p_0, η) are z
-    plane : (2d,), normal and point of the plane that fixes the phase, or None
-    """
-
-    def __init__(
-        self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, guess: Trajectory | None = None
-    ) -> None:
-        self.mesh = mesh
-        self.plane = None
-        if has_phase(problem):
-            calculus = DiscreteCalculus(method, mesh)
-            values = np.zeros((problem.dimension, len(calculus.node_parts)))
-            guessed = values if guess is None else guess_values(guess, calculus, len(values))
-            self.plane = phase_plane(calculus.emb(guessed))
-        self.stepper = Stepper(problem, method, problem.energy is not None)
-        equations = end_equations(problem, method, self.plane)
-        self._equations, self.told = Evaluator(equations.function), equations.told
-        self.free = np.flatnonzero(np.isnan(self.told))
-        self._open = np.delete(np.arange(len(self.told)), equations.plain)
-
-    def start(self, z: np.ndarray) -> np.ndarray:
-        """(x_0, p_0, η), (2d + k,)."""
-        start = self.told.copy()
-        start[self.free] = z
-        return start
-
-    def velocity(self, roll: Roll) -> np.ndarray:
-        """Velocity of a path at its start, (d,)."""
-        first = roll.slopes[:, 0] @ self.stepper.basis.slopes(np.zeros(1)).T
-        return np.asarray(first.ravel() / (roll.mesh[1] - roll.mesh[0]))
-
-    def shoot(self, z: np.ndarray, velocity: np.ndarray) -> Shot | None:
-        """The path from z, or None if one of its steps fails; `velocity` predicts the first step."""
-        d, start = self.stepper.dimension, self.start(z)
-        roll = self.stepper.roll(start[:d], start[d : 2 * d], velocity, self.mesh)
-        if roll.verified < len(roll.mesh) - 1 or not self.stepper.timed(roll).mesh[-1] > roll.mesh[0]:
-            return None
-        steps = self.stepper.jacobians(self.mesh, roll.x, roll.p, roll.unknowns)
-        growth = chain(steps)
-        ends = np.concatenate((start, roll.x[:, -1], roll.p[:, -1]))
-        miss, wanted = self._equations(ends)
-        miss, wanted = miss[self._open], wanted.reshape(len(ends), -1).T[self._open]
-        with np.errstate(over="ignore", invalid="ignore"):
-            sizes = self._sizes(roll, steps, start[2 * d :], np.abs(wanted))
-            moved = np.append(np.zeros(len(start)), np.abs(growth[-1]) @ np.abs(start[: 2 * d]))
-            floor = EPS * (np.abs(wanted) @ (sizes + moved))
-            by_z = wanted @ self._by_z(growth[-1])
-            terms = np.abs(wanted) @ self._by_z(np.abs(steps[-1]) @ np.abs(growth[-2]))
-        return Shot(roll, sizes, sizes[self.free], miss, floor, self.stepper, steps, wanted, by_z, terms, growth)
-
-    def _by_z(self, growth: np.ndarray) -> np.ndarray:
-        """Derivatives of the ends by z, (4d + k, n), where `growth` is that of (x_N, p_N) by (x_0, p_0)."""
-        start = np.eye(len(self.told))
-        return np.concatenate((start, growth @ start[: len(growth)]))[:, self.free]
-
-    def _sizes(self, roll: Roll, steps: np.ndarray, own: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        """Sizes of the ends, (4d + k,): of (x, p) the largest at the joints, of η what is as large in an equation.
-
-        The momentum of a stretch sums terms that cancel where the energy is near zero; it is as large as they are.
-        """
-        states = np.max(np.abs(np.concatenate((roll.x, roll.p))), axis=1)
-        if self.stepper.stretched:
-            states[-1] = max(states[-1], np.sum(np.abs(steps[:, -1, :-1]), axis=0) @ states[:-1])
-        sizes = np.concatenate((states, np.zeros(len(own)), states))
-        asked = wanted @ sizes
-        for i, column in enumerate(wanted[:, len(states) : -len(states)].T):
-            found = (column > 0) & (asked > 0)
-            alike = np.min(asked[found] / column[found]) if found.any() else 0.0
-            sizes[len(states) + i] = max(abs(own[i]), alike)
-        return sizes
-
-
-def chain(jacobians: np.ndarray) -> np.ndarray:
-    """Products of the steps' Jacobians (N, n, n) up to every joint; (N + 1, n, n), the first the identity."""
-    products = np.empty((len(jacobians) + 1, *jacobians.shape[1:]))
-    products[0] = np.eye(len(products[0]))
-    with np.errstate(over="ignore", invalid="ignore"):  # the growth may leave the range of doubles
-        for step, before, after in zip(jacobians, products, products[1:], strict=False):
-            np.matmul(step, before, out=after)
-    return products
 
 
 def shoot(

@@ -36,7 +36,8 @@ from casadi_galerkin.solution.guess import apart
 from casadi_galerkin.solution.plotting import Pictured, plot_gaps
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.geometry import jacobians
-from casadi_galerkin.stepping.shooting import chain, check_start, shoot
+from casadi_galerkin.stepping.shooting import check_start, shoot
+from casadi_galerkin.stepping.shot import chain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,8 @@ from scenes import pendulum, saddle
 
 import casadi_galerkin as cg
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.stepping.shooting import MISS, Shooting, _met, chain
+from casadi_galerkin.stepping.shooting import MISS, _met
+from casadi_galerkin.stepping.shot import Shooting, chain
 
 SAME = 1e-12  # the same discrete equations solved in two ways; conditions below 100
 
