@@ -19,7 +19,7 @@ from casadi_galerkin.functional.numbering import Data, joints_of
 from casadi_galerkin.functional.statement import functional_of, given_values, has_phase, phase_plane
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.boundary_problem import ENDS, BoundaryProblem
-from casadi_galerkin.problems.constrained_motion import tangent_momenta
+from casadi_galerkin.problems.constrained_motion import tangent_at_joints
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
 from casadi_galerkin.solvers.solver import SolverLike, newton
@@ -40,11 +40,8 @@ class CriticalPoint:
     @lazy
     def momentum(self) -> np.ndarray:
         """Momenta at the joints, (d, N + 1); with velocities that are tangent to a constraint."""
-        path = self.polynomial
-        momentum = self.solution.momentum.reshape(len(path.values), -1, order="F")
-        if self.problem.constraint is None:
-            return momentum
-        return tangent_momenta(self.problem, path.mesh, path(path.mesh), momentum, path(path.mesh, 1))
+        momentum = self.solution.momentum.reshape(self.problem.dimension, -1, order="F")
+        return tangent_at_joints(self.problem, self.polynomial, momentum)
 
 
 class BoundaryGraph:

@@ -33,7 +33,7 @@ from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.functional.mapping import Mapping, by_rows
 from casadi_galerkin.functional.statement import refuse_points
 from casadi_galerkin.functional.threads import fork_waits
-from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_momenta
+from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_at_joints
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.control_path import ControlPath
@@ -265,8 +265,7 @@ class ControlTranscription:
         breakpoints = tuple(joints[chain.breaks].tolist())
         others = np.zeros((chain.dimension - chain.mechanical, len(joints)))
         problem = problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints)
-        momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
-        momentum = tangent_momenta(problem, joints, path(joints), momentum, path(joints, 1))
+        momentum = tangent_at_joints(problem, path, np.vstack(((values["momentum"] * values["sizes"]).T, others)))
         rates = path.at_parts(np.array([0.0, 1.0]))[1][chain.mechanical :, [0, -1], [0, 1]].T
         return ControlTrajectory(
             polynomial=path,

@@ -116,6 +116,13 @@ def tangent_momenta(
     return _at(motion, t, x, v)[1]
 
 
+def tangent_at_joints(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> np.ndarray:
+    """`tangent_momenta` at the joints of a path, (d, N + 1)."""
+    if problem.constraint is None:
+        return momentum
+    return tangent_momenta(problem, path.mesh, path(path.mesh), momentum, path(path.mesh, 1))
+
+
 @lru_cache(8)
 def _missed(constraint: ca.Function) -> ca.Function:
     """(t, x, moves) -> |g| and |∂g/∂x| moves, (k,) each."""
