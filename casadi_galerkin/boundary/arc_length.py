@@ -42,10 +42,14 @@ class Curve(ABC, Generic[Accepted]):
         """Arc length of a step."""
         return float(np.sqrt(step**2 @ self.weights))
 
+    def unit(self, direction: np.ndarray) -> np.ndarray:
+        """A direction of length one."""
+        return np.asarray(direction / self.length(direction))
+
     def tangent(self, z: np.ndarray, forward: np.ndarray) -> np.ndarray:
         """Unit tangent at a point of the curve, on the side of `forward`."""
         direction = np.append(self.directions(z)[1], 1.0)
-        return np.asarray(direction * np.copysign(1 / self.length(direction), (direction * forward) @ self.weights))
+        return self.unit(direction) * np.copysign(1.0, (direction * forward) @ self.weights)
 
     def corrected(self, z: np.ndarray, normal: np.ndarray, longest: float) -> tuple[np.ndarray, Accepted] | None:
         """Newton's method within the plane through z across `normal`; None if a step is longer than `longest`."""

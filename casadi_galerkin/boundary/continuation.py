@@ -35,7 +35,7 @@ from casadi_galerkin.solvers.newton import Solution, verified
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.5, 1e-9  # of the arc length, in which the path counts by its size
+FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.1, 1e-9  # of the arc length, in which the path counts by its size
 LONGER, SHORTER = 1.5, 0.5  # factors on the step after a correction, and after one that failed
 CLOSE = 1e-8  # last Newton step after which the next one is at roundoff
 LEVEL = 1e-9  # |ṡ| at a fold; s itself is then exact to its square
@@ -192,6 +192,7 @@ class Walk(Curve[Solution]):
         self.first = np.array(transcription.problem.parameters)
         self.direction = target - self.first
         self.weights = np.ones(transcription.numbering.free + 1)
+        self._largest = np.zeros(transcription.numbering.free)
 
     def parameters(self, z: np.ndarray) -> np.ndarray:
         """Parameters at a point z."""
@@ -222,6 +223,11 @@ class Walk(Curve[Solution]):
             at.newton_step(unknowns, data)
             return verified(at, unknowns, data, iteration, "continuation")
 
+    def weigh(self, z: np.ndarray) -> None:
+        """Measure the path by the largest sizes that it has had on the branch, up to this point."""
+        self._largest = np.maximum(self._largest, self.stationarity.sizes(z[:-1], self.data(z)))
+        self.weights[:-1] = 1 / (len(self._largest) * self._largest**2)
+
     def path(self, z: np.ndarray) -> PiecewisePolynomial:
         """The path that a point stands for."""
         return self.transcription.emb(z[:-1], self.data(z))
@@ -230,8 +236,7 @@ class Walk(Curve[Solution]):
         """Walk until the target, or the start, is met."""
         start = self.transcription.critical_point(guess=guess)
         z = np.append(start.solution.unknowns, 0.0)
-        sizes = self.stationarity.sizes(z[:-1], start.data)
-        self.weights[:-1] = 1 / (len(sizes) * sizes**2)
+        self.weigh(z)
         forward = np.append(np.zeros(len(z) - 1), 1.0)
         points = [Point(z, self.tangent(z, forward), self.transcription.trajectory(start, 0.0))]
         folds = []
@@ -264,12 +269,14 @@ class Walk(Curve[Solution]):
 
     def step(self, point: Point, step: float) -> tuple[Point, float]:
         """Take one step, shortened until it succeeds: the new point, and the next step."""
+        self.weigh(point.z)
+        tangent = self.unit(point.tangent)
         while step > SMALLEST_STEP:
-            predicted, normal = point.z + step * point.tangent, point.tangent
+            predicted, normal = point.z + step * tangent, tangent
             end = float(np.clip(predicted[-1], 0.0, 1.0))
             if predicted[-1] != end:  # it would step over the end: meet it instead
-                share = (end - point.z[-1]) / point.tangent[-1]
-                predicted, normal = point.z + share * point.tangent, np.append(np.zeros(len(point.z) - 1), 1.0)
+                share = (end - point.z[-1]) / tangent[-1]
+                predicted, normal = point.z + share * tangent, np.append(np.zeros(len(point.z) - 1), 1.0)
                 predicted[-1] = end
             answer = self.corrected(predicted, normal, LONGEST_STEP)
             try:
@@ -278,7 +285,7 @@ class Walk(Curve[Solution]):
                     found = CriticalPoint(solution, self.problem(z), self.data(z), self.path(z))
                     trajectory = self.transcription.trajectory(found, 0.0)
                     longer = min(LONGER * step, LONGEST_STEP)
-                    return Point(z, self.tangent(z, point.tangent), trajectory), longer
+                    return Point(z, self.tangent(z, tangent), trajectory), longer
             except ConjugatePointError:
                 pass  # it landed on a fold
             step *= SHORTER
@@ -290,19 +297,20 @@ class Walk(Curve[Solution]):
 
     def fold(self, before: Point, after: Point, count: int) -> Fold:
         """Find the zero of ṡ between two points, by the secant and bisection on the arc length from the first."""
-        low, high = 0.0, float((after.z - before.z) * before.tangent @ self.weights)
-        rates = [before.tangent[-1], after.tangent[-1]]
-        z, rate = before.z, before.tangent[-1]
+        tangent = self.unit(before.tangent)
+        low, high = 0.0, float((after.z - before.z) * tangent @ self.weights)
+        rates = [tangent[-1], after.tangent[-1]]
+        z, rate = before.z, tangent[-1]
         for iteration in range(60):
             if abs(rate) < LEVEL:
                 break
             share = 0.5 if iteration % 3 == 2 else rates[0] / (rates[0] - rates[1])
             middle = low + share * (high - low)
-            answer = self.corrected(before.z + middle * before.tangent, before.tangent, LONGEST_STEP)
+            answer = self.corrected(before.z + middle * tangent, tangent, LONGEST_STEP)
             if answer is None:
                 break
             z = answer[0]
-            rate = self.tangent(z, before.tangent)[-1]
+            rate = self.tangent(z, tangent)[-1]
             if rate * rates[0] > 0:
                 low, rates[0] = middle, rate
             else:

@@ -182,3 +182,18 @@ def test_the_free_phase_of_a_periodic_path_is_refused():
     )
     with pytest.raises(ValueError, match="continuation takes no periodic problem of given energy"):
         cg.continuation(problem, [1.2], cg.Galerkin(6), 8, guess=lambda t: [np.sin(t)])
+
+
+@pytest.mark.parametrize("imperfection", [1e-2, 1e-4, 1e-6])
+def test_a_branch_grows_far_beyond_the_size_of_its_first_path(imperfection):
+    """Past an imperfect bifurcation, that of a rod under its load, the path is up to a million times as large."""
+    rod = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 + p[0] * ca.cos(x[0]), (0, 1), [0.0], [imperfection], parameters=[1.0]
+    )
+    branch = cg.continuation(rod, [20.0], intervals=10)
+    bent = rod.varied({"parameters": [20.0]}, rod.t_span)
+    direct = cg.solve(bent, cg.Galerkin(8), 10, guess=lambda t: [2.2 * np.sin(np.pi * t)])
+    assert branch.reached
+    assert branch.trajectories[-1].morse_index == direct.morse_index == 0
+    np.testing.assert_allclose(branch.trajectories[-1](0.5), direct(0.5), rtol=1e-9, atol=0)
+    assert len(branch.trajectories) < 200
