@@ -13,12 +13,12 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, remeshe
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.functional.end_velocities import EndVelocities
+from casadi_galerkin.functional.end_velocities import end_velocities
 from casadi_galerkin.functional.mapping import Mapping, by_rows
 from casadi_galerkin.functional.numbering import Data, joints_of
 from casadi_galerkin.functional.statement import functional_of, given_values, has_phase, phase_plane
 from casadi_galerkin.functional.threads import fork_waits
-from casadi_galerkin.problems.boundary_problem import ENDS, BoundaryProblem
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import tangent_at_joints
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
@@ -150,7 +150,7 @@ class BoundaryGraph:
         unknowns = np.zeros(numbering.free)
         unknowns[: numbering.positions] = values.ravel()[numbering.place]
         last = numbering.positions + numbering.multipliers
-        multipliers = slice(numbering.positions, last - sum(len(end.unknown) for end in self._end_velocities))
+        multipliers = slice(numbering.positions, last - sum(len(end.unknown) for end in end_velocities(self.problem)))
         if multipliers.stop < last:
             unknowns[multipliers.stop : last] = self._velocities_of_ends(unknowns, data)
         if multipliers.stop > multipliers.start:
@@ -160,15 +160,11 @@ class BoundaryGraph:
                 unknowns[multipliers] = step[multipliers]
         return unknowns
 
-    @lazy
-    def _end_velocities(self) -> list[EndVelocities]:
-        return [EndVelocities(self.problem, end) for end in ENDS]
-
     def _velocities_of_ends(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Unknown velocities at the ends, of the path's momenta there."""
         path, parameters, given = self.emb(unknowns, data), self.functional.parameters_of(data), data[-1]
         momenta, found = np.array(self.functional.function("summary")(unknowns, *data)[1]), []
-        for end in self._end_velocities:
+        for end in end_velocities(self.problem):
             t, v = path.mesh[end.joint], path(path.mesh[end.joint], 1)
             v[end.given], given = np.split(given, [len(end.given)])
             if end.unknown:

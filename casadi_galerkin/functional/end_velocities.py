@@ -7,10 +7,13 @@ momentum is that of the path, -∂S/∂x_0 or ∂S/∂x_N, so that it follows fr
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.functional.numbering import KEPT
 from casadi_galerkin.problems.boundary_problem import ENDS, BoundaryProblem
 from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
 
@@ -20,26 +23,26 @@ class EndVelocities:
 
     Parameters
     ----------
-    problem : BoundaryProblem
-    end : "start" or "end"
+    lagrangian : Function (t, x, v[, p]) -> scalar
+    given : (d,), whose velocities are given
+    joint : number of the joint there, 0 or -1
 
     Attributes
     ----------
-    joint : number of the joint there, 0 or -1
     given : components whose velocity is given
     unknown : components whose velocity is not given, but occurs in a momentum that follows from given velocities
     """
 
-    def __init__(self, problem: BoundaryProblem, end: str) -> None:
-        self._lagrangian, self.joint = problem.lagrangian, -ENDS.index(end)
-        given = found = np.array([value is not None for value in getattr(problem, f"{end}_velocity")])
-        if given.any():
-            symbols = self._lagrangian.sx_in()
-            mass = ca.hessian(self._lagrangian(*symbols), symbols[2])[0]
+    def __init__(self, lagrangian: ca.Function, given: tuple[bool, ...], joint: int) -> None:
+        self._lagrangian, self.joint = lagrangian, joint
+        chosen = found = np.array(given)
+        if any(given):
+            symbols = lagrangian.sx_in()
+            mass = ca.hessian(lagrangian(*symbols), symbols[2])[0]
             coupled = np.array(ca.DM(mass.sparsity(), 1.0).full(), dtype=bool)
-            for _ in found:
+            for _ in given:
                 found = found | coupled[found].any(axis=0)
-        self.given, self.unknown = (np.flatnonzero(chosen).tolist() for chosen in (given, found & ~given))
+        self.given, self.unknown = (np.flatnonzero(which).tolist() for which in (chosen, found & ~chosen))
 
     @lazy
     def _transform(self) -> ca.Function:
@@ -65,3 +68,12 @@ class EndVelocities:
         at, guess = np.concatenate((x, v, *parameters)), v[self.unknown]
         found = velocities(self._transform, np.array([t]), at[:, None], momentum[self.unknown, None], guess[:, None])
         return np.where(np.isnan(found[:, 0]), guess, found[:, 0])
+
+
+_kept = lru_cache(2 * KEPT)(EndVelocities)
+
+
+def end_velocities(problem: BoundaryProblem) -> list[EndVelocities]:
+    """The velocities at the start and at the end of a problem; those of the last problems are kept."""
+    stated = [tuple(value is not None for value in getattr(problem, f"{end}_velocity")) for end in ENDS]
+    return [_kept(problem.lagrangian, given, -k) for k, given in enumerate(stated)]

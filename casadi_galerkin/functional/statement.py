@@ -19,12 +19,12 @@ from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import lobatto_points
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import component_sizes
-from casadi_galerkin.functional.end_velocities import EndVelocities
+from casadi_galerkin.functional.end_velocities import end_velocities
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import Mapping
 from casadi_galerkin.functional.numbering import Numbering
-from casadi_galerkin.problems.boundary_problem import ENDS, RATES, BoundaryProblem, says
+from casadi_galerkin.problems.boundary_problem import RATES, BoundaryProblem, says
 
 AT_REST = 1e-3  # speed at the start over the largest, below which the start tells no phase
 
@@ -141,7 +141,7 @@ class _Statement:
             tuple(i for i, value in enumerate(side) if value is not None) for side in (problem.start, problem.end)
         )
         d, last = problem.dimension, intervals * method.degree
-        self.unknown = [EndVelocities(problem, end).unknown for end in ENDS]
+        self.unknown = [end.unknown for end in end_velocities(problem)]
         self.held = [[i for i in found if i in given] for found, given in zip(self.unknown, (start, end), strict=True)]
         self.constrained = np.arange(len(start) == d, last + (not problem.periodic and len(end) < d))
         self.constraints = 0 if problem.constraint is None else problem.constraint.size1_out(0)

@@ -19,9 +19,9 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY
-from casadi_galerkin.functional.end_velocities import EndVelocities
+from casadi_galerkin.functional.end_velocities import end_velocities
 from casadi_galerkin.functional.statement import turned_back
-from casadi_galerkin.problems.boundary_problem import ENDS, BoundaryProblem
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform
@@ -144,7 +144,7 @@ def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarr
         x, p, v = (a[:, 0] for a in (guess.x, guess.momentum, guess.velocity))
         stretch = (guess.t[-1] - guess.t[0]) / duration
         ends = [v, guess.velocity[:, -1]]
-    own = np.concatenate([at[EndVelocities(problem, end).unknown] for at, end in zip(ends, ENDS, strict=True)])
+    own = np.concatenate([at[end.unknown] for at, end in zip(ends, end_velocities(problem), strict=True)])
     if problem.energy is None:
         return np.concatenate((x, p)), own, v
     return np.concatenate((x, [stretch], p, [0.0])), own, np.append(stretch * v, 0.0)
