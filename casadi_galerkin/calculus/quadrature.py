@@ -86,38 +86,15 @@ class Quadrature:
         return self.exactness + 1
 
 
-def _roots(
-    size: int, derivative: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], start: np.ndarray
-) -> np.ndarray:
-    """Newton's method for `size` simple roots in ]-1, 1[, from starting values good to a few digits."""
-    x = start.astype(float)
-    for _ in range(20 if size else 0):
-        value, slope = derivative(x)
-        step = value / slope
-        x = x - step
-        if np.max(np.abs(step)) < 1e-15:
-            break
-    return x
+def _roots(series: np.ndarray) -> np.ndarray:
+    """Roots of a Legendre series, increasing: those of NumPy, improved by a Newton step as its Gauss points are."""
+    x = legendre.legroots(series)
+    return np.asarray(x - legendre.legval(x, series) / legendre.legval(x, legendre.legder(series)))
 
 
 def _legendre(n: int, x: np.ndarray) -> np.ndarray:
-    """Legendre polynomials P_0 ... P_n at x, shape (n + 1,) + x.shape."""
-    return legendre.legvander(x, max(n, 1)).T
-
-
-def _jacobi_roots(n: int, alpha: float, beta: float) -> np.ndarray:
-    """Roots of the Jacobi polynomial P_n^(alpha, beta), increasing: eigenvalues of its Jacobi matrix."""
-    if n == 0:
-        return np.zeros(0)
-    k = np.arange(1, n)
-    s = 2 * k + alpha + beta
-    off = 2 / s * np.sqrt(k * (k + alpha) * (k + beta) * (k + alpha + beta) / ((s + 1) * (s - 1)))
-    k = np.arange(n)
-    s = 2 * k + alpha + beta
-    with np.errstate(invalid="ignore", divide="ignore"):
-        diagonal = (beta**2 - alpha**2) / (s * (s + 2))
-    diagonal[0] = (beta - alpha) / (alpha + beta + 2)
-    return np.linalg.eigvalsh(np.diag(diagonal) + np.diag(off, 1) + np.diag(off, -1))
+    """The Legendre polynomial P_n at x, (K,)."""
+    return np.asarray(legendre.legvander(x, n)[:, n])
 
 
 def _family(least: int) -> Callable[[Callable[[int], Quadrature]], Callable[[int], Quadrature]]:
@@ -169,15 +146,9 @@ def lobatto(n: int) -> Quadrature:
     >>> lobatto(4).order
     6
     """
-
-    def slope(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        p = _legendre(n - 1, x)  # (1 - x^2) P'_k = k (P_{k-1} - x P_k), differentiated once more below
-        first = (n - 1) * (p[n - 2] - x * p[n - 1]) / (1 - x**2)
-        return first, (2 * x * first - n * (n - 1) * p[n - 1]) / (1 - x**2)
-
-    inner = _roots(n - 2, slope, _jacobi_roots(n - 2, 1.0, 1.0))
+    inner = _roots(legendre.legder(np.eye(n)[n - 1]))  # of P'_{n-1}
     x = np.concatenate(([-1.0], (inner - inner[::-1]) / 2, [1.0]))
-    return _from_symmetric_interval(x, 1 / _legendre(n - 1, x)[n - 1] ** 2)
+    return _from_symmetric_interval(x, 1 / _legendre(n - 1, x) ** 2)
 
 
 @_family(1)
@@ -189,15 +160,8 @@ def radau(n: int) -> Quadrature:
     >>> radau(2)
     Quadrature of 2 points from 0.3333 to 1, order 3
     """
-
-    def value(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        p = _legendre(n, x)  # the points are the roots of P_{n-1} - P_n
-        lower = (n - 1) * (p[max(n - 2, 0)] - x * p[n - 1])
-        return p[n - 1] - p[n], (lower - n * (p[n - 1] - x * p[n])) / (1 - x**2)
-
-    inner = _roots(n - 1, value, _jacobi_roots(n - 1, 1.0, 0.0))
-    x = np.append(inner, 1.0)
-    return _from_symmetric_interval(x, (1 + x) / _legendre(n - 1, x)[n - 1] ** 2)
+    x = np.append(_roots(np.append(np.zeros(n - 1), (1.0, -1.0)))[:-1], 1.0)  # of P_{n-1} - P_n
+    return _from_symmetric_interval(x, (1 + x) / _legendre(n - 1, x) ** 2)
 
 
 def midpoint() -> Quadrature:
