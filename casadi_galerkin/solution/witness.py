@@ -11,9 +11,8 @@ The action by another rule.  Where L is smooth, the action of a path hardly chan
 does where a path jumps over a singularity between two points, though the energies on both sides may agree.  What the
 rounding of positions does to the action is no change of it: a path far from zero, x = 1e6 + 1, has little else.
 
-Jumps of the force.  Along the path f(t) = F(t, x̄, dx̄/dt) is smooth where F is, and f(b) - f(a) = ∫ df/dt dt.  What is
-missing is a jump between a and b, and may change the momentum by as much as that times b - a, because no rule knows
-when it is.  Where two degrees have points on the same sides of it, they agree on a wrong path.
+Jumps of the force.  Along the path f(t) = F(t, x̄, dx̄/dt) is smooth where F is.  A jump may change the momentum by what
+it does to ∫ f dt (`shares_of_time`).
 """
 
 from __future__ import annotations
@@ -34,12 +33,11 @@ from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import work_of_constraint
 from casadi_galerkin.problems.problem import Problem
+from casadi_galerkin.solution.shares_of_time import SharesOfTime
 
 BALANCE = 0.3  # part of the tolerance by which the energy may be missed; smooth paths were measured below 0.25
 ACTION = 0.1  # part of the tolerance by which an action may change; smooth paths were measured below 0.03
 JUMPS = 0.1  # part of the tolerance by which jumps of a force may change a momentum
-MARGIN = 1e-9  # part of an interval beside a joint where a jump is at the joint
-INNER = gauss(4)  # integrates df/dt over the share of time that a quadrature point stands for
 BLURRED = 10.0  # floors up to which rounding may move a value: what is missed by less tells nothing
 
 
@@ -102,23 +100,17 @@ def _jumps_of_force(problem: Problem, path: PiecewisePolynomial, momentum: np.nd
     """By how much jumps of the force on every interval may change a momentum, over that and all impulses; (N,)."""
     if problem.force is None:
         return np.zeros(len(path.mesh) - 1)
-    steps, edges = np.diff(path.mesh), np.append(0.0, np.cumsum(gauss(path.degree).weights))
-    edges = np.clip(edges, MARGIN, 1 - MARGIN)
-    shares = np.diff(edges)
-    parts = (edges[:-1, None] + shares[:, None] * np.array([0.0, *INNER.points, 1.0])).ravel()
-    slopes = differentiation_matrix(path.nodes)
-    bends = lagrange_values(path.nodes, parts) @ slopes @ slopes
-    local = path.local
+    shares, slopes = SharesOfTime(path.mesh, gauss(path.degree)), differentiation_matrix(path.nodes)
+    local, steps = path.local, np.diff(path.mesh)
+    bends = lagrange_values(path.nodes, shares.parts) @ slopes @ slopes
     accelerations = (local - local[:, :, :1]) @ bends.T / steps[:, None] ** 2
     along = _force_along(with_parameters(problem.force, problem.parameters))
-    given = [values.reshape(len(values), -1) for values in (*path.at_parts(parts), accelerations)]
-    found = along.map(given[0].shape[1])(times_at(path.mesh, parts)[None, :], *given)
-    forces, rates = (np.array(values).reshape(len(local), len(steps), len(shares), -1) for values in found)
-    lasting = steps[:, None] * shares
-    missing = forces[..., -1] - forces[..., 0] - lasting * (rates[..., 1:-1] @ np.array(INNER.weights))
-    impulses = np.nansum(np.abs(missing) * lasting, axis=2)
-    whole = np.max(np.abs(momentum), axis=1) + np.nansum(np.abs(forces).mean(axis=3) * lasting, axis=(1, 2))
-    return np.asarray(np.max(impulses / np.maximum(whole, TINY)[:, None], axis=0))
+    given = [values.reshape(len(values), -1) for values in (*path.at_parts(shares.parts), accelerations)]
+    forces, rates = (np.array(a) for a in along.map(len(shares.times))(shares.times[None, :], *given))
+    sizes = np.where(np.isfinite(forces), np.abs(forces), 0.0)
+    means = sizes.reshape(len(local), len(steps), -1).mean(axis=2)
+    whole = np.max(np.abs(momentum), axis=1) + means @ steps
+    return np.asarray(np.max(shares.by_jumps(forces, rates) / np.maximum(whole, TINY)[:, None], axis=0))
 
 
 @lru_cache(64)
