@@ -14,7 +14,7 @@ from numpy.polynomial.legendre import legfit, legval
 from casadi_galerkin.boundary.action_descent import descend
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.levels import Levels
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, with_breakpoints
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import equidistributed, graded_alike, of_degree, truncation
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -66,8 +66,9 @@ def resolved(
         error = truncation(path)
         if np.max(error) <= tol:
             break
-        finer = equidistributed(path.mesh, error, method.degree + 1, tol)
-        path = graph.guess_on_mesh(guess, with_breakpoints(finer, levels.problem.breakpoints))
+        breakpoints = levels.problem.breakpoints
+        finer = equidistributed(path.mesh, error, method.degree + 1, tol, breakpoints=breakpoints)
+        path = graph.guess_on_mesh(guess, finer)
     return path
 
 

@@ -7,6 +7,7 @@ there; a new mesh spreads it evenly (equidistribution).  Nothing here knows what
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -94,8 +95,11 @@ def equidistributed(
     finest: float = FINEST,
     fewest: int = FEWEST,
     fewer: float = FEWER,
+    breakpoints: tuple[float, ...] = (),
 ) -> np.ndarray:
     """Joints of a new mesh on which every interval's error should be a fraction of the tolerance.
+
+    Between neighboring breakpoints there is a whole number of intervals, so that none has to be moved onto one.
 
     Parameters
     ----------
@@ -106,6 +110,7 @@ def equidistributed(
     finest : largest number of intervals that one is split into
     fewest : least number of intervals of the new mesh
     fewer : factor of too many intervals from which their number is lowered
+    breakpoints : increasing times inside that are joints
 
     Returns
     -------
@@ -118,12 +123,19 @@ def equidistributed(
     for i in range(len(density) - 2, -1, -1):
         density[i] = max(density[i], density[i + 1] / NEIGHBORS)
     cumulated = np.concatenate(([0.0], np.cumsum(density * np.diff(mesh))))
-    count = max(fewest, int(np.ceil(cumulated[-1])))
+    fixed = np.array([mesh[0], *breakpoints, mesh[-1]])
+    edges = np.interp(fixed, mesh, cumulated)
+    shares = np.diff(edges)
+    parts = np.maximum(np.ceil(shares), 1.0).astype(int)
+    count = max(fewest, int(parts.sum()))
     before = len(mesh) - 1
     if before / fewer < count <= before:
         count = before
     elif count > before:
         count = max(count, int(np.ceil(GROWTH * before)))
-    joints = np.interp(np.linspace(0.0, cumulated[-1], count + 1), cumulated, mesh)
-    joints[0], joints[-1] = mesh[0], mesh[-1]
+    for _ in range(count - parts.sum()):
+        parts[np.argmax(shares / parts)] += 1
+    at = [np.linspace(*pair, n, endpoint=False) for pair, n in zip(pairwise(edges), parts, strict=True)]
+    joints = np.interp(np.append(np.concatenate(at), edges[-1]), cumulated, mesh)
+    joints[np.append(0, np.cumsum(parts))] = fixed
     return np.asarray(joints)

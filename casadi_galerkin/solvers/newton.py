@@ -18,13 +18,14 @@ from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.linear_solver import LOCAL
 from casadi_galerkin.solvers.second_variation import SINGULAR, softest
-from casadi_galerkin.solvers.stationarity import ROUNDOFF, Iterate, Linearization, Stationarity
+from casadi_galerkin.solvers.stationarity import ROUNDOFF, SIGNS, Iterate, Linearization, Stationarity
 
 NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
 SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if the next one is so much shorter
 STRONG_CONTRACTION = 0.1  # the same for a long first step: from a straight line, all steps are long
 NEARLY_FULL = 0.5  # forecast from which a short step is first tried in full: forecasts are cautious
 SMALLEST_DAMPING = 1e-7
+CLOSE = 10  # steps that bring a path to its end once what is rounding alone is zero: it was near
 DRIFT = 10.0  # change of the second variation over that which the last two steps show; along families at most 0.7
 
 
@@ -122,23 +123,48 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
 
 
 def _without_rounding(linear: Linearization, x: np.ndarray, data: Data, iterations: int) -> Solution | None:
-    """What the next step leads to if components that are rounding alone are zero; None if there are none.
+    """What the next steps lead to if components that are rounding alone are zero; None if there are none.
 
     Where terms of others cancel in the equations of a component that is zero, rounding keeps it from being zero, and
     its steps are never small relative to itself.
     """
-    at, numbering = linear.newton_step(x, data), linear.stationarity.functional.numbering
-    if not (math.isfinite(at.norm) and linear.verification(x, data)[2] <= ROUNDOFF):
+    at = linear.newton_step(x, data)
+    if not math.isfinite(at.norm):
         return None
-    floor = np.array(linear.stationarity.floor(x, *data)[1]).ravel()
-    blurred, moving = np.abs(linear.blurs(floor)).max(axis=0), np.fmax(np.abs(x), np.abs(at.step))
+    nothing, least = _rounding_alone(linear, at, data)
+    for _ in range(CLOSE if np.any(nothing) else 0):
+        x = np.where(nothing, 0.0, x + at.step)
+        if np.max((np.abs(at.step) / at.sizes)[~nothing], initial=0.0) ** 2 <= EPS:
+            action, momentum, _, regularity = linear.verification(x, data)
+            gradient, floor = (np.array(a).ravel() for a in linear.stationarity.floor(x, *data))
+            residual = float(np.max(np.abs(gradient) / np.where(nothing, np.fmax(floor, least), floor)))
+            solution = Solution(x, iterations, residual, "Newton", action, momentum, regularity)
+            return solution if residual <= ROUNDOFF else None
+        at = linear.newton_step(x, data)
+    return None
+
+
+def _rounding_alone(linear: Linearization, at: Iterate, data: Data) -> tuple[np.ndarray, np.ndarray]:
+    """Which unknowns belong to a component that is rounding alone, and the roundoff floors that tell; (n,) each.
+
+    Its equations are solved up to rounding, and it is no larger than what rounding of them does to it.
+
+    Terms that cancel within the derivatives of L tell of their sizes only by what the equations change by where the
+    unknowns are rounded otherwise.  That is measured, and the largest of a component's is taken.
+    """
+    numbering, evaluate, x = linear.stationarity.functional.numbering, linear.stationarity.floor, at.unknowns
+    gradient, least = (np.array(a).ravel() for a in evaluate(x, *data))
+    for signs in np.random.default_rng(len(x)).choice((-EPS, EPS), (SIGNS, len(x))):
+        least = np.fmax(least, np.abs(np.array(evaluate(x * (1 + signs), *data)[0]).ravel() - gradient))
     components, nothing = numbering.component[: numbering.positions], np.zeros(len(x), dtype=bool)
-    for i in range(numbering.dimension):
-        own = np.flatnonzero(components == i)
-        nothing[own] = np.max(moving[own], initial=0.0) <= ROUNDOFF * np.max(blurred[own], initial=0.0)
-    if not (np.any(nothing) and np.max((np.abs(at.step) / at.sizes)[~nothing], initial=0.0) ** 2 <= EPS):
-        return None
-    return verified(linear, np.where(nothing, 0.0, at.unknowns + at.step), data, iterations, "Newton")
+    unknowns_of = [np.flatnonzero(components == i) for i in range(numbering.dimension)]
+    for own in unknowns_of:
+        least[own] = np.max(least[own], initial=0.0)
+    blurred, moving = np.abs(linear.blurs(least)).max(axis=0), np.fmax(np.abs(x), np.abs(at.step))
+    for own in unknowns_of:
+        solved = np.all(np.abs(gradient[own]) <= ROUNDOFF * least[own])
+        nothing[own] = solved and np.max(moving[own], initial=0.0) <= ROUNDOFF * np.max(blurred[own], initial=0.0)
+    return nothing, least
 
 
 def _check_going_on(linear: Linearization, at: Iterate, iteration: int) -> None:

@@ -369,3 +369,33 @@ def test_a_rule_with_points_on_a_named_jump_is_told_so():
     with pytest.raises(cg.LimitReached, match=message):
         cg.solve(problem, cg.Galerkin(4, quadrature=cg.lobatto(5)), tol=1e-12)
     assert cg.solve(problem, cg.Galerkin(4, quadrature=cg.gauss(5)), tol=1e-12).error_estimate <= 1e-12
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("named", [True, False])
+def test_a_pivot_moved_along_a_spline_is_followed_with_and_without_its_knots(named, tol):
+    """A pendulum in Cartesian coordinates; the same one by its angle is the reference."""
+    knots = np.arange(0.25, 3.0, 0.25)
+    jumps = 60.0 * np.random.default_rng(1).choice([-1.0, 1.0], len(knots))  # of the third derivative
+
+    def pivot(t, order=0):
+        powers = [ca.fmax(t - knot, 0) ** (3 - order) for knot in knots]
+        return ca.dot(ca.DM(jumps), ca.vertcat(*powers)) / (6, 2)[order]
+
+    def by_angle(t, x, v):
+        return (pivot(t, 1) + ca.cos(x[0]) * v[0]) ** 2 / 2 + (ca.sin(x[0]) * v[0]) ** 2 / 2 + ca.cos(x[0])
+
+    def places(times, angles):
+        return np.array([[float(pivot(t)) for t in times] + np.sin(angles), -np.cos(angles)])
+
+    exact = cg.solve(cg.BoundaryProblem(by_angle, (0, 3), [0.3], [0.9], breakpoints=knots), tol=1e-11)
+    ends = places([0.0, 3.0], [0.3, 0.9])
+    bob = cg.BoundaryProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2 - x[1],
+        (0, 3),
+        *ends.T,
+        constraint=lambda t, x: (x[0] - pivot(t)) ** 2 + x[1] ** 2 - 1,
+        breakpoints=knots if named else (),
+    )
+    path = cg.solve(bob, tol=tol)
+    assert relative_error(path, lambda times: places(times, exact(times)[0])) <= tol

@@ -124,3 +124,16 @@ def test_too_fine_a_mesh_is_made_coarser():
     mesh = np.linspace(0, 1, 101)
     assert len(equidistributed(mesh, np.full(100, 1e-15), 6, 1e-3)) < 40
     assert len(equidistributed(mesh, np.full(100, 0.1 * TARGET * 1e-3), 6, 1e-3)) == 101  # the graph is kept
+
+
+@pytest.mark.parametrize("halved", [False, True])
+def test_breakpoints_take_no_joint_from_an_interval_that_is_to_be_split(halved):
+    """Only the last of five parts needs more intervals; where joints are moved onto breakpoints, it may get none."""
+    breakpoints = (0.1, 0.3, 0.5, 0.8)
+    mesh = np.array([0.0, *breakpoints, 1.0])
+    mesh = np.sort(np.append(mesh, (mesh[1:] + mesh[:-1]) / 2)) if halved else mesh
+    error = np.where(mesh[:-1] >= 0.8, TARGET * 1e-6 * 1.9**6, 1e-16)
+    new = equidistributed(mesh, error, 6, 1e-6, breakpoints=breakpoints)
+    assert set(breakpoints) <= set(new)
+    assert np.all(np.diff(new) > 0)
+    assert np.sum(new > 0.8) >= 1.9 * np.sum(mesh > 0.8)

@@ -166,3 +166,37 @@ def test_rest_in_a_magnetic_field_is_found(place, how):
     )
     path = cg.solve(problem, **how)
     np.testing.assert_allclose(path.x, np.array([[place], [0.0]]) + 0 * path.t, rtol=1e-14, atol=1e-300)
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-9])
+@pytest.mark.parametrize("friction", [0.0, 0.2])
+@pytest.mark.parametrize("rest", [None, 0.5])
+@pytest.mark.parametrize("unit", [1.0, 1e-9])
+def test_a_path_along_an_axis_of_symmetry_is_found(unit, rest, friction, tol):
+    """The pulls of three anchors cancel across the axis within the derivatives of L, which tell nothing of their size.
+
+    The anchors attract by a softened gravity, or hold springs of some length at rest; sideways is in another unit.
+    """
+    angles = 2 * np.pi * np.arange(3) / 3
+
+    def potential(along, across):
+        squares = [(along - np.cos(a)) ** 2 + (across - np.sin(a)) ** 2 for a in angles]
+        if rest is None:
+            return -sum(1 / ca.sqrt(0.3 + square) for square in squares)
+        return sum((ca.sqrt(square) - rest) ** 2 for square in squares)
+
+    def plane(t, x, v):
+        return (v[0] ** 2 + (v[1] / unit) ** 2) / 2 - potential(x[0], x[1] / unit)
+
+    def line(t, x, v):
+        return v[0] ** 2 / 2 - potential(x[0], 0.0)
+
+    def drag(t, x, v):
+        return -friction * ca.vertcat(v[0], *([v[1] / unit**2] if v.numel() > 1 else []))
+
+    force = drag if friction else None
+    exact = cg.solve(cg.BoundaryProblem(line, (0, 2), [0.1], [0.3], force=force), tol=1e-11)
+    path = cg.solve(cg.BoundaryProblem(plane, (0, 2), [0.1, 0.0], [0.3, 0.0], force=force), tol=tol)
+    times = np.linspace(0, 2, 50)
+    assert np.max(np.abs(path(times)[0] - exact(times)[0])) <= tol * np.max(exact.x)
+    assert np.max(np.abs(path(times)[1])) <= 1e-14 * unit
