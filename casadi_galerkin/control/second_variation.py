@@ -76,9 +76,10 @@ class CostVariation:
 
 
 def _sizes(chain: Chain, unknowns: np.ndarray) -> np.ndarray:
-    """Largest of all positions, and of all controls; zero of what these determine."""
+    """Largest of all positions, controls, durations and parameters that are free; zero of what these determine."""
     sizes = np.zeros(chain.unknowns)
-    for names in (("x", "nodes"), ("controls",)):
+    free = [[name] for name in ("durations", "parameters") if chain.is_free(name)]
+    for names in (["x", "nodes"], ["controls"], *free):
         entries = np.concatenate([chain.fields[name].ravel() for name in names])
         sizes[entries] = np.max(np.abs(unknowns[entries]), initial=0.0)
     return sizes

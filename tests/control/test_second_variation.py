@@ -84,6 +84,19 @@ def test_narrow_intervals_hide_nothing(narrow, side, index):
     assert path.morse_index == index
 
 
+@pytest.mark.parametrize("intervals", [6, 9, 12, 20])
+def test_a_breakpoint_that_may_be_anywhere_makes_no_saddle(intervals):
+    problem = double_integrator(
+        lagrangian=lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]),
+        t_span=(0.0, 2.0),
+        end=[2.0],
+        running_cost=lambda t, x, v, u: u[0] ** 2 / 2 + 1,
+        breakpoints=[0.7, 1.1],
+        duration_bounds=(0.1, 5.0),
+    )
+    assert cg.solve(problem, METHOD, intervals).morse_index == 0
+
+
 def test_bounds_that_are_met_hold_what_would_lower_the_cost():
     path = cg.solve(
         double_integrator(
