@@ -37,11 +37,16 @@ def measures(chain: Chain, limits: ProgramBounds, report: Report, before: np.nda
 def violations(
     chain: Chain, limits: ProgramBounds, unknowns: np.ndarray, report: Report, before: np.ndarray
 ) -> np.ndarray:
-    """Violation of every equation, then of every unknown's bounds, relative to what is compared; a bound to itself."""
+    """Violation of every equation, then of every unknown's bounds, relative to what is compared.
+
+    A value outside its bounds is compared with the largest of its kind: where IPOPT has no room between an equation and
+    a bound, it moves the bound by rounding, and that is all that is left of a value that should be zero.
+    """
     excess = _excess(report.equations, limits.equations_lower, limits.equations_upper)
     outside = _excess(unknowns, limits.lower, limits.upper)
+    sizes = largest_of(np.abs(unknowns), chain.unknown_kinds)[chain.unknown_kinds]
     return np.concatenate(
-        (excess / measures(chain, limits, report, before), outside / np.where(unknowns == 0, 1.0, np.abs(unknowns)))
+        (excess / measures(chain, limits, report, before), outside / np.where(sizes > NOTHING, sizes, 1.0))
     )
 
 

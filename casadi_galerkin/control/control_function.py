@@ -102,4 +102,6 @@ def _violation(graph: ControlGraph, sizes: np.ndarray) -> ca.Function:
     slope, _ = graph.whole_hessian(x, data, 1, multipliers)
     terms = 1 + ca.norm_inf(graph.gradient(x, data)[1]) + ca.norm_inf(of_bounds)
     worst = ca.fmax(ca.norm_inf(equations / sizes), ca.norm_inf(bounds / ca.fmax(1, ca.fabs(x))))
-    return ca.Function("violation", [x, data, *given], [worst, ca.norm_inf(slope + of_bounds) / terms])
+    finite = ca.norm_1(ca.vertcat(x, graph.equations, slope)) < np.inf  # a maximum may lose a NaN, a sum does not
+    outputs = [ca.if_else(finite, worst, np.inf), ca.norm_inf(slope + of_bounds) / terms]
+    return ca.Function("violation", [x, data, *given], outputs)

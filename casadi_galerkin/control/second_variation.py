@@ -1,7 +1,8 @@
 """Whether an optimum is a minimum: the second variation of the cost among the directions that keep what holds it.
 
 What holds it are the equations, and the bounds and inequalities that are met; A are their gradients.  By Sylvester's
-law ∇²f̄ + AᵀA/δ has, for small δ, as many negative eigenvalues as ∇²f̄ has among the directions z with A z = 0.
+law ∇²f̄ + AᵀA/δ has, for small δ, as many negative eigenvalues as ∇²f̄ has among the directions z with A z = 0.  In
+slopes in place of nodes, and with rows of A of length one, rounding hides the least of it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
 MET = 1e-6  # of the size of an unknown: distance from a bound up to which it is met
 FLAT = 1e-6  # part of the cost; along a singular arc it hardly changes, and less than this tells nothing
-ROUNDS = 5  # of scaling, after which the largest entries of all rows are nearly equal
 SOFTENED = 1e-7, 1e-9  # values of δ; what one of them counts alone is made by it, or by rounding
 
 
@@ -64,7 +64,9 @@ class CostVariation:
         units, flat = (ca.diag(ca.DM(a)) for a in (np.where(sizes > 0, sizes, 1.0), np.where(sizes > 0, FLAT, 0.0)))
         curved = ca.mtimes(units, ca.mtimes(hessian, units))
         relative = curved / (abs(self.cost) or float(ca.norm_inf(curved)) or 1.0) + flat
-        hessian, gradients = _scaled(relative[free, free], ca.mtimes(gradients, units)[held, free])
+        change = _slopes(chain, self.mesh)[free, free]
+        hessian = ca.mtimes(change.T, ca.mtimes(relative[free, free], change))
+        gradients = _normed(ca.mtimes(ca.mtimes(gradients, units)[held, free], change))
         matrices = [hessian + ca.mtimes(gradients.T, gradients) / softened for softened in SOFTENED]
         counts = {negative_pivots(matrix, factors_of(matrix.sparsity())) for matrix in matrices}
         return counts.pop() if len(counts) == 1 else None
@@ -74,12 +76,25 @@ class CostVariation:
 
 
 def _sizes(chain: Chain, unknowns: np.ndarray) -> np.ndarray:
-    """Largest of all positions, and of all controls; zero of what these determine."""
+    """Largest of all positions, controls, durations and parameters that are free; zero of what these determine."""
     sizes = np.zeros(chain.unknowns)
-    for names in (("x", "nodes"), ("controls",)):
+    free = [[name] for name in ("durations", "parameters") if chain.is_free(name)]
+    for names in (["x", "nodes"], ["controls"], *free):
         entries = np.concatenate([chain.fields[name].ravel() for name in names])
         sizes[entries] = np.max(np.abs(unknowns[entries]), initial=0.0)
     return sizes
+
+
+def _slopes(chain: Chain, mesh: np.ndarray) -> ca.DM:
+    """The matrix that makes the nodes of an interval of its state and of slopes from there, and keeps all else.
+
+    The equations compare the nodes of an interval that is a part ε of the whole: AᵀA would keep ε² of what they say.
+    """
+    nodes, units = chain.fields["nodes"], np.ones(chain.unknowns)
+    units[nodes] = (np.diff(mesh) / np.ptp(mesh))[:, None, None]
+    states = np.broadcast_to(chain.fields["x"][:-1, None], nodes.shape)
+    where = nodes.ravel().tolist(), states.ravel().tolist()
+    return ca.diag(ca.DM(units)) + ca.DM.triplet(*where, ca.DM.ones(nodes.size), *[chain.unknowns] * 2)
 
 
 def _met(
@@ -89,14 +104,7 @@ def _met(
     return np.asarray(np.minimum(values - low, high - values) <= np.maximum(np.abs(multipliers), MET * sizes))
 
 
-def _scaled(hessian: ca.DM, gradients: ca.DM) -> tuple[ca.DM, ca.DM]:
-    """Both in units in which every row of [[∇²f̄, Aᵀ], [A, 0]] has a largest entry near one (D. Ruiz, 2001)."""
-    n, m = hessian.size1(), gradients.size1()
-    matrix = ca.blockcat([[hessian, gradients.T], [gradients, ca.DM(m, m)]])
-    rows = np.array(matrix.sparsity().row(), dtype=int)
-    for _ in range(ROUNDS):
-        largest = np.zeros(n + m)
-        np.maximum.at(largest, rows, np.abs(matrix.nonzeros()))
-        units = ca.diag(ca.DM(1 / np.sqrt(np.where(largest > 0, largest, 1.0))))
-        matrix = ca.mtimes(units, ca.mtimes(matrix, units))
-    return matrix[:n, :n], matrix[n:, :n]
+def _normed(rows: ca.DM) -> ca.DM:
+    """Rows of length one, or zero."""
+    lengths = ca.sqrt(ca.sum2(rows**2))
+    return ca.mtimes(ca.diag(1 / ca.if_else(lengths > 0, lengths, 1.0)), rows)

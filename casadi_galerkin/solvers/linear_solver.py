@@ -210,7 +210,8 @@ class LinearSolver:
         gradient, matrix, u, terms, y = inputs.values()
         floor, scale, product = self.floor(matrix, u, terms)
         ratios = gradient / floor
-        residual = ca.norm_inf(ratios) + 0 * ca.sum1(ratios)  # sums keep a NaN
+        finite = ca.norm_1(ratios) < np.inf  # a maximum may lose a NaN, a sum does not
+        residual = ca.if_else(finite, ca.norm_inf(ratios), np.nan)
         path = scale[: self.numbering.positions, :]
         y = y / ca.norm_inf(y[: self.numbering.positions, :] / path)
         if self.numbering.free > self.numbering.positions:  # further unknowns are linear, or may be zero

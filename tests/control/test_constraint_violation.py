@@ -119,3 +119,20 @@ def test_the_change_of_the_cost_that_is_told_bounds_its_error(solver, scale):
 def test_an_optimum_is_found_in_units_near_one(length):
     here, there = (cg.solve(pushed_pendulum(a, 1.0, 1.0), cg.Galerkin(4), intervals=10) for a in (1.0, length))
     assert there.cost == pytest.approx(length**2 * here.cost, rel=1e-9)
+
+
+@pytest.mark.parametrize("intervals", [3, 6, 9, 12])
+def test_a_ball_may_bounce_off_the_floor_that_bounds_it(intervals):
+    """IPOPT leaves positions of -1e-53 there."""
+    floor = {"waypoints": [(1.0, [0.0])], "jumps": [(1.0, lambda x, v: (x, -0.8 * v))], "duration_bounds": (0.1, 5.0)}
+    ball = {
+        "lagrangian": lambda t, x, v: v[0] ** 2 / 2 - x[0],
+        "t_span": (0.0, 2.0),
+        "start": [1.0],
+        "running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + 1,
+    }
+    free, bounded = (
+        cg.solve(double_integrator(**ball, **floor, position_bounds=(low, 10.0)), cg.Galerkin(4), intervals)
+        for low in (-1.0, 0.0)
+    )
+    assert bounded.cost == pytest.approx(free.cost, rel=1e-9)

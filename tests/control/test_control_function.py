@@ -7,7 +7,7 @@ import subprocess
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import cart_pole, double_integrator, everything, minimum_time, pendulum
+from control_problems import cart_pole, double_integrator, everything, minimum_time, pendulum, staged
 
 import casadi_galerkin as cg
 
@@ -51,6 +51,15 @@ def test_what_is_no_answer_is_not_a_number(solver):
     assert all(np.isnan(np.array(far[name])).all() for name in ("x", "u", "cost", "duration"))
     for value in (np.nan, np.inf):
         assert np.isnan(float(f(**arguments(problem, path, end=[value]))["cost"]))
+
+
+def test_a_guess_that_is_not_a_number_has_no_answer():
+    way, method = staged(parameter_bounds=None), cg.Galerkin(3)
+    path = cg.solve(way, method, 6)
+    f = cg.solution_function(way, method, 6)
+    nowhere = np.full_like(path.polynomial.values, np.nan)
+    found = f(**arguments(way, path) | {"parameters": way.parameters, "guess": nowhere})
+    assert all(np.isnan(np.array(found[name])).all() for name in ("x", "u", "cost", "duration"))
 
 
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=str)

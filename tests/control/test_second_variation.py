@@ -69,6 +69,34 @@ def test_rest_is_a_saddle_from_the_eigenvalues_of_a_clamped_beam_on(below, side,
     assert path.morse_index == below + (side > 1)
 
 
+@pytest.mark.parametrize(("side", "index"), [(0.9, 0), (1.1, 1)])
+@pytest.mark.parametrize("narrow", [1e-5, 1e-7])
+def test_narrow_intervals_hide_nothing(narrow, side, index):
+    """As stand beside a switch."""
+    mesh = [0.0, 0.1, 0.2, 0.3, 0.37 - narrow, 0.37, 0.37 + narrow, 0.5, 0.75, 1.0]
+    stiffness = side * CLAMPED[0] ** 4
+    path = cg.solve(
+        double_integrator(end=[0.0], running_cost=lambda t, x, v, u: (u[0] ** 2 - stiffness * x[0] ** 2) / 2),
+        cg.Galerkin(degree=8),
+        mesh=mesh,
+        guess=lambda t: [0.0],
+    )
+    assert path.morse_index == index
+
+
+@pytest.mark.parametrize("intervals", [6, 9, 12, 20])
+def test_a_breakpoint_that_may_be_anywhere_makes_no_saddle(intervals):
+    problem = double_integrator(
+        lagrangian=lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]),
+        t_span=(0.0, 2.0),
+        end=[2.0],
+        running_cost=lambda t, x, v, u: u[0] ** 2 / 2 + 1,
+        breakpoints=[0.7, 1.1],
+        duration_bounds=(0.1, 5.0),
+    )
+    assert cg.solve(problem, METHOD, intervals).morse_index == 0
+
+
 def test_bounds_that_are_met_hold_what_would_lower_the_cost():
     path = cg.solve(
         double_integrator(

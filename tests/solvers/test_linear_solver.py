@@ -54,3 +54,14 @@ def test_a_long_chain_of_rods_needs_no_qr():
     assert path.morse_index == 0
     tuned = transcription.solve(guess=path, solver=cg.newton.with_options(linear_solver="ldl"))
     np.testing.assert_allclose(tuned.x, path.x, rtol=0, atol=1e-11)
+
+
+def test_the_residual_of_what_is_not_a_number_is_not_one():
+    problem, guess = two_rods()
+    transcription = cg.transcribe(problem, cg.Galerkin(4), 6)
+    data = transcription.data(transcription.mesh)
+    unknowns = transcription.unknowns(transcription.guess_on_mesh(guess, transcription.mesh).values.T, data)
+    *_, matrix, _ = transcription.stationarity.newton_step("ldl")(unknowns, *data)
+    unknowns[0] = np.nan
+    residual = transcription.stationarity.verification(unknowns, *data, matrix, np.ones(len(unknowns)))[2]
+    assert np.isnan(float(residual))
