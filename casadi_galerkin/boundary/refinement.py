@@ -90,9 +90,10 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     ) -> None:
         super().__init__(tol, limits, verbose)
         self.method, self.fixed = method or of_degree(degree_for(tol)), method is not None
-        self.levels, self.patience, self.nearest = levels, math.inf, math.inf
+        self.levels, self.patience = levels, math.inf
         self.built = levels.build_seconds  # before this refinement
         self.seen: dict[str, tuple[float, float, float, int]] = {}
+        self.nearest: dict[str, float] = {}  # smallest errors so far, by what they were estimated from
         self.solver, self.following = solver, following(solver)
 
     @property
@@ -173,7 +174,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
         The degree rises by at most `RISE`; an analytic path's error then falls to the power of the orders' ratio.
         Where the last mesh did not halve the error, the path is less smooth than the method's order tells, and as many
-        intervals elsewhere would not do: there are more.
+        intervals elsewhere would not do: there are more.  Only errors estimated from the same are compared.
         """
         finest, degree, method = FINEST, level.polynomial.degree, self.method
         if degree + RISE < method.degree or (degree > method.degree and not self.fixed):
@@ -182,8 +183,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         expected = estimate.detail ** (order / (degree + 1))
         fewer = FEWER if method.degree == degree else 1.0  # where the graph is built anew, it may as well be small
         breakpoints, before = self.levels.problem.breakpoints, len(level.polynomial.mesh) - 1
-        fewest = FEWEST if estimate.error < self.nearest / 2 else before + 1
-        self.nearest = min(self.nearest, estimate.error)
+        nearest = self.nearest.get(estimate.source, math.inf)
+        fewest = FEWEST if estimate.error < nearest / 2 else before + 1
+        self.nearest[estimate.source] = min(nearest, estimate.error)
         while True:
             mesh = equidistributed(level.polynomial.mesh, expected, order, self.tol, finest, fewest, fewer, breakpoints)
             self.check_mesh(mesh, level, estimate)
@@ -251,7 +253,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         guess = self.on_any_mesh(guess, mesh)
         failures: list[ConvergenceError] = []
         for strategy in first_path_strategies(self.levels, self.method, mesh, guess, self.solver):
-            self.patience, self.nearest = strategy.patience, math.inf
+            self.patience, self.nearest = strategy.patience, {}
             began, before = time.perf_counter(), self.iterations
             try:
                 with until(self.deadline):
