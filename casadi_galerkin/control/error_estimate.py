@@ -2,7 +2,9 @@
 
 The relative changes of cost and duration and the largest change of x, at the same fraction of the duration and relative
 to the size of its component, make D; with q the ratio of what the two paths leave out (`truncation`), the estimated
-error is D / (1 - q).  The error of the cost alone is far smaller, of the order of D².
+error is D / (1 - q).  The error of the cost alone is far smaller, of the order of D².  With phases of free durations
+the joints of the two paths are at different fractions, and the paths may jump there: so they are compared at the same
+parts of intervals, and what a shift in time does to x is taken off.
 
 Four errors that both degrees share are looked for.  A switch from bound to bound is due where the switching function
 ∂(ℓ + λ·(F, ρ))/∂u, with forces F and rates ρ, is zero; if the next joint lies elsewhere, there may be no quadrature
@@ -146,7 +148,9 @@ class HigherDegree:
     def change(self) -> float:
         """Relative error of cost, duration and positions, D / (1 - q)."""
         path, higher, parts = self.path, self.higher, parts_of(self.path.method.degree)
-        change = np.abs(higher.polynomial.at_parts(parts)[0] - path.polynomial.at_parts(parts)[0])
+        (before, slope), (after, _) = (p.polynomial.at_parts(parts) for p in (path, higher))
+        own, other = (times_at((p.t - p.t[0]) / np.ptp(p.t), parts).reshape(-1, len(parts)) for p in (path, higher))
+        change = np.abs(after - before - slope * np.ptp(path.t) * (other - own))
         change /= component_sizes(path.polynomial.values)[:, None, None]
         coarse, fine = (float(np.max(truncation(p.polynomial))) for p in (path, higher))
         at_points = path.problem.path_constraint is not None or len(self.found) > 0

@@ -49,6 +49,7 @@ from casadi_galerkin.calculus.mesh_adaptation import graded_alike
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.control.constraint_violation import UNITS, UNSEEN
 from casadi_galerkin.control.error_estimate import HigherDegree
+from casadi_galerkin.control.phases import with_joined_phases, with_parted_phases
 from casadi_galerkin.control.several_starts import different, optima_of
 from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
 from casadi_galerkin.functional.mapping import one_by_one
@@ -110,7 +111,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         verbose: int,
     ) -> None:
         super().__init__(tol, limits, verbose)
-        self.problem, self.of_cost, self.solver = problem, of_cost, solver
+        self.stated, self.problem = problem, with_joined_phases(problem)
+        self.of_cost, self.solver = of_cost, solver
         self.following = solver.with_options(**{"mu_init": FOLLOWING_BARRIER, **solver.options})
         self.method = Galerkin(degree_for(tol)) if method is None else method
         self.build_seconds = 0.0
@@ -124,7 +126,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
     def path(self, level: ControlTrajectory, error: float) -> ControlTrajectory:
         """The optimum of a level, which solves its own mesh."""
-        return replace(level, cost_error=error) if self.of_cost else replace(level, error_estimate=error)
+        path = with_parted_phases(level, self.stated)
+        return replace(path, cost_error=error) if self.of_cost else replace(path, error_estimate=error)
 
     def scaled(self, mesh: np.ndarray, path: ControlTrajectory) -> np.ndarray:
         """Joints in the times of a path, breakpoints among them, scaled to the phases of the problem."""
@@ -216,6 +219,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         ConvergenceError
             where the solver finds no path on the first mesh, nor on the same mesh twice and four times as fine
         """
+        if isinstance(guess, ControlTrajectory):
+            guess = replace(guess, problem=with_joined_phases(guess.problem))
         with until(self.began + FOR_STARTS * self.limits.seconds):
             optima, told = optima_of(starts, self.problem, guess, partial(self.solve_finer, mesh))
         found, failures, change = list[ControlTrajectory](), list[ConvergenceError](), 0.0
@@ -246,6 +251,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         self.known, self.cost_known, self.jump = None, np.inf, None
         path, _ = self.refine(level)
         assert self.known is not None, "a path is accepted for what is known of it"
+        path = with_parted_phases(path, self.stated)
         return replace(path, error_estimate=self.known.error, cost_error=self.known.cost_error)
 
 
