@@ -307,8 +307,8 @@ def solution_function(
     duration, cost)
 
     start_velocity, end_velocity : as start and end
-    controls : (n, N r), a guess such as ``path.control.values``
     u : (n, N r), the controls at the quadrature points; (n, N) where they are held
+    controls : as u, a guess such as ``path.control.values``
     duration, cost : scalars
 
     It has no derivatives; with fatrop, C code can be generated from it.

@@ -103,6 +103,11 @@ class Trajectory(Path):
         by, relative to the energy's terms, the change of the action by a finer rule, and what jumps of the force may
         change: these show a kink or a singularity, which both degrees may miss.  It is infinite where the higher degree
         has no answer.
+
+        Raises
+        ------
+        TypeError
+            for a ControlTrajectory that was not solved to a tolerance, which alone tells its error
         """
         if self.error_estimate is None:
             object.__setattr__(self, "error_estimate", self.find_error(self))
