@@ -140,9 +140,11 @@ class ControlTranscription:
         check_solver(solver)
         check_verbose(verbose)
         calculus = self.calculus if mesh is None else remeshed(self.calculus, mesh, self.problem.breakpoints)
-        if not np.array_equal(np.searchsorted(calculus.mesh, self.problem.breakpoints), self.chain.breaks):
+        breaks = np.searchsorted(calculus.mesh, self.problem.breakpoints)
+        if not np.array_equal(breaks, self.chain.breaks):
             raise ValueError(
-                f"the breakpoints {self.problem.breakpoints} must be the joints {self.chain.breaks} of the mesh"
+                f"the breakpoints {self.problem.breakpoints} must keep their places among the joints: "
+                f"t[i] with i in {self.chain.breaks.tolist()}, got {breaks.tolist()}"
             )
         _check_steps(calculus.mesh)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
