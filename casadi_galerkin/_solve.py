@@ -106,7 +106,8 @@ def solve(
     starts : how often to solve a ControlProblem, from `guess` first and then from random paths, always the same ones;
         the cheapest optimum is returned, and its `solver` says how many were met.  With a tolerance all are solved
         on the first mesh, and those refined that may be the best.  (`paths` finds several paths of a BoundaryProblem.)
-    verbose : 1 prints a summary and, with a tolerance, a line per level; 2 also the solver's lines
+    verbose : 1 prints a summary, of several starts one each, and, with a tolerance, a line per level; 2 also the
+        solver's lines, unless a BoundaryProblem is solved to a tolerance
 
     Returns
     -------
@@ -306,8 +307,8 @@ def solution_function(
     duration, cost)
 
     start_velocity, end_velocity : as start and end
-    controls : (n, N r), a guess such as ``path.control.values``
     u : (n, N r), the controls at the quadrature points; (n, N) where they are held
+    controls : as u, a guess such as ``path.control.values``
     duration, cost : scalars
 
     It has no derivatives; with fatrop, C code can be generated from it.

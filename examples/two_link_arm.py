@@ -2,7 +2,7 @@
 
 x holds both angles from below, absolute; u the torques in shoulder and elbow.  The elbow's torque turns the forearm
 and turns the upper arm back, so the generalized forces are (u_0 - u_1, u_1).  It swings up with torques below their
-bounds; their work is what both rods gain in height.  From the straight line IPOPT takes 31 iterations, and 23 with
+bounds; their work is what both rods gain in height.  From the straight line IPOPT takes 25 iterations, and 21 with
 a barrier that adapts to its progress and a tolerance of 1e-9.
 """
 

@@ -36,10 +36,18 @@ def code_blocks(document):
         yield "\n" * text.count("\n", 0, match.start(1)) + match[1]
 
 
+def comments(code):
+    """Those behind what is printed."""
+    return re.findall(r"^ *print\(.*#(.*)$", code, re.MULTILINE)
+
+
 def stated_numbers(code):
     """Numbers in the comments behind what is printed; those after a bracket are arguments, such as 0.5 in x(0.5)."""
-    comments = re.findall(r"^ *print\(.*#(.*)$", code, re.MULTILINE)
-    return [text for comment in comments for text in re.findall(r"(?<!\()" + NUMBER, comment)]
+    return [text for comment in comments(code) for text in re.findall(r"(?<!\()" + NUMBER, comment)]
+
+
+def truths(text):
+    return re.findall(r"\b(?:True|False)\b", text)
 
 
 def run(code, document, shared):
@@ -53,7 +61,9 @@ def test_code_runs_in_order_and_prints_the_numbers_beside_it(document, monkeypat
     shared = {"__name__": "__main__"}  # as in a script; a block may use the names of the ones before it
     for code in code_blocks(document):
         run(code, document, shared)
-        printed = [float(text) for text in re.findall(NUMBER, capsys.readouterr().out)]
+        output, stated = capsys.readouterr().out, truths("\n".join(comments(code)))
+        assert not stated or stated == truths(output)
+        printed = [float(text) for text in re.findall(NUMBER, output)]
         for text in stated_numbers(code):
             digits = len(re.sub(r"e.*|\D", "", text).lstrip("0")) or 1
             assert float(text) in [float(f"{value:.{digits}g}") for value in printed], text

@@ -62,11 +62,11 @@ NOISE = 10.0  # an error that is not so many times what rounding does no longer 
 LEAST, MOST = 0.1, 1e6  # parts that an interval is split into for the energy it misses; a mesh splits by less at once
 SHORTEST = 1e-13  # interval over the duration at which a refinement stops: a double has three digits more
 SHARP = 1e-6  # interval over the duration from which a refused mesh is said to crowd at a place
-BLUNT = 1e5 * EPS  # the same over the distance to the ends, at which a layer may be: inside, times are too blunt
-BESIDE = 1e-2  # the same between a breakpoint and a place where the error stays that it may be the cause of
+BLUNT = 1e5 * EPS  # interval over the distance to the nearer end at which it stops, too: times inside are so rounded
+BESIDE = 1e-2  # distance over the duration within which a breakpoint may be why an error stays
 CROWD, SHORT = 20, 1e-3  # intervals, in this part of the duration, among which rounding hides a kink
-WANDERING = 12  # the same of Legendre coefficients, while intervals are moved to where they are large
 STUBBORN = 3  # meshes on which what a witness misses may stay until it is said to do so on any
+WANDERING = 12  # the same for Legendre coefficients, while intervals are moved to where these are large
 UNSMOOTH = (
     "Either L is not smooth there: name that time in the breakpoints of the problem. Or the path passes through a "
     "singularity: give a guess that leads around it"

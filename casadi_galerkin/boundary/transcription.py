@@ -80,10 +80,12 @@ class Transcription(BoundaryGraph):
 
     @property
     def action(self) -> ca.Function:
-        """S, with the end action and the work of given momenta, of (unknowns, start, end, mesh[, parameters]).
+        """S, with the end action and the work of given momenta, of (unknowns, start, end, mesh[, parameters][, given]).
 
-        Of `start` and `end` the fixed components.  Multipliers times what they hold to zero, such as end conditions and
-        constraints, are left out, and so is a given energy times the duration.
+        Of `start` and `end` the fixed components; `given` are the velocities, the momenta and the energy that the
+        problem states, in this order, and before the energy the plane that fixes a free phase.  Multipliers times what
+        they hold to zero, such as end conditions and constraints, are left out, and so is a given energy times the
+        duration.
         """
         return self.functional.function("action")
 

@@ -16,7 +16,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import component_sizes
 
-FINEST = 32.0  # an interval is split into at most this many at once
+FINEST = 32.0  # an interval is split into at most this many at once, unless one beside it becomes far finer
 COARSEST = 4.0  # and at most this many are merged
 NEIGHBORS = 8.0  # largest ratio of densities of neighboring intervals of a new mesh
 FEWEST = 4  # intervals of a new mesh
@@ -107,7 +107,7 @@ def equidistributed(
     error : (N,), errors of the present intervals, which fall with the step to the power `order`
     order : int
     tol : tolerance
-    finest : largest number of intervals that one is split into
+    finest : largest number of intervals that one is split into for its own error
     fewest : least number of intervals of the new mesh
     fewer : factor of too many intervals from which their number is lowered
     breakpoints : increasing times inside that are joints

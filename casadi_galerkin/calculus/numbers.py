@@ -164,7 +164,7 @@ def times_inside(name: str, values: Sequence[float], span: tuple[float, float]) 
     times = numbers(name, values) if real_array(name, values, free=True).size else ()
     for early, late in zip((span[0], *times), (*times, span[1]), strict=True) if times else ():
         if late - early <= APART * max(abs(early), abs(late)):
-            raise ValueError(f"{name} must increase inside of {span}, got {times}: by more than roundoff")
+            raise ValueError(f"{name} must increase inside of {span} by more than roundoff, got {times}")
     return times
 
 

@@ -11,8 +11,8 @@ Four errors that both degrees share are looked for.  A switch from bound to boun
 point between the two that shows it.  Bounds of positions hold at nodes only: a path that passes one by ε between them
 is moved by about √ε.  Those of controls and path constraints hold at quadrature points only: see `unmet`.  And where
 nothing depends on time the Hamiltonian is constant: what it varies by, times time over cost, was measured to be of the
-order of D where both degrees put a switch at the wrong place.  To the error of the cost all four add their squares.
-Jumps in time are of first order in both errors, see `time_witness`, and the solver adds what it leaves of the cost.
+order of D where both degrees put a switch at the wrong place.  The error of the cost is at least the square of each.
+Both errors are at least what jumps in time change (`time_witness`), and what the solver leaves of the cost.
 
 The new mesh spreads what the finer path has beyond degree m evenly.  Where a higher degree does not help the path has
 a kink, and intervals are split as for order 2.  Where a control switches inside an interval its impulse ∫ u dt tells

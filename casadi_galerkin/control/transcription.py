@@ -109,11 +109,11 @@ class ControlTranscription:
         ----------
         start, end, start_velocity, end_velocity : d numbers each, with None exactly where the problem has None
         parameters : as many numbers as the problem has; where they are free, the guess
-        guess : nothing (the straight line between the ends, controls of zero), anything `Transcription.solve` takes
-            for the path, a tuple of that and a guess of the controls, or an earlier ControlTrajectory, whose controls,
-            duration and parameters are then used too; where it has the same method and intervals, the solver starts
-            warm, from its multipliers.  A guess of the controls is a callable t -> (n,), or an array (n, N r) of values
-            at the quadrature points
+        guess : nothing (the straight line between the ends, and controls of zero, or in the middle of bounds that
+            exclude it), anything `Transcription.solve` takes for the path, a tuple of that and a guess of the controls,
+            or an earlier ControlTrajectory, whose controls, duration and parameters are then used too; where it has the
+            same method and intervals, the solver starts warm, from its multipliers.  A guess of the controls is a
+            callable t -> (n,), or an array (n, N r) of values at the quadrature points, of held controls (n, N)
         mesh : (N + 1,) joints; where the duration is free their span is its guess
         solver : ipopt or fatrop, with or without options
         verbose : 1 prints a summary, 2 also the solver's own output
@@ -140,9 +140,11 @@ class ControlTranscription:
         check_solver(solver)
         check_verbose(verbose)
         calculus = self.calculus if mesh is None else remeshed(self.calculus, mesh, self.problem.breakpoints)
-        if not np.array_equal(np.searchsorted(calculus.mesh, self.problem.breakpoints), self.chain.breaks):
+        breaks = np.searchsorted(calculus.mesh, self.problem.breakpoints)
+        if not np.array_equal(breaks, self.chain.breaks):
             raise ValueError(
-                f"the breakpoints {self.problem.breakpoints} must be the joints {self.chain.breaks} of the mesh"
+                f"the breakpoints {self.problem.breakpoints} must keep their places among the joints: "
+                f"t[i] with i in {self.chain.breaks.tolist()}, got {breaks.tolist()}"
             )
         _check_steps(calculus.mesh)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}

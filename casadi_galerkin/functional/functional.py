@@ -52,8 +52,8 @@ MANY = 1000  # points from which rows pay within one solve: they take some 25 us
 class Functional:
     """The discrete functional of a Lagrangian: its expressions, and the Functions made of them.
 
-    Every Function takes (unknowns, start, end, mesh[, parameters]), some of them one input more; `start` and `end` hold
-    the fixed components only.  A Function is built when it is first asked for, and kept.
+    Every Function takes (unknowns, start, end, mesh[, parameters][, given]), some of them one input more; `start` and
+    `end` hold the fixed components only.  A Function is built when it is first asked for, and kept.
 
     Parameters
     ----------

@@ -103,6 +103,11 @@ class Trajectory(Path):
         by, relative to the energy's terms, the change of the action by a finer rule, and what jumps of the force may
         change: these show a kink or a singularity, which both degrees may miss.  It is infinite where the higher degree
         has no answer.
+
+        Raises
+        ------
+        TypeError
+            for a ControlTrajectory that was not solved to a tolerance, which alone tells its error
         """
         if self.error_estimate is None:
             object.__setattr__(self, "error_estimate", self.find_error(self))
@@ -123,9 +128,9 @@ class Trajectory(Path):
         """Number of negative eigenvalues of the action's Hessian, 0 for a local minimum; found when first asked for.
 
         It is None for a path that was found step by step; under a force, and where the momentum of a given velocity
-        depends on more than that, because the path is then a critical point of no action; and where ∂²L/∂v² is not
-        positive at every joint, because no finer mesh then has a finite index.  Of an optimization it is that of the
-        cost; see `ControlTrajectory`.
+        depends on more than that, because the path is then a critical point of no action; and where ∂²L/∂v² has a
+        negative eigenvalue at a joint, because the index then grows without bound as the mesh is refined.  Of an
+        optimization it is that of the cost; see `ControlTrajectory`.
         """
         return None if self.second_variation is None else self.second_variation.negative()
 

@@ -115,7 +115,7 @@ def _jumps_of_force(problem: Problem, path: PiecewisePolynomial, momentum: np.nd
 
 @lru_cache(64)
 def _rules(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Parts of an interval, its ends before the points of both rules; weights of the finer rule and of the path's."""
+    """Parts of an interval, its ends before the points of Gauss's rules with m + 1 and m; weights of both rules."""
     finer, own = gauss(degree + 1), gauss(degree)
     return np.array([0.0, 1.0, *finer.points, *own.points]), np.array(finer.weights), np.array(own.weights)
 

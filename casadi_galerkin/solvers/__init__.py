@@ -3,5 +3,5 @@
 `stationarity` makes of the one graph the three Functions that Newton's method needs, with `linear_solver`.  `newton`,
 `rootfinder` and `ipopt` find a point, `second_variation` tells conjugate points and the Morse index, `solver` gives the
 solvers their names, those of control problems included, and `deadline` stops a solve in time.
-This folder imports `calculus` and `functional`.
+This folder imports `calculus`, `problems` and `functional`.
 """

@@ -62,7 +62,8 @@ class Solver:
         ----------
         stationarity : Stationarity
         guess : first iterate ξ
-        data : values of the other inputs of the graph: start, end, mesh and, if there are some, parameters
+        data : values of the other inputs of the graph: start, end, mesh and, if there are some, parameters and given
+            values
         verbose : 2 prints a line per iteration
 
         Raises

@@ -6,7 +6,7 @@
 
 They are Functions of the functional's one graph.  The `Stationarity` holds them; nobody writes to it, so it may be
 shared.  The arrays that a solve writes belong to a `Linearization`, which one solve has for itself: what the first
-Function writes is where the others read, ∇²S is evaluated once per iteration, and it is never copied.
+Function writes is where the others read, and ∇²S is never copied.
 """
 
 from __future__ import annotations

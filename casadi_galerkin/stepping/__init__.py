@@ -1,7 +1,7 @@
 """The same equations one interval after the other.
 
 A `stepper` rolls the map (x, p) -> (x, p) of one interval forward: the discrete Euler-Lagrange equations (paper, eqs.
-euler1 and euler2), solved joint by joint.  `initial_value` solves initial problems with it, `shooting` boundary
-problems, and `geometry` measures what a path conserves.  This folder imports all that stand before `boundary`, but
-neither `boundary` nor `control`.
+euler1 and euler2), solved joint by joint.  `initial_value` solves initial problems with it, and `shooting` boundary
+problems: a `shot` is the path from one start, and `end_equations` say what it has to meet.  `geometry` measures what a
+path conserves.  This folder imports all that stand before `boundary`, but neither `boundary` nor `control`.
 """

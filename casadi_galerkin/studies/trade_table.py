@@ -122,7 +122,8 @@ class Trade(Table, Pictured):
     ----------
     rows : one for each way, in the order in which they were asked for
     reference : what the errors are differences to
-    reference_error : its own estimated relative error; 0 where it was given
+    reference_error : its own estimated relative error; of a reference that was given, its `error_estimate`, or 0 if it
+        has none
     quantity : name of what `Row.error` is the error of; None where it is the path
 
     Examples

@@ -22,7 +22,6 @@ from scipy.linalg import lapack
 import casadi_galerkin as cg
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.embedding import embedding
-from casadi_galerkin.functional.numbering import clock
 
 SIZES, DEGREES, LARGEST = (100, 1000, 10_000), (4, 8, 12), 200_000  # unknowns, beyond which memory is measured
 TURNS, SECONDS = 5, 0.3  # in which all are timed one after the other, and what one takes at least in all of them
@@ -104,9 +103,11 @@ def compiled(f, count):
 
 def points(transcription, unknowns, data):
     """A callable: both derivatives at all points, compiled in C."""
-    functional = transcription.functional
+    functional, mesh = transcription.functional, data[2]
+    parts, steps = functional.numbering.method.element.points, np.diff(mesh)
     at = (
-        *clock(functional.numbering, data[2]),
+        (mesh[:-1] + np.multiply.outer(parts, steps)).ravel(),
+        np.tile(steps, len(parts)),
         *embedding(functional.numbering)(np.concatenate((unknowns, *data[:2]))),
     )
     loop = Evaluator(compiled(functional.pointwise.derivatives, functional.numbering.points))

@@ -25,7 +25,7 @@ BADLY_STATED = {
     "a jump at the end": (
         {"jumps": [(1.0, keep)]},
         ValueError,
-        r"breakpoints, waypoints and jumps must increase inside of \(0.0, 1.0\), got \(1.0,\)",
+        r"breakpoints, waypoints and jumps must increase inside of \(0.0, 1.0\) by more than roundoff, got \(1.0,\)",
     ),
     "a law as numbers": (
         {"jumps": [(0.5, ([1.0], [2.0]))]},
