@@ -122,6 +122,7 @@ def equidistributed(
         density[i] = max(density[i], density[i - 1] / NEIGHBORS)
     for i in range(len(density) - 2, -1, -1):
         density[i] = max(density[i], density[i + 1] / NEIGHBORS)
+    density = np.minimum(density, finest / np.diff(mesh))
     cumulated = np.concatenate(([0.0], np.cumsum(density * np.diff(mesh))))
     fixed = np.array([mesh[0], *breakpoints, mesh[-1]])
     edges = np.interp(fixed, mesh, cumulated)

@@ -46,6 +46,7 @@ NARROW = 0.25  # of its neighbor is an interval beside a jump
 CLOSE = 1 / 3  # of an interval: a joint so near to a jump gives way to it
 AGREED = 1e-3  # of what the switching function says: nearer to its joint an impulse says nothing
 MARGIN = 3.0  # times what is not known of a switch: joints beside it
+AROUND = 0.05  # of sqrt(tol), over the duration: a switch between two joints moves x by the square of their distance
 DISTINCT = 1e-8  # of the duration: nearer switches are one, such as those of two controls at a breakpoint
 ROUNDOFF = 1e-15  # of positions relative to their size
 ROUNDED = 1e-13  # part of momenta that rounding leaves
@@ -255,7 +256,7 @@ def with_jumps(mesh: np.ndarray, found: list[Switch], tol: float) -> np.ndarray:
         near = min((k, k + 1), key=lambda j: abs(mesh[j] - when))
         if 0 < near < len(mesh) - 1 and abs(mesh[near] - when) < CLOSE * (mesh[k + 1] - mesh[k]):
             mesh = np.delete(mesh, near)
-        jumps[when] = max(tol * np.ptp(mesh), MARGIN * max(late))
+        jumps[when] = max(AROUND * np.sqrt(tol) * np.ptp(mesh), MARGIN * max(late))
     everything = np.unique(np.concatenate((mesh, list(jumps))))
     for when, distance in jumps.items():
         if distance < NARROW * np.min(np.abs(everything - when)[everything != when]):
