@@ -19,7 +19,7 @@ from casadi_galerkin.boundary.arc_length import MANY, Curve
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import numbers, place
+from casadi_galerkin.calculus.numbers import finite, numbers, place
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.statement import refuse_free_phase
@@ -102,16 +102,20 @@ class Branch:
 
         Parameters
         ----------
-        height : Trajectory -> number to draw, such as ``lambda path: path(0.5)[0]``
+        height : Path -> number to draw, such as ``lambda path: path(0.5)[0]``; at a fold, the path is no Trajectory
         axes : Matplotlib axes to draw into, labeled by their owner; default a new figure, labeled by the parameter
         parameter : which, from 0 to n - 1
         """
         place("parameter", parameter, self.parameters.shape[1])
-        heights = np.array([height(path) for path in self.trajectories])
+
+        def checked(path: Path) -> float:
+            return finite("what height returns", height(path))
+
+        heights = np.array([checked(path) for path in self.trajectories])
         indices = [path.morse_index for path in self.trajectories]
         values = self.parameters[:, parameter]
         parts = {f"Morse index {i}": np.array([i == found for found in indices]) for i in dict.fromkeys(indices)}
-        folds = np.array([(fold.parameters[parameter], height(fold.path)) for fold in self.folds]).reshape(-1, 2)
+        folds = np.array([(fold.parameters[parameter], checked(fold.path)) for fold in self.folds]).reshape(-1, 2)
         drawn = plot_branch(values, heights, parts, folds, axes)
         if axes is None:
             drawn.set(xlabel=f"p[{parameter}]", ylabel="height")

@@ -266,3 +266,9 @@ def test_a_branch_whose_paths_grow_without_bound_is_left_with_its_last_path():
     with pytest.raises(cg.ConvergenceError, match="grow without bound") as raised:
         cg.continuation(bratu_problem(0.0), [4.0], intervals=10)
     assert raised.value.path.x.max() > 100
+
+
+@pytest.mark.parametrize("height", [lambda path: path(0.5), lambda path: path(0.5)[0] / 0.0, lambda path: None])
+def test_a_height_that_is_no_number_is_refused(round_the_fold, height):
+    with np.errstate(divide="ignore"), pytest.raises(ValueError, match="what height returns must be a finite number"):
+        round_the_fold.plot(height)
