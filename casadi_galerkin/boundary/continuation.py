@@ -39,8 +39,9 @@ if TYPE_CHECKING:
 FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.1, 1e-9  # of the arc length, in which the path counts by its size
 LONGER, SHORTER = 1.5, 0.5  # factors on the step after a correction, and after one that failed
 CLOSE = 1e-8  # last Newton step after which the next one is at roundoff
-LEVEL = 1e-9  # |ṡ| at a fold over its change from the point before to that after; s is then exact to its square
+LEVEL = 1e-8  # |ṡ| at a fold over its change from the point before to that after; s is then exact to its square
 LEAST = 1e-7  # size of a component over the path's change up to the target at its first rate: it may begin at zero
+FEW = 20  # iterations to a fold, which rounding may keep from its level
 POINTS = 1000  # of a branch
 
 
@@ -314,23 +315,19 @@ class Walk(Curve[Solution]):
         )
 
     def fold(self, before: Point, after: Point, count: int) -> Fold:
-        """Find the zero of ṡ between two points, by the secant and bisection on the arc length from the first."""
+        """Find the zero of ṡ between two points, by the secant and bisection on the chord between them."""
         tangent = self.unit(before.tangent)
-        low, high = 0.0, float((after.z - before.z) * tangent @ self.weights)
-        rates = [tangent[-1], after.tangent[-1]]
+        ends, rates = [before.z, after.z], [tangent[-1], after.tangent[-1]]
         z, rate, level = before.z, tangent[-1], LEVEL * abs(rates[0] - rates[1])
-        for iteration in range(60):
+        for iteration in range(FEW):
             if abs(rate) < level:
                 break
             share = 0.5 if iteration % 3 == 2 else rates[0] / (rates[0] - rates[1])
-            middle = low + share * (high - low)
-            answer = self.corrected(before.z + middle * tangent, tangent, LONGEST_STEP)
-            if answer is None:
+            answer = self.corrected(ends[0] + share * (ends[1] - ends[0]), tangent, LONGEST_STEP)
+            if answer is None:  # it is too near to where another branch crosses
                 break
             z = answer[0]
             rate = self.tangent(z, tangent)[-1]
-            if rate * rates[0] > 0:
-                low, rates[0] = middle, rate
-            else:
-                high, rates[1] = middle, rate
+            side = int(rate * rates[0] <= 0)
+            ends[side], rates[side] = z, rate
         return Fold(self.parameters(z), Path(self.path(z)), count)

@@ -272,3 +272,24 @@ def test_a_branch_whose_paths_grow_without_bound_is_left_with_its_last_path():
 def test_a_height_that_is_no_number_is_refused(round_the_fold, height):
     with np.errstate(divide="ignore"), pytest.raises(ValueError, match="what height returns must be a finite number"):
         round_the_fold.plot(height)
+
+
+def test_a_branch_that_meets_its_mirror_image_turns_where_another_one_crosses():
+    """Half a period later a path is its mirror image; both meet where the Morse index of the symmetric path changes."""
+    duffing = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - x[0] ** 4 / 4 + x[0] ** 2 / 2 + p[0] * x[0] * ca.cos(t),
+        (0, 2 * np.pi),
+        [None],
+        [None],
+        parameters=[0.3],
+        periodic=True,
+    )
+    path = cg.paths(duffing, cg.Galerkin(8), 20, 6)[1]
+    branch = cg.continuation(duffing, [2.0], cg.Galerkin(8), 20, guess=path)
+    (fold,) = branch.folds
+    half = np.roll(path.x[:, :-1], 10, axis=1)
+    np.testing.assert_allclose(branch.trajectories[-1].x[:, :-1], -half, rtol=0, atol=1e-9)
+    for share, index in ((-1e-6, 0), (1e-6, 1)):
+        beside = duffing.varied({"parameters": [fold.parameters[0] * (1 + share)]}, duffing.t_span)
+        symmetric = cg.solve(beside, cg.Galerkin(8), 20, guess=lambda t: [-0.8 * np.cos(t)])
+        assert symmetric.morse_index == index
