@@ -40,11 +40,13 @@ class Curve(ABC, Generic[Accepted]):
 
     def length(self, step: np.ndarray) -> float:
         """Arc length of a step."""
-        return float(np.sqrt(step**2 @ self.weights))
+        with np.errstate(over="ignore"):
+            return float(np.sqrt(step**2 @ self.weights))
 
     def unit(self, direction: np.ndarray) -> np.ndarray:
         """A direction of length one."""
-        return np.asarray(direction / self.length(direction))
+        with np.errstate(invalid="ignore"):
+            return np.asarray(direction / self.length(direction))
 
     def tangent(self, z: np.ndarray, forward: np.ndarray) -> np.ndarray:
         """Unit tangent at a point of the curve, on the side of `forward`."""

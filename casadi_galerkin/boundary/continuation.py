@@ -8,17 +8,18 @@ sign; the branch then leads back, with another Morse index.  The fold is found a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.arc_length import Curve
+from casadi_galerkin.boundary.arc_length import MANY, Curve
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import numbers, place
+from casadi_galerkin.calculus.numbers import finite, numbers, place
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.statement import refuse_free_phase
@@ -30,7 +31,7 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import plot_branch
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.solvers.newton import Solution, verified
+from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton, verified
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +39,9 @@ if TYPE_CHECKING:
 FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.1, 1e-9  # of the arc length, in which the path counts by its size
 LONGER, SHORTER = 1.5, 0.5  # factors on the step after a correction, and after one that failed
 CLOSE = 1e-8  # last Newton step after which the next one is at roundoff
-LEVEL = 1e-9  # |ṡ| at a fold; s itself is then exact to its square
+LEVEL = 1e-8  # |ṡ| at a fold over its change from the point before to that after; s is then exact to its square
+LEAST = 1e-7  # size of a component over the path's change up to the target at its first rate: it may begin at zero
+FEW = 20  # iterations to a fold, which rounding may keep from its level
 POINTS = 1000  # of a branch
 
 
@@ -100,16 +103,20 @@ class Branch:
 
         Parameters
         ----------
-        height : Trajectory -> number to draw, such as ``lambda path: path(0.5)[0]``
+        height : Path -> number to draw, such as ``lambda path: path(0.5)[0]``; at a fold, the path is no Trajectory
         axes : Matplotlib axes to draw into, labeled by their owner; default a new figure, labeled by the parameter
         parameter : which, from 0 to n - 1
         """
         place("parameter", parameter, self.parameters.shape[1])
-        heights = np.array([height(path) for path in self.trajectories])
+
+        def checked(path: Path) -> float:
+            return finite("what height returns", height(path))
+
+        heights = np.array([checked(path) for path in self.trajectories])
         indices = [path.morse_index for path in self.trajectories]
         values = self.parameters[:, parameter]
         parts = {f"Morse index {i}": np.array([i == found for found in indices]) for i in dict.fromkeys(indices)}
-        folds = np.array([(fold.parameters[parameter], height(fold.path)) for fold in self.folds]).reshape(-1, 2)
+        folds = np.array([(fold.parameters[parameter], checked(fold.path)) for fold in self.folds]).reshape(-1, 2)
         drawn = plot_branch(values, heights, parts, folds, axes)
         if axes is None:
             drawn.set(xlabel=f"p[{parameter}]", ylabel="height")
@@ -189,14 +196,15 @@ class Walk(Curve[Solution]):
 
     def __init__(self, transcription: Transcription, target: np.ndarray) -> None:
         self.transcription, self.stationarity = transcription, transcription.stationarity
-        self.first = np.array(transcription.problem.parameters)
+        self.first, self.target = np.array(transcription.problem.parameters), target
         self.direction = target - self.first
         self.weights = np.ones(transcription.numbering.free + 1)
-        self._largest = np.zeros(transcription.numbering.free)
+        self._farthest = np.zeros(transcription.numbering.free)  # nodes of a path as far out as any on the branch
 
     def parameters(self, z: np.ndarray) -> np.ndarray:
-        """Parameters at a point z."""
-        return np.asarray(self.first + z[-1] * self.direction)
+        """Parameters at a point z, exact at both ends."""
+        near_first, near_target = self.first + z[-1] * self.direction, self.target - (1 - z[-1]) * self.direction
+        return np.asarray(near_first if z[-1] < 0.5 else near_target)
 
     def problem(self, z: np.ndarray) -> BoundaryProblem:
         """The problem at a point z."""
@@ -221,12 +229,19 @@ class Walk(Curve[Solution]):
         unknowns, data = z[:-1], self.data(z)
         with self.stationarity.linearization() as at:
             at.newton_step(unknowns, data)
-            return verified(at, unknowns, data, iteration, "continuation")
+            solution = verified(at, unknowns, data, iteration, "continuation")
+        if solution is None and iteration == MANY:  # a component may be zero up to rounding: the solver makes it zero
+            with suppress(SolveFailure):
+                solution = damped_newton(self.stationarity, unknowns, data)
+                moved = np.append(solution.unknowns - unknowns, 0.0)
+                return solution if self.length(moved) < CLOSE else None
+        return solution
 
     def weigh(self, z: np.ndarray) -> None:
-        """Measure the path by the largest sizes that it has had on the branch, up to this point."""
-        self._largest = np.maximum(self._largest, self.stationarity.sizes(z[:-1], self.data(z)))
-        self.weights[:-1] = 1 / (len(self._largest) * self._largest**2)
+        """Measure the path by the largest sizes that it has had on the branch, up to this point, and by `LEAST`."""
+        self._farthest = np.maximum(self._farthest, np.abs(z[:-1]))
+        sizes = self.stationarity.sizes(self._farthest, self.data(z))
+        self.weights[:-1] = 1 / (len(sizes) * sizes**2)
 
     def path(self, z: np.ndarray) -> PiecewisePolynomial:
         """The path that a point stands for."""
@@ -236,6 +251,8 @@ class Walk(Curve[Solution]):
         """Walk until the target, or the start, is met."""
         start = self.transcription.critical_point(guess=guess)
         z = np.append(start.solution.unknowns, 0.0)
+        follow = self.directions(z)[1][: self.transcription.numbering.positions]
+        self._farthest[: len(follow)] = LEAST * np.max(np.abs(follow), initial=0.0)
         self.weigh(z)
         forward = np.append(np.zeros(len(z) - 1), 1.0)
         points = [Point(z, self.tangent(z, forward), self.transcription.trajectory(start, 0.0))]
@@ -281,38 +298,36 @@ class Walk(Curve[Solution]):
             answer = self.corrected(predicted, normal, LONGEST_STEP)
             try:
                 if answer is not None:
-                    z, solution = answer
+                    z, solution = np.append(answer[1].unknowns, answer[0][-1]), answer[1]
                     found = CriticalPoint(solution, self.problem(z), self.data(z), self.path(z))
                     trajectory = self.transcription.trajectory(found, 0.0)
-                    longer = min(LONGER * step, LONGEST_STEP)
-                    return Point(z, self.tangent(z, tangent), trajectory), longer
+                    following = self.tangent(z, tangent)
+                    if self.length(following) > 0:  # of a path that grows without bound it is not a number
+                        return Point(z, following, trajectory), min(LONGER * step, LONGEST_STEP)
             except ConjugatePointError:
                 pass  # it landed on a fold
             step *= SHORTER
         raise ConvergenceError(
             f"the branch cannot be followed beyond the parameters {self.parameters(point.z)}: no step is short enough. "
-            "Another branch may cross it there. Its last path is attached to this error as `path`",
+            "Another branch may cross it there, or its paths grow without bound. "
+            "Its last path is attached to this error as `path`",
             point.trajectory,
         )
 
     def fold(self, before: Point, after: Point, count: int) -> Fold:
-        """Find the zero of ṡ between two points, by the secant and bisection on the arc length from the first."""
+        """Find the zero of ṡ between two points, by the secant and bisection on the chord between them."""
         tangent = self.unit(before.tangent)
-        low, high = 0.0, float((after.z - before.z) * tangent @ self.weights)
-        rates = [tangent[-1], after.tangent[-1]]
-        z, rate = before.z, tangent[-1]
-        for iteration in range(60):
-            if abs(rate) < LEVEL:
+        ends, rates = [before.z, after.z], [tangent[-1], after.tangent[-1]]
+        z, rate, level = before.z, tangent[-1], LEVEL * abs(rates[0] - rates[1])
+        for iteration in range(FEW):
+            if abs(rate) < level:
                 break
             share = 0.5 if iteration % 3 == 2 else rates[0] / (rates[0] - rates[1])
-            middle = low + share * (high - low)
-            answer = self.corrected(before.z + middle * tangent, tangent, LONGEST_STEP)
-            if answer is None:
+            answer = self.corrected(ends[0] + share * (ends[1] - ends[0]), tangent, LONGEST_STEP)
+            if answer is None:  # it is too near to where another branch crosses
                 break
             z = answer[0]
             rate = self.tangent(z, tangent)[-1]
-            if rate * rates[0] > 0:
-                low, rates[0] = middle, rate
-            else:
-                high, rates[1] = middle, rate
+            side = int(rate * rates[0] <= 0)
+            ends[side], rates[side] = z, rate
         return Fold(self.parameters(z), Path(self.path(z)), count)

@@ -196,7 +196,7 @@ def paths(
 
 def _checked(symmetries: Sequence[Symmetry], transcription: Transcription) -> tuple[Symmetry, ...]:
     """Refuse what does not take node values to node values; it is asked."""
-    if callable(symmetries):
+    if not isinstance(symmetries, Sequence):
         raise TypeError(f"symmetries must be a sequence of callables of node values, got {symmetries!r}")
     values = transcription.guess_on_mesh(None, transcription.mesh).values
     for i, symmetry in enumerate(symmetries):

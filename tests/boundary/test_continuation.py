@@ -197,3 +197,99 @@ def test_a_branch_grows_far_beyond_the_size_of_its_first_path(imperfection):
     assert branch.trajectories[-1].morse_index == direct.morse_index == 0
     np.testing.assert_allclose(branch.trajectories[-1](0.5), direct(0.5), rtol=1e-9, atol=0)
     assert len(branch.trajectories) < 200
+
+
+@pytest.mark.parametrize(("first", "target"), [(1e6, 1e-6), (1e-6, 1e6), (0.3, 0.1)])
+def test_a_branch_ends_at_its_target_to_the_last_digit(first, target):
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 + x[0] ** 4 / 4 + p[0] * x[0] + p[1],
+        (0, 1),
+        [0.0],
+        [0.0],
+        parameters=[first, 0.1],
+    )
+    branch = cg.continuation(problem, [target, 0.1], intervals=10)
+    assert branch.parameters[-1].tolist() == [target, 0.1]
+    assert set(branch.parameters[:, 1]) == {0.1}
+
+
+def test_a_branch_that_shrinks_to_nothing_is_followed_to_its_end():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 + x[0] ** 4 / 4 + p[0] * x[0], (0, 1), [0.0], [0.0], parameters=[1.0]
+    )
+    branch = cg.continuation(problem, [0.0], intervals=10)
+    assert branch.reached
+    assert np.max(np.abs(branch.trajectories[-1].x)) < 1e-150
+    assert len(branch.trajectories) < 30
+
+
+def test_a_branch_along_an_axis_of_symmetry_is_followed():
+    """The pulls of three anchors across the axis cancel up to rounding, which keeps no path exactly on it."""
+    angles = np.pi / 2 + 2 * np.pi * np.arange(3) / 3
+
+    def plane(t, x, v, p):
+        return ca.sumsqr(v) / 2 - p[0] * sum(ca.exp(np.cos(a) * x[0] + np.sin(a) * x[1]) for a in angles)
+
+    def line(t, x, v, p):
+        return v[0] ** 2 / 2 - p[0] * sum(ca.exp(np.sin(a) * x[0]) for a in angles)
+
+    in_plane = cg.BoundaryProblem(plane, (0, 1), [0.0, 0.0], [0.0, 1.0], parameters=[0.1])
+    on_line = cg.BoundaryProblem(line, (0, 1), [0.0], [1.0], parameters=[0.1])
+    path, exact = (cg.continuation(each, [1.0], intervals=10).trajectories[-1] for each in (in_plane, on_line))
+    np.testing.assert_allclose(path.x[1], exact.x[0], rtol=1e-12, atol=1e-13)
+    assert np.max(np.abs(path.x[0])) < 1e-14
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_a_branch_that_begins_at_a_path_that_is_zero_finds_its_fold_in_any_unit(unit):
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - unit**2 * (ca.exp(x[0] / unit) - (1 - p[0]) * x[0] / unit),
+        (0, 1),
+        [0.0],
+        [0.0],
+        parameters=[0.0],
+    )
+    branch = cg.continuation(problem, [20.0], intervals=10)
+    (fold,) = branch.folds
+    assert not branch.reached
+    # by shooting from the middle of the path with DOP853
+    assert fold.parameters[0] == pytest.approx(12.422831986387, rel=1e-9)
+
+
+def test_a_fold_is_exact_where_the_target_is_far():
+    branch = cg.continuation(bratu_problem(), [1e6], intervals=10)
+    assert branch.folds[0].parameters[0] == pytest.approx(FOLD, rel=1e-13)
+
+
+def test_a_branch_whose_paths_grow_without_bound_is_left_with_its_last_path():
+    """The upper branch of Bratu's problem goes to infinity where the parameter goes to zero, where it began."""
+    with pytest.raises(cg.ConvergenceError, match="grow without bound") as raised:
+        cg.continuation(bratu_problem(0.0), [4.0], intervals=10)
+    assert raised.value.path.x.max() > 100
+
+
+@pytest.mark.parametrize("height", [lambda path: path(0.5), lambda path: path(0.5)[0] / 0.0, lambda path: None])
+def test_a_height_that_is_no_number_is_refused(round_the_fold, height):
+    with np.errstate(divide="ignore"), pytest.raises(ValueError, match="what height returns must be a finite number"):
+        round_the_fold.plot(height)
+
+
+def test_a_branch_that_meets_its_mirror_image_turns_where_another_one_crosses():
+    """Half a period later a path is its mirror image; both meet where the Morse index of the symmetric path changes."""
+    duffing = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - x[0] ** 4 / 4 + x[0] ** 2 / 2 + p[0] * x[0] * ca.cos(t),
+        (0, 2 * np.pi),
+        [None],
+        [None],
+        parameters=[0.3],
+        periodic=True,
+    )
+    path = cg.paths(duffing, cg.Galerkin(8), 20, 6)[1]
+    branch = cg.continuation(duffing, [2.0], cg.Galerkin(8), 20, guess=path)
+    (fold,) = branch.folds
+    half = np.roll(path.x[:, :-1], 10, axis=1)
+    np.testing.assert_allclose(branch.trajectories[-1].x[:, :-1], -half, rtol=0, atol=1e-9)
+    for share, index in ((-1e-6, 0), (1e-6, 1)):
+        beside = duffing.varied({"parameters": [fold.parameters[0] * (1 + share)]}, duffing.t_span)
+        symmetric = cg.solve(beside, cg.Galerkin(8), 20, guess=lambda t: [-0.8 * np.cos(t)])
+        assert symmetric.morse_index == index

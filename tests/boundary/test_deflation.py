@@ -259,6 +259,8 @@ def test_a_load_leads_from_one_catenoid_to_the_other_and_back():
             TypeError,
             "symmetries must be a sequence of callables of node values, got <ufunc",
         ),
+        ({"symmetries": None}, TypeError, "symmetries must be a sequence of callables of node values, got None"),
+        ({"symmetries": iter([np.negative])}, TypeError, "symmetries must be a sequence of callables of node values"),
         ({"symmetries": [1.0]}, TypeError, r"symmetries\[0\] must be a callable of node values, got 1\.0"),
         ({"symmetries": [np.max]}, ValueError, r"symmetries\[0\] must return an array of shape \(1, 9\), got \(\)"),
         ({"method": 4}, TypeError, r"method must be a Galerkin, such as Galerkin\(degree=4\), got 4"),
