@@ -334,6 +334,11 @@ class ControlTrajectory(Trajectory):
         told = ", ".join(f"{error:.1e} {whose}" for error, whose in known if error is not None)
         return [f"  error       {told}, estimated"] if told else self._unresolved()
 
+    @property
+    def _left_out(self) -> np.ndarray:
+        """The same, but nothing where the equations of motion hold between the points, too."""
+        return np.asarray(np.minimum(super()._left_out, self.dynamics_defect))
+
     def _between_points(self) -> list[str]:
         """Lines on what the points do not see: the defect, and what leaves its bounds there."""
         what = "momentum" if self.problem.mechanical else "value"

@@ -255,7 +255,12 @@ class Trajectory(Path):
     def _unresolved(self) -> list[str]:
         """A line on where this mesh plainly does not resolve the path, if anywhere."""
         words = "about {:.0e} of x is left out {}; take more intervals or a higher degree"
-        return self._missed(truncation(self.polynomial), UNRESOLVED, words)
+        return self._missed(self._left_out, UNRESOLVED, words)
+
+    @property
+    def _left_out(self) -> np.ndarray:
+        """What the polynomials leave out on every interval, (N,), relative to the sizes of the components."""
+        return truncation(self.polynomial)
 
     def _unbalanced(self) -> list[str]:
         """A line on a balance of energy that is plainly not kept: beside a singularity, no step may be too large."""

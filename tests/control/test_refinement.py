@@ -18,7 +18,7 @@ from control_problems import (
     true_error,
 )
 from paths import EXAMPLES
-from scipy.optimize import minimize_scalar
+from scipy.optimize import fsolve, minimize_scalar
 
 import casadi_galerkin as cg
 from casadi_galerkin.control.refinement import ControlRefinement
@@ -58,6 +58,36 @@ def along_obstacle(s):
     return np.stack((3 * FRACTIONS**2 - 2 * FRACTIONS**3, -0.2 * (3 * s**2 - 2 * s**3)))
 
 
+def two_masses_on_a_spring():
+    """Pushed at one of them, from rest to rest in minimum time."""
+    return cg.ControlProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - (x[0] - x[1]) ** 2 / 2,
+        (0.0, 3.0),
+        [0.0, 0.0],
+        [1.0, 1.0],
+        [0.0, 0.0],
+        [0.0, 0.0],
+        force=lambda t, x, v, u: [u[0], 0],
+        running_cost=lambda t, x, v, u: 1,
+        controls=1,
+        control_bounds=(-1.0, 1.0),
+        duration_bounds=(0.5, 20.0),
+    )
+
+
+def fastest_on_a_spring():
+    """Duration T with u = 1, -1, 1, -1 and switches at T/2 - a, T/2, T/2 + a: the way is 1, the spring ends at rest."""
+    omega = np.sqrt(2)
+
+    def missed(unknowns):
+        duration, a = unknowns
+        left = duration - np.array([0.0, duration / 2 - a, duration / 2, duration / 2 + a, duration])
+        signs = np.array([1.0, -1.0, 1.0, -1.0])
+        return signs @ -np.diff(left**2) / 4 - 1, signs @ np.diff(np.cos(omega * left))
+
+    return fsolve(missed, [4.0, 1.0], xtol=1e-14)[0]
+
+
 SCENES = {
     "effort": (double_integrator, exact_effort),
     "minimum time": (minimum_time, lambda: fastest(0.0)),
@@ -80,6 +110,13 @@ def test_true_error_is_below_the_tolerance(name, tol):
     path = found(name, tol)
     assert path.error_estimate <= tol
     assert true_error(path, *SCENES[name][1]()) <= tol
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-8])
+def test_three_switches_are_found_to_any_tolerance(tol):
+    path, duration = cg.solve(two_masses_on_a_spring(), tol=tol), fastest_on_a_spring()
+    assert path.error_estimate <= tol
+    assert abs(path.cost / duration - 1) <= max(path.cost_error, 1e-11)
 
 
 def test_obstacle_is_passed_below_at_the_exact_cost(monkeypatch):

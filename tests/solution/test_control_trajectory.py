@@ -254,6 +254,12 @@ def test_a_mesh_that_misses_the_layers_is_told():
     assert "NOT RESOLVED" not in repr(cg.solve(layers, cost_tol=1e-3))
 
 
+@pytest.mark.parametrize("intervals", [1, 4])
+def test_a_path_that_the_degree_holds_exactly_is_resolved(intervals):
+    """A cubic, whose last Legendre coefficient is as large as others: the equations hold between the points, too."""
+    assert "NOT RESOLVED" not in repr(cg.solve(double_integrator(), cg.Galerkin(3), intervals))
+
+
 @pytest.mark.usefixtures("headless")
 def test_a_picture_shows_path_constraints_bounds_and_breakpoints():
     problem = double_integrator(
