@@ -54,6 +54,7 @@ class BoundaryGraph:
         self.functional = functional_of(problem, method, len(mesh) - 1, mapping)
         self.numbering = self.functional.numbering
         self.stationarity = Stationarity(self.functional)
+        self._end_velocities = end_velocities(problem)
 
     @property
     def build_seconds(self) -> float:
@@ -150,7 +151,7 @@ class BoundaryGraph:
         unknowns = np.zeros(numbering.free)
         unknowns[: numbering.positions] = values.ravel()[numbering.place]
         last = numbering.positions + numbering.multipliers
-        multipliers = slice(numbering.positions, last - sum(len(end.unknown) for end in end_velocities(self.problem)))
+        multipliers = slice(numbering.positions, last - sum(len(end.unknown) for end in self._end_velocities))
         if multipliers.stop < last:
             unknowns[multipliers.stop : last] = self._velocities_of_ends(unknowns, data)
         if multipliers.stop > multipliers.start:
@@ -164,7 +165,7 @@ class BoundaryGraph:
         """Unknown velocities at the ends, of the path's momenta there."""
         path, parameters, given = self.emb(unknowns, data), self.functional.parameters_of(data), data[-1]
         momenta, found = np.array(self.functional.function("summary")(unknowns, *data)[1]), []
-        for end in end_velocities(self.problem):
+        for end in self._end_velocities:
             t, v = path.mesh[end.joint], path(path.mesh[end.joint], 1)
             v[end.given], given = np.split(given, [len(end.given)])
             if end.unknown:
