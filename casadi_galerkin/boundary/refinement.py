@@ -136,8 +136,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     def stopped(self, reason: str, level: CriticalPoint, error: float, hint: str = HINT) -> LimitReached:
         """Say how far it got; where times are so far from zero that their rounding may be why, that."""
         mesh = level.polynomial.mesh
-        latest = float(np.max(np.abs(mesh)))
-        if EPS * latest > self.tol * (mesh[-1] - mesh[0]):
+        latest, duration = float(np.max(np.abs(mesh))), mesh[-1] - mesh[0]
+        if latest > duration and EPS * latest > self.tol * duration:
             hint = f"Times near {latest:.1e} are rounded by {EPS * latest:.0e}: count them from the start"
         return super().stopped(reason, level, error, hint)
 
