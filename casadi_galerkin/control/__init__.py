@@ -6,6 +6,6 @@ with its derivatives, and `program_bounds` its bounds; `optimizer` solves it, an
 found; `second_variation` tells minima from saddles, and `failure_report` says why there is no path.  `transcription`
 does all this from a guess, which `initial_guess` reads, and `control_function` does it as one CasADi Function;
 `several_starts` does it from random guesses, too.  `refinement` chooses a mesh for a tolerance, with `error_estimate`,
-`time_witness` and `switching`.
+`time_witness`, `switching` and `phases`.
 This folder imports all that stand before `boundary`, but neither `boundary` nor `stepping`.
 """
