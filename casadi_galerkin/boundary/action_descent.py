@@ -31,7 +31,7 @@ POOR, GOOD = 0.25, 0.75  # gain over the one promised below which a step is refu
 RELAXED = 1e-13  # promised relative gain of the action below which a relaxation has ended
 LEAST, MOST = 1e-3, 1e12  # inertia that is added if any is, and at which no step will be found
 SQUEEZE = 0.5  # largest relative change of an interval in one step
-FINER = 2.0  # an interval is split into at most this many between two meshes, unless one beside it is far finer
+FINER = 2.0  # an interval is split into at most this many between two meshes
 MOST_INTERVALS = 120  # a path on its way needs no more; its front moves on
 SETTLED = 1e-4  # relative step at which Newton's method can take over
 

@@ -172,7 +172,7 @@ def mesh_of(
                 f"intervals must be at least {1 + len(breakpoints)}, as {counted(len(breakpoints), 'breakpoint')} "
                 f"{'is a joint' if len(breakpoints) == 1 else 'are joints'}, got {count}"
             )
-        return time_scale(_between(np.array([t_span[0], *breakpoints, t_span[1]]), count))
+        return time_scale(spread_between(np.array([t_span[0], *breakpoints, t_span[1]]), count))
     joints = time_scale(mesh)
     if (joints[0], joints[-1]) != t_span:
         raise ValueError(f"the mesh must run from {t_span[0]} to {t_span[1]}, got {joints[0]} to {joints[-1]}")
@@ -199,7 +199,7 @@ def remeshed(calculus: DiscreteCalculus, mesh: ArrayLike, breakpoints: tuple[flo
     return other
 
 
-def _between(marks: np.ndarray, intervals: int) -> np.ndarray:
+def spread_between(marks: np.ndarray, intervals: int) -> np.ndarray:
     """Joints that hold the marks, with so many intervals in all; each next one goes where they are longest."""
     if len(marks) == 2:
         return np.linspace(marks[0], marks[1], intervals + 1)

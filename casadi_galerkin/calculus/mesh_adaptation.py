@@ -7,18 +7,18 @@ there; a new mesh spreads it evenly (equidistribution).  Nothing here knows what
 from __future__ import annotations
 
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import legendre
 
+from casadi_galerkin.calculus.discrete_calculus import spread_between
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import component_sizes
 
-FINEST = 32.0  # an interval is split into at most this many at once, unless one beside it becomes far finer
+FINEST = 32.0  # an interval is split into at most this many at once
 COARSEST = 4.0  # and at most this many are merged
-NEIGHBORS = 8.0  # largest ratio of densities of neighboring intervals of a new mesh
+NEIGHBORS = 8.0  # largest ratio of densities of neighboring intervals of a new mesh, unless one is split too much
 FEWEST = 4  # intervals of a new mesh
 FEWER = 3.0  # factor of too many intervals from which the number of intervals is lowered
 GROWTH = 1.25  # least factor by which the number of intervals grows, if it does
@@ -107,7 +107,7 @@ def equidistributed(
     error : (N,), errors of the present intervals, which fall with the step to the power `order`
     order : int
     tol : tolerance
-    finest : largest number of intervals that one is split into for its own error
+    finest : largest number of intervals that one is split into
     fewest : least number of intervals of the new mesh
     fewer : factor of too many intervals from which their number is lowered
     breakpoints : increasing times inside that are joints
@@ -126,17 +126,13 @@ def equidistributed(
     cumulated = np.concatenate(([0.0], np.cumsum(density * np.diff(mesh))))
     fixed = np.array([mesh[0], *breakpoints, mesh[-1]])
     edges = np.interp(fixed, mesh, cumulated)
-    shares = np.diff(edges)
-    parts = np.maximum(np.ceil(shares), 1.0).astype(int)
-    count = max(fewest, int(parts.sum()))
+    count = max(fewest, int(np.maximum(np.ceil(np.diff(edges)), 1.0).sum()))
     before = len(mesh) - 1
     if before / fewer < count <= before:
         count = before
     elif count > before:
         count = max(count, int(np.ceil(GROWTH * before)))
-    for _ in range(count - parts.sum()):
-        parts[np.argmax(shares / parts)] += 1
-    at = [np.linspace(*pair, n, endpoint=False) for pair, n in zip(pairwise(edges), parts, strict=True)]
-    joints = np.interp(np.append(np.concatenate(at), edges[-1]), cumulated, mesh)
-    joints[np.append(0, np.cumsum(parts))] = fixed
+    at = spread_between(edges, count)
+    joints = np.interp(at, cumulated, mesh)
+    joints[np.searchsorted(at, edges)] = fixed
     return np.asarray(joints)

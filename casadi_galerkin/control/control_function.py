@@ -15,6 +15,7 @@ from casadi_galerkin.control.program_bounds import limits_of
 from casadi_galerkin.control.transcription import transcribed_control
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solvers.linear_solver import all_finite
 from casadi_galerkin.solvers.solver import Solver
 
 STATIONARY = 1e-6  # of the gradients that cancel; optima of the scenes were measured below 1e-9
@@ -102,6 +103,6 @@ def _violation(graph: ControlGraph, sizes: np.ndarray) -> ca.Function:
     slope, _ = graph.whole_hessian(x, data, 1, multipliers)
     terms = 1 + ca.norm_inf(graph.gradient(x, data)[1]) + ca.norm_inf(of_bounds)
     worst = ca.fmax(ca.norm_inf(equations / sizes), ca.norm_inf(bounds / ca.fmax(1, ca.fabs(x))))
-    finite = ca.norm_1(ca.vertcat(x, graph.equations, slope)) < np.inf  # a maximum may lose a NaN, a sum does not
+    finite = all_finite(x, graph.equations, slope)
     outputs = [ca.if_else(finite, worst, np.inf), ca.norm_inf(slope + of_bounds) / terms]
     return ca.Function("violation", [x, data, *given], outputs)

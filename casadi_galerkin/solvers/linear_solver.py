@@ -210,8 +210,7 @@ class LinearSolver:
         gradient, matrix, u, terms, y = inputs.values()
         floor, scale, product = self.floor(matrix, u, terms)
         ratios = gradient / floor
-        finite = ca.norm_1(ratios) < np.inf  # a maximum may lose a NaN, a sum does not
-        residual = ca.if_else(finite, ca.norm_inf(ratios), np.nan)
+        residual = ca.if_else(all_finite(ratios), ca.norm_inf(ratios), np.nan)
         path = scale[: self.numbering.positions, :]
         y = y / ca.norm_inf(y[: self.numbering.positions, :] / path)
         if self.numbering.free > self.numbering.positions:  # further unknowns are linear, or may be zero
@@ -230,6 +229,11 @@ class LinearSolver:
         softened = self._softened(matrix) + 0 * ca.DM.eye(self.numbering.free)  # with its whole diagonal
         factors = keep("inertia", lambda: factors_of(softened.sparsity()))
         return negative_pivots(softened, factors) - self.numbering.multipliers
+
+
+def all_finite(*values: ca.MX) -> ca.MX:
+    """Whether all values are finite: a maximum may lose a NaN, a sum does not."""
+    return ca.norm_1(ca.vertcat(*values)) < np.inf
 
 
 def factors_of(sparsity: ca.Sparsity) -> ca.Linsol:
