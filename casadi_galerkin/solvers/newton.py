@@ -101,25 +101,31 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
             if solution is not None:
                 _report(iteration, at.norm, damping, verbose)
                 return solution
-        last, trial, forecast = at.norm, None, 1.0
-        short = last < SHORT
+        last, short, whole = at.norm, at.norm < SHORT, None
         if damping == 1.0 and (short or iteration == 1):
-            trial = linear.newton_step(at.unknowns + at.step, data)
-            contracts = trial.norm <= last * (CONTRACTION if short else STRONG_CONTRACTION)
-            if not (contracts or (last < LOCAL and math.isfinite(trial.norm))):
-                trial = None
-                linear.newton_step(at.unknowns, data)  # leaves its Hessian again
-        if trial is None:
+            whole = linear.newton_step(at.unknowns + at.step, data)
+        if whole is not None and _contracts(last, whole.norm):
+            trial, forecast = whole, 1.0
+        else:
+            linear.return_to(at)
             if short and damping > NEARLY_FULL:
                 damping = 1.0
             x, simplified, damping = _line_search(linear, at, damping, data, iteration)
-            trial = linear.newton_step(x, data)
+            trial = whole if whole is not None and damping == 1.0 else linear.newton_step(x, data)
+            linear.return_to(trial)
             forecast = min(1.0, damping * _forecast(at.step, simplified, trial))
         _report(iteration, last, damping, verbose)
         at, damping = trial, forecast
     raise SolveFailure(
         f"no convergence in {max_iter} iterations, last relative step {at.norm:.1e}", at.unknowns, max_iter
     )
+
+
+def _contracts(norm: float, then: float) -> bool:
+    """Whether a full step is accepted for the length of the next one, without a line search."""
+    if norm < LOCAL:
+        return math.isfinite(then)
+    return then <= norm * (CONTRACTION if norm < SHORT else STRONG_CONTRACTION)
 
 
 def _without_rounding(linear: Linearization, x: np.ndarray, data: Data, iterations: int) -> Solution | None:

@@ -6,7 +6,7 @@
 
 They are Functions of the functional's one graph.  The `Stationarity` holds them; nobody writes to it, so it may be
 shared.  The arrays that a solve writes belong to a `Linearization`, which one solve has for itself: what the first
-Function writes is where the others read, and ∇²S is never copied.
+Function writes is where the others read.
 """
 
 from __future__ import annotations
@@ -40,12 +40,15 @@ class Iterate(NamedTuple):
     step : -∇²S⁻¹ ∇S
     sizes : what the unknowns are measured by
     norm : largest step relative to them; NaN where the step is not finite
+    matrix, softest_direction : nonzeros of ∇²S, and the solution for a generic right-hand side
     """
 
     unknowns: np.ndarray
     step: np.ndarray
     sizes: np.ndarray
     norm: float
+    matrix: np.ndarray
+    softest_direction: np.ndarray
 
 
 class Stationarity:
@@ -226,7 +229,12 @@ class Linearization:
         """
         self._solve(self.stationarity.newton_step, unknowns, data, "step", "norm")
         arrays = self._arrays
-        return Iterate(unknowns, arrays["step"].copy(), arrays["sizes"].copy(), arrays["norm"].item())
+        left = arrays["matrix"].copy(), arrays["softest_direction"].copy()
+        return Iterate(unknowns, arrays["step"].copy(), arrays["sizes"].copy(), arrays["norm"].item(), *left)
+
+    def return_to(self, at: Iterate) -> None:
+        """Leave ∇²S and the softest direction of an earlier iterate."""
+        self._arrays["matrix"][:], self._arrays["softest_direction"][:] = at.matrix, at.softest_direction
 
     def relinearize(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Evaluate ∇S and ∇²S, and leave them; returns ∇S."""
