@@ -87,8 +87,11 @@ class Quadrature:
 
 
 def _roots(series: np.ndarray) -> np.ndarray:
-    """Roots of a Legendre series, increasing: those of NumPy, improved by a Newton step as its Gauss points are."""
-    x = legendre.legroots(series)
+    """Roots of a Legendre series that has real ones only, increasing.
+
+    They are those of NumPy, complex in type from 2.5 on, improved by a Newton step as its Gauss points are.
+    """
+    x = legendre.legroots(series).real
     return np.asarray(x - legendre.legval(x, series) / legendre.legval(x, legendre.legder(series)))
 
 
