@@ -101,7 +101,7 @@ def real_array(name: str, values: Any, free: bool = False) -> np.ndarray:
         types = set(map(type, given)) if isinstance(given, (list, tuple)) else {type(given)}
         kind = None if hasattr(given, "__array__") else object  # of a list NumPy would take True for a number
         array: np.ndarray = np.asarray(given, dtype=kind)
-        hides = any(issubclass(part, np.ma.MaskedArray) for part in types)
+        hides = any(hasattr(part, "mask") for part in types)  # asking `np.ma` itself would import it for all
         masked: Any = np.argwhere(np.ma.getmaskarray(np.ma.array(given, dtype=object))) if hides else ()
     except Exception as error:  # symbols of other libraries refuse in their own way
         raise TypeError(f"{name} must be {expected}, got {values!r}") from error
