@@ -77,7 +77,7 @@ def _check(problem: BoundaryProblem, stationarity: Stationarity) -> ca.Function:
     return ca.Function("check", symbols, [verified], names, ["verified"], {"is_diff_out": [False]})
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Sensitivity:
     """Derivatives of a path at its joints by the data of its problem.
 
