@@ -24,7 +24,7 @@ from casadi_galerkin.functional.mapping import by_rows, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import check_types
+from casadi_galerkin.problems.problem import check_kind, check_types
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits, check_tolerance
@@ -129,6 +129,7 @@ def solve(
     >>> float(path(0.5)[0].round(6))
     0.569747
     """
+    check_kind(problem, BoundaryProblem, InitialProblem, ControlProblem)
     check_verbose(verbose)
     if not isinstance(problem, ControlProblem) and starts != 1:
         several = "`paths` finds several paths of a BoundaryProblem"

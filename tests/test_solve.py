@@ -10,22 +10,18 @@ import casadi_galerkin as cg
 METHOD = cg.Galerkin(2)
 
 
+@pytest.mark.parametrize("given", [{"method": METHOD, "intervals": 2}, {"tol": 1e-6}])
 @pytest.mark.parametrize("other", [None, oscillator, {"lagrangian": oscillator}, "problem"])
-def test_what_is_no_problem_is_refused(other):
-    with pytest.raises(TypeError, match=f"problem must be a BoundaryProblem, got {type(other).__name__}"):
-        cg.solve(other, METHOD, intervals=2)
+def test_what_is_no_problem_is_refused(other, given):
+    kinds = "a BoundaryProblem or InitialProblem or ControlProblem"
+    with pytest.raises(TypeError, match=f"problem must be {kinds}, got {type(other).__name__}"):
+        cg.solve(other, **given)
 
 
 @pytest.mark.parametrize("other", [None, 4, "gauss", cg.Galerkin, cg.gauss(3)])
 def test_what_is_no_method_is_refused(other):
     with pytest.raises(TypeError, match=r"method must be a Galerkin, such as Galerkin.degree=4., got"):
         cg.solve(oscillator_problem(), other, intervals=2)
-
-
-@pytest.mark.parametrize("other", [None, oscillator, {"lagrangian": oscillator}, "problem"])
-def test_what_is_no_problem_is_refused_with_a_tolerance(other):
-    with pytest.raises(TypeError, match=f"problem must be a BoundaryProblem, got {type(other).__name__}"):
-        cg.solve(other, tol=1e-6)
 
 
 @pytest.mark.parametrize("other", [0, 6, "gauss", cg.Galerkin, cg.gauss(3)])

@@ -45,7 +45,7 @@ FEW = 20  # iterations to a fold, which rounding may keep from its level
 POINTS = 1000  # of a branch
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fold:
     """A turning point of a branch: beyond its parameters the path no longer exists.
 
@@ -71,7 +71,7 @@ class Fold:
     after: int
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Branch:
     """Critical paths along a line of parameters.
 

@@ -63,7 +63,7 @@ SHOWN = 6  # paths in a repr
 FINER = "a higher degree or more intervals may"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Paths(Pictured):
     """Stationary paths of one problem in the order of their action.
 

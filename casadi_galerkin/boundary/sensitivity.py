@@ -22,6 +22,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.constrained_motion import over_terms
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.linear_solver import all_finite
@@ -49,24 +50,34 @@ def boundary_function(
     summary = functional.function("summary")(unknowns=root, **joints, **data)
     u = ca.vertcat(root, data["start"], data["end"])
     x = ca.reshape(u[numbering.of_nodes[:: method.degree].ravel().tolist()], problem.dimension, -1)
-    verified = _check(transcription.stationarity)(unknowns=root, **joints, **data)["verified"]
+    verified = _check(problem, transcription.stationarity)(unknowns=root, **joints, **data)["verified"]
     inputs = {name: symbol for name, symbol in data.items() if symbol.numel()} | {"guess": nodes}
     outputs = {"x": x, "momentum": summary["momentum"], "action": summary["action"]}
     checked = [ca.if_else(verified, value, np.nan) for value in outputs.values()]
     return ca.Function("solution", list(inputs.values()), checked, list(inputs), list(outputs))
 
 
-def _check(stationarity: Stationarity) -> ca.Function:
-    """(unknowns, *data) -> whether all residuals are within `ROUNDOFF` of their floor; without derivatives."""
+def _check(problem: BoundaryProblem, stationarity: Stationarity) -> ca.Function:
+    """(unknowns, *data) -> whether all residuals are within `ROUNDOFF` of their floor; without derivatives.
+
+    Ends that are data may also leave a constraint, which no equation holds them to.
+    """
     floor = stationarity.floor
     symbols, names = floor.mx_in(), floor.name_in()
     residual, least = floor.call(symbols)
-    worst = ca.norm_inf(residual / least)
-    passed = ca.logic_and(worst <= ROUNDOFF, all_finite(residual))
-    return ca.Function("check", symbols, [passed], names, ["verified"], {"is_diff_out": [False]})
+    passed = [ca.norm_inf(residual / least) <= ROUNDOFF, all_finite(residual)]
+    if problem.constraint is not None:
+        data, terms = dict(zip(names, symbols, strict=True)), problem.constraint.sx_in()
+        missed = over_terms(problem.constraint(*terms), terms[:2], terms[2:])
+        for name, when in (("start", data["mesh"][0]), ("end", data["mesh"][-1])):
+            if data[name].numel() == problem.dimension:
+                further = [data["parameters"]] if "parameters" in data else []
+                passed.append(ca.norm_inf(missed(when, data[name], *further)[1]) <= 1)
+    verified = ca.mmin(ca.vertcat(*passed))
+    return ca.Function("check", symbols, [verified], names, ["verified"], {"is_diff_out": [False]})
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Sensitivity:
     """Derivatives of a path at its joints by the data of its problem.
 

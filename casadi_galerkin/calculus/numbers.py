@@ -116,7 +116,7 @@ def real_array(name: str, values: Any, free: bool = False) -> np.ndarray:
         for index, value in np.ndenumerate(array):
             result[index] = number(value)
             if result[index] is None and not (free and value is None):
-                words = f"{name}{list(index)} must be a number or None" if free else f"{name} must be {expected}"
+                words = f"{name}{list(index)} must be a number" if free else f"{name} must be {expected}"
                 raise TypeError(f"{words}, got {value!r}" + ("" if free else _place(index)))
         result = result if None in result else result.astype(float)
     vector = array.ndim == 2 and (array.shape[1] == 1 or (free and array.shape[0] == 1))

@@ -200,12 +200,12 @@ def check_constraint(problem: Problem) -> None:
         if None in where:
             continue
         symbols = function.sx_in()
-        values, missed, slopes = _over_terms(function(*symbols), symbols, [when, *where])
+        values, missed, slopes = (np.array(a) for a in over_terms(function(*symbols), symbols)(when, where))
         if not np.all(missed <= 1):
             i = int(np.argmax(missed))
             raise ValueError(
-                f"the constraint must be zero at the given {name}, x = {list(where)}: its value {i} is {values[i]:g}, "
-                f"and only rounding, up to {abs(values[i]) / missed[i]:.0e}, is accepted"
+                f"the constraint must be zero at the given {name}, x = {list(where)}: its value {i} is "
+                f"{values[i, 0]:g}, and only rounding, up to {abs(values[i, 0]) / missed[i, 0]:.0e}, is accepted"
             )
         slope = slopes[:, 1:]
         rows = np.linalg.norm(slope, axis=1)
@@ -216,17 +216,15 @@ def check_constraint(problem: Problem) -> None:
             )
 
 
-def _over_terms(
-    value: ca.SX, symbols: Sequence[ca.SX], at: Sequence[float]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values (k,) that are to be zero, over `HELD` of their terms, and their derivatives (k, n) by all arguments.
+def over_terms(value: ca.SX, symbols: Sequence[ca.SX], further: Sequence[ca.SX] = ()) -> ca.Function:
+    """(symbols, further) -> values (k,) that are to be zero; how many `HELD` of their terms they are; and derivatives.
 
-    A term is an argument times the derivative by it; rounding of the time counts as that of positions does.
+    The derivatives (k, n) are those by the symbols.  A term is a symbol times the derivative by it; rounding of the
+    time counts as that of positions does.
     """
-    arguments = ca.vertcat(*symbols)
-    both = ca.Function("both", [arguments], [value, ca.densify(ca.jacobian(value, arguments))])
-    values, slopes = (np.array(a) for a in both(at))
-    return values.ravel(), np.abs(values.ravel()) / (HELD * np.abs(slopes) @ np.abs(at) + TINY), slopes
+    slopes = ca.densify(ca.jacobian(value, ca.vertcat(*symbols)))
+    terms = ca.mtimes(ca.fabs(slopes), ca.fabs(ca.vertcat(*symbols)))
+    return ca.Function("over_terms", [*symbols, *further], [value, ca.fabs(value) / (HELD * terms + TINY), slopes])
 
 
 def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v: tuple[float, ...]) -> None:
@@ -237,10 +235,10 @@ def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v
     time, place = function.sx_in()
     velocity, value = ca.SX.sym("v", place.numel()), function(time, place)
     rate = ca.jtimes(value, place, velocity) + ca.jacobian(value, time)
-    rates, missed, _ = _over_terms(rate, [time, place, velocity], [t, *x, *v])
+    rates, missed, _ = (np.array(a) for a in over_terms(rate, [time, place, velocity])(t, x, v))
     if np.any(missed > 1):
         i = int(np.argmax(missed))
         raise ValueError(
             f"{name} must be tangent to the constraint at x = {list(x)}, got {list(v)}: the rate of its value {i} is "
-            f"{rates[i]:g}"
+            f"{rates[i, 0]:g}"
         )

@@ -34,7 +34,7 @@ SMOOTH = np.linspace(0.0, 1.0, 40)  # parts of an interval at which a line is dr
 DOT = 3.0  # size of the dots of quadrature points, which are many
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class ControlTrajectory(Trajectory):
     """An optimal path of a controlled system: a `Trajectory` with more to it.
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 SMOOTH = 200  # times on a path that make a smooth line
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Path(Table, Pictured):
     """A path x̄(t) over its joints.
 

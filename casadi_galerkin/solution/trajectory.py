@@ -48,7 +48,7 @@ def _no_error(path: Trajectory) -> float:
     raise TypeError(f"the error of a {type(path).__name__} is estimated where it is solved to a tolerance: give tol")
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Trajectory(Path):
     """A critical point of the discrete action: ``path(t)`` is its position, ``path(t, 1)`` its derivative.
 

@@ -139,6 +139,7 @@ def _nlpsol(functional: Functional, minimize: bool, verbose: int, given: Mapping
         "hess_lag": ca.Function("hess_lag", [x, p, factor, multipliers], [upper]),
         "print_time": False,
         "calc_lam_p": False,
+        "no_nlp_grad": True,
         "show_eval_warnings": verbose > 1,  # IPOPT shortens a step that leaves the Lagrangian's domain
         "ipopt": {"print_level": 5 if verbose > 1 else 0, **DEFAULTS, **given},
     }

@@ -22,7 +22,7 @@ from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.stepper import Stepper
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Geometry:
     """What a path conserves.
 

@@ -47,7 +47,7 @@ LEVEL = 1000 * EPS  # relative gap up to which it may be roundoff that adds up, 
 SAME = 1e-6  # relative gap of two paths that may be the same one: shooting may miss the end by 1e-8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Attempt:
     """One way to the path, whether it got there or not.
 
@@ -68,7 +68,7 @@ class Attempt:
     seconds: float
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Comparison(Table, Pictured):
     """A boundary problem solved globally and stepwise.
 

@@ -127,6 +127,8 @@ def _answers(solver: Solve, variations: Sequence[Variation], known: Sequence[Kno
         answer: Answer
         try:
             answer = solver(variation, paths)
+        except SystemError as error:  # what an interrupt becomes that meets CasADi's own code
+            raise error.__cause__ or error from None
         except Exception as error:  # a guess may raise anything
             error.__cause__ = error.__context__ = None  # their frames, like those of the error, would keep arrays alive
             answer = error.with_traceback(None)

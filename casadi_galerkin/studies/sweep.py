@@ -38,7 +38,7 @@ from casadi_galerkin.studies.distribution import (
 FIELDS = (*VARIED, "t_span", "guess")
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Sweep(Table):
     """What became of every variation, in the order of the variations.
 

@@ -33,7 +33,7 @@ ERRORS = ("path", "at joints", "functional", "energy")
 RULES = {"Gauss": gauss, "Lobatto": lobatto, "Radau": radau}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Row:
     """One way to solve a problem, which can be taken again, with its cost in time and its errors.
 
@@ -114,7 +114,7 @@ class Row:
         return f"{name}, {'tol' if self.adaptive else 'mesh of'} {self.tol:g}"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Trade(Table, Pictured):
     """Speed against accuracy of one problem.
 

@@ -318,6 +318,24 @@ def test_domain_left_gives_nan(capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_ends_off_a_constraint_that_follows_parameters_give_nan():
+    rod = cg.BoundaryProblem(
+        lambda t, x, v, p: ca.sumsqr(v) / 2 - x[1],
+        (0.0, 1.0),
+        start=[0.0, -1.0],
+        end=[1.0, 0.0],
+        constraint=lambda t, x, p: ca.sumsqr(x) - p[0] ** 2,
+        parameters=[1.0],
+    )
+    f, path = solved(rod)
+    given = {"start": [0, -1], "end": [1, 0], "parameters": 1, "guess": path.polynomial.values}
+    np.testing.assert_allclose(f(**given)["x"], path.x, rtol=0, atol=1e-12)
+    for off in ({"start": [0, -1.01]}, {"end": [1, 0.1]}, {"parameters": 1 + 1e-9}):
+        assert all(np.isnan(dense(value)).all() for value in f(**(given | off)).values())
+    longer = {name: 2 * np.array(given[name]) for name in ("start", "end", "guess")}
+    assert np.isfinite(dense(f(**longer, parameters=2)["action"])).all()
+
+
 def test_a_problem_without_a_solution_is_refused_when_the_function_is_built():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 4 * ca.exp(x[0]), (0.0, 1.0), [0.0], [0.0])
     with pytest.raises(cg.ConvergenceError, match="no path was found"):

@@ -17,7 +17,7 @@ METHOD = cg.Galerkin(2)
         ({"start": [0.0, 1.0]}, ValueError, r"start must have 1 component, got 2"),
         ({"start": [None]}, ValueError, r"start must have None where the problem has it, \(0.0,\), got \(None,\)"),
         ({"end": [np.nan]}, ValueError, r"end\[0\] must be finite, got nan"),
-        ({"end": ["1"]}, TypeError, r"end\[0\] must be a number or None, got '1'"),
+        ({"end": ["1"]}, TypeError, r"end\[0\] must be a number, got '1'"),
         ({"parameters": [1.0]}, ValueError, r"the problem has no parameters, got parameters=\[1.0\]"),
         ({"mesh": [0, 0.5, 1]}, ValueError, "this transcription has 4 intervals, got a mesh of 2"),
         ({"mesh": [0, 0.6, 0.5, 0.7, 1]}, ValueError, "the joints of a mesh must increase"),

@@ -80,3 +80,13 @@ def test_times_outside_a_path_are_refused(path, order):
     for time in (path.t[0] - 0.1, path.t[-1] + 0.1, np.nan):
         with pytest.raises(ValueError, match="times must lie within"):
             path(time, order)
+
+
+ANSWERS = "Trajectory ControlTrajectory Sensitivity Geometry Fold Branch Paths Comparison Sweep Row Trade"
+
+
+@pytest.mark.parametrize("name", ANSWERS.split())
+def test_an_answer_is_equal_to_itself_alone_and_can_be_a_key(name):
+    """It holds arrays, of which NumPy tells no hash and not whether they are equal."""
+    kind = getattr(cg, name)
+    assert (kind.__eq__, kind.__hash__) == (object.__eq__, object.__hash__)

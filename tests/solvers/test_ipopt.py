@@ -49,3 +49,33 @@ def test_ipopt_finds_the_same_path_in_any_units(solver, action, length, time):
     assert (path.solver, path.iterations) == (expected.solver, expected.iterations)
     np.testing.assert_allclose(path.x / length, expected.x, rtol=0, atol=1e-9)
     assert path.action / action / time == pytest.approx(expected.action, rel=1e-9)
+
+
+@pytest.mark.parametrize("solver", [cg.ipopt, cg.minimizer])
+def test_ipopt_needs_no_third_derivatives(solver):
+    """A Callback for a cosine may have a first and a second derivative, and no more."""
+
+    class Known(ca.Callback):
+        def __init__(self, value, derivative=None):
+            super().__init__()
+            self.value, self.derivative = value, derivative
+            self.construct("known")
+
+        def eval(self, values):
+            return [self.value(values[0])]
+
+        def has_jacobian(self):
+            return self.derivative is not None
+
+        def get_jacobian(self, name, inputs, outputs, options):
+            x, y = ca.MX.sym("x"), ca.MX.sym("y")
+            return ca.Function(name, [x, y], [self.derivative(x)], inputs, outputs, options)
+
+    second = Known(lambda x: -ca.cos(x))
+    first = Known(lambda x: -ca.sin(x), second)
+    cosine = Known(ca.cos, first)
+    actions = [
+        cg.solve(cg.BoundaryProblem(lagrangian, (0, 2), [0.0], [1.0]), cg.Galerkin(4), 10, solver=solver).action
+        for lagrangian in (lambda t, x, v: v[0] ** 2 / 2 + cosine(x[0]), pendulum)
+    ]
+    assert actions[0] == pytest.approx(actions[1], rel=1e-12)

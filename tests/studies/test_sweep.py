@@ -222,6 +222,17 @@ def test_an_interrupt_returns_what_there_is(serial):
     assert str(sweep).startswith("Sweep of 8 variations, 1 solved, 6 cut short\n")
 
 
+def test_an_interrupt_that_casadi_makes_another_error_of_ends_the_sweep(monkeypatch):
+    """CasADi's own Python code, which its C++ calls, makes a SystemError of an interrupt."""
+
+    def interrupted_solve(*_, **__):
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr("casadi_galerkin.boundary.transcription.Transcription.solve", interrupted_solve)
+    sweep = cg.sweep(bratu_problem(), VARIATIONS, METHOD, INTERVALS)
+    assert {type(answer) for answer in sweep} == {cg.CutShort}
+
+
 def test_nothing_to_vary_is_an_empty_sweep():
     assert len(cg.sweep(bratu_problem(), [], METHOD, INTERVALS)) == 0
     assert len(cg.sweep(bratu_problem(), [], tol=1e-6)) == 0
