@@ -164,9 +164,11 @@ def _between_breakpoints(
     mean = max(float(steps @ (local[1:] + local[:-1])) / 2 / duration, float(least), TINY)
     scale = np.maximum(local, mean)
     sum_of_slopes = np.abs(differentiation_matrix(path.nodes)[0]).sum()  # what rounding of values does to x'
-    pulled = np.median(np.abs(work[joints]) @ sizes / of_steps)  # not that beside a singularity
-    before = np.append(steps[0], steps)  # a momentum is that of the interval before its joint
-    floor = BLURRED * EPS * (sum_of_slopes * sizes @ pushed / before + pulled + scale)
+    before = np.maximum(np.arange(len(joints)) - 1, 0)  # a momentum is that of the interval before its joint
+    places = np.max(np.abs(path.local), axis=2)[:, before]  # the nearer to zero, the less are positions rounded
+    blurred = sum_of_slopes * np.sum(places * pushed, axis=0) / steps[before]
+    pulled = np.sum(np.abs(x[:, joints] * work[joints].T), axis=0) / of_steps
+    floor = BLURRED * EPS * (blurred + pulled + scale)
     missed = missed_balance(energy + np.append(0.0, np.cumsum(supplied)), scale, floor)
     values = lagrangian.reshape(len(steps), -1) / steps[:, None]
     size = np.maximum(np.max(np.abs(values), axis=1), np.maximum(scale[1:], scale[:-1]))
