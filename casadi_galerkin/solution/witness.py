@@ -126,6 +126,7 @@ def _rules(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return parts, np.array(finer.weights), lagrange_values(np.array(finer.points), parts)
 
 
+@np.errstate(invalid="ignore")  # of an infinite L
 def _between_breakpoints(
     problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -172,9 +173,8 @@ def _between_breakpoints(
     missed = missed_balance(energy + np.append(0.0, np.cumsum(supplied)), scale, floor)
     values = lagrangian.reshape(len(steps), -1) / steps[:, None]
     size = np.maximum(np.max(np.abs(values), axis=1), np.maximum(scale[1:], scale[:-1]))
-    with np.errstate(invalid="ignore"):  # of an infinite L
-        difference = np.max(np.abs(values - values[:, through] @ between.T), axis=1) - np.maximum(floor[1:], floor[:-1])
-        unresolved = np.where(np.isfinite(size), difference / size, np.inf)
+    difference = np.max(np.abs(values - values[:, through] @ between.T), axis=1) - np.maximum(floor[1:], floor[:-1])
+    unresolved = np.where(np.isfinite(size), difference / size, np.inf)
     return missed, np.where(unresolved > RESOLVED, unresolved, 0.0)
 
 

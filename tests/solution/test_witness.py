@@ -122,6 +122,19 @@ def test_no_pole_hides_between_points(degree, power):
         assert doubts(problem, path, np.ones((1, 2)))[1] > RESOLVED
 
 
+@pytest.mark.parametrize("beside", [1e-12, 2e-12])
+def test_rounding_hides_no_miss_beside_a_softened_pole(beside):
+    """With an estimate of 8e-11, a path was off by 7e-4: positions of 1e-6 were taken to be rounded like those of 1."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 + 1 / ca.sqrt(x[0] ** 2 + 1e-12), (0.0, 1.0), [0.5 + beside], [-0.5]
+    )
+    try:
+        path = cg.solve(problem, tol=1e-9)
+    except cg.LimitReached:
+        return  # whether it is reached hangs on last digits
+    assert path.velocity[0, 0] == pytest.approx(0.3432063025, abs=1e-8)  # by quadrature of the energy
+
+
 @pytest.mark.parametrize(("duration", "tol"), [(0.5, 1e-9), (1.0, 1e-4), (2.0, 1e-9)])
 def test_no_path_over_a_pole_on_its_line_is_returned(duration, tol):
     """Nothing passes the pole of the attraction 1/x²; paths over it were returned, with estimates below these."""
