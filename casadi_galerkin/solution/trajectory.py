@@ -100,9 +100,9 @@ class Trajectory(Path):
 
         The path is compared with one of a higher degree on the same mesh: with Newton steps from it where it joins two
         ends, with steps from the same start otherwise.  The estimate is at least what the balance of energy is violated
-        by, relative to the energy's terms, the change of the action by a finer rule, and what jumps of the force may
-        change: these show a kink or a singularity, which both degrees may miss.  It is infinite where the higher degree
-        has no answer.
+        by, relative to the energy's terms, what jumps of the force may change, and the part of L that its values at a
+        few points do not tell, where this is much: these show a kink or a singularity, which both degrees may miss.
+        It is infinite where the higher degree has no answer.
 
         Raises
         ------
