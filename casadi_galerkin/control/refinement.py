@@ -46,6 +46,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.discrete_calculus import mesh_of, with_breakpoints
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import graded_alike
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.control.constraint_violation import UNITS, UNSEEN
 from casadi_galerkin.control.error_estimate import HigherDegree
@@ -120,9 +121,9 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         self.cost_known = np.inf  # smallest error of the cost of the path under way
         self.jump: float | None = None  # time near which callables jump by more than is tolerated
 
-    def solved(self, level: ControlTrajectory) -> tuple[int, float]:
-        """Iterations of the solver on one level, and the violation it left."""
-        return level.iterations, level.residual
+    def solved(self, level: ControlTrajectory) -> tuple[PiecewisePolynomial, int, float]:
+        """The path of one level, iterations of the solver on it, and the violation it left."""
+        return level.polynomial, level.iterations, level.residual
 
     def path(self, level: ControlTrajectory, error: float) -> ControlTrajectory:
         """The optimum of a level, which solves its own mesh."""
@@ -140,7 +141,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         solver = self.following if isinstance(guess, ControlTrajectory) else self.solver
         try:
             with until(self.deadline):
-                path = transcription.solve(guess=guess, solver=solver, verbose=max(self.verbose - 1, 0))
+                path = transcription.solve(guess=guess, solver=solver, verbose=self.verbose if self.verbose > 1 else 0)
         except ConvergenceError as failure:
             self.iterations += failure.iterations
             raise
