@@ -9,7 +9,6 @@ import numpy as np
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.mass import check_mass
 from casadi_galerkin.boundary.transcription import Transcription
-from casadi_galerkin.calculus.discrete_calculus import with_breakpoints
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.mapping import Mapping, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -54,8 +53,7 @@ class Levels:
         solver: SolverLike,
         problem: BoundaryProblem | None = None,
     ) -> CriticalPoint:
-        """Solve one level, of the problem or of one that is `varied` from it; its breakpoints become joints."""
-        mesh = with_breakpoints(mesh, self.problem.breakpoints)
+        """Solve one level, of the problem or of one that is `varied` from it."""
         graph = self.transcription(method, mesh)
         other = None if np.array_equal(mesh, graph.mesh) else mesh
         try:

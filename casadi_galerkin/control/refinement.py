@@ -43,7 +43,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.discrete_calculus import mesh_of, with_breakpoints
+from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import graded_alike
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -131,9 +131,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         return replace(path, cost_error=error) if self.of_cost else replace(path, error_estimate=error)
 
     def scaled(self, mesh: np.ndarray, path: ControlTrajectory) -> np.ndarray:
-        """Joints in the times of a path, breakpoints among them, scaled to the phases of the problem."""
-        joints = with_breakpoints(mesh, path.problem.breakpoints)
-        return between_marks(joints, marks(path.problem), marks(self.problem))
+        """Joints in the times of a path, scaled to the phases of the problem."""
+        return between_marks(mesh, marks(path.problem), marks(self.problem))
 
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Solve with one degree on one mesh, in the times of the problem."""
