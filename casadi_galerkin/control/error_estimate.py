@@ -44,9 +44,9 @@ KINK_ORDER = 2  # a jump of the acceleration inside a step h moves x by h²
 FINEST = 8.0  # parts of one interval at once; a kink needs few levels and leaves few intervals behind
 NARROW = 0.25  # of its neighbor is an interval beside a jump
 CLOSE = 1 / 3  # of an interval: a joint so near to a jump gives way to it
-AGREED = 1e-3  # of what the switching function says: nearer to its joint an impulse says nothing
 MARGIN = 3.0  # times what is not known of a switch: joints beside it
 AROUND = 0.05  # of sqrt(tol), over the duration: a switch between two joints moves x by the square of their distance
+APART = 1e-4  # of the duration: where what is said of a switch differs by less, it has one joint
 DISTINCT = 1e-8  # of the duration: nearer switches are one, such as those of two controls at a breakpoint
 ROUNDOFF = 1e-15  # of positions relative to their size
 ROUNDED = 1e-13  # part of momenta that rounding leaves
@@ -242,16 +242,18 @@ class HigherDegree:
     def with_jumps(self, mesh: np.ndarray, tol: float) -> np.ndarray:
         """Joints at switches, and on either side, as close as the switches are known or have to be.
 
-        The switching function says when they are, but not to which place between two points of the quadrature; the
-        impulse says it in the smaller of two intervals, but not where all controls stay at their bounds on both sides.
-        A switch that is as near to a breakpoint as the path is known stands there: a joint beside it would be too near.
+        The impulse says when they are where the ends fix them, and the switching function only to which place between
+        two points of the quadrature.  Where the ends do not, all controls may stay at their bounds on both sides of a
+        joint, and the switching function knows better.  So where the two are far apart both have a joint.  A switch as
+        near to a breakpoint as the path is known stands there: a joint beside it would be too near.
         """
         jumps: dict[float, float] = {}  # times, and how close to them joints stand
         duration, breakpoints = np.ptp(mesh), self.higher.problem.breakpoints
-        for s in self.found:
-            late = abs(s.when - s.joint), abs(s.due - s.joint)
-            when = s.due if late[0] < AGREED * late[1] else s.when
-            when = next((b for b in breakpoints if abs(b - when) < max(self.change, TARGET * tol) * duration), when)
+        closest, known = AROUND * np.sqrt(tol) * duration, max(self.change, TARGET * tol) * duration
+        told = [(s, s.when) for s in self.found]
+        told += [(s, s.due) for s in self.found if abs(s.due - s.when) > APART * duration]
+        for s, when in told:
+            when = next((b for b in breakpoints if abs(b - when) < known), when)
             if any(abs(when - other) < DISTINCT * duration for other in jumps):
                 continue
             k = int(np.searchsorted(mesh[1:-1], when))
@@ -259,7 +261,7 @@ class HigherDegree:
             stays = mesh[near] in (mesh[0], *breakpoints, mesh[-1])
             if not stays and abs(mesh[near] - when) < CLOSE * (mesh[k + 1] - mesh[k]):
                 mesh = np.delete(mesh, near)
-            jumps[when] = max(AROUND * np.sqrt(tol) * duration, MARGIN * max(late))
+            jumps[when] = max(closest, MARGIN * abs(s.when - s.joint), MARGIN * abs(s.due - s.joint))
         joints = np.unique(np.concatenate((mesh, list(jumps))))
         for when, distance in jumps.items():
             k = int(np.searchsorted(joints, when))

@@ -66,6 +66,9 @@ from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
 FOLLOWING_BARRIER = 1e-4  # first one from an earlier level: with 1e-2 a robot arm left its path, and found none
+# IPOPT's tolerance over its last barrier, times tol², and the largest.  A barrier leaves controls between their bounds
+# on the short intervals beside a switch: with IPOPT's own ratio of 10 a mass that burns was known to 3e-7 only.
+SHARP, SHARPEST = 3e-11, 1e4
 DOUBLINGS = 2  # of a mesh, while the solver finds nothing on it
 FOR_STARTS = 0.5  # of the time: no further start begins after it
 PATIENCE = 10  # levels in a row that came no nearer, after which the mesh is halved: two may lead to one another
@@ -114,7 +117,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         super().__init__(tol, limits, verbose)
         self.stated, self.problem = problem, with_joined_phases(problem)
         self.of_cost, self.solver = of_cost, solver
-        self.following = solver.with_options(**{"mu_init": FOLLOWING_BARRIER, **solver.options})
+        barriers = {"mu_init": FOLLOWING_BARRIER, "barrier_tol_factor": float(np.clip(SHARP / tol**2, 10, SHARPEST))}
+        self.following = solver.with_options(**{**barriers, **solver.options})
         self.method = Galerkin(degree_for(tol)) if method is None else method
         self.build_seconds = 0.0
         self.known: HigherDegree | None = None
@@ -179,7 +183,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:
         """Solve on the better mesh, from the path of higher degree; without that, on a mesh twice as fine."""
         detail = estimate.detail
-        if detail is not None and detail.unseen > self.tol:
+        if detail is not None and detail.unseen > self.tol and self.cost_known > self.tol:
             raise self.stopped(f"the solver may have left {detail.unseen:.0e} of the cost", *self.best, UNITS)
         known = level if detail is None else detail.higher
         mesh = halved(known.t) if detail is None or self.fruitless == PATIENCE else detail.better_mesh(self.tol)
