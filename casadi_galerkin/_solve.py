@@ -107,7 +107,7 @@ def solve(
         the cheapest optimum is returned, and its `solver` says how many were met.  With a tolerance all are solved
         on the first mesh, and those refined that may be the best.  (`paths` finds several paths of a BoundaryProblem.)
     verbose : 1 prints a summary, of several starts one each, and, with a tolerance, a line per level; 2 also the
-        solver's lines, unless a BoundaryProblem is solved to a tolerance
+        solver's lines
 
     Returns
     -------
@@ -158,8 +158,8 @@ def solve(
         path = refinement.run(joints, guess, starts)
     else:
         joints = first_mesh(problem, tolerance, method, intervals, mesh)
-        levels, solver = Levels(problem), solver or newton
-        path = BoundaryRefinement(levels, tolerance, method, solver, limits, verbose).run(joints, guess)
+        levels, solver = Levels(problem, verbose=verbose), solver or newton
+        path = BoundaryRefinement(levels, tolerance, method, solver, limits).run(joints, guess)
     if verbose:
         print(path)
     return path

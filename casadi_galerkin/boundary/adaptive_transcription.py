@@ -103,7 +103,7 @@ class AdaptiveTranscription:
         guess : the same; from an earlier path of this problem, with other ends, times or parameters, the path is
             followed to the new ones on its own mesh.  Where it is lost, it is a guess as any other; near a fold its
             `morse_index` tells whether it has changed its branch
-        verbose : 1 prints a line per level and a summary
+        verbose : 1 prints a line per level and a summary, 2 also the solver's lines
 
         Raises
         ------
@@ -138,8 +138,8 @@ class AdaptiveTranscription:
         known = guess if isinstance(guess, Trajectory) and same_statement(guess.problem, problem) else None
         if known is not None and problem.energy is not None:  # the duration is found, too
             problem = problem.varied({}, (problem.t_span[0], problem.t_span[0] + float(known.t[-1] - known.t[0])))
-        levels = self._levels.of(problem)
-        refinement = BoundaryRefinement(levels, self.tol, self.method, solver, self.limits, verbose)
+        levels = self._levels.of(problem, verbose)
+        refinement = BoundaryRefinement(levels, self.tol, self.method, solver, self.limits)
         coarse = between_marks(self._coarse, marks(self.problem), marks(problem))
         guess = refinement.on_any_mesh(guess, coarse)
         try:

@@ -184,7 +184,7 @@ def continuation(
 
 @dataclass(frozen=True)
 class Point:
-    """A point z of the branch with its tangent."""
+    """A point z of the branch with its tangent, of any length."""
 
     z: np.ndarray
     tangent: np.ndarray
@@ -251,11 +251,9 @@ class Walk(Curve[Solution]):
         """Walk until the target, or the start, is met."""
         start = self.transcription.critical_point(guess=guess)
         z = np.append(start.solution.unknowns, 0.0)
-        follow = self.directions(z)[1][: self.transcription.numbering.positions]
-        self._farthest[: len(follow)] = LEAST * np.max(np.abs(follow), initial=0.0)
-        self.weigh(z)
-        forward = np.append(np.zeros(len(z) - 1), 1.0)
-        points = [Point(z, self.tangent(z, forward), self.transcription.trajectory(start, 0.0))]
+        follow, positions = self.directions(z)[1], self.transcription.numbering.positions
+        self._farthest[:positions] = LEAST * np.max(np.abs(follow[:positions]), initial=0.0)
+        points = [Point(z, np.append(follow, 1.0), self.transcription.trajectory(start, 0.0))]
         folds = []
         with progress("continuation", unit="path") as advance:
             for point in self.steps(points[0]):

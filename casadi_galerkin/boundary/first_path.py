@@ -104,14 +104,14 @@ def first_path_strategies(
         if guess is not None:
             found = partial(_from_smoothed, levels, method, given, brief)
             yield Strategy("Newton's method from the guess smoothed", found, PATIENCE)
-        fine = _with_more(resolved(levels, method, guess, mesh, WELL).mesh, MORE * (len(mesh) - 1))
+        fine = _with_more(levels, resolved(levels, method, guess, mesh, WELL).mesh, MORE * (len(mesh) - 1))
         found = partial(solved, fine, guess, brief)
         yield Strategy(f"Newton's method on {len(fine) - 1} intervals", found, PATIENCE)
         graph = levels.transcription(method, mesh)
         if graph.stationarity.variational and guess is None:  # its long steps do not keep to a side that a guess tells
             found = partial(solved, mesh, None, partial(rescue, minimize=True))
             yield Strategy("IPOPT on the action", found, PATIENCE)
-        joints = _with_more(fine, DESCENT_INTERVALS)
+        joints = _with_more(levels, fine, DESCENT_INTERVALS)
         for leap in LEAPS if graph.stationarity.variational and not graph.numbering.multipliers else ():
             found = partial(_by_descent, levels, joints, guess, brief, leap)
             yield Strategy(f"descent of the action in steps of {leap:g}", found, math.inf)
@@ -119,9 +119,9 @@ def first_path_strategies(
     yield Strategy(name, partial(solved, mesh, guess, solver), math.inf)
 
 
-def _with_more(mesh: np.ndarray, intervals: int) -> np.ndarray:
+def _with_more(levels: Levels, mesh: np.ndarray, intervals: int) -> np.ndarray:
     """Joints that are graded as those of a mesh, with so many intervals if it has fewer."""
-    return graded_alike(mesh, max(intervals, len(mesh) - 1))
+    return graded_alike(mesh, max(intervals, len(mesh) - 1), levels.problem.breakpoints)
 
 
 def _by_descent(
@@ -132,4 +132,5 @@ def _by_descent(
     transcribed = partial(levels.transcription, method, mapping=by_rows)
     path = transcribed(mesh).guess_on_mesh(guess, mesh)
     path = descend(transcribed, path, DESCENT_TOLERANCE, leap)
-    return levels.solve(method, path.mesh, path, solver)
+    mesh = graded_alike(path.mesh, len(path.mesh) - 1, levels.problem.breakpoints)  # descending moves the joints
+    return levels.solve(method, mesh, path, solver)

@@ -9,7 +9,6 @@ import numpy as np
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.mass import check_mass
 from casadi_galerkin.boundary.transcription import Transcription
-from casadi_galerkin.calculus.discrete_calculus import with_breakpoints
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.mapping import Mapping, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -21,20 +20,21 @@ from casadi_galerkin.solvers.solver import SolverLike
 class Levels:
     """Graphs that are built when they are first asked for, and kept; they count the iterations of all solves.
 
-    `mapping` is how L is evaluated at the points, as for `Functional`, unless a graph is asked for with another.
+    `mapping` is how L is evaluated at the points, as for `Functional`, unless a graph is asked for with another;
+    `verbose` is that of all solves.
     """
 
-    def __init__(self, problem: BoundaryProblem, mapping: Mapping = one_by_one) -> None:
+    def __init__(self, problem: BoundaryProblem, mapping: Mapping = one_by_one, verbose: int = 0) -> None:
         check_mass(problem)
-        self.problem, self.iterations, self._mapping = problem, 0, mapping
+        self.problem, self.iterations, self._mapping, self.verbose = problem, 0, mapping, verbose
         self._transcriptions: dict[tuple[int, int], Transcription] = {}
 
-    def of(self, problem: BoundaryProblem) -> Levels:
+    def of(self, problem: BoundaryProblem, verbose: int = 0) -> Levels:
         """The same graphs for a problem that is `varied` from this one's; what is built for it is kept here, too."""
         if problem.parameters != self.problem.parameters:  # other masses, perhaps
             check_mass(problem)
         other = copy(self)
-        other.problem, other.iterations = problem, 0
+        other.problem, other.iterations, other.verbose = problem, 0, verbose
         return other
 
     def transcription(self, method: Galerkin, mesh: np.ndarray, mapping: Mapping | None = None) -> Transcription:
@@ -53,12 +53,12 @@ class Levels:
         solver: SolverLike,
         problem: BoundaryProblem | None = None,
     ) -> CriticalPoint:
-        """Solve one level, of the problem or of one that is `varied` from it; its breakpoints become joints."""
-        mesh = with_breakpoints(mesh, self.problem.breakpoints)
+        """Solve one level, of the problem or of one that is `varied` from it."""
         graph = self.transcription(method, mesh)
         other = None if np.array_equal(mesh, graph.mesh) else mesh
         try:
-            point = (graph.of(problem) if problem else graph).critical_point(guess=guess, mesh=other, solver=solver)
+            varied = graph.of(problem) if problem else graph
+            point = varied.critical_point(guess=guess, mesh=other, solver=solver, verbose=self.verbose)
         except ConvergenceError as failure:
             self.iterations += failure.iterations
             raise

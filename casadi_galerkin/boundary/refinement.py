@@ -86,9 +86,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         method: Galerkin | None,
         solver: SolverLike,
         limits: Limits,
-        verbose: int,
     ) -> None:
-        super().__init__(tol, limits, verbose)
+        super().__init__(tol, limits, levels.verbose)
         self.method, self.fixed = method or of_degree(degree_for(tol)), method is not None
         self.levels, self.patience = levels, math.inf
         self.built = levels.build_seconds  # before this refinement
@@ -101,9 +100,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """Iterations of the solver in all levels."""
         return self.levels.iterations
 
-    def solved(self, level: CriticalPoint) -> tuple[int, float]:
-        """Iterations of the solver on one level, and the residual it left."""
-        return level.solution.iterations, level.solution.residual
+    def solved(self, level: CriticalPoint) -> tuple[PiecewisePolynomial, int, float]:
+        """The path of one level, iterations of the solver on it, and the residual it left."""
+        return level.polynomial, level.solution.iterations, level.solution.residual
 
     def path(self, level: CriticalPoint, error: float) -> Path:  # noqa: ARG002
         """The path of a level, which was verified on its own mesh only."""

@@ -208,16 +208,3 @@ def spread_between(marks: np.ndarray, intervals: int) -> np.ndarray:
         counts[np.argmax(np.diff(marks) / counts)] += 1
     parts = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(marks, marks[1:], counts, strict=False)]
     return np.append(np.concatenate(parts), marks[-1])
-
-
-def with_breakpoints(mesh: np.ndarray, breakpoints: tuple[float, ...]) -> np.ndarray:
-    """Move the joint that is nearest to each breakpoint onto it; add one where the nearest is fixed already."""
-    fixed = {float(mesh[0]), float(mesh[-1])}
-    for time in breakpoints:
-        nearest = int(np.argmin(np.abs(mesh - time)))
-        if float(mesh[nearest]) in fixed:
-            mesh = np.insert(mesh, np.searchsorted(mesh, time), time)
-        else:
-            mesh = np.concatenate((mesh[:nearest], [time], mesh[nearest + 1 :]))
-        fixed.add(time)
-    return mesh

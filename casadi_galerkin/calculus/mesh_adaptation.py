@@ -82,9 +82,24 @@ def interval_maxima(path: PiecewisePolynomial) -> np.ndarray:
     return np.asarray(np.max(np.abs(path.at_parts(np.linspace(0, 1, 4 * path.degree + 1))[0]), axis=2))
 
 
-def graded_alike(mesh: np.ndarray, intervals: int) -> np.ndarray:
-    """Joints that are graded as those of a mesh, with so many intervals."""
-    return np.asarray(np.interp(np.linspace(0, len(mesh) - 1, intervals + 1), np.arange(len(mesh)), mesh))
+def spread_over(
+    mesh: np.ndarray, cumulated: np.ndarray, intervals: int, breakpoints: tuple[float, ...] = ()
+) -> np.ndarray:
+    """So many intervals with equal shares of what the joints of a mesh have `cumulated`, and whole between breakpoints.
+
+    So no joint has to be moved onto a breakpoint.
+    """
+    fixed = np.array([mesh[0], *breakpoints, mesh[-1]])
+    edges = np.interp(fixed, mesh, cumulated)
+    at = spread_between(edges, intervals)
+    joints = np.interp(at, cumulated, mesh)
+    joints[np.searchsorted(at, edges)] = fixed
+    return np.asarray(joints)
+
+
+def graded_alike(mesh: np.ndarray, intervals: int, breakpoints: tuple[float, ...] = ()) -> np.ndarray:
+    """Joints that are graded as those of a mesh, with so many intervals, breakpoints among them."""
+    return spread_over(mesh, np.arange(len(mesh)), intervals, breakpoints)
 
 
 def equidistributed(
@@ -98,8 +113,6 @@ def equidistributed(
     breakpoints: tuple[float, ...] = (),
 ) -> np.ndarray:
     """Joints of a new mesh on which every interval's error should be a fraction of the tolerance.
-
-    Between neighboring breakpoints there is a whole number of intervals, so that none has to be moved onto one.
 
     Parameters
     ----------
@@ -124,15 +137,11 @@ def equidistributed(
         density[i] = max(density[i], density[i + 1] / NEIGHBORS)
     density = np.minimum(density, finest / np.diff(mesh))
     cumulated = np.concatenate(([0.0], np.cumsum(density * np.diff(mesh))))
-    fixed = np.array([mesh[0], *breakpoints, mesh[-1]])
-    edges = np.interp(fixed, mesh, cumulated)
+    edges = np.interp([mesh[0], *breakpoints, mesh[-1]], mesh, cumulated)
     count = max(fewest, int(np.maximum(np.ceil(np.diff(edges)), 1.0).sum()))
     before = len(mesh) - 1
     if before / fewer < count <= before:
         count = before
     elif count > before:
         count = max(count, int(np.ceil(GROWTH * before)))
-    at = spread_between(edges, count)
-    joints = np.interp(at, cumulated, mesh)
-    joints[np.searchsorted(at, edges)] = fixed
-    return np.asarray(joints)
+    return spread_over(mesh, cumulated, count, breakpoints)

@@ -44,9 +44,9 @@ KINK_ORDER = 2  # a jump of the acceleration inside a step h moves x by h²
 FINEST = 8.0  # parts of one interval at once; a kink needs few levels and leaves few intervals behind
 NARROW = 0.25  # of its neighbor is an interval beside a jump
 CLOSE = 1 / 3  # of an interval: a joint so near to a jump gives way to it
-AGREED = 1e-3  # of what the switching function says: nearer to its joint an impulse says nothing
 MARGIN = 3.0  # times what is not known of a switch: joints beside it
 AROUND = 0.05  # of sqrt(tol), over the duration: a switch between two joints moves x by the square of their distance
+APART = 1e-4  # of the duration: where what is said of a switch differs by less, it has one joint
 DISTINCT = 1e-8  # of the duration: nearer switches are one, such as those of two controls at a breakpoint
 ROUNDOFF = 1e-15  # of positions relative to their size
 ROUNDED = 1e-13  # part of momenta that rounding leaves
@@ -216,49 +216,55 @@ class HigherDegree:
         error[kinked] = target * (error[kinked] / target) ** (order / KINK_ORDER)
         first = np.maximum(self.outside, self.jumps)  # of the order of a distance
         error = np.maximum(error, target * (first / target) ** order)
-        mesh, error = widened(higher.t, error, self.found, target)
-        mesh = equidistributed(mesh, error, order, tol, FINEST)
-        return with_jumps(mesh, self.found, tol)
+        mesh, error = self.widened(error, target)
+        mesh = equidistributed(mesh, error, order, tol, FINEST, breakpoints=higher.problem.breakpoints)
+        return self.with_jumps(mesh, tol)
 
+    def widened(self, error: np.ndarray, target: float) -> tuple[np.ndarray, np.ndarray]:
+        """Mesh and errors without the narrow intervals around jumps; an interval with a jump need not be split."""
+        mesh = self.higher.t
+        steps = np.concatenate(([0.0], np.diff(mesh), [0.0]))
+        narrow = steps[1:-1] < NARROW * np.maximum(steps[:-2], steps[2:])
+        error, drop = error.copy(), np.zeros(len(mesh), dtype=bool)
+        for s in self.found:
+            times = (s.when, s.joint, s.due)
+            first = max(int(np.searchsorted(mesh, min(times))) - 1, 0)
+            last = min(int(np.searchsorted(mesh, max(times), side="right")) - 1, len(narrow) - 1)
+            while first > 0 and narrow[first]:
+                first -= 1
+            while last < len(narrow) - 1 and narrow[last]:
+                last += 1
+            error[first : last + 1] = np.minimum(error[first : last + 1], target)
+            drop[first + 1 : last + 1] |= narrow[first:last] | narrow[first + 1 : last + 1]
+        keep = np.flatnonzero(~drop | np.isin(mesh, self.higher.problem.breakpoints))
+        return mesh[keep], np.maximum.reduceat(error, keep[:-1])
 
-def widened(mesh: np.ndarray, error: np.ndarray, jumps: list[Switch], target: float) -> tuple[np.ndarray, np.ndarray]:
-    """Mesh and errors without the narrow intervals around jumps; an interval with a jump need not be split."""
-    steps = np.concatenate(([0.0], np.diff(mesh), [0.0]))
-    narrow = steps[1:-1] < NARROW * np.maximum(steps[:-2], steps[2:])
-    error, drop = error.copy(), np.zeros(len(mesh), dtype=bool)
-    for s in jumps:
-        times = (s.when, s.joint, s.due)
-        first = max(int(np.searchsorted(mesh, min(times))) - 1, 0)
-        last = min(int(np.searchsorted(mesh, max(times), side="right")) - 1, len(narrow) - 1)
-        while first > 0 and narrow[first]:
-            first -= 1
-        while last < len(narrow) - 1 and narrow[last]:
-            last += 1
-        error[first : last + 1] = np.minimum(error[first : last + 1], target)
-        drop[first + 1 : last + 1] |= narrow[first:last] | narrow[first + 1 : last + 1]
-    keep = np.flatnonzero(~drop)
-    return mesh[keep], np.maximum.reduceat(error, keep[:-1])
+    def with_jumps(self, mesh: np.ndarray, tol: float) -> np.ndarray:
+        """Joints at switches, and on either side, as close as the switches are known or have to be.
 
-
-def with_jumps(mesh: np.ndarray, found: list[Switch], tol: float) -> np.ndarray:
-    """Joints at switches, and beside them, as close as the switches are known or have to be.
-
-    The switching function says when they are, but not to which place between two points of the quadrature; the impulse
-    says it in the smaller of two intervals, but not where all controls stay at their bounds on both sides.
-    """
-    jumps: dict[float, float] = {}  # times, and how close to them joints stand
-    for s in found:
-        late = abs(s.when - s.joint), abs(s.due - s.joint)
-        when = s.due if late[0] < AGREED * late[1] else s.when
-        if any(abs(when - other) < DISTINCT * np.ptp(mesh) for other in jumps):
-            continue
-        k = int(np.searchsorted(mesh[1:-1], when))
-        near = min((k, k + 1), key=lambda j: abs(mesh[j] - when))
-        if 0 < near < len(mesh) - 1 and abs(mesh[near] - when) < CLOSE * (mesh[k + 1] - mesh[k]):
-            mesh = np.delete(mesh, near)
-        jumps[when] = max(AROUND * np.sqrt(tol) * np.ptp(mesh), MARGIN * max(late))
-    everything = np.unique(np.concatenate((mesh, list(jumps))))
-    for when, distance in jumps.items():
-        if distance < NARROW * np.min(np.abs(everything - when)[everything != when]):
-            mesh = np.append(mesh, [when - distance, when + distance])
-    return np.unique(np.concatenate((mesh, list(jumps))))
+        The impulse says when they are where the ends fix them, and the switching function only to which place between
+        two points of the quadrature.  Where the ends do not, all controls may stay at their bounds on both sides of a
+        joint, and the switching function knows better.  So where the two are far apart both have a joint.  A switch as
+        near to a breakpoint as the path is known stands there: a joint beside it would be too near.
+        """
+        jumps: dict[float, float] = {}  # times, and how close to them joints stand
+        duration, breakpoints = np.ptp(mesh), self.higher.problem.breakpoints
+        closest, known = AROUND * np.sqrt(tol) * duration, max(self.change, TARGET * tol) * duration
+        told = [(s, s.when) for s in self.found]
+        told += [(s, s.due) for s in self.found if abs(s.due - s.when) > APART * duration]
+        for s, when in told:
+            when = next((b for b in breakpoints if abs(b - when) < known), when)
+            if any(abs(when - other) < DISTINCT * duration for other in jumps):
+                continue
+            k = int(np.searchsorted(mesh[1:-1], when))
+            near = min((k, k + 1), key=lambda j: abs(mesh[j] - when))
+            stays = mesh[near] in (mesh[0], *breakpoints, mesh[-1])
+            if not stays and abs(mesh[near] - when) < CLOSE * (mesh[k + 1] - mesh[k]):
+                mesh = np.delete(mesh, near)
+            jumps[when] = max(closest, MARGIN * abs(s.when - s.joint), MARGIN * abs(s.due - s.joint))
+        joints = np.unique(np.concatenate((mesh, list(jumps))))
+        for when, distance in jumps.items():
+            k = int(np.searchsorted(joints, when))
+            wide = distance < NARROW * np.diff(joints)[k - 1 : k + 1]
+            mesh = np.append(mesh, np.array([when - distance, when + distance])[wide])
+        return np.unique(np.concatenate((mesh, list(jumps))))

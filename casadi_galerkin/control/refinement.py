@@ -43,9 +43,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.discrete_calculus import mesh_of, with_breakpoints
+from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import graded_alike
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.control.constraint_violation import UNITS, UNSEEN
 from casadi_galerkin.control.error_estimate import HigherDegree
@@ -65,6 +66,9 @@ from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
 FOLLOWING_BARRIER = 1e-4  # first one from an earlier level: with 1e-2 a robot arm left its path, and found none
+# IPOPT's tolerance over its last barrier, times tol², and the largest.  A barrier leaves controls between their bounds
+# on the short intervals beside a switch: with IPOPT's own ratio of 10 a mass that burns was known to 3e-7 only.
+SHARP, SHARPEST = 3e-11, 1e4
 DOUBLINGS = 2  # of a mesh, while the solver finds nothing on it
 FOR_STARTS = 0.5  # of the time: no further start begins after it
 PATIENCE = 10  # levels in a row that came no nearer, after which the mesh is halved: two may lead to one another
@@ -113,16 +117,17 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         super().__init__(tol, limits, verbose)
         self.stated, self.problem = problem, with_joined_phases(problem)
         self.of_cost, self.solver = of_cost, solver
-        self.following = solver.with_options(**{"mu_init": FOLLOWING_BARRIER, **solver.options})
+        barriers = {"mu_init": FOLLOWING_BARRIER, "barrier_tol_factor": float(np.clip(SHARP / tol**2, 10, SHARPEST))}
+        self.following = solver.with_options(**{**barriers, **solver.options})
         self.method = Galerkin(degree_for(tol)) if method is None else method
         self.build_seconds = 0.0
         self.known: HigherDegree | None = None
         self.cost_known = np.inf  # smallest error of the cost of the path under way
         self.jump: float | None = None  # time near which callables jump by more than is tolerated
 
-    def solved(self, level: ControlTrajectory) -> tuple[int, float]:
-        """Iterations of the solver on one level, and the violation it left."""
-        return level.iterations, level.residual
+    def solved(self, level: ControlTrajectory) -> tuple[PiecewisePolynomial, int, float]:
+        """The path of one level, iterations of the solver on it, and the violation it left."""
+        return level.polynomial, level.iterations, level.residual
 
     def path(self, level: ControlTrajectory, error: float) -> ControlTrajectory:
         """The optimum of a level, which solves its own mesh."""
@@ -130,9 +135,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         return replace(path, cost_error=error) if self.of_cost else replace(path, error_estimate=error)
 
     def scaled(self, mesh: np.ndarray, path: ControlTrajectory) -> np.ndarray:
-        """Joints in the times of a path, breakpoints among them, scaled to the phases of the problem."""
-        joints = with_breakpoints(mesh, path.problem.breakpoints)
-        return between_marks(joints, marks(path.problem), marks(self.problem))
+        """Joints in the times of a path, scaled to the phases of the problem."""
+        return between_marks(mesh, marks(path.problem), marks(self.problem))
 
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Solve with one degree on one mesh, in the times of the problem."""
@@ -140,7 +144,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         solver = self.following if isinstance(guess, ControlTrajectory) else self.solver
         try:
             with until(self.deadline):
-                path = transcription.solve(guess=guess, solver=solver, verbose=max(self.verbose - 1, 0))
+                path = transcription.solve(guess=guess, solver=solver, verbose=self.verbose if self.verbose > 1 else 0)
         except ConvergenceError as failure:
             self.iterations += failure.iterations
             raise
@@ -179,7 +183,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:
         """Solve on the better mesh, from the path of higher degree; without that, on a mesh twice as fine."""
         detail = estimate.detail
-        if detail is not None and detail.unseen > self.tol:
+        if detail is not None and detail.unseen > self.tol and self.cost_known > self.tol:
             raise self.stopped(f"the solver may have left {detail.unseen:.0e} of the cost", *self.best, UNITS)
         known = level if detail is None else detail.higher
         mesh = halved(known.t) if detail is None or self.fruitless == PATIENCE else detail.better_mesh(self.tol)

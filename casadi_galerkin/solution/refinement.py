@@ -13,6 +13,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
@@ -82,8 +83,8 @@ class Refinement(ABC, Generic[Level, Detail]):
         """What is attached to the error where the refinement is stopped."""
 
     @abstractmethod
-    def solved(self, level: Level) -> tuple[int, float]:
-        """Iterations of the solver on one level, and the residual it left."""
+    def solved(self, level: Level) -> tuple[PiecewisePolynomial, int, float]:
+        """The path of one level, iterations of the solver on it, and the residual it left."""
 
     def out_of_time(self) -> bool:
         """Whether the time is up."""
@@ -139,7 +140,7 @@ class Refinement(ABC, Generic[Level, Detail]):
             f"tolerance {self.tol:g} was not reached: {reason}. The best path has {len(path.t) - 1} intervals "
             f"and an estimated error of {error:.1e}; it is attached to this error as `path`. {hint}",
             path,
-            self.solved(level)[1],
+            self.solved(level)[2],
             self.iterations,
         )
 
@@ -149,8 +150,8 @@ class Refinement(ABC, Generic[Level, Detail]):
             return
         if number == 0:
             print(f"{'Level':>7}{'Degree':>8}{'Intervals':>11}{'Iterations':>12}{'Max error':>12}  Estimated from")
-        polynomial = self.path(level, estimate.error).polynomial
+        polynomial, iterations, _ = self.solved(level)
         print(
-            f"{number:7d}{polynomial.degree:8d}{len(polynomial.mesh) - 1:11d}{self.solved(level)[0]:12d}"
+            f"{number:7d}{polynomial.degree:8d}{len(polynomial.mesh) - 1:11d}{iterations:12d}"
             f"{estimate.error:12.2e}  {estimate.source}"
         )

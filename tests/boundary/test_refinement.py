@@ -286,6 +286,13 @@ def test_verbose_prints_a_line_a_level(capsys):
     assert "degree" in lines[len(levels)]
 
 
+def test_verbose_prints_the_lines_of_newtons_method_of_all_levels(capsys):
+    path = cg.solve(BY_NAME["Troesch 10"].problem, tol=1e-9, verbose=2)
+    words = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert sum(line[1] == "step" for line in words) == path.iterations
+    assert sum(int(line[3]) for line in words if line[0].isdigit() and line[1] != "step") == path.iterations
+
+
 @pytest.mark.parametrize("tol", [0, 0.0, -1e-6, 1.0, 2.0, np.nan, np.inf, "1e-6", True, [1e-6]])
 def test_bad_tolerances_are_refused(tol):
     with pytest.raises(ValueError, match="tol must be a number between 0 and 1, got"):
@@ -296,7 +303,7 @@ def test_an_estimate_without_a_newton_step_is_infinite():
     """Where the higher degree leaves the domain of the Lagrangian, its Newton step is not finite."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.sqrt(x[0]), (0, 1), [-1.0], [1.0])
     method = cg.Galerkin(2)
-    refinement = BoundaryRefinement(Levels(problem), 1e-3, method, cg.newton, cg.Limits(), verbose=0)
+    refinement = BoundaryRefinement(Levels(problem), 1e-3, method, cg.newton, cg.Limits())
     line = cg.transcribe(problem, method, 4).guess_on_mesh(None, np.linspace(0, 1, 5))
     assert refinement.error(line) == np.inf
 

@@ -6,7 +6,7 @@ from scenes import oscillator_problem
 from scipy.sparse import coo_array
 
 import casadi_galerkin as cg
-from casadi_galerkin.calculus.discrete_calculus import mesh_of, with_breakpoints
+from casadi_galerkin.calculus.discrete_calculus import mesh_of
 
 ROUNDOFF = 1e-13  # values of size 1 to 10, derivatives of degree up to 6 on steps of 0.1 to 1
 MESHES = {"uniform": np.linspace(-1, 2, 5), "graded": np.array([-1.0, -0.7, 0.4, 0.5, 2.0])}
@@ -307,14 +307,6 @@ def test_a_mesh_that_misses_a_breakpoint_is_refused():
         mesh_of((0.0, 1.0), None, [0.0, 0.4, 1.0], (0.5,))
     with pytest.raises(ValueError, match="intervals must be at least 3, as 2 breakpoints are joints, got 2"):
         mesh_of((0.0, 1.0), 2, None, (0.2, 0.3))
-
-
-@pytest.mark.parametrize("breakpoints", [(0.31,), (0.3, 0.31, 0.32), (0.999,), (0.001, 0.5)])
-def test_the_nearest_joints_move_onto_breakpoints(breakpoints):
-    mesh = with_breakpoints(np.linspace(0.0, 1.0, 8), breakpoints)
-    assert set(breakpoints) <= set(mesh.tolist())
-    assert np.all(np.diff(mesh) > 0)
-    assert (mesh[0], mesh[-1]) == (0.0, 1.0)
 
 
 def test_what_is_no_method_has_no_calculus():

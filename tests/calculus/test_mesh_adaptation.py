@@ -14,6 +14,7 @@ from casadi_galerkin.calculus.mesh_adaptation import (
     NEIGHBORS,
     TARGET,
     equidistributed,
+    graded_alike,
     interval_maxima,
     truncation,
 )
@@ -137,3 +138,19 @@ def test_breakpoints_take_no_joint_from_an_interval_that_is_to_be_split(halved):
     assert set(breakpoints) <= set(new)
     assert np.all(np.diff(new) > 0)
     assert np.sum(new > 0.8) >= 1.9 * np.sum(mesh > 0.8)
+
+
+@pytest.mark.parametrize("breakpoints", [(0.31,), (0.3, 0.31, 0.32), (0.999,), (0.001, 0.5)])
+def test_joints_that_are_graded_alike_hold_the_breakpoints(breakpoints):
+    mesh = graded_alike(np.linspace(0.0, 1.0, 8), 7, breakpoints)
+    assert set(breakpoints) <= set(mesh.tolist())
+    assert np.all(np.diff(mesh) > 0)
+    assert (len(mesh), mesh[0], mesh[-1]) == (8, 0.0, 1.0)
+
+
+def test_a_mesh_that_is_halved_keeps_its_joints():
+    mesh = np.array([0.0, 0.1, 0.3, 0.31, 1.0])
+    for breakpoints in ((), (0.3,), (0.1, 0.31)):
+        halved = graded_alike(mesh, 8, breakpoints)
+        assert np.array_equal(halved[::2], mesh)
+        np.testing.assert_allclose(halved[1::2], (mesh[1:] + mesh[:-1]) / 2, rtol=1e-15)

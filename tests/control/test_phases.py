@@ -87,7 +87,7 @@ def test_the_path_is_known_and_the_breakpoint_is_the_switch(name, tol):
     assert path.problem.duration_bounds == make().duration_bounds
 
 
-@pytest.mark.parametrize("tol", [1e-4, 1e-6])
+@pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-8])
 def test_a_rocket_lands_as_in_closed_form(monkeypatch, tol):
     monkeypatch.syspath_prepend(EXAMPLES)
     scene = importlib.import_module("moon_landing")
@@ -173,6 +173,19 @@ def test_switches_on_both_sides_of_a_waypoint_are_named():
     assert path.cost == pytest.approx(2 * (p + q - 0.2), rel=1e-7)
     times = [p, 2 * p - 0.2, 2 * p + q - 0.4]
     np.testing.assert_allclose(path.problem.breakpoints, times, rtol=0, atol=3e-6)
+
+
+@pytest.mark.parametrize("gap", [1e-2, 1e-3, 1e-4, 1e-5])
+@pytest.mark.parametrize("stated", ["a waypoint", "a given time"])
+def test_a_breakpoint_beside_a_switch_leaves_it_its_joint(stated, gap):
+    """Where a joint beside the switch was moved onto the breakpoint, 15 levels in a row came no nearer."""
+    when = 1 - gap
+    passed = {"breakpoints": [], "waypoints": [(when, [when**2 / 2])]}  # it is there anyway
+    fixed = {"breakpoints": [when], "duration_bounds": ([when, 0.1], [when, 10.0])}
+    path = cg.solve(race(**(passed if stated == "a waypoint" else fixed)), tol=1e-6)
+    assert true_error(path, *with_weight(0.0)[:2]) <= path.error_estimate <= 1e-6
+    np.testing.assert_allclose(path.problem.breakpoints, when, rtol=0, atol=2e-6)
+    assert np.min(np.abs(path.t - 1)) <= 2e-6
 
 
 def test_an_answer_with_all_breakpoints_is_a_guess():

@@ -285,6 +285,12 @@ def test_lines_of_the_levels(capsys):
     assert any(line.startswith("ControlTrajectory") for line in lines)
 
 
+def test_lines_of_the_solver_of_all_levels(capfd):
+    """IPOPT prints past Python: one exit for each of two degrees."""
+    cg.solve(double_integrator(), tol=1e-4, verbose=2)
+    assert capfd.readouterr().out.count("EXIT: Optimal Solution Found.") == 2
+
+
 LIMITS = {
     "intervals": (cg.Limits(intervals=9), "would need .* intervals"),
     "levels": (cg.Limits(levels=1), "1 level was not enough"),
