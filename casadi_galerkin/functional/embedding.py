@@ -182,8 +182,8 @@ def assembly(
 ) -> ca.Function:
     """Eᵀ blockdiag(·) E and Eᵀ: gradient fx, fv and Jacobian at the points -> sparse matrix and sum by unknown.
 
-    The Jacobian is one matrix per block, (entries of the (d, d) pattern, N r).  Each interval
-    contributes a dense (m + 1) by (m + 1) grid of cells with that pattern, and neighbors overlap in the joint:
+    The Jacobian is one matrix per block, (entries of the (d, d) pattern, N r).  Each interval contributes a dense
+    (m + 1) by (m + 1) grid of cells with that pattern, and neighbors overlap in the joint:
 
         ■ ■ ■ · ·
         ■ ■ ■ · ·
