@@ -7,10 +7,10 @@ from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscriptio
 from casadi_galerkin.boundary.continuation import Branch as Branch
 from casadi_galerkin.boundary.continuation import Fold as Fold
 from casadi_galerkin.boundary.continuation import continuation as continuation
-from casadi_galerkin.boundary.deflation import Paths as Paths
-from casadi_galerkin.boundary.deflation import paths as paths
 from casadi_galerkin.boundary.sensitivity import Sensitivity as Sensitivity
 from casadi_galerkin.boundary.sensitivity import sensitivity as sensitivity
+from casadi_galerkin.boundary.several_paths import Paths as Paths
+from casadi_galerkin.boundary.several_paths import paths as paths
 from casadi_galerkin.boundary.transcription import Transcription as Transcription
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus as DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin as Galerkin

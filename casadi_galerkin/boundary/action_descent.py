@@ -4,10 +4,9 @@ Two things make a near-collision hard.  A step that is long compared with the di
 other side, where the action may be lower; and the time of the passage is a valley of the action that is nearly flat
 and sharply curved, because x at fixed times is far from linear in a shift of the path in time.
 
-Against the first, steps are damped by added inertia, and after every few the mesh is drawn to where the path turns.
-Against the second, steps act on times as well as on positions.  The part of a step along the path is taken as what
-it is, a shift in time: it moves the joints, and x at the nodes only takes the rest.  And between two such steps the
-joints alone are moved, at fixed x, so as to even out the jumps of the energy, ∂S/∂t_i = 0.
+Against the first, steps are short and damped by added inertia, and after every few the mesh is drawn to where the path
+turns.  Against the second, between two steps the joints alone are moved, at fixed x, so as to even out the jumps of the
+energy, ∂S/∂t_i = 0.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.discrete_calculus import too_near
 from casadi_galerkin.calculus.mesh_adaptation import equidistributed, graded_alike, truncation
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
@@ -30,6 +28,7 @@ MESHES, STEPS = 80, 3  # at most, and between two of them
 POOR, GOOD = 0.25, 0.75  # gain over the one promised below which a step is refused, above which the next may be longer
 RELAXED = 1e-13  # promised relative gain of the action below which a relaxation has ended
 LEAST, MOST = 1e-3, 1e12  # inertia that is added if any is, and at which no step will be found
+LEAP = 0.03  # longest step, relative to the size of the path: longer ones do not stay on their side of a singularity
 SQUEEZE = 0.5  # largest relative change of an interval in one step
 FINER = 2.0  # an interval is split into at most this many between two meshes
 MOST_INTERVALS = 120  # a path on its way needs no more; its front moves on
@@ -37,10 +36,7 @@ SETTLED = 1e-4  # relative step at which Newton's method can take over
 
 
 def descend(
-    transcribed: Callable[[np.ndarray], Transcription],
-    path: PiecewisePolynomial,
-    tol: float,
-    leap: float,
+    transcribed: Callable[[np.ndarray], Transcription], path: PiecewisePolynomial, tol: float
 ) -> PiecewisePolynomial:
     """Lower the action of a path on meshes that resolve it to a tolerance, none with fewer intervals than the first.
 
@@ -49,7 +45,6 @@ def descend(
     transcribed : joints -> Transcription for as many intervals, of the path's degree
     path : PiecewisePolynomial that meets the ends
     tol : relative size of what the path may leave out on an interval
-    leap : longest step, relative to the size of the path
 
     Raises
     ------
@@ -58,7 +53,7 @@ def descend(
     """
     inertia, fewest = 1.0, len(path.mesh) - 1
     for _ in range(MESHES):
-        descent = ActionDescent(transcribed(path.mesh), path, inertia, leap)
+        descent = ActionDescent(transcribed(path.mesh), path, inertia)
         ended = descent.run(STEPS)
         path, inertia, error = descent.path, descent.inertia, truncation(descent.path)
         if np.max(error) < 3 * tol and (ended or (descent.step < SETTLED and inertia == 0)):
@@ -75,14 +70,13 @@ def descend(
 
 
 class ActionDescent:
-    """Damped steps that lower the action, with the joints carried along.
+    """Damped steps that lower the action, each followed by one of the joints.
 
     Parameters
     ----------
     transcription : Transcription, for any mesh of as many intervals as `path` has
     path : PiecewisePolynomial of the transcription's degree
     inertia : added to the factor on ∂²L/∂v² (Levenberg and Marquardt in the kinetic metric)
-    leap : longest step, relative to the size of the path
 
     Attributes
     ----------
@@ -90,8 +84,8 @@ class ActionDescent:
     step : the last step relative to the size of the path
     """
 
-    def __init__(self, transcription: Transcription, path: PiecewisePolynomial, inertia: float, leap: float) -> None:
-        self.transcription, self.path, self.inertia, self.leap = transcription, path, inertia, leap
+    def __init__(self, transcription: Transcription, path: PiecewisePolynomial, inertia: float) -> None:
+        self.transcription, self.path, self.inertia = transcription, path, inertia
         self.step = np.inf
 
     def arguments(self, path: PiecewisePolynomial) -> tuple[np.ndarray, Data]:
@@ -117,17 +111,15 @@ class ActionDescent:
             for _ in range(steps):
                 if not self.advance():
                     return True
-                self.take(retimed(self.path, *self._at.evaluate("joint_time_derivatives", *self.arguments(self.path))))
+                derivatives = self._at.evaluate("joint_time_derivatives", *self.arguments(self.path))
+                trial = retimed(self.path, *derivatives)
+                action = self.action(trial)
+                if action < self._action:
+                    self.path, self._action = trial, action
         return False
 
-    def take(self, path: PiecewisePolynomial) -> None:
-        """Go to a path if its action is lower."""
-        action = self.action(path)
-        if action < self._action:
-            self.path, self._action = path, action
-
     def advance(self) -> bool:
-        """Take one step in x; False where it promises nothing."""
+        """Take one step; False where it promises nothing."""
         arguments = self.arguments(self.path)
         sizes = self.transcription.stationarity.sizes(*arguments)
         while self.inertia <= MOST:
@@ -136,43 +128,20 @@ class ActionDescent:
             (step,) = self._at.solve(g)
             self.step = float(np.max(np.abs(step) / sizes))
             promised = -float(g @ step)
-            if np.isfinite(self.step) and self.step <= self.leap and promised >= 0:
+            if np.isfinite(self.step) and self.step <= LEAP and promised >= 0:
                 if promised <= RELAXED * abs(self._action):
                     return False
-                before, change = self._action, self.transcription.change(step)
-                ways = moved(self.path, change), carried(self.path, change)
-                best = min(ways, key=self.action)
-                gain = 2 * (before - self.action(best)) / promised
+                values = self.path.values + self.transcription.change(step)
+                trial = PiecewisePolynomial(self.path.mesh, self.path.nodes, values)
+                action = self.action(trial)
+                gain = 2 * (self._action - action) / promised
                 if gain > POOR:
-                    self.take(best)
+                    self.path, self._action = trial, action
                     if gain > GOOD:
                         self.inertia = self.inertia / 3 if self.inertia > LEAST else 0.0
                     return True
             self.inertia = max(3 * self.inertia, LEAST)
         raise ConvergenceError("no step lowers the action", Path(self.path))
-
-
-def moved(path: PiecewisePolynomial, change: np.ndarray) -> PiecewisePolynomial:
-    """Add a change of the node values, (d, N m + 1)."""
-    return PiecewisePolynomial(path.mesh, path.nodes, path.values + change)
-
-
-def carried(path: PiecewisePolynomial, change: np.ndarray) -> PiecewisePolynomial:
-    """Add a change of the node values, (d, N m + 1); its part along the path moves the joints instead.
-
-    Only the part of the speed above its mean counts, so that a slow path keeps its mesh.
-    """
-    degree, steps, node_times = path.degree, np.diff(path.mesh), path.times(path.nodes[:-1])
-    scale = component_sizes(path.values)[:, None]
-    velocity = path(node_times, 1)
-    fast, shifted = velocity[:, ::degree] / scale, change[:, ::degree] / scale
-    speed = np.sum(fast**2, axis=0)
-    mean = speed[:-1] @ steps / np.sum(steps)
-    shift = -np.sum(fast * shifted, axis=0) / (speed + mean + (mean == 0))
-    shift[[0, -1]] = 0.0
-    shift = squeezed(shift, steps)
-    along = np.interp(node_times, path.mesh, shift)
-    return PiecewisePolynomial(path.mesh + shift, path.nodes, path.values + change + along * velocity)
 
 
 def retimed(
@@ -196,9 +165,5 @@ def retimed(
         return path
     if not np.all(np.isfinite(shift)):
         return path
-    return PiecewisePolynomial(path.mesh + squeezed(np.array(shift), np.diff(path.mesh)), path.nodes, path.values)
-
-
-def squeezed(shift: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Shorten a shift of the joints so that no interval changes its length by more than `SQUEEZE` of it."""
-    return shift * (SQUEEZE / max(float(np.max(np.abs(np.diff(shift)) / steps)), SQUEEZE))
+    largest = float(np.max(np.abs(np.diff(shift)) / np.diff(path.mesh)))
+    return PiecewisePolynomial(path.mesh + np.array(shift) * (SQUEEZE / max(largest, SQUEEZE)), path.nodes, path.values)

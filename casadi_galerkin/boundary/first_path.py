@@ -9,27 +9,21 @@ from functools import partial
 from typing import TypeGuard
 
 import numpy as np
-from numpy.polynomial.legendre import legfit, legval
 
 from casadi_galerkin.boundary.action_descent import descend
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.levels import Levels
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import equidistributed, graded_alike, of_degree, truncation
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import by_rows
-from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.guess import FAR, Guess, apart
-from casadi_galerkin.solution.path import Path
-from casadi_galerkin.solvers.ipopt import rescue
+from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solvers.newton import damped_newton
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton
 
 PATIENCE = 2  # meshes on which a first path may be lost before another is looked for; a false one was seen to creep
 ITERATIONS = 40  # of Newton's method from an earlier path; where it took more it was measured to wander
 DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
-LEAPS = 0.02, 0.1  # of a descent: short ones stay on their side of a singularity, long ones arrive
 GUESS_LEVELS, GUESS_INTERVALS = 10, 200
 ROUGHLY, WELL = 0.1, 1e-4  # part of a guess that a first mesh may leave out: a corner or noise may, a layer may not
 MORE = 4  # times as many intervals as the coarse mesh has: where that is too coarse for any path, this was enough
@@ -72,49 +66,27 @@ def resolved(
     return path
 
 
-def _from_smoothed(levels: Levels, method: Galerkin, given: PiecewisePolynomial, solver: SolverLike) -> CriticalPoint:
-    """Begin with the cubic polynomial nearest to a guess, which has none of the guess's corners and noise.
-
-    It keeps little of the guess's shape either.  So a path far from the guess is refused: another one was meant.
-    """
-    parts = 2 * DiscreteCalculus(method, given.mesh).node_parts - 1
-    cubic = legval(parts, legfit(parts, given.values.T, 3))
-    point = levels.solve(method, given.mesh, cubic, solver)
-    distance = apart(point.polynomial.values, given.values)
-    if distance > FAR:
-        found = f"a path up to {distance:.2g} of the guess's size away from the guess"
-        raise ConvergenceError(f"the guess smoothed leads to {found}", Path(point.polynomial))
-    return point
-
-
 def first_path_strategies(
     levels: Levels, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike
 ) -> Iterator[Strategy]:
     """Ways to a first path, in the order in which they are tried.
 
-    They are Newton's method on the coarse mesh; with a guess the same from the guess smoothed; Newton's method on a
-    finer mesh, which resolves the guess; without a guess a minimum of the action on the coarse mesh; a descent of the
-    action with moving joints; and whatever `solver` tries.
+    They are Newton's method on the coarse mesh, and on a finer one, which resolves the guess; a descent of the action
+    with moving joints; and whatever `solver` tries.
     """
     given = resolved(levels, method, guess, mesh, ROUGHLY)
     mesh, solved, name = given.mesh, partial(levels.solve, method), repr(solver)
     if is_newton(solver):
         plain, brief = partial(damped_newton, **solver.options), following(solver)
         yield Strategy("Newton's method", partial(solved, mesh, given.values, plain), PATIENCE)
-        if guess is not None:
-            found = partial(_from_smoothed, levels, method, given, brief)
-            yield Strategy("Newton's method from the guess smoothed", found, PATIENCE)
         fine = _with_more(levels, resolved(levels, method, guess, mesh, WELL).mesh, MORE * (len(mesh) - 1))
         found = partial(solved, fine, guess, brief)
         yield Strategy(f"Newton's method on {len(fine) - 1} intervals", found, PATIENCE)
         graph = levels.transcription(method, mesh)
-        if graph.stationarity.variational and guess is None:  # its long steps do not keep to a side that a guess tells
-            found = partial(solved, mesh, None, partial(rescue, minimize=True))
-            yield Strategy("IPOPT on the action", found, PATIENCE)
-        joints = _with_more(levels, fine, DESCENT_INTERVALS)
-        for leap in LEAPS if graph.stationarity.variational and not graph.numbering.multipliers else ():
-            found = partial(_by_descent, levels, joints, guess, brief, leap)
-            yield Strategy(f"descent of the action in steps of {leap:g}", found, math.inf)
+        if graph.stationarity.variational and not graph.numbering.multipliers:
+            joints = _with_more(levels, fine, DESCENT_INTERVALS)
+            found = partial(_by_descent, levels, joints, guess, brief)
+            yield Strategy("descent of the action", found, math.inf)
         name = "Newton's method with IPOPT to its rescue"
     yield Strategy(name, partial(solved, mesh, guess, solver), math.inf)
 
@@ -124,13 +96,11 @@ def _with_more(levels: Levels, mesh: np.ndarray, intervals: int) -> np.ndarray:
     return graded_alike(mesh, max(intervals, len(mesh) - 1), levels.problem.breakpoints)
 
 
-def _by_descent(
-    levels: Levels, mesh: np.ndarray, guess: Guess | None, solver: SolverLike, leap: float
-) -> CriticalPoint:
+def _by_descent(levels: Levels, mesh: np.ndarray, guess: Guess | None, solver: SolverLike) -> CriticalPoint:
     """Lower the action of a guess until Newton's method takes over."""
     method = of_degree(DESCENT_DEGREE)
     transcribed = partial(levels.transcription, method, mapping=by_rows)
     path = transcribed(mesh).guess_on_mesh(guess, mesh)
-    path = descend(transcribed, path, DESCENT_TOLERANCE, leap)
+    path = descend(transcribed, path, DESCENT_TOLERANCE)
     mesh = graded_alike(path.mesh, len(path.mesh) - 1, levels.problem.breakpoints)  # descending moves the joints
     return levels.solve(method, mesh, path, solver)

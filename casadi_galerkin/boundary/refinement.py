@@ -27,7 +27,6 @@ from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.calculus.discrete_calculus import NEAREST, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import (
-    FEWER,
     FEWEST,
     FINEST,
     TARGET,
@@ -52,7 +51,6 @@ from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import SolverLike
 
 FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
-RISE = 3  # degrees that a level may gain on the one before
 CLEAR = 1e-9  # part left out below which a path is near enough to its limit to tell how rounding moves it
 BLURRED = 1e-14  # part left out that rounding of the node values alone looks like
 TELLS = 1e-12  # energies that agree to so much agree: they sum the rounding of all intervals
@@ -166,27 +164,26 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     def error(self, path: PiecewisePolynomial) -> float:
         """Largest error on a path, from Newton steps in a higher degree on the same mesh."""
         higher = self.levels.transcription(of_higher_degree(path.degree), path.mesh)
-        return discretization_error(higher, path, self.tol)
+        return discretization_error(higher, path)
 
     def improve(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> CriticalPoint:
         """Solve on the equidistributed mesh; where Newton's method does not follow, on one changed less.
 
-        The degree rises by at most `RISE`; an analytic path's error then falls to the power of the orders' ratio.
+        Where the degree rises, an analytic path's error falls to the power of the orders' ratio.
         Where the last mesh did not halve the error, the path is less smooth than the method's order tells, and as many
         intervals elsewhere would not do: there are more.  Only errors estimated from the same are compared.
         """
         finest, degree, method = FINEST, level.polynomial.degree, self.method
-        if degree + RISE < method.degree or (degree > method.degree and not self.fixed):
-            method = of_degree(min(degree + RISE, max(degree, method.degree)))
+        if degree > method.degree and not self.fixed:
+            method = of_degree(degree)
         order = method.degree + 1
         expected = estimate.detail ** (order / (degree + 1))
-        fewer = FEWER if method.degree == degree else 1.0  # where the graph is built anew, it may as well be small
         breakpoints, before = self.levels.problem.breakpoints, len(level.polynomial.mesh) - 1
         nearest = self.nearest.get(estimate.source, math.inf)
         fewest = FEWEST if estimate.error < nearest / 2 else before + 1
         self.nearest[estimate.source] = min(nearest, estimate.error)
         while True:
-            mesh = equidistributed(level.polynomial.mesh, expected, order, self.tol, finest, fewest, fewer, breakpoints)
+            mesh = equidistributed(level.polynomial.mesh, expected, order, self.tol, finest, fewest, breakpoints)
             self.check_mesh(mesh, level, estimate)
             try:
                 return self.levels.solve(method, mesh, level.polynomial, self.following)

@@ -109,7 +109,6 @@ def equidistributed(
     tol: float,
     finest: float = FINEST,
     fewest: int = FEWEST,
-    fewer: float = FEWER,
     breakpoints: tuple[float, ...] = (),
 ) -> np.ndarray:
     """Joints of a new mesh on which every interval's error should be a fraction of the tolerance.
@@ -122,7 +121,6 @@ def equidistributed(
     tol : tolerance
     finest : largest number of intervals that one is split into
     fewest : least number of intervals of the new mesh
-    fewer : factor of too many intervals from which their number is lowered
     breakpoints : increasing times inside that are joints
 
     Returns
@@ -140,7 +138,7 @@ def equidistributed(
     edges = np.interp([mesh[0], *breakpoints, mesh[-1]], mesh, cumulated)
     count = max(fewest, int(np.maximum(np.ceil(np.diff(edges)), 1.0).sum()))
     before = len(mesh) - 1
-    if before / fewer < count <= before:
+    if before / FEWER < count <= before:
         count = before
     elif count > before:
         count = max(count, int(np.ceil(GROWTH * before)))

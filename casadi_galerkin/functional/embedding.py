@@ -182,8 +182,8 @@ def assembly(
 ) -> ca.Function:
     """Eᵀ blockdiag(·) E and Eᵀ: gradient fx, fv and Jacobian at the points -> sparse matrix and sum by unknown.
 
-    The Jacobian is one matrix per block, (stored entries of the (d, d) pattern, N r), as in `cell`.  Each interval
-    contributes a dense (m + 1) by (m + 1) grid of cells with that pattern, and neighbors overlap in the joint:
+    The Jacobian is one matrix per block, (entries of the (d, d) pattern, N r).  Each interval contributes a dense
+    (m + 1) by (m + 1) grid of cells with that pattern, and neighbors overlap in the joint:
 
         ■ ■ ■ · ·
         ■ ■ ■ · ·
@@ -229,7 +229,7 @@ class Pattern:
 
 @lru_cache(KEPT)
 def hessian_pattern(numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...], symmetric: bool) -> Pattern:
-    """Pattern of Eᵀ blockdiag(·) E; of each block the entries (colind, row) are stored, its diagonal among them."""
+    """Pattern of Eᵀ blockdiag(·) E; the pattern (colind, row) of a block is symmetric and has its diagonal."""
     position, target = _hessian_entries(numbering, colind, row, symmetric)
     (first, targets), *others = _contributions(target)
     columns, rows = np.divmod(targets, numbering.free)
@@ -237,20 +237,6 @@ def hessian_pattern(numbering: Numbering, colind: tuple[int, ...], row: tuple[in
     sparsity = ca.Sparsity(numbering.free, numbering.free, starts.tolist(), rows.tolist())
     rounds = [(position[chosen], np.searchsorted(targets, repeated)) for chosen, repeated in others]
     return Pattern(sparsity, position[first], rounds)
-
-
-def cell(colind: tuple[int, ...], row: tuple[int, ...]) -> tuple[np.ndarray, ...]:
-    """Rows and columns of a cell's entries, and where they stand among the stored ones: in it, and in its transpose.
-
-    Stored are all entries of a symmetric pattern, or, of cells that are symmetric themselves, the lower triangle.
-    """
-    rows, columns = np.array(row), np.repeat(np.arange(len(colind) - 1), np.diff(colind))
-    stored = np.arange(len(rows))
-    if np.any(rows < columns):
-        return rows, columns, stored, np.lexsort((columns, rows))
-    below = np.flatnonzero(rows > columns)
-    both = np.append(stored, below)
-    return np.append(rows, columns[below]), np.append(columns, rows[below]), both, both
 
 
 def _node_pairs(nodes: int, symmetric: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -266,13 +252,14 @@ def _hessian_entries(
 ) -> tuple[np.ndarray, np.ndarray]:
     """For every entry of every local Hessian: its position among the computed ones, its place column-major."""
     nodes, count = numbering.method.degree + 1, len(row)
-    row_in, column_in, stored, transposed = cell(colind, row)
+    row_in, column_in = np.array(row), np.repeat(np.arange(len(colind) - 1), np.diff(colind))
+    transposed = np.lexsort((column_in, row_in))  # where an entry's mirror image stands
     b, a, entry = (index.ravel() for index in np.indices((nodes, nodes, len(row_in))))
     order = np.lexsort((row_in[entry], a, column_in[entry], b))  # column-major, so that the final sort has little to do
     a, b, entry = a[order], b[order], entry[order]
     low, high = np.minimum(a, b), np.maximum(a, b)
     pair = high * (high + 1) // 2 + low if symmetric else nodes * a + b
-    in_cell = np.where(a >= b, stored[entry], transposed[entry]) if symmetric else stored[entry]
+    in_cell = np.where(a >= b, entry, transposed[entry]) if symmetric else entry
     interval = np.arange(numbering.intervals)[:, None]
     position = (pair * numbering.intervals + interval) * count + in_cell
     local = numbering.local

@@ -89,8 +89,8 @@ class Functional:
         self._shared = (4,) if lagrangian.n_in() == 4 else ()  # after t, h, x and x' the parameters
         self._parameters = [ca.MX.sym("parameters", lagrangian.size1_in(3))] if self._shared else []
         self._given = [ca.MX.sym("given", given)] if given else []
-        stored = self.pointwise.stored
-        self.pattern_key = (self.numbering, tuple(stored.colind()), tuple(stored.row()), self.pointwise.symmetric)
+        pattern = self.pointwise.pattern
+        self.pattern_key = (self.numbering, tuple(pattern.colind()), tuple(pattern.row()), self.pointwise.symmetric)
         self._functions: dict[str, ca.Function] = {}
         self.build_seconds = time.perf_counter() - began
 
@@ -136,8 +136,7 @@ class Functional:
     @lazy
     def _second(self) -> list[ca.MX]:
         """L̂, its first and its second derivatives at all points."""
-        pointwise, brief = self.pointwise, self._mapping is one_by_one
-        return self._at_points(pointwise.derivatives if brief else pointwise.without_repetition)
+        return self._at_points(self.pointwise.derivatives)
 
     @lazy
     def _first(self) -> list[ca.MX]:

@@ -36,7 +36,6 @@ class Pointwise:
     ----------
     symmetric : whether J is, which it is without a force
     pattern : Sparsity (d, d), symmetric, that holds every block of J
-    stored : the same, or its lower triangle where that tells all: in a symmetric J without a block of x and x'
     blocks : which of (0, 0), (0, 1), (1, 0), (1, 1) are not structurally zero; 0 stands for x and 1 for x'
     kinetic : whether no ∂²L̂/∂x'_i² is structurally zero
     """
@@ -65,7 +64,6 @@ class Pointwise:
         for key in self.blocks:
             sparsity = self._cells[key].sparsity()
             self.pattern = self.pattern + sparsity + sparsity.T
-        self.stored = ca.tril(self.pattern) if self.symmetric and (0, 1) not in self.blocks else self.pattern
         kinetic = self._cells[1, 1].sparsity()
         self.kinetic = all(kinetic.has_nz(i, i) for i in range(d))
 
@@ -76,34 +74,20 @@ class Pointwise:
 
     @lazy
     def derivatives(self) -> ca.Function:
-        """What `first` has, and J in the order of `blocks`, each the column of its `stored` entries.
+        """What `first` has, and J in the order of `blocks`, each the column of its entries in `pattern`.
 
         They are one Function, because a call costs as much as evaluating a small Lagrangian.
         """
-        return self._function("derivatives", self._all)
-
-    @lazy
-    def without_repetition(self) -> ca.Function:
-        """The same without instructions that repeat, a tenth to a quarter of them.
-
-        Finding them takes longer than one solve saves by it.
-        """
-        return self._function("derivatives", self._all, cse=True)
-
-    @lazy
-    def _all(self) -> dict[str, ca.SX]:
-        columns = {f"block{i}{j}": ca.project(self._cells[i, j], self.stored).nz[:] for i, j in self.blocks}
-        return {"f": self._value, **self._slopes, **columns}
+        columns = {f"block{i}{j}": ca.project(self._cells[i, j], self.pattern).nz[:] for i, j in self.blocks}
+        return self._function("derivatives", {"f": self._value, **self._slopes, **columns})
 
     def mass(self, blocks: Sequence[np.ndarray]) -> np.ndarray:
-        """∂²L̂/∂x'² at K points, (K, d, d), from the columns of `blocks`, (stored, K) each; zero where L is linear."""
+        """∂²L̂/∂x'² at K points, (K, d, d), from the columns of `blocks`, (entries, K) each; zero where L is linear."""
         d, count = self.pattern.size1(), blocks[0].shape[1]
         mass = np.zeros((count, d, d))
         if (1, 1) in self.blocks:
-            rows, columns = (np.array(index, dtype=int) for index in self.stored.get_triplet())
-            entries = blocks[self.blocks.index((1, 1))].T
-            mass[:, rows, columns] = entries
-            mass[:, columns, rows] = entries
+            rows, columns = (np.array(index, dtype=int) for index in self.pattern.get_triplet())
+            mass[:, rows, columns] = blocks[self.blocks.index((1, 1))].T
         return mass
 
     @lazy
@@ -130,8 +114,8 @@ class Pointwise:
         entries = (gradient[0], gradient[1], hessian[0, 0], hessian[0, 1], hessian[1, 1])
         return ca.Function("time_derivatives", list(self._inputs.values()), [ca.densify(entry) for entry in entries])
 
-    def _function(self, name: str, outputs: dict[str, ca.SX], **options: bool) -> ca.Function:
-        return ca.Function(name, self._inputs | outputs, list(self._inputs), list(outputs), options)
+    def _function(self, name: str, outputs: dict[str, ca.SX]) -> ca.Function:
+        return ca.Function(name, self._inputs | outputs, list(self._inputs), list(outputs))
 
 
 @lru_cache(KEPT)

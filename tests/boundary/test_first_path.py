@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import casadi_galerkin as cg
-from casadi_galerkin.boundary.action_descent import carried, retimed
+from casadi_galerkin.boundary.action_descent import retimed
 
 TOL = 1e-6
 
@@ -54,7 +54,6 @@ def test_noise_does_not_hide_a_great_circle(seed):
     exact = cg.solve(problem, tol=1e-9)
     path = cg.solve(problem, tol=TOL, guess=joined(exact, problem.t_span, 25, 0.05, seed))
     assert off(path, exact) < 10 * TOL
-    assert "first path by Newton's method from the guess smoothed" in path.solver
 
 
 def test_a_guess_is_put_on_the_first_mesh_once():
@@ -71,11 +70,9 @@ def test_a_guess_is_put_on_the_first_mesh_once():
 
 
 def test_a_path_on_the_other_side_of_the_sun_is_not_taken_for_the_one_meant():
-    """The cubic nearest to this guess leads to the path on the other side."""
     problem, exact = kepler(0.9)
     path = cg.solve(problem, tol=TOL, guess=joined(exact, problem.t_span, 25, 0.05, seed=2))
     assert off(path, exact) < 10 * TOL
-    assert "smoothed" not in path.solver
 
 
 def test_a_guess_that_turns_sharply_is_resolved_by_the_first_mesh():
@@ -103,12 +100,6 @@ def test_a_layer_thinner_than_doubles_tell_is_no_bad_mesh(capsys):
     with pytest.raises(cg.ConvergenceError, match="no path was found"):
         cg.solve(problem, tol=TOL, verbose=1)
     assert "Newton's method with IPOPT to its rescue: no path" in capsys.readouterr().out
-
-
-def test_joints_that_are_carried_along_leave_the_time_span_as_it_is():
-    calculus = cg.DiscreteCalculus(cg.Galerkin(2), np.linspace(0.0, 1.0, 5))
-    path = calculus.emb(calculus.node_times[None, :] ** 2)
-    assert carried(path, np.full(path.values.shape, 0.1)).mesh[[0, -1]].tolist() == [0.0, 1.0]
 
 
 @pytest.mark.parametrize("pivot", [0.0, np.nan])

@@ -7,7 +7,6 @@ from scenes import bratu, bratu_theta, catenoid, oscillator_problem, pendulum
 from scipy.integrate import solve_ivp
 
 import casadi_galerkin as cg
-from casadi_galerkin.boundary.deflation import deflated
 from casadi_galerkin.boundary.loaded_curve import LoadedCurve
 
 SOLVES = 100  # within which every path has to be found
@@ -220,18 +219,6 @@ def test_one_picture_shows_all(swings, geodesics):
         geodesics.plot(component=2)
     with pytest.raises(ValueError, match=r"labels of x must be 1 name, one per component, got \[\['λ', 'φ'\]\]"):
         geodesics.plot(label=["λ", "φ"])
-
-
-def test_a_deflated_iteration_never_ends_at_what_is_known():
-    transcription = cg.transcribe(cg.BoundaryProblem(bratu(3.0), (0, 1), [0.0], [0.0]), cg.Galerkin(6), 6)
-    lower = transcription.critical_point()
-    upper = transcription.critical_point(guess=lambda t: [8 * t * (1 - t)])
-    known, data, sizes = lower.solution.unknowns, lower.data, np.full(35, 0.64)
-    given = transcription.stationarity, 1.01 * known, data
-    plain, _ = deflated(*given, [], sizes, 1e6)
-    assert np.max(np.abs(plain - known)) < 0.1
-    elsewhere, _ = deflated(*given, [known], sizes, 1e6)
-    assert np.max(np.abs(elsewhere - upper.solution.unknowns)) < 0.1
 
 
 def test_a_load_leads_from_one_catenoid_to_the_other_and_back():

@@ -1,19 +1,12 @@
 """Several stationary paths of one problem, without a guess.
 
-Deflation (P. E. Farrell, A. Birkisson, S. W. Funke, "Deflation techniques for finding distinct solutions of nonlinear
-partial differential equations", 2015): where ξ_1, ..., ξ_k are known, Newton's method is begun from random smooth
-guesses on
-
-    M(ξ) ∇S(ξ) = 0,    M(ξ) = Π_i (1/‖ξ - ξ_i‖² + 1),
-
-which has all other solutions of ∇S = 0 and not these.  By the formula of Sherman and Morrison, its step is τ times
-Newton's own step y, τ = 1 / (1 - ∇log M · y).
-
-In between, curves of loaded paths are followed from what is known (`loaded_curve`).  Deflation alone was measured to
-find 5 of 13 geodesics on a torus in 100 solves; with the curves all are found in 4 to 25.  Wherever either comes near
-a path, the package's own Newton method takes over, and its answer is verified as every answer is.  A discrete action
-also has critical points that are no paths, zigzags of a coarse mesh, and makes single paths of a family: dropped is
-what a higher degree or the witnesses refute, and where the second variation vanishes up to the error.
+Curves of loaded paths are followed from what is known (`loaded_curve`); in between, and until something is known,
+Newton's method is begun from random smooth guesses.  Guesses alone, even with what is known divided out of the
+equations, were measured to find 5 of 13 geodesics on a torus in 100 solves; with the curves all are found in 4 to 25.
+Wherever a curve comes near a path, the package's own Newton method takes over, and its answer is verified as every
+answer is.  A discrete action also has critical points that are no paths, zigzags of a coarse mesh, and makes single
+paths of a family: dropped is what a higher degree or the witnesses refute, and where the second variation vanishes up
+to the error.
 """
 
 from __future__ import annotations
@@ -34,7 +27,6 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted, place, real_array, whole_number
 from casadi_galerkin.calculus.roundoff import component_sizes
-from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.statement import refuse_free_phase
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
@@ -44,7 +36,6 @@ from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import smallest_second_variation
-from casadi_galerkin.solvers.stationarity import Stationarity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,9 +45,7 @@ Symmetry = Callable[[np.ndarray], ArrayLike]
 SAME = 1e-6  # largest distance of two node values of one path found twice, in sizes of the component
 RESOLVED = 0.05  # largest estimated error of a path, in sizes of the component; of zigzags it is about one
 SOFT, ERRORS = 1e-3, 10.0  # relative second variation that is zero up to so many errors; regular ones are 1e-2 and more
-NEAR = 0.1  # ordinary step, over the distance to what is known and to the path's own size, from which it leads on
-LONGEST = 1.0  # deflated step in sizes of the path; where ∇log M · y is near one, it would be of any length
-DEFLATED, POLISHING = 40, 20  # iterations of the deflated and of the ordinary Newton method
+ITERATIONS, POLISHING = 60, 20  # of Newton's method from a random guess, and from where a curve meets a path
 SMALLEST, LARGEST = -2.0, 5.0  # powers of two between which the amplitude of a random guess lies
 STIFFEST = 1e8  # largest entry of the Hessian over that at the paths; from there on roundoff rules
 SHOWN = 6  # paths in a repr
@@ -286,14 +275,11 @@ class Search:
         return waves(self.random, self.component_sizes, period)(self.parts)
 
     def from_a_guess(self) -> Solution:
-        """Deflated Newton's method from a random guess."""
+        """Newton's method from a random guess."""
         guess = 2 ** self.random.uniform(SMALLEST, LARGEST) * self.smooth()
         bent = self.transcription.guess_on_mesh(guess, self.transcription.mesh)
-        given = self.stationarity, self.unknowns(bent.values), self.data
-        unknowns, iterations = deflated(*given, self.known, self.sizes, self.stiffest)
-        solution = damped_newton(self.stationarity, unknowns, self.data, max_iter=POLISHING)
-        report = "deflated Newton, from a random guess"
-        return replace(solution, iterations=iterations + solution.iterations, report=report)
+        solution = damped_newton(self.stationarity, self.unknowns(bent.values), self.data, max_iter=ITERATIONS)
+        return replace(solution, report="Newton, from a random guess")
 
     def along_a_load(self) -> Iterator[Solution]:
         """All that a curve of loaded paths meets: first to one side of a path, in the next solve to the other."""
@@ -367,33 +353,3 @@ class Search:
             )
         kind = ConjugatePointError if self.singular else ConvergenceError
         return kind(f"{self.solves} solves found no path; from the straight line, {self.failure}", path)
-
-
-def deflated(
-    stationarity: Stationarity,
-    guess: np.ndarray,
-    data: Data,
-    known: Sequence[np.ndarray],
-    sizes: np.ndarray,
-    stiffest: float,
-) -> tuple[np.ndarray, int]:
-    """Deflated Newton's method up to where something is near that is not known: that point, and the iterations.
-
-    Unknowns are measured by `sizes`; it goes on while no entry of the Hessian is larger than `stiffest`.
-    """
-    x, weights = guess, 1 / (len(sizes) * sizes**2)
-    with stationarity.linearization() as at:
-        for iteration in range(DEFLATED):
-            gradient = at.relinearize(x, data)
-            if not np.max(np.abs(at.matrix), initial=0.0) < stiffest:
-                raise SolveFailure("the deflated iteration has left for where roundoff rules", x, iteration)
-            (step,) = at.solve(gradient)
-            away = x - np.reshape(known, (len(known), len(x)))
-            length, squares = np.sqrt(step**2 @ weights), away**2 @ weights
-            if not np.isfinite(length):
-                raise SolveFailure("the deflated Newton step is not finite", x, iteration)
-            if length < NEAR * np.sqrt(np.min(squares, initial=1.0)):
-                return x, iteration
-            slope = 1 + 2 * np.sum(away @ (weights * step) / (squares * (1 + squares)))  # 1 - ∇log M · y
-            x = x + step * np.copysign(1 / max(abs(slope), length / LONGEST), slope)
-    raise SolveFailure(f"nothing is near after {DEFLATED} deflated iterations", x, DEFLATED)
