@@ -136,7 +136,8 @@ class Functional:
     @lazy
     def _second(self) -> list[ca.MX]:
         """L̂, its first and its second derivatives at all points."""
-        return self._at_points(self.pointwise.derivatives)
+        pointwise, brief = self.pointwise, self._mapping is one_by_one
+        return self._at_points(pointwise.derivatives if brief else pointwise.without_repetition)
 
     @lazy
     def _first(self) -> list[ca.MX]:
