@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import casadi_galerkin as cg
 from casadi_galerkin.boundary.action_descent import retimed
@@ -117,3 +118,33 @@ def test_values_at_the_first_joints_are_a_guess_on_any_mesh():
     transcription = cg.transcribe(well, tol=TOL, intervals=6)
     for path in (cg.solve(well, tol=TOL, intervals=6, guess=line), *(transcription.solve(guess=line) for _ in "ab")):
         assert path.action == pytest.approx(expected.action, rel=TOL)
+
+
+@pytest.mark.parametrize(
+    ("push", "duration", "end"),
+    [
+        (lambda t, v: -0.3 * v, 8.0, 1.5),
+        (lambda t, v: -v * ca.fabs(v), 4.0, 1.5),
+        (lambda t, v: 3 * ca.sin(3 * t) - 0.2 * v, 4.0, 1.5),
+    ],
+    ids=["friction", "drag", "driven"],
+)
+def test_a_pendulum_with_a_force_is_found_from_its_path_without(push, duration, end):
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 + 4 * ca.cos(x[0]),
+        (0.0, duration),
+        [0.0],
+        [end],
+        force=lambda t, x, v: ca.vertcat(push(t, v[0])),
+    )
+    path = cg.solve(problem, tol=TOL)
+    assert "from the path without the force" in path.solver
+    thrown = solve_ivp(
+        lambda t, y: [y[1], -4 * np.sin(y[0]) + float(push(t, y[1]))],
+        (0.0, duration),
+        [0.0, path.velocity[0, 0]],
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-12,
+    )
+    assert thrown.y[0, -1] == pytest.approx(end, abs=100 * TOL)
