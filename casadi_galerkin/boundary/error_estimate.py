@@ -18,12 +18,13 @@ SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their
 ROUNDED = 0.2  # of eps: what rounding to the nearest double changes in the root mean square
 
 
-def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial) -> float:
+def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial, tol: float = 0.0) -> float:
     """Largest error of a path of a lower degree than the graph's, relative to the size of its components.
 
     The first Newton step from it on the same mesh estimates its error, in the joints as well as between them, and the
-    second tells how far to trust the first: both are summed as a geometric series.  Where the duration is free, a step
-    of it counts by how far the path moves in that time.
+    second tells how far to trust the first: both are summed as a geometric series.  It makes the first at most
+    1 / (1 - `SLOWEST`) times as large, so where that is below `tol` anyway, it is not taken.  Where the duration is
+    free, a step of it counts by how far the path moves in that time.
 
     Returns infinity where a step is not finite.
     """
@@ -39,9 +40,12 @@ def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial) -> flo
             change = change - step[-1] * path(times, 1) * (times - times[0])
         return float(np.max(interval_maxima(PiecewisePolynomial(path.mesh, nodes, change)) / sizes))
 
+    second = 0.0
     with graph.stationarity.linearization() as at:
         (step,) = at.solve(at.relinearize(unknowns, data))
-        first, second = moved(step), moved(*at.solve(at.relinearize(unknowns + step, data)))
+        first = moved(step)
+        if first > (1 - SLOWEST) * tol:
+            second = moved(*at.solve(at.relinearize(unknowns + step, data)))
     if not math.isfinite(first + second):
         return math.inf
     return first / (1 - min(SLOWEST, second / first)) if first > 0 else 0.0

@@ -9,16 +9,20 @@ from functools import partial
 from typing import TypeGuard
 
 import numpy as np
+from numpy.polynomial.legendre import legfit, legval
 
 from casadi_galerkin.boundary.action_descent import descend
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.levels import Levels
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import equidistributed, graded_alike, of_degree, truncation
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.problem import with_values
-from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solution.errors import ConvergenceError
+from casadi_galerkin.solution.guess import FAR, Guess, apart
+from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import damped_newton
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton
 
@@ -67,20 +71,38 @@ def resolved(
     return path
 
 
+def _from_smoothed(levels: Levels, method: Galerkin, given: PiecewisePolynomial, solver: SolverLike) -> CriticalPoint:
+    """Begin with the cubic polynomial nearest to a guess, which has none of the guess's corners and noise.
+
+    It keeps little of the guess's shape either.  So a path far from the guess is refused: another one was meant.
+    """
+    parts = 2 * DiscreteCalculus(method, given.mesh).node_parts - 1
+    cubic = legval(parts, legfit(parts, given.values.T, 3))
+    point = levels.solve(method, given.mesh, cubic, solver)
+    distance = apart(point.polynomial.values, given.values)
+    if distance > FAR:
+        found = f"a path up to {distance:.2g} of the guess's size away from the guess"
+        raise ConvergenceError(f"the guess smoothed leads to {found}", Path(point.polynomial))
+    return point
+
+
 def first_path_strategies(
     levels: Levels, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike
 ) -> Iterator[Strategy]:
     """Ways to a first path, in the order in which they are tried.
 
-    They are Newton's method on the coarse mesh, and on a finer one, which resolves the guess; where there is a force,
-    from the path without it, and where there is none, a descent of the action with moving joints; and whatever `solver`
-    tries.
+    They are Newton's method on the coarse mesh, with a guess from that smoothed, and on a finer one, which resolves the
+    guess; where there is a force, from the path without it, and where there is none, a descent of the action with
+    moving joints; and whatever `solver` tries.
     """
     given = resolved(levels, method, guess, mesh, ROUGHLY)
     mesh, solved, name = given.mesh, partial(levels.solve, method), repr(solver)
     if is_newton(solver):
         plain, brief = partial(damped_newton, **solver.options), following(solver)
         yield Strategy("Newton's method", partial(solved, mesh, given.values, plain), PATIENCE)
+        if guess is not None:
+            found = partial(_from_smoothed, levels, method, given, brief)
+            yield Strategy("Newton's method from the guess smoothed", found, PATIENCE)
         fine = _with_more(levels, resolved(levels, method, guess, mesh, WELL).mesh, MORE * (len(mesh) - 1))
         found = partial(solved, fine, guess, brief)
         yield Strategy(f"Newton's method on {len(fine) - 1} intervals", found, PATIENCE)

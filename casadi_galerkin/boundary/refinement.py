@@ -164,7 +164,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     def error(self, path: PiecewisePolynomial) -> float:
         """Largest error on a path, from Newton steps in a higher degree on the same mesh."""
         higher = self.levels.transcription(of_higher_degree(path.degree), path.mesh)
-        return discretization_error(higher, path)
+        return discretization_error(higher, path, self.tol)
 
     def improve(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> CriticalPoint:
         """Solve on the equidistributed mesh; where Newton's method does not follow, on one changed less.

@@ -55,6 +55,7 @@ def test_noise_does_not_hide_a_great_circle(seed):
     exact = cg.solve(problem, tol=1e-9)
     path = cg.solve(problem, tol=TOL, guess=joined(exact, problem.t_span, 25, 0.05, seed))
     assert off(path, exact) < 10 * TOL
+    assert "first path by Newton's method from the guess smoothed" in path.solver
 
 
 def test_a_guess_is_put_on_the_first_mesh_once():
@@ -71,9 +72,11 @@ def test_a_guess_is_put_on_the_first_mesh_once():
 
 
 def test_a_path_on_the_other_side_of_the_sun_is_not_taken_for_the_one_meant():
+    """The cubic nearest to this guess leads to the path on the other side."""
     problem, exact = kepler(0.9)
     path = cg.solve(problem, tol=TOL, guess=joined(exact, problem.t_span, 25, 0.05, seed=2))
     assert off(path, exact) < 10 * TOL
+    assert "smoothed" not in path.solver
 
 
 def test_a_guess_that_turns_sharply_is_resolved_by_the_first_mesh():
