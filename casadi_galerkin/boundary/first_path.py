@@ -19,7 +19,6 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import equidistributed, graded_alike, of_degree, truncation
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import by_rows
-from casadi_galerkin.problems.problem import with_values
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import FAR, Guess, apart
 from casadi_galerkin.solution.path import Path
@@ -92,8 +91,7 @@ def first_path_strategies(
     """Ways to a first path, in the order in which they are tried.
 
     They are Newton's method on the coarse mesh, with a guess from that smoothed, and on a finer one, which resolves the
-    guess; where there is a force, from the path without it, and where there is none, a descent of the action with
-    moving joints; and whatever `solver` tries.
+    guess; a descent of the action with moving joints; and whatever `solver` tries.
     """
     given = resolved(levels, method, guess, mesh, ROUGHLY)
     mesh, solved, name = given.mesh, partial(levels.solve, method), repr(solver)
@@ -106,24 +104,13 @@ def first_path_strategies(
         fine = _with_more(levels, resolved(levels, method, guess, mesh, WELL).mesh, MORE * (len(mesh) - 1))
         found = partial(solved, fine, guess, brief)
         yield Strategy(f"Newton's method on {len(fine) - 1} intervals", found, PATIENCE)
-        if levels.problem.force is not None:
-            found = partial(_from_unforced, levels, method, given, solver, brief)
-            yield Strategy("Newton's method from the path without the force", found, PATIENCE)
         graph = levels.transcription(method, mesh)
         if graph.stationarity.variational and not graph.numbering.multipliers:
             joints = _with_more(levels, fine, DESCENT_INTERVALS)
             found = partial(_by_descent, levels, joints, guess, brief)
             yield Strategy("descent of the action", found, math.inf)
-        name = "Newton's method with IPOPT to its rescue"
+        name = "Newton's method with its rescues"
     yield Strategy(name, partial(solved, mesh, guess, solver), math.inf)
-
-
-def _from_unforced(
-    levels: Levels, method: Galerkin, given: PiecewisePolynomial, solver: SolverLike, following: SolverLike
-) -> CriticalPoint:
-    """Begin with the path that the same problem has without its force, whose action tells more of where it is."""
-    unforced = Levels(with_values(levels.problem, force=None)).solve(method, given.mesh, given.values, solver)
-    return levels.solve(method, given.mesh, unforced.polynomial, following)
 
 
 def _with_more(levels: Levels, mesh: np.ndarray, intervals: int) -> np.ndarray:

@@ -253,7 +253,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             began, before = time.perf_counter(), self.iterations
             try:
                 with until(self.deadline):
-                    path = self.finish(*self.refine(strategy.find()))
+                    first = strategy.find()
+                    path = self.finish(*self.refine(first))
             except LimitReached:
                 raise
             except ConvergenceError as failure:
@@ -265,7 +266,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                     spent = f"{self.iterations - before} iterations, {time.perf_counter() - began:.3f} s"
                     print(f"{strategy.name}: no path, {spent}")
             else:
-                return replace(path, solver=f"{path.solver}; first path by {strategy.name}") if failures else path
+                name = strategy.name if first.solution.report == path.solver else first.solution.report
+                return replace(path, solver=f"{path.solver}; first path by {name}") if failures else path
         raise failures[-1]
 
     def on_any_mesh(self, guess: Guess | None, mesh: np.ndarray) -> Guess | None:

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.numbering import Data
@@ -72,6 +73,12 @@ class Stationarity:
         self.variational = functional.symmetric and not functional.numbering.stretched
         self.linear_methods = METHODS if functional.pointwise.kinetic and functional.symmetric else METHODS[1:]
         self._workspaces = Lender(lambda: Linearization(self))
+
+    @lazy
+    def unforced(self) -> Stationarity | None:
+        """The conditions of the same functional without its force; None where there is none."""
+        functional = self.functional.unforced
+        return None if functional is None else Stationarity(functional)
 
     @contextmanager
     def linearization(self, linear_solver: str | None = None) -> Iterator[Linearization]:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from control_problems import pendulum_in_three
 from scenes import BY_NAME, bratu, oscillator, pendulum
+from scipy.integrate import solve_ivp
 
 import casadi_galerkin as cg
 
@@ -212,3 +213,34 @@ def test_options_reach_the_optimizer_of_a_control_problem():
     solver = cg.ipopt.with_options(max_iter=1)
     with pytest.raises(cg.ConvergenceError, match="Maximum Iterations Exceeded"):
         cg.solve(pendulum_in_three(), cg.Galerkin(3), 8, solver=solver)
+
+
+@pytest.mark.parametrize(
+    ("push", "duration", "end"),
+    [
+        (lambda t, v: -0.3 * v, 8.0, 1.5),
+        (lambda t, v: -v * ca.fabs(v), 4.0, 1.5),
+        (lambda t, v: 3 * ca.sin(3 * t) - 0.2 * v, 4.0, 1.5),
+    ],
+    ids=["friction", "drag", "driven"],
+)
+@pytest.mark.parametrize("discretization", [{"tol": 1e-6}, {"method": cg.Galerkin(4), "intervals": 200}])
+def test_a_pendulum_with_a_force_is_found_from_its_path_without(push, duration, end, discretization):
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 + 4 * ca.cos(x[0]),
+        (0.0, duration),
+        [0.0],
+        [end],
+        force=lambda t, x, v: ca.vertcat(push(t, v[0])),
+    )
+    path = cg.solve(problem, **discretization)
+    assert "from the path without the force" in path.solver
+    thrown = solve_ivp(
+        lambda t, y: [y[1], -4 * np.sin(y[0]) + float(push(t, y[1]))],
+        (0.0, duration),
+        [0.0, path.velocity[0, 0]],
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-12,
+    )
+    assert thrown.y[0, -1] == pytest.approx(end, abs=1e-4)
