@@ -124,15 +124,11 @@ def equidistributed(
         density[i] = max(density[i], density[i + 1] / NEIGHBORS)
     density = np.minimum(density, finest / np.diff(mesh))
     cumulated = np.concatenate(([0.0], np.cumsum(density * np.diff(mesh))))
-    fixed = np.array([mesh[0], *breakpoints, mesh[-1]])
-    edges = np.interp(fixed, mesh, cumulated)
-    count = max(fewest, int(np.maximum(np.ceil(np.diff(edges)), 1.0).sum()))
+    edges = np.interp([mesh[0], *breakpoints, mesh[-1]], mesh, cumulated)
+    count = max(fewest, int(np.ceil(np.diff(edges)).sum()))
     before = len(mesh) - 1
     if before / fewer < count <= before:
         count = before
     elif count > before:
         count = max(count, int(np.ceil(GROWTH * before)))
-    at = spread_between(edges, count)
-    joints = np.interp(at, cumulated, mesh)
-    joints[np.searchsorted(at, edges)] = fixed
-    return np.asarray(joints)
+    return np.asarray(np.interp(spread_between(edges, count), cumulated, mesh))
