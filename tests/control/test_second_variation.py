@@ -113,16 +113,22 @@ def test_what_rounding_counts_is_not_told():
     assert cg.solve(pendulum_with_breakpoints(), METHOD, 40).morse_index in (0, None)
 
 
-def test_bounds_that_are_met_hold_what_would_lower_the_cost():
+@pytest.mark.parametrize(("unit", "price"), [(1.0, 1.0), (1e-3, 1.0), (1e6, 1e-14)])
+def test_bounds_that_are_met_hold_what_would_lower_the_cost(unit, price):
+    """In any units: the product of a distance and its multiplier is what a solver keeps small."""
     path = cg.solve(
         double_integrator(
-            end=[None], end_velocity=[None], running_cost=lambda t, x, v, u: -(u[0] ** 2) / 2, control_bounds=(0.5, 1.0)
+            end=[None],
+            end_velocity=[None],
+            force=lambda t, x, v, u: u / unit,
+            running_cost=lambda t, x, v, u: -price * u[0] ** 2 / 2,
+            control_bounds=(0.5 * unit, unit),
         ),
         METHOD,
         3,
-        guess=(lambda t: [t**2 / 2], lambda t: [0.9]),
+        guess=(lambda t: [t**2 / 2], lambda t: [0.9 * unit]),
     )
-    assert path.cost == pytest.approx(-0.5)
+    assert path.cost == pytest.approx(-0.5 * price * unit**2, abs=2e-12)
     assert path.morse_index == 0
 
 
