@@ -209,8 +209,6 @@ def _end(linear: Linearization, at: Iterate, last: float, data: Data) -> np.ndar
 
 def _forecast(step: np.ndarray, simplified: np.ndarray, now: Iterate) -> float:
     """Factor on the last damping (Deuflhard, eq. 3.47)."""
-    if not math.isfinite(now.norm):
-        return 1.0  # the next iteration ends with that
     before, after, nonlinearity = (
         np.abs(np.array((step, simplified, simplified - now.step)) / now.sizes).max(axis=1).tolist()
     )
