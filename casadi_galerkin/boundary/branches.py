@@ -71,10 +71,7 @@ def jumps(paths: Mapping[int, Trajectory]) -> dict[int, int]:
 
 def _place(graph: Transcription, path: Trajectory, values: np.ndarray) -> Place:
     problem, mesh = graph.problem, path.t
-    known = vars(path)  # a pickled path would build a graph of its own to find its index
-    index = (
-        known["morse_index"] if "morse_index" in known else SecondVariation(graph, problem, path.polynomial).negative()
-    )
+    index = SecondVariation(graph, problem, path.polynomial).negative()
     if graph.numbering.multipliers or not graph.stationarity.variational:
         return Place(values, index, np.nan, np.full(len(values), np.nan))
     data = graph.data(mesh, problem)

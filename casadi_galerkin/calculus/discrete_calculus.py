@@ -28,8 +28,7 @@ NEAREST = 64 * EPS  # relative difference of two joints up to which they are one
 
 def too_near(joints: np.ndarray) -> np.ndarray:
     """Which joints do not increase to the next by more than roundoff; (N,)."""
-    sizes = np.abs(joints)
-    return np.asarray(np.diff(joints) <= NEAREST * np.maximum(sizes[1:], sizes[:-1]))
+    return np.asarray(np.diff(joints) <= NEAREST * np.abs(joints[1:]))
 
 
 def time_scale(mesh: ArrayLike) -> np.ndarray:

@@ -136,7 +136,7 @@ def equidistributed(
     density = np.minimum(density, finest / np.diff(mesh))
     cumulated = np.concatenate(([0.0], np.cumsum(density * np.diff(mesh))))
     edges = np.interp([mesh[0], *breakpoints, mesh[-1]], mesh, cumulated)
-    count = max(fewest, int(np.maximum(np.ceil(np.diff(edges)), 1.0).sum()))
+    count = max(fewest, int(np.ceil(np.diff(edges)).sum()))
     before = len(mesh) - 1
     if before / FEWER < count <= before:
         count = before

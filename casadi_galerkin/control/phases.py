@@ -54,6 +54,6 @@ def with_parted_phases(path: ControlTrajectory, problem: ControlProblem) -> Cont
         shortest, longest = phases[k - 1]
         first, last = max(earliest[k], times[k - 1] + shortest), min(latest[k], times[k - 1] + longest)
         allowed = [some[(first <= some) & (some <= last)] for some in (switched, path.t)]
-        near = next(filter(len, allowed), np.array([first, last]))
+        near = next(filter(len, allowed), np.array([first]))
         times[k] = near[np.argmin(np.abs(near - times[k]))]
     return replace(path, problem=problem.found(path.problem.t_span, path.parameters, tuple(times[1:-1].tolist())))

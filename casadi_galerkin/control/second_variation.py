@@ -53,14 +53,14 @@ class CostVariation:
         """
         chain = Chain(self.problem, self.method, self.mesh)
         graph, limits = ControlGraph(self.problem, chain, one_by_one), limits_of(self.problem, chain)
-        hessian = graph.whole_hessian(self.unknowns, self.data, 1.0, self.multipliers)[1]
+        by_cost = np.any(np.array(graph.gradient(self.unknowns, self.data)[1]))
+        multipliers = self.multipliers if by_cost else 0 * self.multipliers  # which then are rounding alone
+        hessian = graph.whole_hessian(self.unknowns, self.data, 1.0, multipliers)[1]
         values, gradients = graph.jacobian(self.unknowns, self.data)
         sizes, rows = _sizes(chain, self.unknowns), np.array(values).ravel()
         low, high, least, most = limits.sides
         free = np.flatnonzero(~_met(self.unknowns, low, high, self.bound_multipliers, sizes)).tolist()
         held = np.flatnonzero(_met(rows, least, most, self.multipliers, np.abs(rows))).tolist()
-        if not free:
-            return 0
         units, flat = (ca.diag(ca.DM(a)) for a in (np.where(sizes > 0, sizes, 1.0), np.where(sizes > 0, FLAT, 0.0)))
         curved = ca.mtimes(units, ca.mtimes(hessian, units))
         relative = curved / (abs(self.cost) or float(ca.norm_inf(curved)) or 1.0) + flat

@@ -48,7 +48,7 @@ class SharesOfTime:
 
     def by_jumps(self, values: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """By how much jumps may change the integral over each interval, from f and df/dt (..., N r K); (..., N)."""
-        lasting = np.abs(np.diff(self._mesh)[:, None] * np.diff(self._edges))
+        lasting = np.diff(self._mesh)[:, None] * np.diff(self._edges)
         f, slopes = (a.reshape(*a.shape[:-1], *lasting.shape, -1) for a in (values, rates))
         missing = f[..., -1] - f[..., 0] - lasting * (slopes[..., 1:-1] @ np.array(INNER.weights))
-        return np.asarray(np.nansum(np.abs(missing) * lasting, axis=-1))
+        return np.asarray(np.nansum(np.abs(missing * lasting), axis=-1))

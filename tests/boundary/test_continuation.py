@@ -6,6 +6,8 @@ import pytest
 from constrained import on_circle
 from control_problems import double_integrator
 from scenes import DAMPED, bratu_problem, bratu_theta, pendulum
+from scipy.optimize import minimize_scalar
+from scipy.special import ellipk, ellipkinc
 
 import casadi_galerkin as cg
 
@@ -72,6 +74,7 @@ def test_the_catenoid_breaks_at_its_critical_height():
     )
     branch = cg.continuation(problem, [1.0], intervals=10)
     np.testing.assert_allclose(branch.folds[0].parameters, [0.66274341934918], rtol=1e-10, atol=0)
+    assert np.min(np.abs(np.diff(branch.parameters[:, 0]))) > 1e-6  # no path comes twice, that at the end neither
 
 
 def test_the_zero_path_is_walked():
@@ -182,6 +185,32 @@ def test_the_free_phase_of_a_periodic_path_is_refused():
     )
     with pytest.raises(ValueError, match="continuation takes no periodic problem of given energy"):
         cg.continuation(problem, [1.2], cg.Galerkin(6), 8, guess=lambda t: [np.sin(t)])
+
+
+@pytest.mark.parametrize("imperfection", [1e-3, 1e-4, 1e-5])
+def test_a_sharp_fold_is_exact(imperfection):
+    """On the other side, the rod is bent by x = -2 asin(k sn(√p t)), whose least load is that at the fold."""
+
+    def load(k):
+        return (2 * ellipk(k**2) + ellipkinc(np.arcsin(np.sin(imperfection / 2) / k), k**2)) ** 2
+
+    rod = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 + p[0] * ca.cos(x[0]), (0, 1), [0.0], [imperfection], parameters=[15.0]
+    )
+    branch = cg.continuation(rod, [5.0], intervals=10, guess=lambda t: [-1.8 * np.sin(np.pi * t)])
+    least = minimize_scalar(load, bounds=(imperfection, 0.9), method="bounded", options={"xatol": 1e-12}).fun
+    np.testing.assert_allclose(branch.folds[0].parameters, [least], rtol=1e-12, atol=0)
+
+
+def test_a_first_step_that_lands_on_a_conjugate_point_is_shortened():
+    """That of a path at rest is a twentieth of the way; from (kπ)² on it is a saddle of Morse index k."""
+    target = 9 + 20 * (np.pi**2 - 9)
+    rest = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0] ** 2 / 2, (0, 1), [0.0], [0.0], parameters=[9.0]
+    )
+    branch = cg.continuation(rest, [target], intervals=10)
+    assert branch.reached
+    assert [path.morse_index for path in branch.trajectories] == [int(p > np.pi**2) for p in branch.parameters[:, 0]]
 
 
 @pytest.mark.parametrize("imperfection", [1e-2, 1e-4, 1e-6])

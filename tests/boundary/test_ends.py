@@ -418,3 +418,17 @@ def test_what_a_minimizer_lowers_has_the_equations_as_its_gradient(end):
     least = transcription.solve(solver=cg.minimizer)
     exact = cg.solve(cg.BoundaryProblem(problem.lagrangian, (0, 2), [0.3], least.x[:, -1]), cg.Galerkin(3), 4)
     assert least.action == pytest.approx(exact.action + (least.x[0, -1] ** 3 if "end_action" in end else 0), rel=1e-12)
+
+
+def test_a_given_velocity_reaches_all_that_its_momentum_depends_on():
+    """The first of three masses is coupled to the second alone, and that one to the third; all move uniformly."""
+    mass = ca.DM([[2.0, 1.0, 0.0], [1.0, 3.0, 1.0], [0.0, 1.0, 2.0]])
+    coupled = cg.BoundaryProblem(
+        lambda t, x, v: ca.bilin(mass, v, v) / 2,
+        (0.0, 1.0),
+        [None, 0.0, 0.0],
+        [1.0, 2.0, -1.0],
+        start_velocity=[0.7, None, None],
+    )
+    path = cg.solve(coupled, cg.Galerkin(2), 3)
+    np.testing.assert_allclose(path.x, [0.3 + 0.7 * path.t, 2 * path.t, -path.t], rtol=0, atol=1e-14)

@@ -221,13 +221,14 @@ def test_one_picture_shows_all(swings, geodesics):
         geodesics.plot(label=["λ", "φ"])
 
 
-def test_a_load_leads_from_one_catenoid_to_the_other_and_back():
+@pytest.mark.parametrize("load", [1e-9, 1.0, 1e9])
+def test_a_load_leads_from_one_catenoid_to_the_other_and_back(load):
     transcription = cg.transcribe(cg.BoundaryProblem(catenoid, (-0.5, 0.5), [1.0], [1.0]), cg.Galerkin(8), 8)
     wide = transcription.critical_point()
     narrow = transcription.critical_point(guess=lambda t: [0.235 * np.cosh(t / 0.235)])
     unknowns, data = wide.solution.unknowns, wide.data
     with transcription.stationarity.linearization() as at:
-        curve = LoadedCurve(at, unknowns, data, np.ones(len(unknowns)), np.ones(len(unknowns)), 1e8)
+        curve = LoadedCurve(at, unknowns, data, load * np.ones(len(unknowns)), np.ones(len(unknowns)), 1e8)
         ends = [list(curve.crossings(side)) for side in (1.0, -1.0)]
     met = [guess for crossings in ends for guess in crossings[:1]]
     assert min(np.max(np.abs(guess - narrow.solution.unknowns)) for guess in met) < 0.1

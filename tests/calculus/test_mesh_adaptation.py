@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from numpy.polynomial import legendre
 
 import casadi_galerkin as cg
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
@@ -63,6 +64,19 @@ def test_truncation_does_not_see_the_unit_of_a_component():
     np.testing.assert_allclose(truncation(scaled), truncation(path), rtol=1e-9, atol=0)
 
 
+def test_no_more_is_left_out_than_the_last_coefficient_where_coefficients_do_not_fall():
+    highest = interpolated(lambda t: legendre.legval(2 * t - 1, [0, 0, 0, 0, 0, 1]), 5, [0.0, 1.0])
+    assert truncation(highest)[0] == pytest.approx(1, rel=1e-12)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_single_interval_of_low_degree_leaves_out_no_more_than_is_told(degree):
+    path = interpolated(np.exp, degree, [0.0, 1.0])
+    times = np.linspace(0, 1, 101)
+    (told,) = truncation(path)
+    assert told >= np.max(np.abs(path(times)[0] - np.exp(times))) / np.e
+
+
 def test_size_of_a_vanishing_component_is_one():
     path = interpolated(lambda t: np.array([0 * t, 3 - t]), 4, np.linspace(0, 1, 3))
     np.testing.assert_array_equal(component_sizes(path.values), [1.0, 3.0])
@@ -114,6 +128,17 @@ def test_intervals_grow_shorter_and_longer_step_by_step(order):
     error = np.repeat([1e-16, 1e6], 5)[::order]
     steps = np.diff(equidistributed(np.linspace(0, 1, 11), error, 6, 1e-6))
     assert np.max(np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])) <= NEIGHBORS
+
+
+@pytest.mark.parametrize("mesh", [np.linspace(0, 1, 22), np.array([0.0, 1.0, 1.001, 2.0])], ids=["even", "narrow"])
+def test_an_error_of_any_size_splits_its_interval_and_the_next_ones_so_far(mesh):
+    middle = len(mesh) // 2 - 1
+    error = np.zeros(len(mesh) - 1)
+    error[middle] = 1e300
+    parts, _ = np.histogram(equidistributed(mesh, error, 6, 1e-6), mesh)
+    assert FINEST - 1 <= parts[middle] <= FINEST + 1
+    assert np.max(parts) <= FINEST + 1
+    assert np.sum(parts[: max(middle - 3, 0)]) <= middle
 
 
 def test_a_mesh_grows_by_a_quarter_at_least():

@@ -110,11 +110,16 @@ def test_breakpoints_that_guess_no_switch_do_no_harm():
 
 @pytest.mark.parametrize(
     ("bounds", "guess"),
-    [(([0.1, 0.1], [0.5, 10.0]), 0.4), (([0.1, 1.6], [1.9, 10.0]), 0.4), (([1.7, 0.1], [np.inf, np.inf]), 1.8)],
+    [
+        (([0.1, 0.1], [0.5, 10.0]), 0.4),
+        (([0.1, 1.6], [1.9, 10.0]), 0.4),
+        (([1.7, 0.1], [np.inf, np.inf]), 1.8),
+        (([0.1, 0.1], [10.0, 0.6]), 1.6),
+    ],
 )
 def test_bounds_of_phases_say_where_the_breakpoint_may_be(bounds, guess):
     """The switch at 1 lies outside of them, and the sum of the durations may be any: the path is the same."""
-    path = cg.solve(race(breakpoints=[guess], t_span=(0.0, guess + 1.7), duration_bounds=bounds), tol=1e-5)
+    path = cg.solve(race(breakpoints=[guess], t_span=(0.0, 2.1), duration_bounds=bounds), tol=1e-5)
     assert path.cost == pytest.approx(2, rel=1e-5)
     (when,) = path.problem.breakpoints
     for low, high, lasts in zip(*bounds, (when, path.t[-1] - when), strict=True):

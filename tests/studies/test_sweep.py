@@ -197,6 +197,56 @@ def test_the_other_way_round_the_sun_is_another_branch_of_the_same_index():
     assert sweep.jumps == {1: 0, 2: 1}
 
 
+def test_the_long_way_round_a_sphere_is_another_branch():
+    """Its Morse index is 1 in space; under a constraint that alone is compared."""
+
+    def arc(angle):
+        return lambda t: [np.cos(angle * t), np.sin(angle * t), 0.0]
+
+    angles = [1.0, 1.1, 1.2 - 2 * np.pi, 1.3]
+    ends = [{"end": arc(angle)(1.0), "guess": arc(angle)} for angle in angles]
+    sphere = cg.BoundaryProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2,
+        (0.0, 1.0),
+        arc(1.0)(0.0),
+        arc(1.0)(1.0),
+        constraint=lambda t, x: ca.sumsqr(x) - 1,
+    )
+    sweep = cg.sweep(sphere, ends, METHOD, INTERVALS)
+    assert [path.morse_index for path in sweep] == [0, 0, 1, 0]
+    assert sweep.jumps == {2: 1, 3: 2}
+
+
+def test_paths_on_neighboring_circles_are_on_one_branch():
+    """The action changes by the constraint, which says more than the slopes of the Lagrangian alone."""
+
+    def arc(radius):
+        return lambda t: [radius * np.cos(t), radius * np.sin(t)]
+
+    circle = cg.BoundaryProblem(
+        lambda t, x, v, p: ca.sumsqr(v) / 2,
+        (0.0, 1.0),
+        arc(1.0)(0.0),
+        arc(1.0)(1.0),
+        parameters=[1.0],
+        constraint=lambda t, x, p: ca.sumsqr(x) - p[0] ** 2,
+    )
+    radii = [
+        {"parameters": [r], "start": arc(r)(0.0), "end": arc(r)(1.0), "guess": arc(r)} for r in (1.0, 1.1, 1.2, 1.3)
+    ]
+    assert not cg.sweep(circle, radii, METHOD, INTERVALS).jumps
+
+
+def test_a_path_that_is_found_twice_is_on_one_branch():
+    again = [{"guess": lambda t, c=c: [c * t * (1 - t)]} for c in (0.0, 0.1, 0.2, 0.3)]
+    assert not cg.sweep(bratu_problem(), again, METHOD, INTERVALS).jumps
+
+
+def test_paths_of_neighboring_durations_are_on_one_branch():
+    spans = [{"t_span": span} for span in [(0.0, 1.5), (0.1, 1.5), (0.1, 1.7), (0.0, 1.9)]]
+    assert not cg.sweep(BY_NAME["short pendulum"].problem, spans, METHOD, INTERVALS).jumps
+
+
 def test_jumps_are_told_of_boundary_problems():
     sweep = cg.sweep(double_integrator(position_bounds=(-1, 9)), PUSHES[:1], METHOD, INTERVALS)
     with pytest.raises(ValueError, match="boundary problems only"):
@@ -593,6 +643,7 @@ def test_the_friction_of_a_force_is_varied():
     """x'' + c x' + 4 x = 0 between 1 and 1/2 in two units of time."""
     rates = [0.0, 0.5, 1.0]
     sweep = cg.sweep(DAMPED, [{"parameters": [c]} for c in rates], cg.Galerkin(10), 8)
+    assert not sweep.jumps
     for c, x in zip(rates, sweep.x[:, 0, 4], strict=True):
         w = np.sqrt(4 - c**2 / 4)
         sine = (0.5 * np.exp(c) - np.cos(2 * w)) / np.sin(2 * w)
