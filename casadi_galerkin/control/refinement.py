@@ -68,8 +68,8 @@ FIRST_INTERVALS = 8
 FOLLOWING_BARRIER = 1e-4  # first one from an earlier level: with 1e-2 a robot arm left its path, and found none
 # IPOPT's tolerance over its last barrier, times tol², and the largest.  A barrier leaves controls between their
 # bounds on the short intervals beside a switch: with IPOPT's own ratio of 10 a mass that burns was known to 3e-7.
-# From 1e4 on the error of a cost was measured to be up to four times its estimate.
-SHARP, SHARPEST = 3e-11, 3e3
+# For a tolerance of the cost the largest is less: with 1e4 its error was up to four times the estimate.
+SHARP, SHARPEST, SHARPEST_OF_COST = 3e-11, 1e4, 3e3
 DOUBLINGS = 2  # of a mesh, while the solver finds nothing on it
 FOR_STARTS = 0.5  # of the time: no further start begins after it
 PATIENCE = 10  # levels in a row that came no nearer, after which the mesh is halved: two may lead to one another
@@ -118,7 +118,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         super().__init__(tol, limits, verbose)
         self.stated, self.problem = problem, with_joined_phases(problem)
         self.of_cost, self.solver = of_cost, solver
-        sharp = float(np.clip(SHARP / tol**2, 10, SHARPEST))
+        sharp = float(np.clip(SHARP / tol**2, 10, SHARPEST_OF_COST if of_cost else SHARPEST))
         barriers = {"mu_init": FOLLOWING_BARRIER, "barrier_tol_factor": sharp}
         self.following = solver.with_options(**{**barriers, **solver.options})
         self.method = Galerkin(degree_for(tol)) if method is None else method
