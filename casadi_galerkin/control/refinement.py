@@ -66,10 +66,10 @@ from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
 FOLLOWING_BARRIER = 1e-4  # first one from an earlier level: with 1e-2 a robot arm left its path, and found none
-# IPOPT's tolerance over its last barrier, times tol², and the largest.  A barrier leaves controls between their
-# bounds on the short intervals beside a switch: with IPOPT's own ratio of 10 a mass that burns was known to 3e-7.
-# For a tolerance of the cost the largest is less: with 1e4 its error was up to four times the estimate.
-SHARP, SHARPEST, SHARPEST_OF_COST = 3e-11, 1e4, 3e3
+# IPOPT's tolerance over its last barrier where a control switches, times tol², and the largest.  A barrier leaves
+# controls between their bounds on the short intervals beside a switch: with IPOPT's own ratio of 10 a mass that burns
+# was known to 3e-7.
+SHARP, SHARPEST = 3e-11, 1e4
 DOUBLINGS = 2  # of a mesh, while the solver finds nothing on it
 FOR_STARTS = 0.5  # of the time: no further start begins after it
 PATIENCE = 10  # levels in a row that came no nearer, after which the mesh is halved: two may lead to one another
@@ -118,9 +118,9 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         super().__init__(tol, limits, verbose)
         self.stated, self.problem = problem, with_joined_phases(problem)
         self.of_cost, self.solver = of_cost, solver
-        sharp = float(np.clip(SHARP / tol**2, 10, SHARPEST_OF_COST if of_cost else SHARPEST))
-        barriers = {"mu_init": FOLLOWING_BARRIER, "barrier_tol_factor": sharp}
-        self.following = solver.with_options(**{**barriers, **solver.options})
+        self.following = solver.with_options(**{"mu_init": FOLLOWING_BARRIER, **solver.options})
+        sharp = float(np.clip(SHARP / tol**2, 10, SHARPEST))
+        self.beside_switches = self.following.with_options(**{"barrier_tol_factor": sharp, **solver.options})
         self.method = Galerkin(degree_for(tol)) if method is None else method
         self.build_seconds = 0.0
         self.known: HigherDegree | None = None
@@ -143,7 +143,9 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Solve with one degree on one mesh, in the times of the problem."""
         transcription = transcribed_control(self.problem, method, None, mesh, one_by_one)
-        solver = self.following if isinstance(guess, ControlTrajectory) else self.solver
+        switched = self.known is not None and len(self.known.found) > 0
+        following = self.beside_switches if switched else self.following
+        solver = following if isinstance(guess, ControlTrajectory) else self.solver
         try:
             with until(self.deadline):
                 path = transcription.solve(guess=guess, solver=solver, verbose=self.verbose if self.verbose > 1 else 0)

@@ -164,7 +164,7 @@ def test_tolerance_of_the_cost_alone_bounds_its_error_with_less_work(name, tol):
     path, whole = cg.solve(make(), cost_tol=tol, intervals=7), found(name, tol)
     assert path.cost_error <= tol
     assert abs(path.cost / known()[0] - 1) <= tol
-    assert path.polynomial.values.size <= whole.polynomial.values.size  # iterations differ by the last digits, too
+    assert path.iterations <= whole.iterations
     assert whole.cost_error <= whole.error_estimate <= tol
     assert path.error_estimate >= true_error(path, *known()) / 2
     assert f"{path.cost_error:.1e} of the cost, {path.error_estimate:.1e} of the path" in repr(path)
