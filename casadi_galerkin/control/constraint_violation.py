@@ -28,10 +28,10 @@ def measures(chain: Chain, limits: ProgramBounds, report: Report, before: np.nda
     sizes = np.where(now <= VANISHED * before, before, now)
     names = "path", "ends", *(f"waypoint {k}" for k in range(len(chain.crossed)))
     bounded = np.concatenate([chain.rows[name].ravel() for name in names])
-    for side in (limits.equations_lower, limits.equations_upper):
-        finite = np.where(np.isfinite(side), np.abs(side), 0.0)[bounded]
-        np.fmax.at(sizes, chain.kinds[bounded], finite)
-    return np.asarray(np.where(sizes > NOTHING, sizes, 1.0)[chain.kinds])
+    stated = _stated(limits.equations_lower, limits.equations_upper)
+    sizes = np.where(sizes > NOTHING, sizes, 0.0)
+    np.fmax.at(sizes, chain.kinds[bounded], stated[bounded])
+    return np.asarray(np.where(sizes > 0, sizes, 1.0)[chain.kinds])
 
 
 def violations(
@@ -40,14 +40,20 @@ def violations(
     """Violation of every equation, then of every unknown's bounds, relative to what is compared.
 
     A value outside its bounds is compared with the largest of its kind: where IPOPT has no room between an equation and
-    a bound, it moves the bound by rounding, and that is all that is left of a value that should be zero.
+    a bound, it moves the bound by rounding, and that is all that is left of a value that should be zero.  Values that
+    are all but zero are compared with their bounds.
     """
     excess = _excess(report.equations, limits.equations_lower, limits.equations_upper)
     outside = _excess(unknowns, limits.lower, limits.upper)
-    sizes = largest_of(np.abs(unknowns), chain.unknown_kinds)[chain.unknown_kinds]
-    return np.concatenate(
-        (excess / measures(chain, limits, report, before), outside / np.where(sizes > NOTHING, sizes, 1.0))
-    )
+    kinds = chain.unknown_kinds
+    sizes, stated = largest_of(np.abs(unknowns), kinds), largest_of(_stated(limits.lower, limits.upper), kinds)
+    sizes = np.where(sizes > NOTHING, sizes, stated)[kinds]
+    return np.concatenate((excess / measures(chain, limits, report, before), outside / np.where(sizes > 0, sizes, 1.0)))
+
+
+def _stated(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Sizes of the bounds that are finite."""
+    return np.fmax(*(np.where(np.isfinite(side), np.abs(side), 0.0) for side in (low, high)))
 
 
 def unseen_change(chain: Chain, limits: ProgramBounds, optimum: Optimum, report: Report, times: np.ndarray) -> float:

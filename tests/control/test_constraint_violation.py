@@ -136,3 +136,18 @@ def test_a_ball_may_bounce_off_the_floor_that_bounds_it(intervals):
         for low in (-1.0, 0.0)
     )
     assert bounded.cost == pytest.approx(free.cost, rel=1e-9)
+
+
+@pytest.mark.parametrize("stated", ["control_bounds", "path_constraint"])
+def test_forces_of_units_far_too_small_are_compared_with_their_bounds(stated):
+    """Bounds on u of 1e-24 are nothing beside IPOPT's tolerances, so it takes a tenth of the least time."""
+    duration, most = 1e12, 1e-24
+    limit = (-most, most) if stated == "control_bounds" else (lambda t, x, v, u: u, -most, most)
+    moved = double_integrator(
+        t_span=(0, duration),
+        duration_bounds=(duration / 10, duration * 10),
+        running_cost=lambda t, x, v, u: 1 / duration,
+        **{stated: limit},
+    )
+    with pytest.raises(cg.ConvergenceError, match="take units"):
+        cg.solve(moved, cg.Galerkin(3), intervals=8)
