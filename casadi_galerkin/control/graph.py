@@ -137,34 +137,33 @@ class ControlGraph:
         """∇f̄, from the gradients of its terms at all places."""
         return ca.mtimes(self.embedding.derivative.T, at_places) + ca.mtimes(self.embedding.linear.T, multipliers)
 
-    def _second(self, upper: bool) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
-        """Symbols φ and λ; ∇f̄ and ∇²f̄, its upper half or all of it."""
+    @lazy
+    def _lagrangian(self) -> tuple[ca.MX, ca.MX, tuple[list[ca.MX], ...]]:
+        """Symbols φ and λ, and what the pointwise derivatives of f̄ are evaluated at."""
         factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", self.chain.equations)
-        inputs = self.at, [factor * w for w in self.weights], self._along(multipliers)
-        slope = self._slope(ca.veccat(*self._evaluate("lagrangian_gradient", *inputs)), multipliers)
-        entries = self._evaluate("hessian", *inputs)
+        return factor, multipliers, (self.at, [factor * w for w in self.weights], self._along(multipliers))
+
+    @lazy
+    def _upper_hessian(self) -> ca.MX:
+        """Upper half of ∇²f̄."""
+        entries = self._evaluate("hessian", *self._lagrangian[2])
         blocks = self._blocks([place.hessian_pattern for place in self.places], entries)
-        right = ca.mtimes(blocks, self.embedding.derivative)
-        left = ca.MX(self.embedding.derivative.T)
+        left, right = ca.MX(self.embedding.derivative.T), ca.mtimes(blocks, self.embedding.derivative)
         pattern = ca.mtimes(left.sparsity(), right.sparsity())
-        return (
-            factor,
-            multipliers,
-            ca.densify(slope),
-            ca.mac(left, right, ca.MX.zeros(ca.triu(pattern) if upper else pattern)),
-        )
+        return ca.mac(left, right, ca.MX.zeros(ca.triu(pattern)))
 
     @lazy
     def hessian(self) -> ca.Function:
         """(unknowns, data, φ, λ) -> upper half of ∇²f̄."""
-        factor, multipliers, _, matrix = self._second(upper=True)
-        return self._name("hessian", [matrix], factor, multipliers)
+        return self._name("hessian", [self._upper_hessian], *self._lagrangian[:2])
 
     @lazy
     def whole_hessian(self) -> ca.Function:
         """(unknowns, data, φ, λ) -> ∇f̄, ∇²f̄."""
-        factor, multipliers, slope, matrix = self._second(upper=False)
-        return self._name("nlp_hess_l", [slope, matrix], factor, multipliers)
+        factor, multipliers, given = self._lagrangian
+        slope = self._slope(ca.veccat(*self._evaluate("lagrangian_gradient", *given)), multipliers)
+        outputs = [ca.densify(slope), ca.triu2symm(self._upper_hessian)]
+        return self._name("nlp_hess_l", outputs, factor, multipliers)
 
     @lazy
     def _verification(self) -> Lender[Evaluator]:
