@@ -34,7 +34,7 @@ class Report:
     Attributes
     ----------
     cost, action : f, and the discrete action of the Lagrangian alone
-    equations, terms : G, and the sizes of the terms it compares
+    equations, sizes : G, and the largest sum of terms that an equation of every kind compares
     slope : ∇f̄ but for the multipliers of the bounds
     hamiltonian : (N,), mean over each interval; without multipliers that of the cost alone
     arriving : (d, K), derivatives of f̄ by the values before the joints crossed, as far as they count there
@@ -43,7 +43,7 @@ class Report:
     cost: float
     action: float
     equations: np.ndarray
-    terms: np.ndarray
+    sizes: np.ndarray
     slope: np.ndarray
     hamiltonian: np.ndarray
     arriving: np.ndarray
@@ -199,12 +199,12 @@ class ControlGraph:
         with self._verification.lend() as evaluate:
             (told,) = evaluate(unknowns, data, given)
         cost, action = told[:2].tolist()
-        equations, moving, canceled = told[2 : 2 + 3 * count].reshape(3, -1)
+        equations, *terms = told[2 : 2 + 3 * count].reshape(3, -1)
         # The terms of a component that stands still are roundoff of its slopes: what cancels in the slopes measures it.
         # Those of another are measured without it.
-        largest = chain.largest(canceled)
-        resting = np.isfinite(largest) & (chain.largest(moving) <= RESTING * largest)
-        motion = (chain.kinds >= chain.dimension) & (chain.kinds < chain.dimension + chain.mechanical)
-        terms = np.where(motion, np.where(resting[chain.kinds], canceled, moving), np.fmax(moving, canceled))
+        moving, canceled = map(chain.largest, terms)
+        resting = np.isfinite(canceled) & (moving <= RESTING * canceled)
+        sizes = np.fmax(moving, canceled)
+        sizes[chain.motions] = np.where(resting, canceled, moving)[chain.motions]
         slope, hamiltonian, arriving = np.split(told[2 + 3 * count :], np.cumsum([chain.unknowns, chain.intervals]))
-        return Report(cost, action, equations, terms, slope, hamiltonian, arriving.reshape(-1, chain.dimension).T)
+        return Report(cost, action, equations, sizes, slope, hamiltonian, arriving.reshape(-1, chain.dimension).T)

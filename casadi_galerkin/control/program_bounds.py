@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -53,11 +53,6 @@ def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
     for name, bounds in (("durations", problem.duration_bounds), ("parameters", problem.parameter_bounds)):
         if bounds is not None:
             _limit(sides, fields[name][-1], bounds)
-    velocities = (*problem.start_velocity[: chain.mechanical], *problem.end_velocity[: chain.mechanical])
-    values = np.array([*problem.start, *problem.end, *velocities], dtype=float)  # NaN for None
-    at_ends = np.concatenate((*fields["x"][[0, -1]], fields["start_velocity"], fields["end_velocity"]))
-    given = np.isfinite(values)
-    sides[:, at_ends[given]] = values[given]
     for t, place in problem.waypoints:
         if not is_limited(place):
             joint = chain.breaks[problem.breakpoints.index(t)]
@@ -71,7 +66,18 @@ def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
             _limit(equations, chain.rows[name], limited[1:])
     for rows in () if implied else _implied(problem, chain):
         _limit(equations, rows, ([-np.inf], [np.inf]))
-    return ProgramBounds(*sides[:, : chain.unknowns], *equations)
+    return with_ends(ProgramBounds(*sides[:, : chain.unknowns], *equations), problem, chain)
+
+
+def with_ends(limits: ProgramBounds, problem: ControlProblem, chain: Chain) -> ProgramBounds:
+    """The same bounds with the ends and the velocities there that a problem gives."""
+    velocities = (*problem.start_velocity[: chain.mechanical], *problem.end_velocity[: chain.mechanical])
+    stated = np.array([*problem.start, *problem.end, *velocities], dtype=float)  # NaN for None
+    index = np.concatenate((*chain.fields["x"][[0, -1]], chain.fields["start_velocity"], chain.fields["end_velocity"]))
+    given = np.isfinite(stated)
+    sides = np.array([limits.lower, limits.upper])
+    sides[:, index[given]] = stated[given]
+    return replace(limits, lower=sides[0], upper=sides[1])
 
 
 def _limit(sides: np.ndarray, index: np.ndarray, bounds: ArrayLike) -> None:
