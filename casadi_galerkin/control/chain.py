@@ -91,6 +91,7 @@ class Chain:
     arrivals : (N, mechanical), equations of the momenta that the intervals end with
     kinds, unknown_kinds : (equations,), equal where equations compare the same quantities, and (unknowns,), where
         unknowns are values of the same quantity
+    motions : slice of the kinds that are equations of motion
     stages : for every stage the numbers of its states, of what else is unknown there, and of its other equations
     control_times : where the controls of an interval stand, in parts of it; one value in the middle where they are held
     """
@@ -172,6 +173,7 @@ class Chain:
         alike = [["x"], motions, ["constants"], ["rates"], ["path"], ["ends"], *([name] for name in waypoints)]
         alike += [["held", "start_held"], ["start_tangent", "end_tangent"]]
         self.kinds = kinds_of(self.rows, alike, self.equations)
+        self.motions = slice(self.dimension, self.dimension + self.mechanical)
 
     def is_free(self, name: str) -> bool:
         """Whether the entries of a field are unknowns."""
@@ -240,7 +242,7 @@ class Chain:
         m, own = self.method.degree, slice(self.mechanical, None)
         motion = multipliers[self.rows["motion"]].reshape(self.intervals * m, self.mechanical)
         motion = np.vstack((motion, -multipliers[self.rows["momentum"][-1]]))
-        rates = -np.einsum("aj,ijz->iaz", self._rate_basis, multipliers[self.rows["rates"]])
+        rates = -self._rate_basis @ multipliers[self.rows["rates"]]
         ends = -multipliers[self.rows["x"]][:, own]
         rates[1:, 0] = ends[:-1]
         rates[self.breaks, 0] -= bounds[self.fields["x"][self.breaks, own]]

@@ -24,13 +24,9 @@ def measures(chain: Chain, limits: ProgramBounds, report: Report, before: np.nda
     (`before`, by kind) where it has vanished and its terms are what rounding left of those; a path constraint or a
     condition on the ends by the sizes of what its value is made of, |∇g||z|, or its finite bound.
     """
-    now = chain.largest(report.terms)
-    sizes = np.where(now <= VANISHED * before, before, now)
-    names = "path", "ends", *(f"waypoint {k}" for k in range(len(chain.crossed)))
-    bounded = np.concatenate([chain.rows[name].ravel() for name in names])
-    stated = _stated(limits.equations_lower, limits.equations_upper)
-    sizes = np.where(sizes > NOTHING, sizes, 0.0)
-    np.fmax.at(sizes, chain.kinds[bounded], stated[bounded])
+    sizes = np.where(report.sizes <= VANISHED * before, before, report.sizes)
+    stated = chain.largest(_stated(limits.equations_lower, limits.equations_upper))
+    sizes = np.fmax(np.where(sizes > NOTHING, sizes, 0.0), stated)
     return np.asarray(np.where(sizes > 0, sizes, 1.0)[chain.kinds])
 
 

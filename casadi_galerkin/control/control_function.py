@@ -32,7 +32,7 @@ def control_function(
     """Turn an optimization into a Function; see `solution_function` for the arguments."""
     transcription = transcribed_control(problem, method, intervals, mesh)
     path = transcription.solve(guess=guess, solver=solver)
-    chain, limits = transcription.chain, limits_of(problem, transcription.chain)
+    chain, limits = transcription.chain, transcription.limits
     values, _, before = transcription.start(problem, transcription.calculus, path)
     known = chain.pack(values)
     sizes = measures(chain, limits, transcription.graph.report(*known), before)

@@ -61,12 +61,7 @@ def parts_of(degree: int) -> np.ndarray:
 def excess(path: ControlTrajectory) -> np.ndarray:
     """By how much positions leave their bounds between the nodes, relative to the components' sizes; (N,)."""
     low, high = (np.array(side)[:, None, None] for side in path.problem.position_bounds)
-    parts = parts_of(path.method.degree)
-    times, slopes = times_at(path.t, parts).reshape(-1, len(parts)), path.polynomial.at_parts(parts)[1]
-    change = slopes[:, :, :-1] - slopes[:, :, 1:]
-    part = np.clip(slopes[:, :, :-1] / np.where(change != 0, change, 1.0), 0.0, 1.0)
-    turning = times[:, :-1] + part * np.diff(times)  # where a component turns, or one end of the sample
-    positions = np.stack([path(when)[i] for i, when in enumerate(turning)])
+    positions = path.polynomial.at_parts(parts_of(path.method.degree))[0]
     outside = beyond(positions, low, high) / component_sizes(path.polynomial.values)[:, None, None]
     return np.asarray(np.max(np.where(outside > ROUNDOFF, outside, 0.0), axis=(0, 2)))
 

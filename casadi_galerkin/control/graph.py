@@ -34,7 +34,7 @@ class Report:
     Attributes
     ----------
     cost, action : f, and the discrete action of the Lagrangian alone
-    equations, terms : G, and the sizes of the terms it compares
+    equations, sizes : G, and the largest sum of terms that an equation of every kind compares
     slope : ∇f̄ but for the multipliers of the bounds
     hamiltonian : (N,), mean over each interval; without multipliers that of the cost alone
     arriving : (d, K), derivatives of f̄ by the values before the joints crossed, as far as they count there
@@ -43,7 +43,7 @@ class Report:
     cost: float
     action: float
     equations: np.ndarray
-    terms: np.ndarray
+    sizes: np.ndarray
     slope: np.ndarray
     hamiltonian: np.ndarray
     arriving: np.ndarray
@@ -137,34 +137,33 @@ class ControlGraph:
         """∇f̄, from the gradients of its terms at all places."""
         return ca.mtimes(self.embedding.derivative.T, at_places) + ca.mtimes(self.embedding.linear.T, multipliers)
 
-    def _second(self, upper: bool) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
-        """Symbols φ and λ; ∇f̄ and ∇²f̄, its upper half or all of it."""
+    @lazy
+    def _lagrangian(self) -> tuple[ca.MX, ca.MX, tuple[list[ca.MX], ...]]:
+        """Symbols φ and λ, and what the pointwise derivatives of f̄ are evaluated at."""
         factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", self.chain.equations)
-        inputs = self.at, [factor * w for w in self.weights], self._along(multipliers)
-        slope = self._slope(ca.veccat(*self._evaluate("lagrangian_gradient", *inputs)), multipliers)
-        entries = self._evaluate("hessian", *inputs)
+        return factor, multipliers, (self.at, [factor * w for w in self.weights], self._along(multipliers))
+
+    @lazy
+    def _upper_hessian(self) -> ca.MX:
+        """Upper half of ∇²f̄."""
+        entries = self._evaluate("hessian", *self._lagrangian[2])
         blocks = self._blocks([place.hessian_pattern for place in self.places], entries)
-        right = ca.mtimes(blocks, self.embedding.derivative)
-        left = ca.MX(self.embedding.derivative.T)
+        left, right = ca.MX(self.embedding.derivative.T), ca.mtimes(blocks, self.embedding.derivative)
         pattern = ca.mtimes(left.sparsity(), right.sparsity())
-        return (
-            factor,
-            multipliers,
-            ca.densify(slope),
-            ca.mac(left, right, ca.MX.zeros(ca.triu(pattern) if upper else pattern)),
-        )
+        return ca.mac(left, right, ca.MX.zeros(ca.triu(pattern)))
 
     @lazy
     def hessian(self) -> ca.Function:
         """(unknowns, data, φ, λ) -> upper half of ∇²f̄."""
-        factor, multipliers, _, matrix = self._second(upper=True)
-        return self._name("hessian", [matrix], factor, multipliers)
+        return self._name("hessian", [self._upper_hessian], *self._lagrangian[:2])
 
     @lazy
     def whole_hessian(self) -> ca.Function:
         """(unknowns, data, φ, λ) -> ∇f̄, ∇²f̄."""
-        factor, multipliers, slope, matrix = self._second(upper=False)
-        return self._name("nlp_hess_l", [slope, matrix], factor, multipliers)
+        factor, multipliers, given = self._lagrangian
+        slope = self._slope(ca.veccat(*self._evaluate("lagrangian_gradient", *given)), multipliers)
+        outputs = [ca.densify(slope), ca.triu2symm(self._upper_hessian)]
+        return self._name("nlp_hess_l", outputs, factor, multipliers)
 
     @lazy
     def _verification(self) -> Lender[Evaluator]:
@@ -200,12 +199,12 @@ class ControlGraph:
         with self._verification.lend() as evaluate:
             (told,) = evaluate(unknowns, data, given)
         cost, action = told[:2].tolist()
-        equations, moving, canceled = told[2 : 2 + 3 * count].reshape(3, -1)
+        equations, *terms = told[2 : 2 + 3 * count].reshape(3, -1)
         # The terms of a component that stands still are roundoff of its slopes: what cancels in the slopes measures it.
         # Those of another are measured without it.
-        largest = chain.largest(canceled)
-        resting = np.isfinite(largest) & (chain.largest(moving) <= RESTING * largest)
-        motion = (chain.kinds >= chain.dimension) & (chain.kinds < chain.dimension + chain.mechanical)
-        terms = np.where(motion, np.where(resting[chain.kinds], canceled, moving), np.fmax(moving, canceled))
+        moving, canceled = map(chain.largest, terms)
+        resting = np.isfinite(canceled) & (moving <= RESTING * canceled)
+        sizes = np.fmax(moving, canceled)
+        sizes[chain.motions] = np.where(resting, canceled, moving)[chain.motions]
         slope, hamiltonian, arriving = np.split(told[2 + 3 * count :], np.cumsum([chain.unknowns, chain.intervals]))
-        return Report(cost, action, equations, terms, slope, hamiltonian, arriving.reshape(-1, chain.dimension).T)
+        return Report(cost, action, equations, sizes, slope, hamiltonian, arriving.reshape(-1, chain.dimension).T)

@@ -46,9 +46,10 @@ def first_values(
     nodes = path[1:].reshape(n, degree, -1).copy()
     arrived, arriving = _arrivals(chain, calculus, everywhere, guess, path)
     nodes[chain.crossed - 1, -1] = np.clip(arrived, *problem.position_bounds)
-    slopes = (path[1] - path[0]) / (times[1] - times[0]), (path[-1] - path[-2]) / (times[-1] - times[-2])
     durations, parameters = np.diff(of_phases), np.array(problem.parameters or ())
-    if isinstance(guess, ControlTrajectory):
+    if not isinstance(guess, ControlTrajectory):
+        slopes = (path[1] - path[0]) / (times[1] - times[0]), (path[-1] - path[-2]) / (times[-1] - times[-2])
+    else:
         slopes = guess.start_velocity, guess.end_velocity
         if problem.duration_bounds is not None:
             before = between_marks(of_phases, of_phases, marks(guess.problem))
@@ -106,14 +107,10 @@ def near_answer(guess: Guess | None, chain: Chain, calculus: DiscreteCalculus) -
     shapes = [guess.polynomial.values.shape, guess.duals[0].shape, guess.duals[1].shape]
     if shapes != [(chain.dimension, len(calculus.node_times)), (chain.equations,), (chain.unknowns,)]:
         return None
-    before, now = (_fractions(mesh, chain.phases) for mesh in (guess.t, calculus.mesh))
-    return guess if np.max(np.abs(before - now)) <= SAME_FRACTION else None
-
-
-def _fractions(mesh: np.ndarray, phases: np.ndarray) -> np.ndarray:
-    """Steps over the durations of their phases."""
-    steps = np.diff(mesh)
-    return np.asarray(steps / np.bincount(phases, steps)[phases])
+    now = calculus.mesh[[0, *chain.breaks, -1]].tolist()
+    joints = between_marks(guess.t, marks(guess.problem), now)
+    same = SAME_FRACTION * (calculus.mesh[-1] - calculus.mesh[0])
+    return guess if np.max(np.abs(joints - calculus.mesh)) <= same else None
 
 
 def _resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:

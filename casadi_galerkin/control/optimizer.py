@@ -40,7 +40,7 @@ PIVOT = 1e-6
 FATROP_WORDS = {"0": "Solve Succeeded", "1": "No Optimum Found"}  # fatrop returns numbers alone
 RELAXED = {"ipopt": 0.0, "fatrop": 1e-8}  # by this part of them bounds b are; in fatrop no option changes it
 WARM = {
-    **dict.fromkeys(["mu_init", "warm_start_mult_bound_push", *PUSHES], WARM_BARRIER),
+    **dict.fromkeys(["mu_init", *PUSHES], WARM_BARRIER),
     "warm_start_init_point": "yes",
     "acceptable_iter": 2,  # of Newton steps that converge quadratically
 }

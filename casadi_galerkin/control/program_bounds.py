@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -53,14 +53,6 @@ def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
     for name, bounds in (("durations", problem.duration_bounds), ("parameters", problem.parameter_bounds)):
         if bounds is not None:
             _limit(sides, fields[name][-1], bounds)
-    for given, index in (
-        (problem.start, fields["x"][0]),
-        (problem.end, fields["x"][-1]),
-        (problem.start_velocity[: chain.mechanical], fields["start_velocity"]),
-        (problem.end_velocity[: chain.mechanical], fields["end_velocity"]),
-    ):
-        values = np.array(given, dtype=float)  # NaN for None
-        _limit(sides, index, np.where(np.isnan(values), sides[:, index], values))
     for t, place in problem.waypoints:
         if not is_limited(place):
             joint = chain.breaks[problem.breakpoints.index(t)]
@@ -69,12 +61,23 @@ def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
             _limit(sides, index, (np.maximum(sides[0, index], low), np.minimum(sides[1, index], high)))
     equations = np.zeros((2, chain.equations))
     there = [(f"waypoint {i}", crossing.condition) for i, crossing in enumerate(problem.crossings)]
-    for name, stated in (("path", problem.path_constraint), ("ends", problem.end_conditions), *there):
-        if stated is not None:
-            _limit(equations, chain.rows[name], stated[1:])
+    for name, limited in (("path", problem.path_constraint), ("ends", problem.end_conditions), *there):
+        if limited is not None:
+            _limit(equations, chain.rows[name], limited[1:])
     for rows in () if implied else _implied(problem, chain):
         _limit(equations, rows, ([-np.inf], [np.inf]))
-    return ProgramBounds(*sides[:, : chain.unknowns], *equations)
+    return with_ends(ProgramBounds(*sides[:, : chain.unknowns], *equations), problem, chain)
+
+
+def with_ends(limits: ProgramBounds, problem: ControlProblem, chain: Chain) -> ProgramBounds:
+    """The same bounds with the ends and the velocities there that a problem gives."""
+    velocities = (*problem.start_velocity[: chain.mechanical], *problem.end_velocity[: chain.mechanical])
+    stated = np.array([*problem.start, *problem.end, *velocities], dtype=float)  # NaN for None
+    index = np.concatenate((*chain.fields["x"][[0, -1]], chain.fields["start_velocity"], chain.fields["end_velocity"]))
+    given = np.isfinite(stated)
+    sides = np.array([limits.lower, limits.upper])
+    sides[:, index[given]] = stated[given]
+    return replace(limits, lower=sides[0], upper=sides[1])
 
 
 def _limit(sides: np.ndarray, index: np.ndarray, bounds: ArrayLike) -> None:

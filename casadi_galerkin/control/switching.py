@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 
-import casadi as ca
 import numpy as np
 
-from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.solution.control_trajectory import ControlTrajectory, equations_of_motion
+from casadi_galerkin.control.time_witness import integrand
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 AT_BOUND = 0.05  # of the bounds' distance: a switch is from one bound to the other within this
-ZOOMS = 4  # of 32 parts each, in search of a zero: 1e-6 of the bracket, then linear
+ZOOMS, PARTS = 4, 32  # of a bracket, in search of a zero: 1e-6 of it, then linear
 
 
 @dataclass(frozen=True)
@@ -29,16 +28,6 @@ class Switch:
     when: float
     joint: float
     due: float
-
-
-def switching_function(path: ControlTrajectory, times: np.ndarray) -> np.ndarray:
-    """∂(ℓ + λ·(F, ρ))/∂u along the path, with the forces F and the rates ρ; (n, K)."""
-    motion, costate = equations_of_motion(path.problem, path.parameters), ca.SX.sym("costate", path.problem.dimension)
-    *along, push = motion.sx_in()
-    cost = with_parameters(path.problem.running_cost, path.parameters)(*along)
-    total = cost + ca.dot(costate, motion(*along, 0 * push)[1])
-    slope = ca.Function("slope", [*along, costate], [ca.densify(ca.gradient(total, along[3]))]).map(len(times))
-    return np.array(slope(times[None, :], path(times), path(times, 1), path.control(times), path.costate(times)))
 
 
 def sides(u: np.ndarray, low: float, high: float) -> np.ndarray:
@@ -76,9 +65,11 @@ def switch(path: ControlTrajectory, i: int, first: int, last: int, before: float
 
 def zero(path: ControlTrajectory, i: int, first: float, last: float) -> float:
     """Where the switching function of control i changes its sign; NaN if it does not."""
+    slopes = integrand(path).map(PARTS + 1)
     for _ in range(ZOOMS):
-        times = np.linspace(first, last, 33)
-        values = switching_function(path, times)[i]
+        times = np.linspace(first, last, PARTS + 1)
+        state = path(times), path(times, 1), path.control(times), path.costate(times)
+        values = np.array(slopes(times[None, :], *state, 0, 0)[2])[i]
         changes = np.flatnonzero(values[1:] * values[:-1] <= 0)
         if len(changes) == 0:
             return np.nan

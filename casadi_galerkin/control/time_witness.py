@@ -22,27 +22,27 @@ from casadi_galerkin.solution.shares_of_time import SharesOfTime
 
 
 def integrand(path: ControlTrajectory) -> ca.Function:
-    """I and ∂I/∂t as a Function of t and z, without the force of a holonomic constraint."""
+    """(t, z) -> I, ∂I/∂t and ∂I/∂u, without the force of a holonomic constraint."""
     problem, motion = path.problem, equations_of_motion(path.problem, path.parameters)
     *along, push = motion.sx_in()
-    costate, rate = (ca.SX.sym(name, problem.dimension) for name in ("costate", "costate_rate"))
-    symbols, (momentum, changes) = [*along, costate, rate], motion(*along, 0 * push)
     cost = with_parameters(problem.running_cost, path.parameters)(*along)
-    total = cost + ca.dot(costate, changes) + ca.dot(rate, momentum)
+    limited = ca.SX(0, 1)
     if problem.path_constraint is not None:
-        constraint = with_parameters(problem.path_constraint[0], path.parameters)(*along)
-        symbols.append(ca.SX.sym("multipliers", constraint.numel()))
-        total += ca.dot(symbols[-1], constraint)
-    return ca.Function("integrand", symbols, [ca.densify(total), ca.densify(ca.gradient(total, along[0]))])
+        limited = with_parameters(problem.path_constraint[0], path.parameters)(*along)
+    costate, rate = (ca.SX.sym(name, problem.dimension) for name in ("costate", "costate_rate"))
+    multipliers, (momentum, changes) = ca.SX.sym("multipliers", limited.numel()), motion(*along, 0 * push)
+    total = cost + ca.dot(costate, changes) + ca.dot(rate, momentum) + ca.dot(multipliers, limited)
+    found = [total, *(ca.gradient(total, along[k]) for k in (0, 3))]
+    return ca.Function("integrand", [*along, costate, rate, multipliers], [*map(ca.densify, found)])
 
 
 def jumps_in_time(path: ControlTrajectory) -> np.ndarray:
     """By how much jumps in time inside of every interval may move the cost; (N,)."""
     rule = path.method.quadrature
     shares, points = SharesOfTime(path.t, rule), np.array(rule.points)
-    z = [*path.polynomial.at_parts(points), path.control.at(points), *path.costate.at_parts(points)]
-    z += [] if path.path_multipliers is None else [path.path_multipliers.at(points)]
-    count = len(shares.times)
-    given = [np.repeat(a.reshape(len(a), -1), count // a[0].size, axis=1) for a in z]
-    found = integrand(path).map(count)(shares.times[None, :], *given)
-    return shares.by_jumps(*(np.array(a).ravel() for a in found))
+    count, at_points = len(shares.times), (len(path.t) - 1) * len(points)
+    multipliers = np.empty((0, at_points)) if path.path_multipliers is None else path.path_multipliers.at(points)
+    z = *path.polynomial.at_parts(points), path.control.at(points), *path.costate.at_parts(points), multipliers
+    given = [np.repeat(a.reshape(len(a), at_points), count // at_points, axis=1) for a in z]
+    values, rates, _ = integrand(path).map(count)(shares.times[None, :], *given)
+    return shares.by_jumps(np.array(values).ravel(), np.array(rates).ravel())

@@ -27,7 +27,7 @@ from casadi_galerkin.control.failure_report import INVALID, explained, refuse_de
 from casadi_galerkin.control.graph import ControlGraph, Report
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
 from casadi_galerkin.control.optimizer import RELAXED, Optimum, optimize, with_fatrop, with_ipopt
-from casadi_galerkin.control.program_bounds import check_count, check_stages, limits_of
+from casadi_galerkin.control.program_bounds import check_count, check_stages, limits_of, with_ends
 from casadi_galerkin.control.second_variation import CostVariation
 from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.functional.mapping import Mapping, by_rows
@@ -65,6 +65,7 @@ class ControlTranscription:
     ----------
     chain : Chain, which unknown is what
     graph : ControlGraph, the Functions
+    limits : ProgramBounds
     calculus : DiscreteCalculus of the joints
     build_seconds : float
 
@@ -87,7 +88,8 @@ class ControlTranscription:
         self.chain = Chain(problem, method, mesh)
         self.calculus = DiscreteCalculus(method, mesh)
         self.graph = ControlGraph(problem, self.chain, mapping)
-        check_count(self.chain, limits_of(problem, self.chain))
+        self.limits = limits_of(problem, self.chain)
+        check_count(self.chain, self.limits)
         self._solvers: dict[str, Lender[Evaluator]] = {}
         self.build_seconds = time.perf_counter() - began
 
@@ -139,14 +141,7 @@ class ControlTranscription:
         began = time.perf_counter() - self.build_seconds
         check_solver(solver)
         check_verbose(verbose)
-        calculus = self.calculus if mesh is None else remeshed(self.calculus, mesh, self.problem.breakpoints)
-        breaks = np.searchsorted(calculus.mesh, self.problem.breakpoints)
-        if not np.array_equal(breaks, self.chain.breaks):
-            raise ValueError(
-                f"the breakpoints {self.problem.breakpoints} must keep their places among the joints: "
-                f"t[i] with i in {self.chain.breaks.tolist()}, got {breaks.tolist()}"
-            )
-        _check_steps(calculus.mesh)
+        calculus = self.calculus if mesh is None else self._remeshed(mesh)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         span = float(calculus.mesh[0]), float(calculus.mesh[-1])
         problem = self.problem.varied({**ends, "parameters": parameters}, span)
@@ -156,6 +151,18 @@ class ControlTranscription:
         if verbose:
             print(path)
         return path
+
+    def _remeshed(self, mesh: ArrayLike) -> DiscreteCalculus:
+        """The calculus of other joints, with the breakpoints at their places among them."""
+        calculus = remeshed(self.calculus, mesh, self.problem.breakpoints)
+        breaks = np.searchsorted(calculus.mesh, self.problem.breakpoints)
+        if not np.array_equal(breaks, self.chain.breaks):
+            raise ValueError(
+                f"the breakpoints {self.problem.breakpoints} must keep their places among the joints: "
+                f"t[i] with i in {self.chain.breaks.tolist()}, got {breaks.tolist()}"
+            )
+        _check_steps(calculus.mesh)
+        return calculus
 
     def _solved(
         self,
@@ -167,7 +174,7 @@ class ControlTranscription:
         began: float,
     ) -> ControlTrajectory:
         """What one solver finds from a `start`, verified."""
-        chain, limits = self.chain, limits_of(problem, self.chain)
+        chain, limits = self.chain, with_ends(self.limits, problem, self.chain)
         values, duals, before = start
         unknowns, data = chain.pack(values)
         way = self._kept_program(solver, bool(duals), verbose)
@@ -204,15 +211,14 @@ class ControlTranscription:
         report = self.graph.report(*chain.pack(values))
         if not np.isfinite(report.cost + report.action + np.sum(report.equations)):
             check_finite(problem, self.graph.embedding, values)
-        largest = chain.largest(report.terms)
+        largest = report.sizes.copy()
         if guess is not None and near is None:  # it may be noisy or wild; the straight line is not
             straight = first_values(problem, chain, calculus, None, None)
-            line = chain.largest(self.graph.report(*chain.pack(straight)).terms)
+            line = self.graph.report(*chain.pack(straight)).sizes
             largest = np.where((line > 0) & np.isfinite(line), np.fmin(WILD * line, largest), largest)
-        motion = slice(chain.dimension, chain.dimension + chain.mechanical)
-        sizes = largest[motion]
+        sizes = largest[chain.motions]
         values["sizes"] = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
-        largest[motion] /= values["sizes"]
+        largest[chain.motions] /= values["sizes"]
         rows = report.equations[np.vstack((chain.rows["motion"][:, 0], chain.rows["momentum"][-1:]))]
         momentum = -rows if near is None else near.momentum[: chain.mechanical].T
         values["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0) / values["sizes"]
@@ -223,7 +229,7 @@ class ControlTranscription:
     def program(self, solver: Solver, warm: bool, verbose: int) -> ca.Function:
         """Build the solver for this program."""
         if solver.name == fatrop.name:
-            check_stages(self.chain, limits_of(self.problem, self.chain))
+            check_stages(self.chain, self.limits)
             return with_fatrop(self.graph, verbose, solver.options)
         return with_ipopt(self.graph, warm, verbose, solver.options)
 
