@@ -62,17 +62,17 @@ def unseen_change(chain: Chain, limits: ProgramBounds, optimum: Optimum, report:
     """
     x, bounds, kinds, fields = optimum.unknowns, optimum.bound_multipliers, chain.unknown_kinds, chain.fields
     low, high, least, most = limits.sides
-    left = np.where(low < high, report.slope + bounds, 0.0)
-    change = np.abs(left) * largest_of(np.abs(x), kinds)[kinds]
+    left, sizes = np.where(low < high, report.slope + bounds, 0.0), largest_of(np.abs(x), kinds)
     of_nodes = np.zeros((chain.intervals * chain.method.degree + 1, chain.dimension))
     of_nodes[:: chain.method.degree] += left[fields["x"]]
     of_nodes[1:] += left[fields["nodes"]].reshape(-1, chain.dimension)
-    change[np.concatenate((fields["x"].ravel(), fields["nodes"].ravel()))] = 0.0
     sums = np.abs(np.cumsum(of_nodes, axis=0))
-    moved = (sums[-1] + np.diff(times) @ sums[:-1] / np.ptp(times)) @ largest_of(np.abs(x), kinds)[: chain.dimension]
+    moved = (sums[-1] + np.diff(times) @ sums[:-1] / np.ptp(times)) @ sizes[: chain.dimension]
+    others = kinds >= chain.dimension
+    changed = np.abs(left[others]) @ sizes[kinds[others]]
     rows = _gap(report.equations, optimum.multipliers, least, most)
     unmet = _gap(x, bounds, low, high)
-    return float(moved + np.sum(change) + np.sum(rows[least < most]) + np.sum(unmet[low < high]))
+    return float(moved + changed + np.sum(rows[least < most]) + np.sum(unmet[low < high]))
 
 
 def _gap(values: np.ndarray, multipliers: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -198,7 +198,7 @@ class ControlGraph:
         given = np.zeros(count) if multipliers is None else multipliers
         with self._verification.lend() as evaluate:
             (told,) = evaluate(unknowns, data, given)
-        cost, action = told[:2].tolist()
+        (cost, action), rest = told[:2].tolist(), told[2 + 3 * count :]
         equations, *terms = told[2 : 2 + 3 * count].reshape(3, -1)
         # The terms of a component that stands still are roundoff of its slopes: what cancels in the slopes measures it.
         # Those of another are measured without it.
@@ -206,5 +206,6 @@ class ControlGraph:
         resting = np.isfinite(canceled) & (moving <= RESTING * canceled)
         sizes = np.fmax(moving, canceled)
         sizes[chain.motions] = np.where(resting, canceled, moving)[chain.motions]
-        slope, hamiltonian, arriving = np.split(told[2 + 3 * count :], np.cumsum([chain.unknowns, chain.intervals]))
+        slope, others = rest[: chain.unknowns], rest[chain.unknowns :]
+        hamiltonian, arriving = others[: chain.intervals], others[chain.intervals :]
         return Report(cost, action, equations, sizes, slope, hamiltonian, arriving.reshape(-1, chain.dimension).T)

@@ -45,7 +45,7 @@ def first_values(
     path = _path(problem, calculus, path_guess)
     nodes = path[1:].reshape(n, degree, -1).copy()
     arrived, arriving = _arrivals(chain, calculus, everywhere, guess, path)
-    nodes[chain.crossed - 1, -1] = np.clip(arrived, *problem.position_bounds)
+    nodes[chain.crossed - 1, -1] = arrived
     durations, parameters = np.diff(of_phases), np.array(problem.parameters or ())
     if not isinstance(guess, ControlTrajectory):
         slopes = (path[1] - path[0]) / (times[1] - times[0]), (path[-1] - path[-2]) / (times[-1] - times[-2])
@@ -95,7 +95,7 @@ def _arrivals(
     velocities = ((found - path[nodes - 1]) / (times[nodes] - times[nodes - 1])[:, None])[:, :dm]
     if len(nodes) and isinstance(guess, ControlTrajectory):
         after, before = (_earlier(guess, along, now, times[nodes]) for along in (guess, guess.polynomial.before))
-        found = found + (before - after).T
+        found = np.clip(found + (before - after).T, *chain.problem.position_bounds)
         velocities = guess.arrival_velocity if guess.arrival_velocity.shape == velocities.shape else velocities
     return found, velocities
 

@@ -1,10 +1,9 @@
 """Breakpoints whose times are no unknowns of a refinement: left out of the problem, and named by the answer.
 
-Where nothing happens at a breakpoint with a free time, any time is as good as another.  As an unknown it does harm: it
-moves all joints beside it, to where a control switches between two points and leaves its bounds there, at a lower cost
-than the true one.  With one that guesses the switch of the double integrator, the path was known to 8e-4 on all of 21
-meshes; without it, to 4e-6 on the third.  A refinement puts joints at switches itself, and they are the breakpoints of
-its answer.
+Where nothing happens at a breakpoint with a free time, any time is as good as another.  As an unknown it would come to
+any of them, and move all joints beside it: to where a control switches between two points and leaves its bounds there,
+at a lower cost than the true one.  A refinement puts joints at switches itself, and they are the breakpoints of its
+answer.
 """
 
 from __future__ import annotations

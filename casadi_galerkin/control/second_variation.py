@@ -15,6 +15,7 @@ import numpy as np
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.graph import ControlGraph
+from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.control.program_bounds import limits_of
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -32,18 +33,15 @@ class CostVariation:
     Attributes
     ----------
     problem, method, mesh : what was solved
-    unknowns, data : ξ
-    multipliers, bound_multipliers : of the equations and of the bounds on the unknowns
+    optimum, data : where the solver stopped, with its multipliers, and what it was given
     cost : its value
     """
 
     problem: ControlProblem
     method: Galerkin
     mesh: np.ndarray
-    unknowns: np.ndarray
+    optimum: Optimum
     data: np.ndarray
-    multipliers: np.ndarray
-    bound_multipliers: np.ndarray
     cost: float
 
     def negative(self) -> int | None:
@@ -51,16 +49,16 @@ class CostVariation:
 
         By more than `FLAT` of it, for moves as large as the path.
         """
-        chain = Chain(self.problem, self.method, self.mesh)
+        chain, at = Chain(self.problem, self.method, self.mesh), self.optimum
         graph, limits = ControlGraph(self.problem, chain, one_by_one), limits_of(self.problem, chain)
-        by_cost = np.any(np.array(graph.gradient(self.unknowns, self.data)[1]))
-        multipliers = self.multipliers if by_cost else 0 * self.multipliers  # which then are rounding alone
-        hessian = graph.whole_hessian(self.unknowns, self.data, 1.0, multipliers)[1]
-        values, gradients = graph.jacobian(self.unknowns, self.data)
-        sizes, rows = _sizes(chain, self.unknowns), np.array(values).ravel()
+        by_cost = np.any(np.array(graph.gradient(at.unknowns, self.data)[1]))
+        multipliers = at.multipliers if by_cost else 0 * at.multipliers  # which then are rounding alone
+        hessian = graph.whole_hessian(at.unknowns, self.data, 1.0, multipliers)[1]
+        values, gradients = graph.jacobian(at.unknowns, self.data)
+        sizes, rows = _sizes(chain, at.unknowns), np.array(values).ravel()
         low, high, least, most = limits.sides
-        free = np.flatnonzero(~_met(self.unknowns, low, high, self.bound_multipliers, sizes)).tolist()
-        held = np.flatnonzero(_met(rows, least, most, self.multipliers, np.abs(rows))).tolist()
+        free = np.flatnonzero(~_met(at.unknowns, low, high, at.bound_multipliers, sizes)).tolist()
+        held = np.flatnonzero(_met(rows, least, most, at.multipliers, np.abs(rows))).tolist()
         units, flat = (ca.diag(ca.DM(a)) for a in (np.where(sizes > 0, sizes, 1.0), np.where(sizes > 0, FLAT, 0.0)))
         curved = ca.mtimes(units, ca.mtimes(hessian, units))
         relative = curved / (abs(self.cost) or float(ca.norm_inf(curved)) or 1.0) + flat

@@ -190,8 +190,7 @@ class ControlTranscription:
         off = off_constraint(problem, path)
         if off is not None:
             raise ConvergenceError(f"no path was found: {off}", Path(path), violation / EPS, optimum.iterations)
-        at = optimum.unknowns, data, optimum.multipliers, optimum.bound_multipliers
-        variation = CostVariation(problem, self.method, mesh, *at, report.cost)
+        variation = CostVariation(problem, self.method, mesh, optimum, data, report.cost)
         change = unseen_change(chain, limits, optimum, report, path.times(path.nodes[:-1]))
         hidden = f"; its tolerances are absolute, and may hide a change of the cost by {change:.1e}"
         told = f"{NAMES[solver.name]} ({optimum.status}{hidden if change > UNSEEN * abs(report.cost) else ''})"
