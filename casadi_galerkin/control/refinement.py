@@ -190,7 +190,10 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         if detail is not None and detail.unseen > self.tol and self.cost_known > self.tol:
             raise self.stopped(f"the solver may have left {detail.unseen:.0e} of the cost", *self.best, UNITS)
         known = level if detail is None else detail.higher
-        mesh = halved(known.t) if detail is None or self.fruitless == PATIENCE else detail.better_mesh(self.tol)
+        if detail is None or self.fruitless == PATIENCE:
+            mesh = halved(known.t)
+        else:
+            mesh = detail.better_mesh(self.path_tol(detail), self.tol)
         if len(mesh) - 1 > self.limits.intervals:
             raise self.stopped(f"the mesh would need {len(mesh) - 1} intervals", *self.best)
         joints = self.scaled(mesh, known)
@@ -201,6 +204,12 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             return self.solve_finer(joints, known)
         except ConvergenceError as failure:
             raise self.stopped(str(failure), *self.best) from failure
+
+    def path_tol(self, detail: HigherDegree) -> float:
+        """Error of the path that is low enough: that of the cost falls with its square."""
+        if not self.of_cost:
+            return self.tol
+        return max(self.tol, detail.change * float(np.sqrt(self.tol / detail.cost_error)))
 
     def stopped(self, reason: str, level: ControlTrajectory, error: float, hint: str = HINT) -> LimitReached:
         """Say how far it got; where only the path is not known, as along a singular arc, what is."""
