@@ -22,9 +22,9 @@ where it is above the tolerance the refinement ends at once.  For these problems
 
 Out of reach is a path with a singular arc, where controls differ from mesh to mesh and cost the same: the cost is then
 known long before the path.  The error raised says so, and a tolerance of the cost alone is met: for the fourteen
-problems at 1e-3 ... 1e-8 in 82 runs of 84, always with a cost as near as asked.  The estimate of its error bounds it in
-79 of these; in the other three, where bounds are met and left, it is 1.1 to 5 times too small.  Out of reach, too, is a
-path to 1e-8 with a path constraint touched in one point and a Gauss rule.
+problems at 1e-3 ... 1e-8 in 83 runs of 84, always with a cost as near as asked.  The estimate of its error bounds it in
+82 of these; in the other one, where bounds are met and left, it is 5 times too small.  Out of reach, too, is a path to
+1e-8 with a path constraint touched in one point and a Gauss rule.
 
 Jumps in time that no breakpoint names are seen (`time_witness`), and the mesh is refined beside them.  The estimate
 bounds the error of the cost in all of 24 runs at 1e-3 and 1e-5 with steps of a weight, a force, a potential, a mass and
@@ -179,9 +179,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             return Estimate(np.inf, False, f"no answer of degree {method.degree}", None)
         detail = HigherDegree(level, higher)
         self.known, self.cost_known = detail, min(self.cost_known, detail.cost_error)
-        if np.sum(detail.jumps) > self.tol:
-            i = int(np.argmax(detail.jumps))
-            self.jump = float(np.mean(level.t[i : i + 2]))
+        i = int(np.argmax(detail.jumps))
+        self.jump = float(np.mean(level.t[i : i + 2])) if np.sum(detail.jumps) > self.tol else None
         return Estimate(detail.cost_error if self.of_cost else detail.error, True, f"degree {method.degree}", detail)
 
     def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:
@@ -214,7 +213,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def stopped(self, reason: str, level: ControlTrajectory, error: float, hint: str = HINT) -> LimitReached:
         """Say how far it got; where only the path is not known, as along a singular arc, what is."""
         if self.jump is not None:
-            hint = f"A callable is not smooth in time near t = {self.jump:.6g}: name that time in the breakpoints"
+            hint = f"A callable is not smooth in time near t = {self.jump:.6g}, or changes there too fast for this mesh"
+            hint += ": name that time in the breakpoints"
         elif level.unseen_change > UNSEEN * abs(level.cost):
             hint = UNITS
         if self.cost_known <= self.tol:
