@@ -7,7 +7,8 @@ import pytest
 from paths import EXAMPLES
 
 TO_TOL = ["low_thrust", "regulator", "van_der_pol", "zermelo", "brachistochrone"]
-TO_COST_TOL = ["cart_pole", "hypersensitive", "moon_lander", "crane", "quadrotor", "robot_arm"]
+TO_COST_TOL = ["cart_pole", "hypersensitive", "moon_lander", "crane", "quadrotor", "robot_arm", "dubins", "chain"]
+TO_COST_TOL += ["hang_glider", "orbit_raising", "shuttle"]
 
 
 @pytest.fixture

@@ -201,16 +201,16 @@ class HigherDegree:
         left, jumped = self.of_cost(self.path.unseen_change), float(np.sum(self.jumps))
         return max(self.cost_change / (1 - SLOWEST), self.shared**2, self.unbalanced**2, apart, left, jumped)
 
-    def better_mesh(self, tol: float) -> np.ndarray:
-        """Joints, in the time of the higher path, on which the error should be below the tolerance."""
+    def better_mesh(self, tol: float, cost_tol: float) -> np.ndarray:
+        """Joints, in the time of the higher path, on which the errors of path and cost should be below tolerances."""
         path, higher = self.path, self.higher
         order, target = path.method.degree + 1, TARGET * tol
         error = beyond_degree(higher, path.method.degree)
         error *= self.change / max(np.max(error), 1e-300)
         kinked = (truncation(higher.polynomial) > STUBBORN * truncation(path.polynomial)) & (error > target)
         error[kinked] = target * (error[kinked] / target) ** (order / KINK_ORDER)
-        first = np.maximum(self.outside, self.jumps)  # of the order of a distance
-        error = np.maximum(error, target * (first / target) ** order)
+        first = np.maximum(self.outside / tol, self.jumps / cost_tol) / TARGET  # of the order of a distance
+        error = np.maximum(error, target * first**order)
         mesh, error = self.widened(error, target)
         mesh = equidistributed(mesh, error, order, tol, FINEST, breakpoints=higher.problem.breakpoints)
         return self.with_jumps(mesh, tol)
