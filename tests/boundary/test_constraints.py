@@ -5,7 +5,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
-from constrained import MECHANISMS, on_circle, on_sphere, planar, spatial, unit_length
+from constrained import MECHANISMS, on_circle, on_sphere, planar, spatial, uneven, unit_length
 from rules import OF_DEGREE
 from scenes import oscillator_problem, pendulum
 
@@ -64,11 +64,6 @@ def test_a_spherical_pendulum_on_its_sphere_keeps_its_spin_at_any_degree():
 
 
 # orders
-
-
-def uneven(t, x, v):
-    """A mass that depends on place, in a potential that is no polynomial."""
-    return (1 + x[0] / 3) * ca.sumsqr(v) / 2 - ca.exp(x[1])
 
 
 def uneven_in_angle(t, x, v):
