@@ -44,6 +44,11 @@ class SecondVariation(Protocol):
         """Smallest second variation relative to the sizes of its terms; None of a cost."""
 
 
+def index_in_words(path: Trajectory) -> str:
+    """The Morse index of a path in words."""
+    return "no Morse index" if path.morse_index is None else f"Morse index {path.morse_index}"
+
+
 def _no_error(path: Trajectory) -> float:
     raise TypeError(f"the error of a {type(path).__name__} is estimated where it is solved to a tolerance: give tol")
 

@@ -391,6 +391,13 @@ def test_a_constraint_that_does_not_fit_is_refused(changes, kind, message):
         cg.BoundaryProblem(planar, (0, 1), **stated)
 
 
+@pytest.mark.parametrize("unit", [1e-15, 1e15])
+def test_constraints_of_any_units_are_not_redundant(unit):
+    stated = {"start": [0.0, 0.0, -1.0], "end": [1.0, 0.0, 0.0]}
+    problem = cg.BoundaryProblem(spatial, (0, 1), **stated, constraint=lambda t, x: [ca.sumsqr(x) - 1, unit * x[1]])
+    assert problem.constraint.numel_out(0) == 2
+
+
 def test_redundant_constraints_are_refused():
     with pytest.raises(
         ValueError, match=r"redundant at the given start, x = \[.*\]: their gradients, the rows of \[\["
