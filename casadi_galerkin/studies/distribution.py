@@ -170,11 +170,6 @@ def _chunk(pickled: bytes, variations: Sequence[Variation], known: Sequence[Know
         return [_sendable(answer) for answer in _answers(_unpickled(pickled), variations, known)]
 
 
-def _alone(pickled: bytes, variations: Sequence[Variation], number: int) -> list[Answer]:  # noqa: ARG001
-    """What a worker does again; another call than the one that failed, whose failure Dask would otherwise repeat."""
-    return _chunk(pickled, variations)
-
-
 def _chunks(
     solver: Solve, variations: Sequence[Variation], answers: Answers, advance: Advance, solved: Solved
 ) -> list[Chunk]:
@@ -279,8 +274,8 @@ def solve_lost(
             except Exception as error:
                 answers.update((j, CutShort(f"no worker works, {named(error)}")) for j in lost if j not in answers)
                 break
-            try:
-                (answers[i],) = executor.submit(_alone, pickled, [variations[i]], i).result()
+            try:  # without known paths: Dask would repeat the failure of the very same call
+                (answers[i],) = executor.submit(_chunk, pickled, [variations[i]]).result()
             except Exception as error:
                 answers[i] = CutShort(f"the worker that solved this variation failed, {named(error)}")
             advance(1)
