@@ -249,7 +249,7 @@ class Trajectory(Path):
             raise ValueError(f"seconds must be a positive number, got {seconds!r}")
         count = max(2, round(FRAMES_A_SECOND * duration))
         times = np.linspace(self.t[0], self.t[-1], count)
-        return animate_linkage(times, self.places(points, times), duration / count, axes, unit)
+        return animate_linkage(times, self._places(points, times), duration / count, axes, unit)
 
     def _accuracy(self) -> list[str]:
         """A line on the error of x, if it is known, or if this mesh plainly does not resolve the path."""
