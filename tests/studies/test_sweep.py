@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from control_problems import double_integrator
-from motions import kepler
+from motions import henon_heiles, kepler
 from scenes import BY_NAME, DAMPED, bratu_problem
 from sent_guesses import arched, deadly, dividing, pushed, unbuildable, unpicklable
 
@@ -164,6 +164,11 @@ def test_with_a_tolerance_neighbors_are_on_one_branch(seed, pool):
     turned = [path.x[0, 0] * path.momentum[1, 0] - path.x[1, 0] * path.momentum[0, 0] for path in sweep]
     assert min(turned) > 0
     identical(cg.sweep(problem, ends, tol=1e-7, executor=pool), sweep)
+
+
+def test_a_variation_to_which_its_neighbor_does_not_lead_is_solved_from_the_straight_line():
+    problem = cg.BoundaryProblem(henon_heiles, (0.0, 2.0), [0.0, 0.1], [0.2, 0.3])
+    assert not cg.sweep(problem, [{}, {"t_span": (0.0, 7.0), "end": [0.5, 0.5]}], tol=1e-4).failures
 
 
 def lambert_guess(end):
