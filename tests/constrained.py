@@ -16,6 +16,11 @@ def spatial(t, x, v):
     return ca.sumsqr(v) / 2 - x[2]
 
 
+def uneven(t, x, v):
+    """A mass that depends on place, in a potential that is no polynomial: no rule integrates it exactly."""
+    return (1 + x[0] / 3) * ca.sumsqr(v) / 2 - ca.exp(x[1])
+
+
 def unit_length(t, x):
     return ca.sumsqr(x) - 1
 

@@ -1,6 +1,7 @@
-"""Motions from given starts, for tests of steps."""
+"""Motions of known Lagrangians: from given starts, for tests of steps, and on ellipses."""
 
 import casadi as ca
+import numpy as np
 from scenes import pendulum
 
 import casadi_galerkin as cg
@@ -22,6 +23,21 @@ def quartic(t, x, v):
 
 def kepler(t, x, v):
     return ca.dot(v, v) / 2 + 1 / ca.norm_2(x)
+
+
+def of_anomaly(eccentricity, anomaly):
+    """Position and time on an ellipse of axis 1 about the mass of `kepler`, from its pericenter."""
+    position = [np.cos(anomaly) - eccentricity, np.sqrt(1 - eccentricity**2) * np.sin(anomaly)]
+    return np.array(position), anomaly - eccentricity * np.sin(anomaly)
+
+
+def on_ellipse(eccentricity, t):
+    """Position on that ellipse at times within half a period of its pericenter, by Kepler's equation."""
+    grid = np.linspace(-np.pi, np.pi, 20_001)
+    anomaly = np.interp(t, of_anomaly(eccentricity, grid)[1], grid)
+    for _ in range(8):
+        anomaly -= (of_anomaly(eccentricity, anomaly)[1] - t) / (1 - eccentricity * np.cos(anomaly))
+    return of_anomaly(eccentricity, anomaly)[0]
 
 
 def henon_heiles(t, x, v):

@@ -1,6 +1,10 @@
-"""The families of rules, and the polynomials whose roots their points are, in as many digits as mpmath is set to."""
+"""The families of rules, the polynomials whose roots their points are, and those of Lagrange, each written out.
+
+The former have as many digits as mpmath is set to.
+"""
 
 import mpmath
+import numpy as np
 
 import casadi_galerkin as cg
 
@@ -34,3 +38,15 @@ def polynomial(name: str, n: int):
         return lambda x: slope(n - 1, x), lambda x: 1 / (n * (n - 1) * legendre_pair(n - 1, x)[0] ** 2)
     difference = lambda x: legendre_pair(n - 1, x)[0] - legendre_pair(n, x)[0]  # noqa: E731
     return difference, lambda x: (1 + x) / (2 * n * n * legendre_pair(n - 1, x)[0] ** 2)
+
+
+def lagrange(nodes, j, t):
+    """l_j and l_j' of the nodes at times t, by the product formula."""
+    others = np.delete(nodes, j)
+    value = np.prod([(t - s) / (nodes[j] - s) for s in others], axis=0)
+    slope = sum(
+        np.prod([(t - s) / (nodes[j] - s) for s in np.delete(others, k)] + [np.ones_like(t)], axis=0)
+        / (nodes[j] - others[k])
+        for k in range(len(others))
+    )
+    return value, slope

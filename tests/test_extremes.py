@@ -1,56 +1,46 @@
 """Every row of the table of extremes; the far ends behind the marker `extreme`."""
 
-import importlib
-import sys
-
 import numpy as np
 import pytest
-from paths import EXAMPLES
+from paths import script
 
 import casadi_galerkin as cg
 
 EPS = float(np.finfo(float).eps)
 ROUNDOFF = 1e-13  # of a path of O(1) whose problem is well conditioned; measured below 5e-14
 extreme = pytest.mark.extreme
-
-
-@pytest.fixture(scope="module")
-def extremes():
-    folder = str(EXAMPLES / "benchmark")
-    sys.path.insert(0, folder)
-    yield importlib.import_module("extremes")
-    sys.path.remove(folder)
+extremes = script("extremes")
 
 
 @pytest.mark.parametrize("degree", [20, 60, pytest.param(100, marks=extreme)])
-def test_degree_to_100_at_lobatto_points(extremes, degree):
+def test_degree_to_100_at_lobatto_points(degree):
     assert extremes.degree(degree) < ROUNDOFF
 
 
-def test_equispaced_points_lose_digits_from_degree_20_on(extremes):
+def test_equispaced_points_lose_digits_from_degree_20_on():
     errors = [extremes.degree(m, cg.equispaced_points) for m in (20, 30)]
     assert ROUNDOFF < errors[0] < 1e-10
     assert errors[1] > 30 * errors[0]
 
 
-def test_equispaced_points_are_useless_at_degree_40(extremes):
+def test_equispaced_points_are_useless_at_degree_40():
     with pytest.raises(cg.ConvergenceError, match="no path was found"):
         extremes.degree(40, cg.equispaced_points)
 
 
 @pytest.mark.parametrize("intervals", [10_000, pytest.param(1_000_000, marks=extreme)])
-def test_many_intervals_of_degree_1_leave_only_the_discretization_error(extremes, intervals):
+def test_many_intervals_of_degree_1_leave_only_the_discretization_error(intervals):
     # 0.11 h² is measured from 1e3 intervals on; at 1e6 that is as small as roundoff
     assert extremes.many_intervals(1, intervals) < 0.2 * (2 / intervals) ** 2 + ROUNDOFF
 
 
 @pytest.mark.parametrize("intervals", [1000, pytest.param(100_000, marks=extreme)])
-def test_many_intervals_of_degree_4_are_exact_to_roundoff(extremes, intervals):
+def test_many_intervals_of_degree_4_are_exact_to_roundoff(intervals):
     assert extremes.many_intervals(4, intervals) < ROUNDOFF
 
 
 @pytest.mark.parametrize("masses", [10, 100, pytest.param(1000, marks=extreme)])
-def test_ring_of_many_masses_moves_as_one(extremes, masses):
+def test_ring_of_many_masses_moves_as_one(masses):
     assert extremes.ring(masses)[0] < ROUNDOFF
 
 
@@ -73,26 +63,26 @@ def test_graph_of_a_ring_grows_linearly(few, many):
 
 
 @pytest.mark.parametrize("duration", [70.0, 700.0, pytest.param(7000.0, marks=extreme)])
-def test_horizon_of_growing_and_decaying_modes(extremes, duration):
+def test_horizon_of_growing_and_decaying_modes(duration):
     assert extremes.horizon(duration) < ROUNDOFF
 
 
 @pytest.mark.parametrize(
     "epsilon", [1e-6, 1e-10, pytest.param(1e-8, marks=extreme), pytest.param(1e-12, marks=extreme)]
 )
-def test_layer_is_resolved_to_its_tolerance(extremes, epsilon):
+def test_layer_is_resolved_to_its_tolerance(epsilon):
     assert extremes.layer(epsilon, tol=1e-9) < 1e-9
 
 
 @pytest.mark.parametrize("gap", [1e-6, -1e-6, 1e-10, -1e-10])
-def test_conjugate_point_is_approached_to_the_accuracy_of_the_data(extremes, gap):
+def test_conjugate_point_is_approached_to_the_accuracy_of_the_data(gap):
     error, index = extremes.conjugate(gap)
     assert error < 20 * EPS / abs(gap)  # the end and the duration are themselves rounded: some eps/gap
     assert index == (0 if gap > 0 else 1)
 
 
 @pytest.mark.parametrize("gap", [0.0, 1e-12])
-def test_conjugate_point_itself_is_named(extremes, gap):
+def test_conjugate_point_itself_is_named(gap):
     with pytest.raises(cg.ConjugatePointError):
         extremes.conjugate(gap)
 
@@ -110,27 +100,27 @@ def test_conjugate_point_itself_is_named(extremes, gap):
     ],
     ids=str,
 )
-def test_units_change_neither_digits_nor_iterations(extremes, units):
+def test_units_change_neither_digits_nor_iterations(units):
     difference, same = extremes.rescaled(**units)
     assert difference < 10 * EPS
     assert same
 
 
 @pytest.mark.parametrize("decades", [6, 12, pytest.param(15, marks=extreme)])
-def test_mesh_graded_over_decades(extremes, decades):
+def test_mesh_graded_over_decades(decades):
     error, momentum_error = extremes.graded(decades)
     assert error < ROUNDOFF
     assert momentum_error < ROUNDOFF
 
 
 @pytest.mark.parametrize(("distance", "error"), [(1e-2, 1e-11), (1e-3, 1e-10), (1e-4, 1e-8)])
-def test_near_collision(extremes, distance, error):
+def test_near_collision(distance, error):
     # the angle at which the orbit leaves the pericenter has a condition of 1/distance^2.5 or so
     assert extremes.collision(distance) < error
 
 
 @pytest.mark.parametrize("distance", [1e-5, 1e-6, 1e-7, 1e-8])
-def test_nearer_collision_is_right_or_called_singular(extremes, distance):
+def test_nearer_collision_is_right_or_called_singular(distance):
     """The second variation is then near roundoff: which of the two it is depends on the last digits."""
     try:
         error = extremes.collision(distance)
@@ -140,14 +130,14 @@ def test_nearer_collision_is_right_or_called_singular(extremes, distance):
 
 
 @pytest.mark.parametrize("gap", [1e-2, 1e-4, 1e-6])
-def test_bratu_up_to_its_fold(extremes, gap):
+def test_bratu_up_to_its_fold(gap):
     error, index = extremes.bratu(gap)
     assert error < 1e-13 + 1e3 * EPS / gap  # λ is rounded; the path moves with 1/gap times that
     assert index == 0
 
 
 @pytest.mark.parametrize("name", ["log", "root", "division", "speed limit"])
-def test_line_search_backs_off_at_the_edge_of_the_domain(extremes, name):
+def test_line_search_backs_off_at_the_edge_of_the_domain(name):
     leaves, iterations, _, difference = extremes.edge(name)
     assert leaves, "the case must be one in which a full step leaves the domain"
     assert iterations < 40

@@ -3,15 +3,12 @@
 import casadi as ca
 import numpy as np
 import pytest
+from motions import varying_mass
 from scenes import BY_NAME, gravity, pendulum
 
 import casadi_galerkin as cg
 
 IDENTITY = 1e-13  # both sides are solved to roundoff; values of size 1 to 5
-
-
-def varying_mass(t, x, v):
-    return (1 + x[0] ** 2) * v[0] ** 2 / 2 - x[0] ** 2 / 2 - x[0] ** 4 / 4
 
 
 def driven_pair(t, x, v):

@@ -1,28 +1,20 @@
 """What the comparison with the literature runs: costs are found to the tolerance."""
 
-import importlib
-
 import numpy as np
 import pytest
-from paths import EXAMPLES
+from paths import script
 
 TO_TOL = ["low_thrust", "regulator", "van_der_pol", "zermelo", "brachistochrone"]
 TO_COST_TOL = ["cart_pole", "hypersensitive", "moon_lander", "crane", "quadrotor", "robot_arm", "dubins", "chain"]
 TO_COST_TOL += ["hang_glider", "orbit_raising", "shuttle"]
-
-
-@pytest.fixture
-def scripts(monkeypatch):
-    for folder in (EXAMPLES, EXAMPLES / "benchmark"):
-        monkeypatch.syspath_prepend(str(folder))
-    return importlib.import_module
+literature, guesses = script("literature"), script("guesses")
 
 
 @pytest.mark.parametrize(
     ("asked", "name"), [("tol", name) for name in TO_TOL] + [("cost_tol", name) for name in TO_COST_TOL]
 )
-def test_published_cost_is_found_to_the_tolerance(scripts, asked, name):
-    literature, tol = scripts("literature"), 1e-6
+def test_published_cost_is_found_to_the_tolerance(asked, name):
+    tol = 1e-6
     case = literature.CASES[name]()
     found = literature.outcome(case, **{asked: tol})
     assert found.said == ""
@@ -31,8 +23,7 @@ def test_published_cost_is_found_to_the_tolerance(scripts, asked, name):
     assert np.isnan(case.published) or case.exact == pytest.approx(case.published, rel=1e-3)  # of three digits
 
 
-def test_random_guesses_lead_to_the_same_costs_as_by_hand(scripts):
-    guesses = scripts("guesses")
+def test_random_guesses_lead_to_the_same_costs_as_by_hand():
     problem = guesses.SCENES["cart-pole"][0]()
     programs = guesses.Ours(problem), guesses.ByHand(problem)
     ours, by_hand = (program.solve(guesses.guess(problem, seed=0))[0] for program in programs)

@@ -14,6 +14,7 @@ import casadi as ca
 import mpmath
 import numpy as np
 import pytest
+from motions import quartic, varying_mass
 from rules import FAMILIES, OF_DEGREE, polynomial
 
 import casadi_galerkin as cg
@@ -21,14 +22,6 @@ import casadi_galerkin as cg
 BAND = 0.2
 PLATEAU = 1e-12  # errors below are masked; roundoff was measured at 1e-14 in x and 5e-14 in p
 POLISH = 1e-13  # how far the package's answer may be from the discrete equations' in 60 digits; momenta eps |x|/h
-
-
-def varying_mass(t, x, v):
-    return (1 + x[0] ** 2) * v[0] ** 2 / 2 - x[0] ** 2 / 2 - x[0] ** 4 / 4
-
-
-def quartic(t, x, v):
-    return v[0] ** 2 / 2 + v[0] ** 4 / 12 + ca.cos(x[0])
 
 
 def quadratic_friction(t, x, v):

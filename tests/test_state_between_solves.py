@@ -1,32 +1,24 @@
 """What is kept between solves of one numbering does not leak from one solve into another."""
 
-import importlib
 import os
 import signal
-import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import casadi as ca
 import numpy as np
 import pytest
 from control_problems import cart_pole
-from paths import EXAMPLES
+from paths import script
 
 import casadi_galerkin as cg
 from casadi_galerkin.functional.threads import fork_waits
 
-
-@pytest.fixture(scope="module")
-def state():
-    folder = str(EXAMPLES / "benchmark")
-    sys.path.insert(0, folder)
-    yield importlib.import_module("state")
-    sys.path.remove(folder)
+state = script("state")
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs a timer signal")
 @pytest.mark.filterwarnings("ignore:Exception ignored in PyObject_HasAttrString")  # from Python 3.13 on, an interrupt
-def test_solves_after_an_interrupt_are_right_whatever_it_stopped(state):
+def test_solves_after_an_interrupt_are_right_whatever_it_stopped():
     stopped, wrong = state.interrupts(150, seed=1)
     assert stopped > 30
     assert wrong == 0
@@ -87,7 +79,7 @@ def test_ipopt_on_a_boundary_problem_is_interrupted_and_not_taken_for_failed(is_
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs forks")
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-def test_a_process_forked_beside_a_solving_thread_solves_too(state):
+def test_a_process_forked_beside_a_solving_thread_solves_too():
     assert state.forks(2) == (0, 0)
 
 
@@ -113,7 +105,7 @@ def test_a_fork_waits_for_what_a_solve_builds(monkeypatch, kind):
     assert not any(free)
 
 
-def test_threads_may_share_transcriptions(state):
+def test_threads_may_share_transcriptions():
     assert state.threads(80) == 0
 
 

@@ -1,39 +1,29 @@
 """What is returned as verified is true: seeded problems of every kind that may deceive, each against its own truth."""
 
-import importlib
-import sys
-
 import pytest
-from paths import EXAMPLES
+from paths import script
 
 import casadi_galerkin as cg
 
 KINDS = 13
-
-
-@pytest.fixture(scope="module")
-def trust():
-    folder = str(EXAMPLES / "benchmark")
-    sys.path.insert(0, folder)
-    yield importlib.import_module("trust")
-    sys.path.remove(folder)
+trust = script("trust")
 
 
 @pytest.mark.parametrize("seed", [*range(KINDS, 2 * KINDS), 132])  # squares of its momenta overflow
-def test_an_answer_is_right_and_a_smooth_problem_has_one(trust, seed):
+def test_an_answer_is_right_and_a_smooth_problem_has_one(seed):
     found = trust.outcome(seed)
     assert found.verdict == "right" or (found.verdict == "refused" and not found.trial.smooth)
 
 
 @pytest.mark.parametrize("seed", [6, 8, 21, 32, 37, 153])
-def test_a_refusal_names_its_cause(trust, seed):
+def test_a_refusal_names_its_cause(seed):
     trial, tol = trust.trial(seed)
     cause = r"roundoff floor here|conjugate points|near t = .*(breakpoint|singularity)"
     with pytest.raises(cg.ConvergenceError, match=cause):
         cg.solve(trial.problem, tol=tol)
 
 
-def test_the_table_counts_what_came_of_the_problems(trust, capsys):
+def test_the_table_counts_what_came_of_the_problems(capsys):
     found = trust.main(count=2, first=3)
     assert [outcome.trial.kind for outcome in found] == ["stiff", "arc"]
     assert "2 of 2 smooth ones solved" in capsys.readouterr().out

@@ -30,7 +30,7 @@ from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import plot_branch
 from casadi_galerkin.solution.progress import progress
-from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solution.trajectory import Trajectory, index_in_words
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton, verified
 
 if TYPE_CHECKING:
@@ -113,9 +113,9 @@ class Branch:
             return finite("what height returns", height(path))
 
         heights = np.array([checked(path) for path in self.trajectories])
-        indices = [path.morse_index for path in self.trajectories]
+        indices = [index_in_words(path) for path in self.trajectories]
         values = self.parameters[:, parameter]
-        parts = {f"Morse index {i}": np.array([i == found for found in indices]) for i in dict.fromkeys(indices)}
+        parts = {index: np.array([index == found for found in indices]) for index in dict.fromkeys(indices)}
         folds = np.array([(fold.parameters[parameter], checked(fold.path)) for fold in self.folds]).reshape(-1, 2)
         drawn = plot_branch(values, heights, parts, folds, axes)
         if axes is None:

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from casadi_galerkin.boundary.graph import BoundaryGraph, CriticalPoint
-from casadi_galerkin.calculus.mesh_adaptation import interval_maxima, of_higher_degree
+from casadi_galerkin.calculus.mesh_adaptation import largest_change, of_higher_degree
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import EPS, component_sizes
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -28,7 +28,7 @@ def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial, tol: f
 
     Returns infinity where a step is not finite.
     """
-    nodes, sizes = graph.method.element.nodes, component_sizes(path.values)[:, None]
+    nodes = graph.method.element.nodes
     data = graph.data(path.mesh, None, graph.plane(path))
     unknowns = graph.unknowns(path.at(nodes).T, data)
 
@@ -38,7 +38,7 @@ def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial, tol: f
         if graph.numbering.stretched:
             times = path.times(nodes[:-1])
             change = change - step[-1] * path(times, 1) * (times - times[0])
-        return float(np.max(interval_maxima(PiecewisePolynomial(path.mesh, nodes, change)) / sizes))
+        return largest_change(path, nodes, change)
 
     second = 0.0
     with graph.stationarity.linearization() as at:

@@ -33,7 +33,7 @@ from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceErro
 from casadi_galerkin.solution.guess import waves
 from casadi_galerkin.solution.plotting import Pictured, plot_family
 from casadi_galerkin.solution.progress import progress
-from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solution.trajectory import Trajectory, index_in_words
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import smallest_second_variation
 
@@ -102,7 +102,7 @@ class Paths(Pictured):
         time : name of the time with its unit
         """
         place("component", component, len(self[0].x))
-        drawn = [(f"action {path.action:.6g}, {_index(path)}", path._line()) for path in self]
+        drawn = [(f"action {path.action:.6g}, {index_in_words(path)}", path._line()) for path in self]
         lines = [(name, times, values[component]) for name, (times, values) in drawn]
         return plot_family(lines, axes, label or f"x[{component}]", time)
 
@@ -111,9 +111,8 @@ class Paths(Pictured):
         count = len(self)
         lines = [f"Paths: {counted(count, 'stationary path')} in {counted(self.solves, 'solve')}; {self.stopped}"]
         for path in self.trajectories[:SHOWN]:
-            lines.append(
-                f"  action {path.action:<18.12g} {_index(path):15} error {path.error_estimate:.0e}  {path.solver}"
-            )
+            found = f"error {path.error_estimate:.0e}  {path.solver}"
+            lines.append(f"  action {path.action:<18.12g} {index_in_words(path):15} {found}")
         if count > SHOWN:
             lines.append(f"  ... {count - SHOWN} more")
         if self.unresolved:
@@ -121,10 +120,6 @@ class Paths(Pictured):
         if self.singular:
             lines.append(f"  {self.singular} dropped with a singular Hessian: a family of paths, or conjugate points")
         return "\n".join(lines)
-
-
-def _index(path: Trajectory) -> str:
-    return "no Morse index" if path.morse_index is None else f"Morse index {path.morse_index}"
 
 
 def paths(

@@ -77,9 +77,14 @@ def truncation(path: PiecewisePolynomial) -> np.ndarray:
     return np.asarray(np.max(following, axis=0))
 
 
-def interval_maxima(path: PiecewisePolynomial) -> np.ndarray:
-    """Largest size of every component on every interval, (d, N), sampled between the nodes as well."""
-    return np.asarray(np.max(np.abs(path.at_parts(np.linspace(0, 1, 4 * path.degree + 1))[0]), axis=2))
+def largest_change(path: PiecewisePolynomial, nodes: np.ndarray, values: np.ndarray) -> float:
+    """Largest change of a path, relative to the sizes of its components, that has values (d, N m' + 1) at other nodes.
+
+    It is sampled between the nodes as well.
+    """
+    change = PiecewisePolynomial(path.mesh, nodes, values)
+    sampled = change.at_parts(np.linspace(0, 1, 4 * change.degree + 1))[0]
+    return float(np.max(np.abs(sampled) / component_sizes(path.values)[:, None, None]))
 
 
 def spread_over(

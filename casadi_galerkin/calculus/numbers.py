@@ -17,8 +17,6 @@ def number(value: Any) -> float | None:
 
     That is whatever has no ``__float__``, a truth, and a symbol, of which float() makes NaN.
     """
-    if type(value) is float:
-        return value
     kind = getattr(getattr(value, "dtype", None), "kind", "f")
     if isinstance(value, bool) or kind not in "iuf" or not hasattr(value, "__float__"):
         return None

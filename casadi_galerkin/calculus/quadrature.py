@@ -19,7 +19,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.numbers import counted, real_array, whole
+from casadi_galerkin.calculus.numbers import counted, real_array, whole_number
 
 SUM_TOLERANCE = 1e-12  # weights come from tables with about 13 digits, or from arithmetic to 1e-15
 EXACTNESS_TOLERANCE = 1e-10  # on Legendre polynomials, of slopes up to n (n + 1), so that 12 digits of a table do
@@ -108,12 +108,7 @@ def _family(least: int) -> Callable[[Callable[[int], Quadrature]], Callable[[int
 
         @wraps(build)
         def rule(n: int) -> Quadrature:
-            count = whole(n)
-            if count is None:
-                raise TypeError(f"{name} takes a whole number of points, got {n!r}")
-            if count < least:
-                raise ValueError(f"{name} needs at least {least} point{'s' if least > 1 else ''}, got {count}")
-            return kept(count)
+            return kept(whole_number(f"the number of points of {name}", n, least))
 
         return rule
 

@@ -102,12 +102,12 @@ class Path(Table, Pictured):
         count : number of instants, evenly from start to end
         apart : how far every pose is moved to the right of the one before; a strip of them needs no trail
         """
-        poses = self.places(points, np.linspace(self.t[0], self.t[-1], whole_number("count", count)))
+        poses = self._places(points, np.linspace(self.t[0], self.t[-1], whole_number("count", count)))
         poses[:, 0] += finite("apart", apart) * np.arange(count)
-        trail = np.empty((2, 0)) if apart else self.places(points, self._fine())[-1]
+        trail = np.empty((2, 0)) if apart else self._places(points, self._fine())[-1]
         return plot_poses(poses, trail, axes)
 
-    def places(self, points: Callable[[np.ndarray], ArrayLike], times: np.ndarray) -> np.ndarray:
+    def _places(self, points: Callable[[np.ndarray], ArrayLike], times: np.ndarray) -> np.ndarray:
         """Where the ends of the bars of a mechanism are at times (K,); (n, 2, K)."""
         if not callable(points):
             raise TypeError(f"points must be a callable of positions, got {points!r}")

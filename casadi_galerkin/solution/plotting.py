@@ -85,9 +85,9 @@ def plot_path(
     values: np.ndarray,
     joints: np.ndarray,
     joint_values: np.ndarray,
-    axes: Axes | None = None,
-    labels: Sequence[str] | None = None,
-    time: str = "t",
+    axes: Axes | None,
+    labels: Sequence[str] | None,
+    time: str,
     name: str = "x",
     dot: float | None = None,
 ) -> Axes:
@@ -127,9 +127,7 @@ def legend_below(axes: Axes, **options: Any) -> None:
     axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.18), **options)
 
 
-def plot_plane(
-    places: np.ndarray, joints: np.ndarray, axes: Axes | None = None, labels: Sequence[str] = ("x[0]", "x[1]")
-) -> Axes:
+def plot_plane(places: np.ndarray, joints: np.ndarray, axes: Axes | None, labels: Sequence[str]) -> Axes:
     """Draw a way through the plane on equal axes: a line through places (2, K), joints (2, N + 1) as dots."""
     names = _named("x", 2, labels)
     axes = axes_or_new(axes, (SIZE[0], 0.9 * SIZE[0]))
@@ -140,7 +138,7 @@ def plot_plane(
     return axes
 
 
-def plot_poses(points: np.ndarray, trail: np.ndarray, axes: Axes | None = None) -> Axes:
+def plot_poses(points: np.ndarray, trail: np.ndarray, axes: Axes | None) -> Axes:
     """Draw a chain of bars through points (n, 2, K) at K instants, from light to dark; a line through (2, M) behind."""
     axes = axes_or_new(axes)
     axes.plot(*trail, color=COLORS[5], linewidth=0.8, zorder=1)
@@ -179,7 +177,7 @@ def draw_multipliers(axes: Axes, times: np.ndarray, values: np.ndarray) -> None:
     right.grid(False)
 
 
-def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None = None, time: str = "t") -> Axes:
+def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None, time: str) -> Axes:
     """Draw on a logarithmic scale how far paths are from a reference, (N + 1,) by name.
 
     Values that are zero, or too large for a logarithmic axis, are left out, and what has no others.
@@ -201,7 +199,7 @@ def plot_phase(
     joint_x: np.ndarray,
     joint_p: np.ndarray,
     labels: tuple[str, str],
-    axes: Axes | None = None,
+    axes: Axes | None,
 ) -> Axes:
     """Draw one component in phase space: a line through (x, p), all (K,), joints as dots, the first one larger."""
     names = _named("x and p", 2, labels)
@@ -216,7 +214,7 @@ def plot_phase(
 
 
 def plot_branch(
-    values: np.ndarray, heights: np.ndarray, parts: dict[str, np.ndarray], folds: np.ndarray, axes: Axes | None = None
+    values: np.ndarray, heights: np.ndarray, parts: dict[str, np.ndarray], folds: np.ndarray, axes: Axes | None
 ) -> Axes:
     """Draw heights (K,) over values (K,), in parts by name, masks (K,), and folds (F, 2) as crosses."""
     axes = axes_or_new(axes)
@@ -228,7 +226,7 @@ def plot_branch(
     return axes
 
 
-def plot_pattern(rows: np.ndarray, columns: np.ndarray, size: int, axes: Axes | None = None) -> Axes:
+def plot_pattern(rows: np.ndarray, columns: np.ndarray, size: int, axes: Axes | None) -> Axes:
     """Draw the nonzeros of a square matrix, row 0 on top; one without rows is drawn empty."""
     from matplotlib.ticker import MaxNLocator
 
@@ -242,7 +240,7 @@ def plot_pattern(rows: np.ndarray, columns: np.ndarray, size: int, axes: Axes | 
 
 
 def animate_linkage(
-    times: np.ndarray, points: np.ndarray, interval: float, axes: Axes | None = None, unit: str = ""
+    times: np.ndarray, points: np.ndarray, interval: float, axes: Axes | None, unit: str
 ) -> FuncAnimation:
     """Move a chain of bars through points (n, 2, K), one frame every `interval` seconds; the last point leaves a trail.
 
@@ -287,7 +285,7 @@ def plot_work_precision(
     front: Points,
     floor: float,
     label: str,
-    axes: Axes | None = None,
+    axes: Axes | None,
 ) -> Axes:
     """Draw errors over seconds on logarithmic axes, and the floor below which errors mean nothing.
 

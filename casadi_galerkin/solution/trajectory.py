@@ -44,6 +44,11 @@ class SecondVariation(Protocol):
         """Smallest second variation relative to the sizes of its terms; None of a cost."""
 
 
+def index_in_words(path: Trajectory) -> str:
+    """The Morse index of a path in words."""
+    return "no Morse index" if path.morse_index is None else f"Morse index {path.morse_index}"
+
+
 def _no_error(path: Trajectory) -> float:
     raise TypeError(f"the error of a {type(path).__name__} is estimated where it is solved to a tolerance: give tol")
 
@@ -244,7 +249,7 @@ class Trajectory(Path):
             raise ValueError(f"seconds must be a positive number, got {seconds!r}")
         count = max(2, round(FRAMES_A_SECOND * duration))
         times = np.linspace(self.t[0], self.t[-1], count)
-        return animate_linkage(times, self.places(points, times), duration / count, axes, unit)
+        return animate_linkage(times, self._places(points, times), duration / count, axes, unit)
 
     def _accuracy(self) -> list[str]:
         """A line on the error of x, if it is known, or if this mesh plainly does not resolve the path."""

@@ -8,10 +8,9 @@ import time
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import interval_maxima, of_higher_degree
+from casadi_galerkin.calculus.mesh_adaptation import largest_change, of_higher_degree
 from casadi_galerkin.calculus.numbers import told_apart
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_momenta
@@ -106,9 +105,7 @@ def error_of_steps(path: Trajectory) -> float:
     if roll.verified < len(path.t) - 1:
         return math.inf
     finer, nodes = path_of(roll, stepper, len(path.t) - 1), higher.element.nodes
-    change = PiecewisePolynomial(path.t, nodes, finer.values - path.polynomial.at(nodes))
-    sizes = component_sizes(path.polynomial.values)[:, None]
-    return path.doubted(float(np.max(interval_maxima(change) / sizes)))
+    return path.doubted(largest_change(path.polynomial, nodes, finer.values - path.polynomial.at(nodes)))
 
 
 def trajectory(

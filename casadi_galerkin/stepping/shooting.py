@@ -182,17 +182,13 @@ def _newton(shooting: Shooting, state: np.ndarray, own: np.ndarray, velocity: np
 
 
 def _line_search(shooting: Shooting, shot: Shot, z: np.ndarray, step: np.ndarray) -> tuple[Shot | None, float]:
-    """Halve the step until the next one, with the same derivative, is shorter; no shot if none is.
-
-    A state near zero counts by itself, a multiplier near zero by what its equation sums.
-    """
-    least = np.where(shooting.free < 2 * shooting.stepper.dimension, MISS, 1.0) * shot.scale
-    scale = np.maximum(np.maximum(np.abs(z), np.abs(step)), least + TINY)
+    """Halve the step until the next one, with the same derivative, is shorter in the sizes of z; no shot if none is."""
+    scale = np.maximum(shot.scale, np.abs(step)) + TINY
     velocity, damping = shooting.velocity(shot.roll), 1.0
     smallest = 1.0 if np.all(np.abs(shot.miss) <= ROUNDOFF * shot.floor) else SMALLEST_DAMPING
     while damping >= smallest:
         trial = shooting.shoot(z + damping * step, velocity)
-        if trial is not None and np.all(np.isfinite(trial.miss)):
+        if trial is not None:
             shorter = np.max(np.abs(_direction(shot, trial.miss)) / scale)
             if shorter <= (1 - damping / 4) * np.max(np.abs(step) / scale):
                 return trial, damping

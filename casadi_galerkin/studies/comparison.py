@@ -34,7 +34,7 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table
 from casadi_galerkin.solution.guess import apart
 from casadi_galerkin.solution.plotting import Pictured, plot_gaps
-from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solution.trajectory import Trajectory, index_in_words
 from casadi_galerkin.stepping.geometry import jacobians
 from casadi_galerkin.stepping.shooting import check_start, shoot
 from casadi_galerkin.stepping.shot import chain
@@ -256,8 +256,7 @@ def _another(problem: BoundaryProblem, path: Trajectory, shot: Trajectory | None
 
 
 def _named(path: Trajectory) -> str:
-    index = "no known Morse index" if path.morse_index is None else f"Morse index {path.morse_index}"
-    return f"action {path.action:.6g} and {index}"
+    return f"action {path.action:.6g} and {index_in_words(path)}"
 
 
 def _together(gap: np.ndarray) -> np.ndarray:

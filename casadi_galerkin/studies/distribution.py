@@ -129,7 +129,7 @@ def _answers(solver: Solve, variations: Sequence[Variation], known: Sequence[Kno
             answer = solver(variation, paths)
         except SystemError as error:  # what an interrupt becomes that meets CasADi's own code
             raise error.__cause__ or error from None
-        except Exception as error:  # a guess may raise anything
+        except Exception as error:
             error.__cause__ = error.__context__ = None  # their frames, like those of the error, would keep arrays alive
             answer = error.with_traceback(None)
         paths += _known(answer)
@@ -148,16 +148,6 @@ def named(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"
 
 
-def _sendable(answer: Answer) -> Answer:
-    """The answer, or an exception with the same words if it cannot be pickled, which would take others with it."""
-    if isinstance(answer, Exception):
-        try:
-            pickle.loads(pickle.dumps(answer))
-        except Exception:  # pickling runs the exception's own code, too
-            return RuntimeError(named(answer))
-    return answer
-
-
 @lru_cache(1)
 def _unpickled(pickled: bytes) -> Solve:
     """A worker's own solver, kept from chunk to chunk."""
@@ -167,12 +157,7 @@ def _unpickled(pickled: bytes) -> Solve:
 def _chunk(pickled: bytes, variations: Sequence[Variation], known: Sequence[Known] = ()) -> list[Answer]:
     """What a worker does."""
     with fork_waits:  # a worker of a cluster may run several chunks in threads of one process
-        return [_sendable(answer) for answer in _answers(_unpickled(pickled), variations, known)]
-
-
-def _alone(pickled: bytes, variations: Sequence[Variation], number: int) -> list[Answer]:  # noqa: ARG001
-    """What a worker does again; another call than the one that failed, whose failure Dask would otherwise repeat."""
-    return _chunk(pickled, variations)
+        return list(_answers(_unpickled(pickled), variations, known))
 
 
 def _chunks(
@@ -279,8 +264,8 @@ def solve_lost(
             except Exception as error:
                 answers.update((j, CutShort(f"no worker works, {named(error)}")) for j in lost if j not in answers)
                 break
-            try:
-                (answers[i],) = executor.submit(_alone, pickled, [variations[i]], i).result()
+            try:  # without known paths: Dask would repeat the failure of the very same call
+                (answers[i],) = executor.submit(_chunk, pickled, [variations[i]]).result()
             except Exception as error:
                 answers[i] = CutShort(f"the worker that solved this variation failed, {named(error)}")
             advance(1)

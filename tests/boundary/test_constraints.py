@@ -5,7 +5,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
-from constrained import MECHANISMS, on_circle, on_sphere, planar, spatial, unit_length
+from constrained import MECHANISMS, on_circle, on_sphere, planar, spatial, uneven, unit_length
 from rules import OF_DEGREE
 from scenes import oscillator_problem, pendulum
 
@@ -64,11 +64,6 @@ def test_a_spherical_pendulum_on_its_sphere_keeps_its_spin_at_any_degree():
 
 
 # orders
-
-
-def uneven(t, x, v):
-    """A mass that depends on place, in a potential that is no polynomial."""
-    return (1 + x[0] / 3) * ca.sumsqr(v) / 2 - ca.exp(x[1])
 
 
 def uneven_in_angle(t, x, v):
@@ -394,6 +389,13 @@ def test_a_constraint_that_does_not_fit_is_refused(changes, kind, message):
     stated = {"start": on_circle(0.2), "end": on_circle(1.3), "constraint": unit_length} | changes
     with pytest.raises(kind, match=message):
         cg.BoundaryProblem(planar, (0, 1), **stated)
+
+
+@pytest.mark.parametrize("unit", [1e-15, 1e15])
+def test_constraints_of_any_units_are_not_redundant(unit):
+    stated = {"start": [0.0, 0.0, -1.0], "end": [1.0, 0.0, 0.0]}
+    problem = cg.BoundaryProblem(spatial, (0, 1), **stated, constraint=lambda t, x: [ca.sumsqr(x) - 1, unit * x[1]])
+    assert problem.constraint.numel_out(0) == 2
 
 
 def test_redundant_constraints_are_refused():

@@ -1,8 +1,11 @@
 """First paths from guesses with corners and noise: the path that was meant, and by which way it was found."""
 
+from functools import partial
+
 import casadi as ca
 import numpy as np
 import pytest
+from motions import kepler, on_ellipse
 
 import casadi_galerkin as cg
 from casadi_galerkin.boundary.action_descent import retimed
@@ -20,19 +23,10 @@ def great_circle():
     )
 
 
-def kepler(eccentricity):
+def comet(eccentricity):
     """A path around the sun, from a quarter of a period before the perihelion to one after it; and that path."""
-
-    def exact(t):
-        t = np.atleast_1d(t)
-        angle = np.array(t, dtype=float)
-        for _ in range(50):
-            angle -= (angle - eccentricity * np.sin(angle) - t) / (1 - eccentricity * np.cos(angle))
-        return np.stack((np.cos(angle) - eccentricity, np.sqrt(1 - eccentricity**2) * np.sin(angle)))
-
-    quarter = np.pi / 2
-    ends = [exact(t)[:, 0] for t in (-quarter, quarter)]
-    return cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2 + 1 / ca.norm_2(x), (-quarter, quarter), *ends), exact
+    exact, quarter = partial(on_ellipse, eccentricity), np.pi / 2
+    return cg.BoundaryProblem(kepler, (-quarter, quarter), exact(-quarter), exact(quarter)), exact
 
 
 def joined(exact, span, count, noise=0.0, seed=0):
@@ -72,7 +66,7 @@ def test_a_guess_is_put_on_the_first_mesh_once():
 
 def test_a_path_on_the_other_side_of_the_sun_is_not_taken_for_the_one_meant():
     """The cubic nearest to this guess leads to the path on the other side."""
-    problem, exact = kepler(0.9)
+    problem, exact = comet(0.9)
     path = cg.solve(problem, tol=TOL, guess=joined(exact, problem.t_span, 25, 0.05, seed=2))
     assert off(path, exact) < 10 * TOL
     assert "smoothed" not in path.solver
@@ -80,8 +74,8 @@ def test_a_path_on_the_other_side_of_the_sun_is_not_taken_for_the_one_meant():
 
 def test_a_guess_that_turns_sharply_is_resolved_by_the_first_mesh():
     """On the coarse one alone the path on the other side was found."""
-    problem, exact = kepler(0.97)
-    path = cg.solve(problem, tol=1e-3, guess=lambda t: exact(t).reshape(2, *np.shape(t)))
+    problem, exact = comet(0.97)
+    path = cg.solve(problem, tol=1e-3, guess=exact)
     assert off(path, exact) < 1e-2
 
 

@@ -1,10 +1,11 @@
 """A tolerance is kept, on the reference problems and on hundreds of random ones; else an error says why."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import casadi as ca
 import numpy as np
 import pytest
+from motions import double_pendulum, kepler, of_anomaly, on_ellipse
 from scenes import BY_NAME, boundary_layer, bratu, bratu_theta, oscillator, pendulum
 
 import casadi_galerkin as cg
@@ -138,23 +139,9 @@ def test_both_of_bratus_branches_are_found(rate, upper):
 
 def comet(eccentricity):
     """Problem, exact path and the ellipse at the wrong times, through the pericenter."""
-    half, minor = 2 - eccentricity * np.sin(2), np.sqrt(1 - eccentricity**2)
-    grid = np.linspace(-2.1, 2.1, 20_001)
-
-    def place(anomaly):
-        return np.array([np.cos(anomaly) - eccentricity, minor * np.sin(anomaly)])
-
-    def lagrangian(t, x, v):
-        return ca.dot(v, v) / 2 + 1 / ca.norm_2(x)
-
-    def exact(t):
-        anomaly = np.interp(t, grid - eccentricity * np.sin(grid), grid)
-        for _ in range(8):
-            anomaly -= (anomaly - eccentricity * np.sin(anomaly) - t) / (1 - eccentricity * np.cos(anomaly))
-        return place(anomaly)
-
-    problem = cg.BoundaryProblem(lagrangian, (-half, half), exact(np.array(-half)), exact(np.array(half)))
-    return problem, exact, lambda t: place(2 * t / half)
+    exact, half = partial(on_ellipse, eccentricity), of_anomaly(eccentricity, 2.0)[1]
+    problem = cg.BoundaryProblem(kepler, (-half, half), exact(-half), exact(half))
+    return problem, exact, lambda t: of_anomaly(eccentricity, 2 * t / half)[0]
 
 
 # 1e-9 is rounding at 0.999
@@ -180,11 +167,7 @@ def test_long_horizons_work_from_the_straight_line(lagrangian, end, last):
 
 
 def test_a_double_pendulum_works_from_the_straight_line():
-    def lagrangian(t, x, v):
-        kinetic = v[0] ** 2 + v[1] ** 2 / 2 + v[0] * v[1] * ca.cos(x[0] - x[1])
-        return kinetic + 9.81 * (2 * ca.cos(x[0]) + ca.cos(x[1]))
-
-    problem = cg.BoundaryProblem(lagrangian, (0, 2), [1.0, 1.2], [0.3, 0.5])
+    problem = cg.BoundaryProblem(double_pendulum, (0, 2), [1.0, 1.2], [0.3, 0.5])
     path = cg.solve(problem, tol=1e-9)
     np.testing.assert_allclose(path.energy, path.energy[0], rtol=1e-9, atol=0)
 

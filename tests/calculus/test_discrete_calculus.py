@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from rules import lagrange
 from scenes import oscillator_problem
 from scipy.sparse import coo_array
 
@@ -35,18 +36,10 @@ def rng():
     return np.random.default_rng(7)
 
 
-def lagrange(calculus: cg.DiscreteCalculus, i: int, j: int, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """l_{i,j} and its derivative on [t_i, t_{i+1}], by the product formula: independent of the package's."""
+def element_basis(calculus, i, j, t):
+    """l_{i,j} and its derivative on [t_i, t_{i+1}], independent of the package's."""
     m = calculus.method.degree
-    nodes = calculus.node_times[i * m : i * m + m + 1]
-    others = np.delete(nodes, j)
-    value = np.prod([(t - s) / (nodes[j] - s) for s in others], axis=0)
-    slope = sum(
-        np.prod([(t - s) / (nodes[j] - s) for s in np.delete(others, k)] + [np.ones_like(t)], axis=0)
-        / (nodes[j] - others[k])
-        for k in range(len(others))
-    )
-    return value, slope
+    return lagrange(calculus.node_times[i * m : i * m + m + 1], j, t)
 
 
 def points_within(calculus, i):
@@ -73,7 +66,7 @@ def test_embedding_is_the_scalar_product_with_lagrange_polynomials(calculus, rng
     path, m = calculus.emb(values[None, :]), calculus.method.degree
     for i in range(len(calculus.mesh) - 1):
         t = points_within(calculus, i)
-        parts = [np.array(lagrange(calculus, i, j, t)) * values[i * m + j] for j in range(m + 1)]
+        parts = [np.array(element_basis(calculus, i, j, t)) * values[i * m + j] for j in range(m + 1)]
         value, slope = sum(parts)
         np.testing.assert_allclose(path(t)[0], value, rtol=0, atol=ROUNDOFF)
         np.testing.assert_allclose(path(t[:-1], 1)[0], slope[:-1], rtol=ROUNDOFF, atol=1e2 * ROUNDOFF)
@@ -111,7 +104,7 @@ def test_discrete_derivative_is_the_right_derivative_on_all_joints_but_the_last(
     got = calculus.delta(values)
     assert got.shape == (1, len(calculus.mesh) - 1)
     for i, t in enumerate(calculus.mesh[:-1]):
-        slope = sum(lagrange(calculus, i, j, np.array([t]))[1] * values[0, i * m + j] for j in range(m + 1))
+        slope = sum(element_basis(calculus, i, j, np.array([t]))[1] * values[0, i * m + j] for j in range(m + 1))
         np.testing.assert_allclose(got[:, i], slope, rtol=ROUNDOFF, atol=1e2 * ROUNDOFF)
 
 
@@ -184,7 +177,7 @@ def test_operator_is_the_embedding_and_its_derivative_at_the_quadrature_points(c
     r, m = len(calculus.method.quadrature), calculus.method.degree
     for k, t in enumerate(calculus.quadrature_times):  # the derivative is always this interval's, also at q = 1
         i = k // r
-        slope = sum(lagrange(calculus, i, j, np.array([t]))[1] * x[i * m + j] for j in range(m + 1))
+        slope = sum(element_basis(calculus, i, j, np.array([t]))[1] * x[i * m + j] for j in range(m + 1))
         np.testing.assert_allclose(both[n_points + k], slope[0], rtol=ROUNDOFF, atol=1e2 * ROUNDOFF)
 
 
@@ -202,7 +195,7 @@ def test_discrete_du_bois_reymond_lemma(method, rng):
     def row(pieces):
         f, g = np.zeros((n, r)), np.zeros((n, r))
         for i, j in pieces:
-            value, slope = lagrange(calculus, i, j, points[i])
+            value, slope = element_basis(calculus, i, j, points[i])
             f[i] += weights[i] * value
             g[i] += weights[i] * slope
         return np.concatenate((f.ravel(), g.ravel()))

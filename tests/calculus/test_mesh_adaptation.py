@@ -16,7 +16,7 @@ from casadi_galerkin.calculus.mesh_adaptation import (
     TARGET,
     equidistributed,
     graded_alike,
-    interval_maxima,
+    largest_change,
     truncation,
 )
 from casadi_galerkin.calculus.roundoff import component_sizes
@@ -82,9 +82,12 @@ def test_size_of_a_vanishing_component_is_one():
     np.testing.assert_array_equal(component_sizes(path.values), [1.0, 3.0])
 
 
-def test_maxima_see_what_lies_between_the_nodes():
-    path = interpolated(lambda t: np.sin(np.pi * t), 3, np.linspace(0, 3, 4))
-    np.testing.assert_allclose(interval_maxima(path), path(np.array([[0.5, 1.5, 2.5]]))[0].__abs__(), rtol=1e-3)
+def test_the_largest_change_may_lie_between_the_nodes():
+    """It is a tenth of the first component, and less of the second, which changes more but is larger."""
+    path = interpolated(lambda t: [10 + t / 1e3, 40 + t], 1, np.linspace(0, 3, 4))
+    change = interpolated(lambda t: [np.sin(np.pi * t), 2 * np.sin(np.pi * t)], 3, path.mesh)
+    expected = abs(float(change(1.5)[0])) / np.max(np.abs(path.values[0]))
+    assert largest_change(path, change.nodes, change.values) == pytest.approx(expected, rel=1e-3)
 
 
 def test_an_even_mesh_with_an_error_on_target_stays():

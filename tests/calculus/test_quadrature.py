@@ -135,14 +135,14 @@ def test_a_rule_not_made_of_numbers_is_refused(values):
 
 @pytest.mark.parametrize(("name", "n"), [("gauss", 0), ("lobatto", 1), ("radau", 0), ("gauss", -3)])
 def test_too_few_points_are_refused(name, n):
-    with pytest.raises(ValueError, match=rf"{name} needs at least \d points?, got {n}"):
+    with pytest.raises(ValueError, match=rf"the number of points of {name} must be at least \d, got {n}"):
         FAMILIES[name][0](n)
 
 
 @pytest.mark.parametrize("n", [2.0, "2", None, True, np.float64(3), [2], np.True_])
 @pytest.mark.parametrize("name", list(FAMILIES))
 def test_a_number_of_points_that_is_not_whole_is_refused(name, n):
-    with pytest.raises(TypeError, match=f"{name} takes a whole number of points, got"):
+    with pytest.raises(TypeError, match=f"the number of points of {name} must be a whole number, got"):
         FAMILIES[name][0](n)
 
 

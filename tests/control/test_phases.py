@@ -1,13 +1,12 @@
 """Breakpoints that guess when a control switches: the path is known to a tolerance, and they come to the switches."""
 
-import importlib
 from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 from control_problems import FRACTIONS, double_integrator, true_error
-from paths import EXAMPLES
+from paths import script
 from scipy.optimize import brentq, fsolve
 
 import casadi_galerkin as cg
@@ -88,9 +87,8 @@ def test_the_path_is_known_and_the_breakpoint_is_the_switch(name, tol):
 
 
 @pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-8])
-def test_a_rocket_lands_as_in_closed_form(monkeypatch, tol):
-    monkeypatch.syspath_prepend(EXAMPLES)
-    scene = importlib.import_module("moon_landing")
+def test_a_rocket_lands_as_in_closed_form(tol):
+    scene = script("moon_landing")
     fall, burn = fsolve(lambda times: scene.landed(*times), (0.5, 1.1), xtol=1e-14)
     path = cg.solve(scene.problem(hold=False), tol=tol)
     assert abs(path.cost / (scene.THRUST * burn) - 1) <= path.cost_error

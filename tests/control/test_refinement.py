@@ -1,6 +1,5 @@
 """Control problems solved to a tolerance: the true error is below it, whatever the mesh to begin with."""
 
-import importlib
 from dataclasses import replace
 from functools import cache
 
@@ -17,7 +16,7 @@ from control_problems import (
     resolved,
     true_error,
 )
-from paths import EXAMPLES
+from paths import script
 from scipy.optimize import fsolve, minimize_scalar
 
 import casadi_galerkin as cg
@@ -119,10 +118,8 @@ def test_three_switches_are_found_to_any_tolerance(tol):
     assert abs(path.cost / duration - 1) <= max(path.cost_error, 1e-11)
 
 
-def test_obstacle_is_passed_below_at_the_exact_cost(monkeypatch):
-    tol = 1e-6
-    monkeypatch.syspath_prepend(EXAMPLES)
-    module = importlib.import_module("obstacle")
+def test_obstacle_is_passed_below_at_the_exact_cost():
+    tol, module = 1e-6, script("obstacle")
     path = cg.solve(module.problem(), tol=tol, guess=lambda t: [t, -0.8 * t * (1 - t)])
     assert path.error_estimate <= tol
     assert exact_obstacle()[0] == pytest.approx(module.EXACT, rel=1e-14)
@@ -265,14 +262,12 @@ def test_a_mesh_with_too_short_an_interval_is_a_limit(monkeypatch):
         cg.solve(late_start(), tol=1e-6)
 
 
-def test_error_of_the_cost_is_told_where_a_limit_is_reached(monkeypatch):
+def test_error_of_the_cost_is_told_where_a_limit_is_reached():
     with pytest.raises(cg.LimitReached, match="estimated error of") as caught:
         cg.solve(cart_pole(), cost_tol=1e-12, limits=cg.Limits(levels=1))
     assert 1e-12 < caught.value.path.cost_error < 1e-6
-    monkeypatch.syspath_prepend(EXAMPLES)
-    rocket = importlib.import_module("goddard")
     with pytest.raises(cg.LimitReached, match=r"only the path changes: .* which is all that cost_tol asks for"):
-        cg.solve(rocket.problem(), tol=1e-5, limits=cg.Limits(levels=1))
+        cg.solve(script("goddard").problem(), tol=1e-5, limits=cg.Limits(levels=1))
 
 
 def test_what_the_solver_leaves_of_the_cost_is_part_of_its_error():

@@ -5,6 +5,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
+from rules import lagrange
 from scenes import oscillator_problem
 
 import casadi_galerkin as cg
@@ -82,17 +83,6 @@ def wanted_layout(problem, method, n):
 
     free = [(k, i) for k in range(last if problem.periodic else last + 1) for i in range(d) if (k, i) not in fixed]
     return nodes, free
-
-
-def lagrange(nodes, j, t):
-    """l_j and l_j' at a time, by the product formula."""
-    others = np.delete(nodes, j)
-    value = np.prod((t - others) / (nodes[j] - others))
-    slope = sum(
-        np.prod((t - np.delete(others, k)) / (nodes[j] - np.delete(others, k))) / (nodes[j] - others[k])
-        for k in range(len(others))
-    )
-    return value, slope
 
 
 def written_out(problem, method, mesh, values):

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from control_problems import double_integrator
+from motions import kepler
 from scenes import BY_NAME, pendulum
 
 import casadi_galerkin as cg
@@ -16,9 +17,7 @@ SHARP = 3.0  # estimated over true error and the inverse, on smooth paths that a
 def orbit(eccentricity):
     """Kepler's ellipse from its pericenter."""
     speed = np.sqrt((1 + eccentricity) / (1 - eccentricity))
-    return cg.InitialProblem(
-        lambda t, x, v: ca.dot(v, v) / 2 + 1 / ca.norm_2(x), (0, 3), [1 - eccentricity, 0.0], velocity=[0.0, speed]
-    )
+    return cg.InitialProblem(kepler, (0, 3), [1 - eccentricity, 0.0], velocity=[0.0, speed])
 
 
 def difference(path, fine):

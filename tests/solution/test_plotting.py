@@ -176,6 +176,14 @@ def test_a_branch_is_drawn_by_morse_index_with_its_folds():
         branch.plot(lambda path: path(0.5)[0], parameter=1)
 
 
+def test_a_branch_without_morse_indices_is_drawn_as_one():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2, (0, 1), [0.0], [1.0], parameters=[0.0], force=lambda t, x, v, p: -p[0] * v
+    )
+    (line,) = cg.continuation(problem, [0.5], intervals=4).plot(lambda path: path(0.5)[0]).get_lines()
+    assert line.get_label() == "no Morse index"
+
+
 def test_an_answer_shows_its_words_and_its_picture_in_a_notebook():
     import matplotlib.pyplot as plt
 

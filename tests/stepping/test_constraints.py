@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from constrained import MECHANISMS, on_circle, on_sphere, planar, spatial, spherical_pendulum, unit_length
+from constrained import MECHANISMS, on_circle, on_sphere, planar, spatial, spherical_pendulum, uneven, unit_length
 
 import casadi_galerkin as cg
 
@@ -49,18 +49,17 @@ def test_constraint_and_tangent_velocity_hold_whatever_the_degree(name, degree):
 
 
 @pytest.fixture(scope="module")
-def uneven():
-    """A problem in a potential that is no polynomial, which Radau's rule of m points would integrate exactly."""
-    lagrangian = lambda t, x, v: (1 + x[0] / 3) * ca.sumsqr(v) / 2 - ca.exp(x[1])  # noqa: E731
+def finely_stepped():
+    """A problem and its path."""
     start = {"position": on_circle(0.2), "velocity": 1.2 * np.array([np.cos(0.2), np.sin(0.2)])}
-    problem = cg.InitialProblem(lagrangian, (0, 3), constraint=unit_length, **start)
+    problem = cg.InitialProblem(uneven, (0, 3), constraint=unit_length, **start)
     return problem, cg.solve(problem, cg.Galerkin(10), intervals=60)
 
 
 @pytest.mark.parametrize("rule", [cg.gauss, lambda m: cg.lobatto(m + 1), cg.radau], ids=["gauss", "lobatto", "radau"])
 @pytest.mark.parametrize(("degree", "counts"), [(1, (60, 80, 120)), (3, (16, 20, 24))])
-def test_order_at_the_joints_is_that_without_a_constraint(uneven, degree, counts, rule):
-    method, (problem, exact), errors = cg.Galerkin(degree, quadrature=rule(degree)), uneven, []
+def test_order_at_the_joints_is_that_without_a_constraint(finely_stepped, degree, counts, rule):
+    method, (problem, exact), errors = cg.Galerkin(degree, quadrature=rule(degree)), finely_stepped, []
     for count in counts:
         path = cg.solve(problem, method, intervals=count)
         ends = [np.concatenate((each.x[:, -1], each.velocity[:, -1])) for each in (path, exact)]

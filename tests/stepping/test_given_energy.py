@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from constrained import on_circle, planar, unit_length
-from motions import henon_heiles, kepler
+from motions import henon_heiles, kepler, of_anomaly
 from scenes import free_particle, pendulum
 from scipy.integrate import quad
 from scipy.special import ellipk
@@ -16,12 +16,6 @@ from casadi_galerkin.stepping.stepper import Stepper
 METHOD = cg.Galerkin(8)
 SAME = 1e-12  # the same discrete equations solved in two ways
 DURATION = 1e-12
-
-
-def of_anomaly(eccentricity, anomaly):
-    """Position and time on an ellipse of axis 1, from its pericenter."""
-    position = [np.cos(anomaly) - eccentricity, np.sqrt(1 - eccentricity**2) * np.sin(anomaly)]
-    return np.array(position), anomaly - eccentricity * np.sin(anomaly)
 
 
 def launched(problem, velocity, intervals=40):

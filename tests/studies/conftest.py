@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from scenes import oscillator_problem
 
 import casadi_galerkin as cg
 
 
 @pytest.fixture(scope="session")
 def oscillator():
-    return cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0.0, 2.0), [0.0], [np.sin(2.0)])
+    return oscillator_problem(t_span=(0.0, 2.0), end=[np.sin(2.0)])
 
 
 @pytest.fixture(scope="session")

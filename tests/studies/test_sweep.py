@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from control_problems import double_integrator
+from motions import henon_heiles, kepler
 from scenes import BY_NAME, DAMPED, bratu_problem
 from sent_guesses import arched, deadly, dividing, pushed, unbuildable, unpicklable
 
@@ -147,14 +148,10 @@ def test_paths_on_different_meshes_make_no_array():
 
 def lambert(count, seed=None):
     """From one place to others round the sun, in order or not; from straight lines half of them go the other way."""
-
-    def lagrangian(t, x, v):
-        return ca.dot(v, v) / 2 + 1 / ca.norm_2(x)
-
     angles = np.linspace(2.0, 4.0, count)
     angles = angles if seed is None else np.random.default_rng(seed).permutation(angles)
     ends = [{"end": [1.3 * float(np.cos(a)), 1.3 * float(np.sin(a))]} for a in angles]
-    return cg.BoundaryProblem(lagrangian, (0.0, 3.0), [1.0, 0.0], ends[0]["end"]), ends
+    return cg.BoundaryProblem(kepler, (0.0, 3.0), [1.0, 0.0], ends[0]["end"]), ends
 
 
 @pytest.mark.parametrize("seed", [None, 0])
@@ -167,6 +164,11 @@ def test_with_a_tolerance_neighbors_are_on_one_branch(seed, pool):
     turned = [path.x[0, 0] * path.momentum[1, 0] - path.x[1, 0] * path.momentum[0, 0] for path in sweep]
     assert min(turned) > 0
     identical(cg.sweep(problem, ends, tol=1e-7, executor=pool), sweep)
+
+
+def test_a_variation_to_which_its_neighbor_does_not_lead_is_solved_from_the_straight_line():
+    problem = cg.BoundaryProblem(henon_heiles, (0.0, 2.0), [0.0, 0.1], [0.2, 0.3])
+    assert not cg.sweep(problem, [{}, {"t_span": (0.0, 7.0), "end": [0.5, 0.5]}], tol=1e-4).failures
 
 
 def lambert_guess(end):

@@ -78,16 +78,6 @@ def test_every_way_has_its_row(every_way):
     assert all(0 < row.first_seconds < np.inf for row in measured.rows)
 
 
-@pytest.mark.parametrize(("long", "calls"), [(np.inf, 5), (0.0, 2)])
-def test_quick_ways_are_repeated_as_often_as_asked_and_slow_ones_twice(oscillator, monkeypatch, long, calls):
-    module = import_module("casadi_galerkin.studies.trade")
-    monkeypatch.setattr(module, "LONG", long)
-    cell = module._cell(oscillator, module.Row(cg.Galerkin(2), 4, cg.newton), None, None)
-    for _ in range(5):
-        cell.repeat()
-    assert len(cell.calls) == calls
-
-
 @pytest.mark.parametrize("first_call", [False, True])
 @pytest.mark.parametrize("tol", [10.0**-k for k in range(3, 12)])
 def test_the_cheapest_row_solves_again_within_the_tolerance(every_way, exact_swing, tol, first_call):
