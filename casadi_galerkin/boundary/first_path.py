@@ -13,6 +13,7 @@ from numpy.polynomial.legendre import legfit, legval
 
 from casadi_galerkin.boundary.action_descent import descend
 from casadi_galerkin.boundary.graph import CriticalPoint
+from casadi_galerkin.boundary.growing_force import under_growing_force
 from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
@@ -86,12 +87,18 @@ def _from_smoothed(levels: Levels, method: Galerkin, given: PiecewisePolynomial,
 
 
 def first_path_strategies(
-    levels: Levels, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike
+    levels: Levels,
+    method: Galerkin,
+    mesh: np.ndarray,
+    guess: Guess | None,
+    solver: SolverLike,
+    refined: Callable[[Levels, CriticalPoint], CriticalPoint],
 ) -> Iterator[Strategy]:
     """Ways to a first path, in the order in which they are tried.
 
     They are Newton's method on the coarse mesh, with a guess from that smoothed, and on a finer one, which resolves the
-    guess; a descent of the action with moving joints; and whatever `solver` tries.
+    guess; a descent of the action with moving joints, or growing shares of a force, whose paths are `refined`; and
+    whatever `solver` tries.
     """
     given = resolved(levels, method, guess, mesh, ROUGHLY)
     mesh, solved, name = given.mesh, partial(levels.solve, method), repr(solver)
@@ -109,6 +116,9 @@ def first_path_strategies(
             joints = _with_more(levels, fine, DESCENT_INTERVALS)
             found = partial(_by_descent, levels, joints, guess, brief)
             yield Strategy("descent of the action", found, math.inf)
+        if levels.problem.force is not None:
+            found = partial(under_growing_force, levels, method, fine, guess, brief, refined)
+            yield Strategy("Newton's method under a growing force", found, math.inf)
         name = "Newton's method with its rescues"
     yield Strategy(name, partial(solved, mesh, guess, solver), math.inf)
 

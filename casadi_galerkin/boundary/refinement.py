@@ -40,7 +40,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import check_types
-from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
+from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
@@ -49,6 +49,7 @@ from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solution.witness import witnesses
 from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import SolverLike
+from casadi_galerkin.solvers.stationarity import ROUNDOFF
 
 FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
 CLEAR = 1e-9  # part left out below which a path is near enough to its limit to tell how rounding moves it
@@ -63,6 +64,7 @@ SHARP = 1e-6  # interval over the duration from which a refused mesh is said to 
 BLUNT = 1e5 * EPS  # interval over the distance to the nearer end at which it stops, too: times inside are so rounded
 BESIDE = 1e-2  # distance over the duration within which a breakpoint may be why an error stays
 CROWD, SHORT = 20, 1e-3  # intervals, in this part of the duration, among which rounding hides a kink
+ROUGHLY, FEW = 1e-3, 500  # tolerance and most intervals of paths on the way to the one that is looked for
 STUBBORN = 3  # meshes on which what a witness misses may stay until it is said to do so on any
 WANDERING = 12  # the same for Legendre coefficients, while intervals are moved to where these are large
 UNSMOOTH = (
@@ -203,9 +205,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         needs = f"intervals of {max(steps[i], 0.0):.1e}" if few else f"{len(steps)} intervals"
         crowded = steps[i] < SHARP * duration
         sharp = f", the shortest near t = {mesh[i]:.9g}. {self.unsmooth(mesh[i], duration)}" if crowded else ""
-        reason = (
-            f"the mesh would need {needs} for an error of {estimate.error:.1e}, estimated from {estimate.source}{sharp}"
-        )
+        magnified = ": the ends are nearly conjugate" if estimate.trusted and estimate.error > 1 else ""
+        source = f"estimated from {estimate.source}{magnified}{sharp}"
+        reason = f"the mesh would need {needs} for an error of {estimate.error:.1e}, {source}"
         raise self.stopped(reason, level, estimate.error)
 
     def check_stubborn(self, level: CriticalPoint, source: str, missed: np.ndarray, patience: int) -> None:
@@ -248,7 +250,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """Refine the first path found that can be followed; values of a guess are those on this mesh."""
         guess = self.on_any_mesh(guess, mesh)
         failures: list[ConvergenceError] = []
-        for strategy in first_path_strategies(self.levels, self.method, mesh, guess, self.solver):
+        for strategy in first_path_strategies(self.levels, self.method, mesh, guess, self.solver, self.roughly):
             self.patience, self.nearest = strategy.patience, {}
             began, before = time.perf_counter(), self.iterations
             try:
@@ -258,6 +260,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             except LimitReached:
                 raise
             except ConvergenceError as failure:
+                if isinstance(failure, ConjugatePointError) and failure.residual <= ROUNDOFF:
+                    raise  # a path was found: another mesh may only hide that it is not the only one
                 failures.append(failure)
                 if self.out_of_time():
                     late = f"{self.limits.seconds:g} seconds have passed before there was a path"
@@ -269,6 +273,14 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                 name = strategy.name if first.solution.report == path.solver else first.solution.report
                 return replace(path, solver=f"{path.solver}; first path by {name}") if failures else path
         raise failures[-1]
+
+    def roughly(self, levels: Levels, level: CriticalPoint) -> CriticalPoint:
+        """Refine a path on the way to the one that is looked for."""
+        method = self.method if self.fixed else None
+        limits = replace(self.limits, intervals=min(self.limits.intervals, FEW))
+        part = BoundaryRefinement(levels, max(self.tol, ROUGHLY), method, self.solver, limits)
+        part.patience, part.deadline = PATIENCE, self.deadline
+        return part.refine(level)[0]
 
     def on_any_mesh(self, guess: Guess | None, mesh: np.ndarray) -> Guess | None:
         """A guess that other meshes take, too: values at the joints or nodes of this mesh become a path."""

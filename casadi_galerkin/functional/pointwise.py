@@ -104,13 +104,14 @@ class Pointwise:
 
     @lazy
     def supplied(self) -> ca.Function | None:
-        """∂L̂/∂t - h F·v, by which the energy falls; None where it is kept."""
+        """∂L̂/∂t - h F·v, by which the energy falls, and its derivatives by x and x'; None where the energy is kept."""
         if self.symmetric and not self.derivatives.jac_sparsity(0, 0).nnz():  # L̂ by t; `depends_on` takes far longer
             return None
         falls = ca.gradient(self._value, self._inputs["t"])
         if not self.symmetric:
             falls -= ca.dot(self._work, self._inputs["slope"] / self._inputs["h"])
-        return self._function("supplied", {"ft": ca.densify(falls)})
+        by_both = ca.gradient(falls, ca.vertcat(self._inputs["x"], self._inputs["slope"]))
+        return self._function("supplied", {"ft": ca.densify(falls), "by_both": ca.densify(by_both)})
 
     @lazy
     def curvature(self) -> ca.Function:

@@ -156,8 +156,6 @@ def _between_breakpoints(
     mass, kinetic = terms.mass([of_steps * block[joints].T for block in blocks]), np.sum(momentum * velocity, axis=0)
     energy = kinetic - lagrangian[joints, 0] / of_steps + _correction(mass, momentum - slope[joints].T)
     supplied = steps * integral(work_of_constraint(problem, times, x, v))
-    if terms.supplied is not None:
-        supplied += integral(evaluate(terms.supplied)[0])
     speed, sizes, duration = np.abs(velocity), component_sizes(path.values), float(np.sum(steps))
     pushed = np.einsum("tij,jt->it", np.abs(mass), speed)
     local = np.abs(kinetic) + np.abs(energy) + np.sum(speed * pushed, axis=0)  # p·v may be a small difference of terms
@@ -170,6 +168,12 @@ def _between_breakpoints(
     blurred = sum_of_slopes * np.sum(places * pushed, axis=0) / steps[before]
     pulled = np.sum(np.abs(x[:, joints] * work[joints].T), axis=0) / of_steps
     floor = BLURRED * EPS * (blurred + pulled + scale)
+    if terms.supplied is not None:
+        falls, by_both = evaluate(terms.supplied)
+        supplied += integral(falls)
+        slopes = np.abs(v * h) + sum_of_slopes * np.repeat(np.max(np.abs(path.local), axis=2), len(parts), axis=1)
+        rounded = np.abs(by_both) * np.concatenate((np.abs(x), slopes)).T  # the terms of a force may cancel
+        floor += BLURRED * EPS * np.append(0.0, np.cumsum(integral(np.sum(rounded, axis=1))))
     missed = missed_balance(energy + np.append(0.0, np.cumsum(supplied)), scale, floor)
     values = lagrangian.reshape(len(steps), -1) / steps[:, None]
     size = np.maximum(np.max(np.abs(values), axis=1), np.maximum(scale[1:], scale[:-1]))

@@ -114,3 +114,63 @@ def test_values_at_the_first_joints_are_a_guess_on_any_mesh():
     transcription = cg.transcribe(well, tol=TOL, intervals=6)
     for path in (cg.solve(well, tol=TOL, intervals=6, guess=line), *(transcription.solve(guess=line) for _ in "ab")):
         assert path.action == pytest.approx(expected.action, rel=TOL)
+
+
+def forced(stiffness, start, end, force):
+    """Where stiffness times x'' is a force."""
+    return cg.BoundaryProblem(lambda t, x, v: stiffness * v[0] ** 2 / 2, (0.0, 1.0), [start], [end], force=force)
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("stiffness", [1e-3, 1e-4, 1e-6])
+def test_a_corner_layer_is_found_under_a_growing_force(stiffness, tol):
+    """Cash's test problem 20: from a straight line to a corner at 0.745, which a straight line does not tell of."""
+
+    def exact(t):
+        far = np.abs(t - 0.745) / stiffness
+        return 1 + stiffness * (far + np.log1p(np.exp(-2 * far)) - np.log(2))
+
+    path = cg.solve(forced(stiffness, exact(0.0), exact(1.0), lambda t, x, v: 1 - v**2), tol=tol)
+    assert path.solver == "Newton; first path by Newton's method under a growing force"
+    times = np.union1d(np.linspace(0, 1, 101), path.t)
+    assert np.max(np.abs(path(times)[0] - exact(times))) <= tol * np.max(exact(times))
+
+
+@pytest.mark.parametrize("parameters", [None, [1.0]])
+def test_a_shock_is_found_under_a_growing_force(parameters):
+    """Cash's test problem 30: between its ends, where x' = 1 or x = 0, it jumps from -5/6 to 5/6 at t = 1/3."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, *p: 1e-6 * v[0] ** 2 / 2, (0.0, 1.0), [-7 / 6], [1.5],
+        parameters=parameters, force=lambda t, x, v, *p: x - x * v if p == () else p[0][0] * (x - x * v),
+    )  # fmt: skip
+    path = cg.solve(problem, tol=1e-6)
+    outer = np.array([0.1, 0.3, 0.5, 0.9])
+    np.testing.assert_allclose(path(outer)[0], outer + np.where(outer < 1 / 3, -7 / 6, 0.5), rtol=0, atol=1e-4)
+
+
+def test_a_force_that_leaves_no_path_is_refused():
+    """Bratu's problem beyond its fold; the time may be up on the way to it."""
+    problem = forced(1.0, 0.0, 0.0, lambda t, x, v: -4 * ca.exp(x))
+    with pytest.raises(cg.ConvergenceError, match=r"^no path was found"):
+        cg.solve(problem, tol=TOL)
+    with pytest.raises(cg.LimitReached, match="seconds have passed before there was a path"):
+        cg.solve(problem, tol=TOL, limits=cg.Limits(seconds=0.01))
+
+
+def test_paths_of_a_family_are_not_looked_for_any_further(capsys):
+    """ε x'' = t x', whose middle only exp(-1/2ε) ties to the ends; another mesh may hide that, and a path be found."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: 1e-4 * v[0] ** 2 / 2, (-1.0, 1.0), [0.0], [1.0], force=lambda t, x, v: t * v
+    )
+    with pytest.raises(cg.ConjugatePointError):
+        cg.solve(problem, tol=1e-3, verbose=1)
+    assert "no path" not in capsys.readouterr().out
+
+
+def test_ends_that_are_nearly_conjugate_are_named():
+    """After 500 half-turns of an oscillator: the mesh leaves out little, but cannot tell how far it swings."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0.0, 500 * np.pi), [0.0], [np.sin(500 * np.pi)]
+    )
+    with pytest.raises(cg.ConvergenceError, match="nearly conjugate"):
+        cg.solve(problem, tol=1e-3)

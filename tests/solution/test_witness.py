@@ -199,6 +199,20 @@ def test_the_balance_holds_with_friction_and_under_a_constraint_that_moves():
     np.testing.assert_allclose(np.arctan2(path.x[0], -path.x[1]), exact(path.t)[0], rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("stiffness", [1e-6, 1e-7])
+def test_the_balance_allows_for_the_rounding_of_a_force_whose_terms_cancel(stiffness):
+    """Terms of size 10 leave an acceleration times a mass of 1e-6: Cash's third test problem."""
+
+    def force(t, x, v):
+        drift, source = 2 + ca.cos(np.pi * t), (1 + stiffness * np.pi**2) * ca.cos(np.pi * t)
+        return x - source - drift * (v + np.pi * ca.sin(np.pi * t))
+
+    problem = cg.BoundaryProblem(lambda t, x, v: stiffness * v[0] ** 2 / 2, (-1.0, 1.0), [-1.0], [-1.0], force=force)
+    path = cg.solve(problem, tol=1e-9)
+    times = np.linspace(-1, 1, 101)
+    np.testing.assert_allclose(path(times)[0], np.cos(np.pi * times), rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize(("far", "tol"), [(1e6, 1e-12), (1e9, 1e-9)])
 def test_what_rounding_does_to_the_action_far_from_zero_is_no_doubt(far, tol):
     """A pendulum whose angle is counted from far away: its errors count relative to that."""
