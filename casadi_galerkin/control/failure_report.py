@@ -16,8 +16,8 @@ from casadi_galerkin.solution.path import Path
 
 INVALID = "Invalid Number Detected"
 NO_PATH = (
-    "There may be no path within these ends and bounds; else try a guess nearer to it, or longer where the duration is "
-    "free, several `starts`, or units in which lengths, times and masses are near one"
+    "There may be no path within these ends and bounds; else try a guess nearer to it, several `starts`, or units in "
+    "which lengths, times and masses are near one"
 )
 HINTS = {
     "Diverging Iterates": "The cost may have no lower bound: bound the controls, the positions or the duration",

@@ -26,11 +26,13 @@ def first_values(
     calculus: DiscreteCalculus,
     guess: Guess | None,
     near: ControlTrajectory | None,
+    longer: float = 1.0,
 ) -> dict[str, np.ndarray]:
     """Values of all fields at a guess, within the bounds and with what is given as it is given; see `near_answer`.
 
     Without a guess the path is the straight line between the ends, and controls are zero, or the middle of their
-    bounds where these exclude zero.  Momenta and their units are not guessed: they are zeros and ones.
+    bounds where these exclude zero.  Momenta and their units are not guessed: they are zeros and ones.  Free durations
+    are `longer` times those of the mesh, or as long as they may be; an earlier answer keeps its own.
     """
     path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical
@@ -49,6 +51,8 @@ def first_values(
     durations, parameters = np.diff(of_phases), np.array(problem.parameters or ())
     if not isinstance(guess, ControlTrajectory):
         slopes = (path[1] - path[0]) / (times[1] - times[0]), (path[-1] - path[-2]) / (times[-1] - times[-2])
+        if problem.duration_bounds is not None:
+            durations = np.clip(longer * durations, *problem.duration_bounds)
     else:
         slopes = guess.start_velocity, guess.end_velocity
         if problem.duration_bounds is not None:
