@@ -155,6 +155,20 @@ def test_badly_stated_problem_is_refused(name):
         double_integrator(**changes)
 
 
+def test_a_duration_is_within_its_bounds_up_to_rounding():
+    assert 0.1 + 0.2 - 0.1 > 0.2
+    assert double_integrator(t_span=(0.1, 0.1 + 0.2), duration_bounds=(0.2, 0.2)).t_span == (0.1, 0.1 + 0.2)
+
+
+def test_a_condition_is_met_by_ends_as_a_solve_leaves_them():
+    def closed(end):
+        return double_integrator(end=[end], end_conditions=(lambda x0, v0, x1, v1: x1 - x0, 1, 1))
+
+    assert closed(1 + 1e-9).end == (1 + 1e-9,)
+    with pytest.raises(ValueError, match=r"end condition 0 is 1\.000001 with the ends given"):
+        closed(1 + 1e-6)
+
+
 def test_parameter_guess_outside_its_bounds_is_refused():
     with pytest.raises(ValueError, match=r"parameters\[0\] = 3.0 lies outside"):
         double_integrator(
