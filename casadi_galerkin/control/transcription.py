@@ -122,7 +122,7 @@ class ControlTranscription:
             same method and intervals, the solver starts warm, from its multipliers.  A guess of the controls is a
             callable t -> (n,), or an array (n, N r) of values at the quadrature points, of held controls (n, N)
         mesh : (N + 1,) joints; where the duration is free their span is its guess, and where nothing is found from
-            that, 4 and 16 times as long ones are tried, as far as its bounds allow
+            that, 4 and 16 times as long ones are tried, as far as its bounds allow, if it has some
         solver : ipopt or fatrop, with or without options
         verbose : 1 prints a summary, 2 also the solver's own output
 
@@ -200,11 +200,14 @@ class ControlTranscription:
         raise ConvergenceError(words, first.path, first.residual, sum(failure.iterations for failure in failures))
 
     def _factors(self, problem: ControlProblem, guess: Guess | None) -> list[float]:
-        """Factors on the duration of a guess, in their order; an earlier answer keeps its own."""
-        if problem.duration_bounds is None or isinstance(guess, ControlTrajectory):
-            return [1.0]
-        longest = float(np.max(np.divide(problem.duration_bounds[1], np.diff(marks(problem)))))
-        factors = [1.0]
+        """Factors on the duration of a guess, in their order.
+
+        An earlier answer keeps its own, and so do durations without a bound: the cost may fall with them for ever.
+        """
+        bounds, factors = problem.duration_bounds, [1.0]
+        if bounds is None or np.isinf(bounds[1]).any() or isinstance(guess, ControlTrajectory):
+            return factors
+        longest = float(np.max(np.divide(bounds[1], np.diff(marks(problem)))))
         for factor in LONGER:
             if min(factor, longest) >= 2 * factors[-1]:  # else it is the same guess again
                 factors.append(min(factor, longest))
