@@ -92,13 +92,13 @@ def first_path_strategies(
     mesh: np.ndarray,
     guess: Guess | None,
     solver: SolverLike,
-    refined: Callable[[Levels, CriticalPoint], CriticalPoint],
+    roughly: Callable[[Levels, np.ndarray, Guess | None], CriticalPoint],
 ) -> Iterator[Strategy]:
     """Ways to a first path, in the order in which they are tried.
 
     They are Newton's method on the coarse mesh, with a guess from that smoothed, and on a finer one, which resolves the
-    guess; a descent of the action with moving joints, or growing shares of a force, whose paths are `refined`; and
-    whatever `solver` tries.
+    guess; a descent of the action with moving joints, or growing shares of a force, its paths found `roughly`;
+    and whatever `solver` tries.
     """
     given = resolved(levels, method, guess, mesh, ROUGHLY)
     mesh, solved, name = given.mesh, partial(levels.solve, method), repr(solver)
@@ -117,7 +117,7 @@ def first_path_strategies(
             found = partial(_by_descent, levels, joints, guess, brief)
             yield Strategy("descent of the action", found, math.inf)
         if levels.problem.force is not None:
-            found = partial(under_growing_force, levels, method, fine, guess, brief, refined)
+            found = partial(under_growing_force, levels, fine, guess, roughly)
             yield Strategy("Newton's method under a growing force", found, math.inf)
         name = "Newton's method with its rescues"
     yield Strategy(name, partial(solved, mesh, guess, solver), math.inf)

@@ -15,12 +15,10 @@ import numpy as np
 
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.levels import Levels
-from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import with_values
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
-from casadi_galerkin.solvers.solver import SolverLike
 
 GROWTH, SLOWEST = 100.0, 1.1  # factor by which a share first grows, and below which the path is lost
 LEAST = 1e-8  # share of the force that is tried last: where even that is too much, no share will do
@@ -28,24 +26,22 @@ LEAST = 1e-8  # share of the force that is tried last: where even that is too mu
 
 def under_growing_force(
     levels: Levels,
-    method: Galerkin,
     mesh: np.ndarray,
     guess: Guess | None,
-    solver: SolverLike,
-    refined: Callable[[Levels, CriticalPoint], CriticalPoint],
+    roughly: Callable[[Levels, np.ndarray, Guess | None], CriticalPoint],
 ) -> CriticalPoint:
     """Find the path under the whole force, from those under shares of it.
 
     Parameters
     ----------
-    levels, method, mesh, guess, solver : as for `first_path_strategies`
-    refined : (levels, point) -> the point on a mesh that resolves it
+    levels, mesh, guess : as for `first_path_strategies`
+    roughly : (levels, mesh, guess) -> the path from there, on a mesh that resolves it
     """
     share, growth, known = 1 / GROWTH, GROWTH, 0.0
     while True:
         part = levels if share == 1.0 else Levels(_under_share(levels.problem, share))
         try:
-            point = refined(part, part.solve(method, mesh, guess, solver))
+            point = roughly(part, mesh, guess)
         except ConvergenceError as failure:
             growth = math.sqrt(growth) if known else growth
             if growth < SLOWEST or share <= LEAST:

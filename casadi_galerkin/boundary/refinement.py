@@ -274,13 +274,13 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                 return replace(path, solver=f"{path.solver}; first path by {name}") if failures else path
         raise failures[-1]
 
-    def roughly(self, levels: Levels, level: CriticalPoint) -> CriticalPoint:
-        """Refine a path on the way to the one that is looked for."""
+    def roughly(self, levels: Levels, mesh: np.ndarray, guess: Guess | None) -> CriticalPoint:
+        """Find a path on the way to the one that is looked for, on a mesh that resolves it."""
         method = self.method if self.fixed else None
         limits = replace(self.limits, intervals=min(self.limits.intervals, FEW))
         part = BoundaryRefinement(levels, max(self.tol, ROUGHLY), method, self.solver, limits)
         part.patience, part.deadline = PATIENCE, self.deadline
-        return part.refine(level)[0]
+        return part.refine(levels.solve(self.method, mesh, guess, self.following))[0]
 
     def on_any_mesh(self, guess: Guess | None, mesh: np.ndarray) -> Guess | None:
         """A guess that other meshes take, too: values at the joints or nodes of this mesh become a path."""
