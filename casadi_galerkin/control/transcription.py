@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import partial
+from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
@@ -22,6 +20,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.control.attempts import or_from_longer_durations, or_with_ipopt
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import FEASIBLE, UNSEEN, unseen_change, violations
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
@@ -36,7 +35,7 @@ from casadi_galerkin.functional.statement import refuse_points
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_at_joints
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import check_types, marks
+from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -47,10 +46,6 @@ from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 
 WILD = 10.0  # terms along a guess over those on the straight line; noise has more, a way round has less
 SHORTEST = 1e-10  # interval over the duration; at 1e-9 to 1e-12 IPOPT was seen to fail, and at 1e-13 to be wrong
-# Times the duration of a guess with which a free one begins where nothing is found from that: a path has to have the
-# time to swing.  Of 120 solves for least time, from guesses of 0.3 to 3 times what is natural, 103 are solved by it, 89
-# without; shorter steps than four were no better.
-LONGER = 4.0, 16.0
 NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
 
 
@@ -151,8 +146,13 @@ class ControlTranscription:
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         span = float(calculus.mesh[0]), float(calculus.mesh[-1])
         problem = self.problem.varied({**ends, "parameters": parameters}, span)
+
+        def solved(longer: float) -> ControlTrajectory:
+            begun = self.start(problem, calculus, guess, longer)
+            return or_with_ipopt(solver, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began))
+
         with fork_waits:  # it builds its Functions when they are first needed
-            path = self._found(solver, problem, calculus, guess, verbose, began)
+            path = or_from_longer_durations(problem, guess, solved)
         if verbose:
             print(path)
         return path
@@ -168,50 +168,6 @@ class ControlTranscription:
             )
         _check_steps(calculus.mesh)
         return calculus
-
-    def _found(
-        self,
-        solver: Solver,
-        problem: ControlProblem,
-        calculus: DiscreteCalculus,
-        guess: Guess | None,
-        verbose: int,
-        began: float,
-    ) -> ControlTrajectory:
-        """What is found from the guess; where that is nothing, and the duration is free, from longer ones."""
-        failures = list[ConvergenceError]()
-        for longer in self._factors(problem, guess):
-            begun = self.start(problem, calculus, guess, longer)
-            solved = partial(self._solved, problem=problem, mesh=calculus.mesh, start=begun)
-            try:
-                path = _or_with_ipopt(solver, partial(solved, verbose=verbose, began=began))
-            except ConvergenceError as failure:
-                failures.append(failure)
-                if seconds_left() < 0:
-                    break
-            else:
-                told = f"{path.solver}, from {longer:g} times the duration of the guess" if failures else path.solver
-                iterations = path.iterations + sum(failure.iterations for failure in failures)
-                return replace(path, solver=told, iterations=iterations)
-        first, *others = failures
-        if not others:
-            raise first
-        words = f"{first}. From longer durations no path was found, either"
-        raise ConvergenceError(words, first.path, first.residual, sum(failure.iterations for failure in failures))
-
-    def _factors(self, problem: ControlProblem, guess: Guess | None) -> list[float]:
-        """Factors on the duration of a guess, in their order.
-
-        An earlier answer keeps its own, and so do durations without a bound: the cost may fall with them for ever.
-        """
-        bounds, factors = problem.duration_bounds, [1.0]
-        if bounds is None or np.isinf(bounds[1]).any() or isinstance(guess, ControlTrajectory):
-            return factors
-        longest = float(np.max(np.divide(bounds[1], np.diff(marks(problem)))))
-        for factor in LONGER:
-            if min(factor, longest) >= 2 * factors[-1]:  # else it is the same guess again
-                factors.append(min(factor, longest))
-        return factors
 
     def _solved(
         self,
@@ -387,22 +343,6 @@ def check_solver(solver: object) -> None:
     """Refuse a solver that does not optimize."""
     if not isinstance(solver, Solver) or solver.name not in NAMES:
         raise ValueError(f"a ControlProblem is solved by cg.ipopt or cg.fatrop, got the solver {solver!r}")
-
-
-def _or_with_ipopt(solver: Solver, solved: Callable[[Solver], ControlTrajectory]) -> ControlTrajectory:
-    """What a solver finds; where fatrop fails, which stalls more easily, what IPOPT finds.  Both are then named."""
-    try:
-        return solved(solver)
-    except ConvergenceError as failure:
-        if solver.name != fatrop.name or seconds_left() < 0:
-            raise
-        stopped = str(failure).split(";")[0]
-        try:
-            path = solved(ipopt)
-        except ConvergenceError as another:
-            iterations = failure.iterations + another.iterations
-            raise ConvergenceError(f"{stopped}; {another}", another.path, another.residual, iterations) from None
-        return replace(path, solver=f"{path.solver}, after {stopped}", iterations=failure.iterations + path.iterations)
 
 
 def transcribed_control(
