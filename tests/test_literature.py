@@ -7,7 +7,7 @@ from paths import script
 TO_TOL = ["low_thrust", "regulator", "van_der_pol", "zermelo", "brachistochrone"]
 TO_COST_TOL = ["cart_pole", "hypersensitive", "moon_lander", "crane", "quadrotor", "robot_arm", "dubins", "chain"]
 TO_COST_TOL += ["hang_glider", "orbit_raising", "shuttle"]
-literature, guesses = script("literature"), script("guesses")
+literature, guesses, test_set = script("literature"), script("guesses"), script("test_set")
 
 
 @pytest.mark.parametrize(
@@ -28,3 +28,11 @@ def test_random_guesses_lead_to_the_same_costs_as_by_hand():
     programs = guesses.Ours(problem), guesses.ByHand(problem)
     ours, by_hand = (program.solve(guesses.guess(problem, seed=0))[0] for program in programs)
     assert ours == pytest.approx(by_hand, rel=1e-4)  # of different discretizations
+
+
+def test_a_dozen_of_cash_s_problems_are_solved_to_the_tolerance(capsys):
+    errors = test_set.main(stiffness=(1e-4,))
+    assert errors.shape == (len(test_set.PROBLEMS), 2) == (12, 2)
+    assert np.all(errors[:, 0] <= 1)
+    assert np.isfinite(errors[:, 1]).sum() >= 10  # what `solve_bvp` solves, too
+    assert len(capsys.readouterr().out.splitlines()) == 13
