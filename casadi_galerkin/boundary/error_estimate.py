@@ -1,4 +1,7 @@
-"""How wrong a path between two ends is: by Newton steps in a higher degree, and by what rounding does to it."""
+"""How wrong a path between two ends is: by Newton steps in a higher degree, and by what rounding does to it.
+
+Both are right only as far as the mesh resolves the path's variations, too: see `disagreement`.
+"""
 
 from __future__ import annotations
 
@@ -8,29 +11,32 @@ import numpy as np
 
 from casadi_galerkin.boundary.graph import BoundaryGraph, CriticalPoint
 from casadi_galerkin.calculus.mesh_adaptation import largest_change, of_higher_degree
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
+from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.trajectory import Trajectory
 
+UNLIKE = 0.5  # disagreement from which a mesh does not resolve the variations of a path
 SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
+FORCES = 3  # by which two degrees are compared: in one of them alone they may agree by chance
+HARDLY = 1e-6  # part of the largest mean variation below which one is compared with that
 ROUNDED = 0.2  # of eps: what rounding to the nearest double changes in the root mean square
 
 
-def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial, tol: float = 0.0) -> float:
+def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial) -> tuple[float, PiecewisePolynomial]:
     """Largest error of a path of a lower degree than the graph's, relative to the size of its components.
 
     The first Newton step from it on the same mesh estimates its error, in the joints as well as between them, and the
-    second tells how far to trust the first: both are summed as a geometric series.  It makes the first at most
-    1 / (1 - `SLOWEST`) times as large, so where that is below `tol` anyway, it is not taken.  Where the duration is
-    free, a step of it counts by how far the path moves in that time.
+    second tells how far to trust the first: both are summed as a geometric series.  Where the duration is free, a step
+    of it counts by how far the path moves in that time.
 
-    Returns infinity where a step is not finite.
+    Returns
+    -------
+    the error, infinity where a step is not finite; and the variations under some forces where the first step leads
     """
     nodes = graph.method.element.nodes
-    data = graph.data(path.mesh, None, graph.plane(path))
-    unknowns = graph.unknowns(path.at(nodes).T, data)
+    unknowns, data = graph.on_path(path)
 
     def moved(step: np.ndarray) -> float:
         """Largest change of the path by a step."""
@@ -40,15 +46,59 @@ def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial, tol: f
             change = change - step[-1] * path(times, 1) * (times - times[0])
         return largest_change(path, nodes, change)
 
-    second = 0.0
     with graph.stationarity.linearization() as at:
         (step,) = at.solve(at.relinearize(unknowns, data))
-        first = moved(step)
-        if first > (1 - SLOWEST) * tol:
-            second = moved(*at.solve(at.relinearize(unknowns + step, data)))
+        again, *varied = at.solve(at.relinearize(unknowns + step, data), *_generic_forces(graph, path))
+    first, second = moved(step), moved(again)
     if not math.isfinite(first + second):
-        return math.inf
-    return first / (1 - min(SLOWEST, second / first)) if first > 0 else 0.0
+        first = math.inf
+    elif first > 0:
+        first /= 1 - min(SLOWEST, second / first)
+    return first, _joined(graph, path, varied)
+
+
+def disagreement(graph: BoundaryGraph, path: PiecewisePolynomial, of_higher: PiecewisePolynomial) -> float:
+    """How different a path's variations under the same forces are in its own degree, the graph's, and in a higher one.
+
+    Where a path is all but undetermined, as in ε x'' = t x' by exp(-1/2ε), a mesh too coarse for the variations that
+    tell it ties it by what it does not resolve.  Every degree then finds some path, and no error of it; but they
+    differ in how firmly they tie it.
+
+    Returns
+    -------
+    the mean difference over the nodes, relative to the mean variation: of the force and component for which it is
+    largest.  A variation that is small among them is compared with the others
+    """
+    if not graph.numbering.positions:
+        return 0.0  # nothing can vary
+    unknowns, data = graph.on_path(path)
+    with graph.stationarity.linearization() as at:
+        at.relinearize(unknowns, data)
+        of_lower = _joined(graph, path, at.solve(*_generic_forces(graph, path)))
+    one, other = of_lower.at(of_higher.nodes), of_higher.values
+    apart, *sizes = (np.mean(np.abs(values), axis=1) for values in (other - one, one, other))
+    size = np.maximum(*sizes)
+    return float(np.max(apart / np.maximum(size, HARDLY * np.max(size) + TINY)))
+
+
+def _generic_forces(graph: BoundaryGraph, path: PiecewisePolynomial) -> np.ndarray:
+    """The virtual work ∫ F·δx dt of some smooth forces F(t), the same in all degrees, per unknown; (FORCES, n)."""
+    numbering, element, steps = graph.numbering, graph.method.element, np.diff(path.mesh)
+    shares = (times_at(path.mesh, element.points) - path.mesh[0]) / (path.mesh[-1] - path.mesh[0])
+    sizes, works = component_sizes(path.values), np.zeros((FORCES, numbering.size))
+    for k, work in enumerate(works, start=1):
+        force = np.cos(k * (np.arange(len(sizes)) + 3 * shares[:, None])).T / sizes[:, None]
+        of_intervals = steps[:, None] * (force.reshape(len(sizes), len(steps), -1) * element.weights @ element.values)
+        of_nodes = np.concatenate((of_intervals[:, :, :-1].reshape(len(sizes), -1), of_intervals[:, -1:, -1]), axis=1)
+        of_nodes[:, graph.method.degree : -1 : graph.method.degree] += of_intervals[:, :-1, -1]
+        np.add.at(work, numbering.of_nodes, of_nodes.T)
+    return works[:, : numbering.free]
+
+
+def _joined(graph: BoundaryGraph, path: PiecewisePolynomial, steps: list[np.ndarray]) -> PiecewisePolynomial:
+    """Changes of a path by some steps, all components of one after those of another."""
+    changes = np.concatenate([graph.change(step) for step in steps])
+    return PiecewisePolynomial(path.mesh, graph.method.element.nodes, changes)
 
 
 def roundoff_error(graph: BoundaryGraph, point: CriticalPoint) -> float:
@@ -71,5 +121,10 @@ def error_between_ends(path: Trajectory) -> float:
     """Estimate the relative error of a path between two ends: see `Trajectory.estimate_error`."""
     problem = path.problem
     assert isinstance(problem, BoundaryProblem)
-    higher = BoundaryGraph(problem, of_higher_degree(path.method.degree), path.t, one_by_one)
-    return path.doubted(discretization_error(higher, path.polynomial))
+    lower, higher = (
+        BoundaryGraph(problem, method, path.t, one_by_one)
+        for method in (path.method, of_higher_degree(path.method.degree))
+    )
+    error, varied = discretization_error(higher, path.polynomial)
+    apart = disagreement(lower, path.polynomial, varied)
+    return path.doubted(error if apart <= UNLIKE else max(error, apart))

@@ -100,6 +100,11 @@ class BoundaryGraph:
         path = self.emb(solution.unknowns, data)
         return CriticalPoint(solution, problem, data, path)
 
+    def on_path(self, path: PiecewisePolynomial) -> tuple[np.ndarray, Data]:
+        """Unknowns and data of a path of any degree on any mesh of as many intervals."""
+        data = self.data(path.mesh, None, self.plane(path))
+        return self.unknowns(path.at(self.method.element.nodes).T, data), data
+
     def guess_on_mesh(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:
         """Put a guess on a mesh, bent to meet the ends."""
         own = np.array_equal(mesh, self.mesh)

@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.error_estimate import discretization_error, roundoff_error
+from casadi_galerkin.boundary.error_estimate import UNLIKE, disagreement, discretization_error, roundoff_error
 from casadi_galerkin.boundary.first_path import PATIENCE, first_path_strategies, following, is_newton
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.levels import Levels
@@ -118,7 +118,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         if not (suits and largest <= max(self.tol, BLURRED)):
             self.check_stubborn(level, "Legendre coefficients", left_out, WANDERING)
             return Estimate(largest, False, "Legendre coefficients", left_out)
-        error = math.hypot(self.error(path), floor)
+        error, varied = self.error(path)
+        error = math.hypot(error, floor)
         mesh, stretched = path.mesh, self.levels.problem.energy is not None
         self.roundoff_level = NOISE * max(
             floor, EPS * np.max(np.abs(mesh)) / (mesh[-1] - mesh[0]) if stretched else 0.0
@@ -129,6 +130,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             self.check_stubborn(level, source, missed, STUBBORN)
             return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed, path.degree))
         error = max(error, float(np.max(said["force"])))
+        if error <= self.tol and (apart := self.disagreement(level, varied)) > UNLIKE:
+            halved = np.full(len(left_out), TARGET * self.tol * 2.0 ** (path.degree + 1))
+            return Estimate(apart, False, "variations", halved)
         left_out *= error / max(np.max(left_out), 1e-300)
         return Estimate(error, True, f"degree {of_higher_degree(path.degree).degree}", left_out)
 
@@ -163,10 +167,17 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         target = TARGET * self.tol
         return np.asarray(target * np.clip(missed / target, LEAST, MOST) ** (degree + 1))
 
-    def error(self, path: PiecewisePolynomial) -> float:
-        """Largest error on a path, from Newton steps in a higher degree on the same mesh."""
-        higher = self.levels.transcription(of_higher_degree(path.degree), path.mesh)
-        return discretization_error(higher, path, self.tol)
+    def error(self, path: PiecewisePolynomial) -> tuple[float, PiecewisePolynomial]:
+        """Largest error on a path, from Newton steps in a higher degree on the same mesh, and its variations there."""
+        return discretization_error(self.levels.transcription(of_higher_degree(path.degree), path.mesh), path)
+
+    def disagreement(self, level: CriticalPoint, varied: PiecewisePolynomial) -> float:
+        """How different the variations are in the path's own degree; refuses a path of a family, which they show."""
+        graph = self.levels.transcription(of_degree(level.polynomial.degree), level.polynomial.mesh)
+        apart = disagreement(graph, level.polynomial, varied)
+        if not apart <= UNLIKE:
+            graph.check_second_variation(level)
+        return apart
 
     def improve(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> CriticalPoint:
         """Solve on the equidistributed mesh; where Newton's method does not follow, on one changed less.

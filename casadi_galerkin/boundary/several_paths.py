@@ -317,11 +317,11 @@ class Search:
             self.singular += isinstance(failure, ConjugatePointError)
             return
         error = path.estimate_error()
-        if not error <= RESOLVED:
-            self.unresolved += 1
-            return
         if smallest_second_variation(self.stationarity, solution.unknowns, self.data) < min(SOFT, ERRORS * error):
             self.singular += 1  # of a family that the mesh breaks up
+            return
+        if not error <= RESOLVED:
+            self.unresolved += 1
             return
         self.found.append((path, solution.unknowns))
         self.measure(*(path.polynomial.values for path, _ in self.found))

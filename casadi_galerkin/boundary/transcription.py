@@ -172,11 +172,15 @@ class Transcription(BoundaryGraph):
         )
 
     def refuse_conjugate(self, point: CriticalPoint) -> None:
-        """Raise if the second variation vanishes at a critical point."""
+        """Raise if the second variation vanishes at a critical point, where the solver saw that it may."""
         if not point.solution.regularity > REGULAR:
-            quotient = smallest_second_variation(self.stationarity, point.solution.unknowns, point.data)
-            if quotient < SINGULAR:
-                raise conjugate(point.solution, point.polynomial, quotient)
+            self.check_second_variation(point)
+
+    def check_second_variation(self, point: CriticalPoint) -> None:
+        """Raise if the second variation vanishes at a critical point."""
+        quotient = smallest_second_variation(self.stationarity, point.solution.unknowns, point.data)
+        if quotient < SINGULAR:
+            raise conjugate(point.solution, point.polynomial, quotient)
 
     def plot_hessian(self, axes: Axes | None = None) -> Axes:
         """Draw the sparsity pattern of the Hessian, a chain of blocks; returns the Matplotlib axes."""
