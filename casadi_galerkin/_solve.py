@@ -106,8 +106,8 @@ def solve(
     starts : how often to solve a ControlProblem, from `guess` first and then from random paths, always the same ones;
         the cheapest optimum is returned, and its `solver` says how many were met.  With a tolerance all are solved
         on the first mesh, and those refined that may be the best.  (`paths` finds several paths of a BoundaryProblem.)
-    verbose : 1 prints a summary, of several starts one each, and, with a tolerance, a line per level; 2 also the
-        solver's lines
+    verbose : 1 prints a summary, of several starts one each, and, with a tolerance, a line for each mesh; 2 also
+        the solver's lines
 
     Returns
     -------

@@ -103,7 +103,7 @@ class AdaptiveTranscription:
         guess : the same; from an earlier path of this problem, with other ends, times or parameters, the path is
             followed to the new ones on its own mesh.  Where it is lost, it is a guess as any other; near a fold its
             `morse_index` tells whether it has changed its branch
-        verbose : 1 prints a line per level and a summary, 2 also the solver's lines
+        verbose : 1 prints a line for each mesh and a summary, 2 also the solver's lines
 
         Raises
         ------

@@ -13,9 +13,9 @@ tenth faster on four, slower on two, and failed on two.
 
 Measured over tolerances 1e-3 ... 1e-8, the estimate is 0.95 to 1.2 times the true error on smooth paths down to 1e-12,
 and 1.5 to 2.5 times with a path constraint touched in one point.  With bang-bang controls it is only a bound, because
-it holds for the switching times; where a position touches its bound, 6 to 30 times.  For nineteen problems of the
-literature at 1e-3 ... 1e-6 it bounds the error of the cost in all of 69 answers; seven runs, all along singular arcs,
-ended without one.
+it holds for the switching times; where a position touches its bound, 6 to 30 times.  For the nineteen problems of
+`examples/benchmark/literature.py` at 1e-3 ... 1e-6 it bounds the error of the cost in all of 69 answers; seven runs,
+all along singular arcs, ended without one.
 
 What the solver itself leaves of the cost (`unseen_change`) is part of the error of the cost.  No mesh makes it less:
 where it is above the tolerance the refinement ends at once.  For these problems it is below 1e-8 of the cost.

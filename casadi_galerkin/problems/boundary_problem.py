@@ -1,4 +1,10 @@
-"""What a scene states, checked before anything is solved; it never calls back into Python during a solve."""
+"""What a boundary problem states, checked before anything is solved; no solve calls back into Python.
+
+stationary    ∫ L(t, x, v) dt + φ(x_0, x_N)
+subject to    g(t, x) = 0,     ψ(x_0, x_N) = 0,     ends, velocities, momenta or an energy that are given,
+
+with a force F, if there is one, that adds its virtual work ∫ F·δx dt.
+"""
 
 from __future__ import annotations
 

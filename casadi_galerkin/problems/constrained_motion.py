@@ -192,7 +192,7 @@ def check_constraint(problem: Problem) -> None:
     constant = sorted(set(range(k)).difference(problem.constraint.sparsity_jac(1, 0).row()))
     if constant:
         raise ValueError(
-            f"the constraint must depend on x, but its value {constant[0]} does not: no path can be held to it"
+            f"the constraint must depend on x, but constraint[{constant[0]}] does not: no path can be held to it"
         )
     first, last = problem.t_span
     for name, when in (("start", first), ("position", first), ("end", last)):
@@ -204,7 +204,7 @@ def check_constraint(problem: Problem) -> None:
         if not np.all(missed <= 1):
             i = int(np.argmax(missed))
             raise ValueError(
-                f"the constraint must be zero at the given {name}, x = {list(where)}: its value {i} is "
+                f"the constraint must be zero at the given {name}, x = {list(where)}: constraint[{i}] is "
                 f"{values[i, 0]:g}, and only rounding, up to {abs(values[i, 0]) / missed[i, 0]:.0e}, is accepted"
             )
         slope = slopes[:, 1:]
@@ -239,6 +239,6 @@ def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v
     if np.any(missed > 1):
         i = int(np.argmax(missed))
         raise ValueError(
-            f"{name} must be tangent to the constraint at x = {list(x)}, got {list(v)}: the rate of its value {i} is "
+            f"{name} must be tangent to the constraint at x = {list(x)}, got {list(v)}: the rate of constraint[{i}] is "
             f"{rates[i, 0]:g}"
         )

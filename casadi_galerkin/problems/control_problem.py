@@ -1,4 +1,4 @@
-"""What a scene of trajectory optimization states: a forced Lagrangian system, a cost, bounds; checked before any solve.
+"""What a trajectory optimization states: a forced Lagrangian system, a cost, bounds; checked before any solve.
 
 minimize    ∫ ℓ(t, x, v, u) dt + τ(t_N, x_N, v_N)
 subject to  d/dt ∂L/∂v - ∂L/∂x = F(t, x, v, u) + (∂c/∂x)ᵀ λ,     c(t, x) = 0,     dz/dt = ρ(t, x, v, u),

@@ -15,9 +15,9 @@ class Limits:
     Parameters
     ----------
     intervals : largest number of intervals of a mesh
-    seconds : longest time: no level begins after it, and Newton's method and IPOPT stop within one; fatrop, which takes
-        no such limit, ends its own first
-    levels : largest number of meshes
+    seconds : longest time: no mesh is begun after it, and Newton's method and IPOPT stop within one; fatrop, which
+        takes no such limit, ends its solve first
+    levels : largest number of meshes, one for each level of the refinement
 
     Raises
     ------

@@ -30,14 +30,20 @@ SolverLike: TypeAlias = Callable[[Stationarity, np.ndarray, Data, int], Solution
 
 @dataclass(frozen=True)
 class Solver:
-    """A way to solve the stationarity conditions ∇S = 0, with its options; or, `ipopt` and `fatrop`, a control problem.
+    """A way to solve the equations of a problem, with its options: one of five, each verified in the same way.
 
-    `fatrop` goes through a control problem stage by stage, with any rule of quadrature, in half the time of `ipopt`.
-    It does not start warm, from multipliers; takes no `end_conditions` on the start; stalls where `ipopt` does not, as
-    where a position touches its bound in a point, or where equations depend on one another; and needs units in which
-    positions and controls are of order one, 1e-5 to 1e4.  Far from these, and seldom from a wild guess (one of 40 for
-    an acrobot), it runs for ever without an iteration that a limit could stop.  Where it stops without an answer,
-    `ipopt` solves, and the report says so.
+    - `newton`, the default of a BoundaryProblem, is Newton's method with a line search.  Where it fails, IPOPT on the
+      action rescues it, or the path without the force, or IPOPT on the equations.
+    - `rootfinder` is CasADi's own Newton method, whose steps lower the residual.
+    - `ipopt`, the default of a ControlProblem, takes the equations as constraints.
+    - `minimizer` is IPOPT on the action of a BoundaryProblem, and finds minima only.
+    - `fatrop`, for a ControlProblem alone, goes through it stage by stage, in half the time of `ipopt`.
+
+    `fatrop` takes any rule of quadrature, but no `end_conditions` on the start, and no multipliers to start warm from.
+    It stalls where `ipopt` does not, as where a position touches its bound in a point, or where equations depend on one
+    another.  It needs units in which positions and controls are of order one, 1e-5 to 1e4.  Far from these, and seldom
+    from a wild guess (one of 40 for an acrobot), it runs for ever without an iteration that a limit could stop.  Where
+    it stops without an answer, `ipopt` solves, and the report says so.
 
     Attributes
     ----------

@@ -80,8 +80,8 @@ class Comparison(Table, Pictured):
     gap_growth : rate λ of the gap of `stepped`, fitted to e^{λ t} at the joints where the gap lies between roundoff and
         0.1; not a number if these are fewer than three
     condition_global, condition_stepwise : how many times a formulation magnifies a relative change of its data: of the
-        positions given at the ends globally, not a number where none is; of (x_0, p_0) step by step; the module defines
-        them
+        positions given at the ends globally, not a number where none is; of (x_0, p_0) step by step.  The module
+        `casadi_galerkin.studies.comparison` has the formulas
     another : Trajectory, the path of `shooting` if it is another stationary path than `global_path`, solved globally
         from there if that can be, so that it has a Morse index; None if shooting has found no other path
 

@@ -33,9 +33,16 @@ def prose(body):
 
 
 def entries(body):
-    """A list of names, of which each starts a line, and what is indented belongs to it."""
-    named = re.sub(r"^(\w[\w, ]*?)( : |$)", r"`\1`\2", body.strip("\n"), flags=re.MULTILINE)
-    return "\n".join(f"- {line}" for line in re.sub(r"\n +", " ", named).splitlines() if line.strip())
+    """Lists of names, of which each starts a line, and what is indented belongs to it; and the paragraphs between."""
+    return "\n\n".join(map(listed, re.split(r"\n\s*\n", body.strip("\n"))))
+
+
+def listed(part):
+    """A list, if anything of it is indented or has a name before a colon; else it is a paragraph."""
+    if not re.search(r"^ |^\w[\w, ]* : ", part, re.MULTILINE):
+        return part
+    named = re.sub(r"^(\w[\w, ]*?)( : |$)", r"`\1`\2", part, flags=re.MULTILINE)
+    return "\n".join(f"- {line}" for line in re.sub(r"\n +", " ", named).splitlines())
 
 
 def signature(thing):
@@ -61,6 +68,8 @@ def members(thing):
 def entry(name):
     """The Markdown of one public name."""
     thing = getattr(cg, name)
+    if isinstance(thing, cg.Solver):
+        return f"## {name}\n\nA [`Solver`](#solver), which says what it does."
     words, parts = inspect.getdoc(thing), [f"## {name}"]
     if "Parameters\n---" in words:  # not of what only the package makes
         call = f"{name}{signature(thing)}"
@@ -72,6 +81,12 @@ def entry(name):
         call = signature(found) if callable(found) else ""
         parts += [f"### {name}.{member}{call}", text(inspect.getdoc(found), 4)]
     return "\n\n".join(parts)
+
+
+def anchor(name, names):
+    """What the heading of a name is linked by: a second one that differs in capitals only has a number."""
+    before = [other.lower() for other in names[: names.index(name)]].count(name.lower())
+    return name.lower() + (f"-{before}" if before else "")
 
 
 def source(name):
@@ -87,9 +102,9 @@ def pages():
     written = {}
     for folder, names in folders.items():
         module = importlib.import_module(f"casadi_galerkin.{folder}")
-        listed = ", ".join(f"[`{name}`](#{name.lower()})" for name in names)
+        links = ", ".join(f"[`{name}`](#{anchor(name, names)})" for name in names)
         title = "solve and transcribe" if folder == "_solve" else folder
-        head = f"# {title}\n\n{prose(inspect.getdoc(module))}\n\n{listed}"
+        head = f"# {title}\n\n{prose(inspect.getdoc(module))}\n\n{links}"
         written[f"{title.replace(' ', '_')}.md"] = "\n\n".join([head, *(entry(name) for name in names)]) + "\n"
     index = [f"- [{file.removesuffix('.md')}]({file}): {page.splitlines()[2]}" for file, page in written.items()]
     return {"README.md": "# Reference\n\n" + "\n".join(sorted(index)) + "\n", **written}

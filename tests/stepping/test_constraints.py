@@ -168,11 +168,11 @@ def test_a_moving_constraint_is_met_up_to_the_rounding_of_the_time(constraint, d
     [
         (
             {"position": [0.0, -2.0]},
-            r"the constraint must be zero at the given position, x = \[0.0, -2.0\]: its value 0 is 3",
+            r"the constraint must be zero at the given position, x = \[0.0, -2.0\]: constraint\[0\] is 3",
         ),
         (
             {"velocity": [0.7, 0.1]},
-            r"velocity must be tangent to the constraint at .* got \[0.7, 0.1\]: the rate of its value 0 is -0.2",
+            r"velocity must be tangent to the constraint at .* got \[0.7, 0.1\]: the rate of constraint\[0\] is -0.2",
         ),
         (
             {"constraint": lambda t, x: [ca.sumsqr(x) - 1, x[0]]},
