@@ -46,13 +46,16 @@ def main():
 
 
 def draw(path):
-    """Draw the path round the disc, with the directions of thrust; returns the figure."""
-    axes = path.plot_plane(labels=("x in m", "y in m"))
+    """Draw the path round the disc, with the directions of thrust, and its distance; returns the figure."""
+    axes, bottom = cg.panels(2, size=(4.6, 5.6), height_ratios=(3, 2))
+    path.plot_plane(axes=axes, labels=("x in m", "y in m"))
     turn = np.linspace(0, 2 * np.pi, 200)
     axes.fill(CENTER[0] + RADIUS * np.cos(turn), CENTER[1] + RADIUS * np.sin(turn), color="0.85")
     times = np.linspace(0, DURATION, 24)
     axes.quiver(*path(times), *path.control(times), color=COLORS[1], width=0.005)
     axes.set_title(f"Round an obstacle, at a cost of {path.cost:.6f}")
+    path.plot_constraints(bottom, ["squared distance in m²"], "t in s")
+    bottom.set_title("Its bound, dashed, pushes where it is touched")
     return axes.figure
 
 

@@ -17,7 +17,7 @@ from casadi_galerkin.boundary.growing_force import under_growing_force
 from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import equidistributed, graded_alike, of_degree, truncation
+from casadi_galerkin.calculus.mesh_adaptation import graded_alike, of_degree, resolved
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.solution.errors import ConvergenceError
@@ -29,7 +29,7 @@ from casadi_galerkin.solvers.solver import Solver, SolverLike, newton
 PATIENCE = 2  # meshes on which a first path may be lost before another is looked for; a false one was seen to creep
 ITERATIONS = 40  # of Newton's method from an earlier path; where it took more it was measured to wander
 DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
-GUESS_LEVELS, GUESS_INTERVALS = 10, 200
+GUESS_INTERVALS = 200  # from which a guess is left as it is
 ROUGHLY, WELL = 0.1, 1e-4  # part of a guess that a first mesh may leave out: a corner or noise may, a layer may not
 MORE = 4  # times as many intervals as the coarse mesh has: where that is too coarse for any path, this was enough
 
@@ -53,22 +53,14 @@ def following(solver: SolverLike) -> SolverLike:
     return partial(damped_newton, **{"max_iter": ITERATIONS, **(solver.options if is_newton(solver) else {})})
 
 
-def resolved(
+def on_its_joints(
     levels: Levels, method: Galerkin, guess: Guess | None, mesh: np.ndarray, tol: float
 ) -> PiecewisePolynomial:
     """A guess on joints on which it is resolved to a tolerance: where it turns sharply, so may the path."""
-    graph = levels.transcription(method, mesh)
-    path = graph.guess_on_mesh(guess, mesh)
-    for _ in range(GUESS_LEVELS):
-        if not callable(guess) or len(path.mesh) > GUESS_INTERVALS:
-            break  # there is nothing between the values of an array
-        error = truncation(path)
-        if np.max(error) <= tol:
-            break
-        breakpoints = levels.problem.breakpoints
-        finer = equidistributed(path.mesh, error, method.degree + 1, tol, breakpoints=breakpoints)
-        path = graph.guess_on_mesh(guess, finer)
-    return path
+    interpolated = partial(levels.transcription(method, mesh).guess_on_mesh, guess)
+    if not callable(guess):
+        return interpolated(mesh)  # there is nothing between the values of an array
+    return resolved(interpolated, mesh, tol, GUESS_INTERVALS, levels.problem.breakpoints)
 
 
 def _from_smoothed(levels: Levels, method: Galerkin, given: PiecewisePolynomial, solver: SolverLike) -> CriticalPoint:
@@ -100,7 +92,7 @@ def first_path_strategies(
     guess; a descent of the action with moving joints, or growing shares of a force, its paths found `roughly`;
     and whatever `solver` tries.
     """
-    given = resolved(levels, method, guess, mesh, ROUGHLY)
+    given = on_its_joints(levels, method, guess, mesh, ROUGHLY)
     mesh, solved, name = given.mesh, partial(levels.solve, method), repr(solver)
     if is_newton(solver):
         plain, brief = partial(damped_newton, **solver.options), following(solver)
@@ -108,7 +100,7 @@ def first_path_strategies(
         if guess is not None:
             found = partial(_from_smoothed, levels, method, given, brief)
             yield Strategy("Newton's method from the guess smoothed", found, PATIENCE)
-        fine = _with_more(levels, resolved(levels, method, guess, mesh, WELL).mesh, MORE * (len(mesh) - 1))
+        fine = _with_more(levels, on_its_joints(levels, method, guess, mesh, WELL).mesh, MORE * (len(mesh) - 1))
         found = partial(solved, fine, guess, brief)
         yield Strategy(f"Newton's method on {len(fine) - 1} intervals", found, PATIENCE)
         graph = levels.transcription(method, mesh)

@@ -6,6 +6,7 @@ there; a new mesh spreads it evenly (equidistribution).  Nothing here knows what
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -23,6 +24,7 @@ FEWEST = 4  # intervals of a new mesh
 FEWER = 3.0  # factor of too many intervals from which the number of intervals is lowered
 GROWTH = 1.25  # least factor by which the number of intervals grows, if it does
 LOW = 8  # degree below which an error estimate takes four degrees more, and from which it takes two
+MESHES = 10  # on which a function is looked at until one resolves it
 TARGET = 0.3  # a new mesh aims at this part of the tolerance
 
 
@@ -148,3 +150,29 @@ def equidistributed(
     elif count > before:
         count = max(count, int(np.ceil(GROWTH * before)))
     return spread_over(mesh, cumulated, count, breakpoints)
+
+
+def resolved(
+    interpolated: Callable[[np.ndarray], PiecewisePolynomial],
+    mesh: np.ndarray,
+    tol: float,
+    most: int,
+    breakpoints: tuple[float, ...] = (),
+) -> PiecewisePolynomial:
+    """A function on joints between which its interpolant leaves out at most a tolerance; or the last of `MESHES`.
+
+    Parameters
+    ----------
+    interpolated : the function's interpolant on the joints that it is given
+    mesh : (N + 1,) joints to begin with
+    tol : relative to the size of each component
+    most : number of intervals from which it is left as it is
+    breakpoints : increasing times inside that are joints
+    """
+    path = interpolated(mesh)
+    for _ in range(MESHES):
+        error = truncation(path)
+        if np.max(error) <= tol or len(path.mesh) > most:
+            break
+        path = interpolated(equidistributed(path.mesh, error, path.degree + 1, tol, breakpoints=breakpoints))
+    return path

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin._solve import solve
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.mesh_adaptation import resolved, truncation
 from casadi_galerkin.calculus.numbers import counted, number
-from casadi_galerkin.calculus.piecewise_polynomial import times_at
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
@@ -34,6 +35,7 @@ from casadi_galerkin.solution.trajectory import Trajectory
 SAMPLES = 2000  # times at which errors are taken, and at least 4 on every interval
 LOOKS, SLACK = 5, 1e-12  # times at which a callable is tried; part of the time span by which ends may differ
 FINER_DEGREE, LEAST_DEGREE = 4, 8  # degrees that a reference has more than the methods, and its least one
+RESOLVED = 1e-11  # part that the values of a callable may leave out, else its velocities are not told
 FINER, ROUNDOFF, DOUBLINGS = 1e-2, 1e-14, 4  # part of the least error that a reference's own may be; its floor
 
 AnyProblem: TypeAlias = BoundaryProblem | InitialProblem | ControlProblem
@@ -75,13 +77,15 @@ class ReferenceSolution:
     ) -> None:
         self._path: Path
         self._at: Callable[[np.ndarray], np.ndarray]
-        mesh = given.t if isinstance(given, Trajectory) else np.linspace(*problem.t_span, SAMPLES // 4 + 1)
-        calculus = DiscreteCalculus(Galerkin(LEAST_DEGREE), mesh)
+        told = True
         if isinstance(given, Trajectory):
             self._path, self._at, self._marks, parameters = given, given, marks(given.problem), given.parameters
         else:
             self._at = partial(sampled, "the reference", given, dimension=problem.dimension)
-            self._path, self._marks = Path(calculus.emb(self._at(calculus.node_times))), marks(problem)
+            polynomial = _interpolated(problem, self._at)
+            self._path, self._marks = Path(polynomial), marks(problem)
+            told = bool(np.max(truncation(polynomial)) <= RESOLVED)
+        calculus = DiscreteCalculus(Galerkin(LEAST_DEGREE), self._path.t)
         self._lagrangian = with_parameters(problem.lagrangian, parameters)
         values, kinetic = self._terms(calculus.quadrature_times)
         self._functional = float(calculus.weights @ values)
@@ -95,6 +99,8 @@ class ReferenceSolution:
             self._functional = given.cost if isinstance(given, ControlTrajectory) else np.nan
             self._functional_size = abs(self._functional) or 1.0
         self.energy_size = float(np.max(np.abs(values) + np.abs(kinetic))) or 1.0  # zero at rest
+        if not told:
+            self._functional = self.energy_size = np.nan
         self.sizes = component_sizes(self._path.polynomial.values)[:, None]
         self._measure = measure
         if measure is not None:
@@ -133,6 +139,19 @@ class ReferenceSolution:
     def _missed(self, measure: Measure, path: Trajectory) -> float:
         """Error of the quantity that the user names, relative to its value where that is not zero."""
         return abs(measured(measure, path) - self._quantity) / (abs(self._quantity) or 1.0)
+
+
+def _interpolated(problem: AnyProblem, at: Callable[[np.ndarray], np.ndarray]) -> PiecewisePolynomial:
+    """The polynomial through values of a callable, on joints that resolve it if any do."""
+    method = Galerkin(LEAST_DEGREE)
+
+    def on(mesh: np.ndarray) -> PiecewisePolynomial:
+        calculus = DiscreteCalculus(method, mesh)
+        return calculus.emb(at(calculus.node_times))
+
+    breakpoints = problem.breakpoints
+    mesh = mesh_of(problem.t_span, SAMPLES // 30 + 2 * len(breakpoints), None, breakpoints)
+    return resolved(on, mesh, RESOLVED, SAMPLES, breakpoints)
 
 
 def measured(measure: Measure, path: Path) -> float:

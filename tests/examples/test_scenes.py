@@ -213,7 +213,11 @@ def mechanism_from_rest(module, path):
     np.testing.assert_allclose(path.velocity[:, 0], 0.0, atol=1e-12)
     np.testing.assert_allclose(path.velocity[:, -1], [-1.7298716095965868, -2.9142006209385097], rtol=1e-12)
     assert path.action == pytest.approx(11.748350447614505, rel=1e-13, abs=0)
-    assert path.morse_index == 0
+    np.testing.assert_allclose(path.x[:, 0], [1.0, 1.2], rtol=1e-13, atol=0)
+    both = cg.BoundaryProblem(module.lagrangian, (0.0, module.DURATION), [1.0, 1.2], module.END)
+    between = cg.solve(both, path.method, intervals=10)
+    np.testing.assert_allclose(path.x, between.x, rtol=0, atol=1e-12)
+    assert between.morse_index == 0
 
 
 # scenes of refinement and continuation
@@ -231,6 +235,10 @@ def layer_resolved(module, path):
     times = np.logspace(-7, 0, 1000)
     np.testing.assert_allclose(path(times)[0], module.exact(times), rtol=0, atol=1e-9)
     assert np.count_nonzero(path.t < 10 * module.THICKNESS) > 2
+    rows = module.cost(path).rows
+    assert [row.error > 1e-7 for row in rows[:4]] == [True] * 4  # equal intervals
+    for row, tol in zip(rows[4:7], (1e-3, 1e-6, 1e-9), strict=True):
+        assert row.error <= tol
 
 
 def round_the_sun(module, path):
@@ -330,6 +338,7 @@ def swung_on_its_rods(module, path):
     """Against the motion of the free masses under gravity and the tensions found; energy and spin are kept."""
     np.testing.assert_allclose(module.spin(path), module.spin(path)[0], rtol=1e-12, atol=0)
     np.testing.assert_allclose(path.energy, path.energy[0], rtol=1e-11, atol=0)
+    np.testing.assert_allclose(module.stepped(path).x, path.x, rtol=0, atol=1e-12)
     lengths = np.hypot.reduce(path.x[:3]), np.hypot.reduce(path.x[3:] - path.x[:3])
     np.testing.assert_allclose(lengths, 1, rtol=ROUNDOFF, atol=0)
 
@@ -556,6 +565,31 @@ def a_sample_of_the_plant(module, answer):
     np.testing.assert_allclose(states[2:, 21], stepped.velocity[:, -1], rtol=0, atol=1e-4)
 
 
+def loads_at_rest(module, answer):
+    """The first sample of one loop again: by `cg.solve` from its start, and by the variational integrator."""
+    states, forces = answer
+    assert np.max(np.abs(states[:2, :, -1])) < 5e-3 < 0.1 < np.max(np.abs(states[:2, :, 0]))
+    x, v = np.split(states[:, 0, 0], 2)
+    rest = np.zeros(2)
+    way = cg.ControlProblem(
+        module.lagrangian,
+        (0.0, module.HORIZON),
+        *(x, rest, v, rest),
+        force=lambda t, x, v, u: [u[0], 0],
+        running_cost=lambda t, x, v, u: u[0] ** 2 / 2,
+        controls=1,
+        control_bounds=(-module.FORCE, module.FORCE),
+    )
+    plan = cg.solve(way, cg.Galerkin(3), intervals=15)
+    assert forces[0, 0] == pytest.approx(plan.control.values[0].flat[0], abs=1e-6)
+    moved = cg.InitialProblem(
+        module.lagrangian, (0, module.SAMPLE), x, velocity=v, force=lambda t, x, v: [forces[0, 0], 0]
+    )
+    after = cg.solve(moved, cg.Galerkin(6), intervals=4)
+    np.testing.assert_allclose(states[:2, 0, 1], after.x[:, -1], rtol=0, atol=1e-7)
+    np.testing.assert_allclose(states[2:, 0, 1], after.velocity[:, -1], rtol=0, atol=1e-6)
+
+
 def crane_in_balance(module, paths):
     """The force found, applied to the crane in its own coordinates, and the rope's force from the load's motion."""
     path, angle = paths
@@ -769,6 +803,7 @@ TABLE = [
     ("elastic_support", cable_as_integrated, "the cable is that integrated by hand, in balance with its spring"),
     ("obstacle", passed_below, "the vehicle passes below at the exact cost"),
     ("swing_up_loop", upright_in_the_loop, "planned anew from noisy states the pole stands upright, knocked or not"),
+    ("swaying_load", loads_at_rest, "the swaying loads come to rest, and the loop does what plans and plant do"),
     ("moon_landing", cheapest_landing, "the landing falls and brakes as the closed form says"),
     ("moon_landing", landed_by_both_solvers, "fatrop lands as IPOPT does"),
     ("two_stage_rocket", steered_by_a_linear_tangent, "the rocket of two stages steers by a linear tangent"),

@@ -105,6 +105,29 @@ def test_a_measure_that_is_no_number_is_refused_before_any_cell(oscillator, valu
         cg.trade(oscillator, [cg.Galerkin(2)], [4], lambda t: [np.sin(t)], measure=lambda path: value)
 
 
+def layer(t):
+    """The path of ε x'' = x for √ε = 1e-4."""
+    return [np.exp(-1e4 * t)]
+
+
+def test_a_callable_reference_is_resolved_for_its_action_and_energy():
+    """On 500 equal intervals, the action of this layer was 6e-4 off, and so seemed that of every path."""
+    problem = cg.BoundaryProblem(lambda t, x, v: 1e-8 * v[0] ** 2 / 2 + x[0] ** 2 / 2, (0.0, 1.0), [1.0], [0.0])
+    coarse, fine = cg.trade(problem, [cg.Galerkin(8)], [4], layer, tolerances=[1e-9]).rows[:2]
+    assert fine.functional_error < 1e-12
+    assert fine.energy_error < 1e-11
+    assert coarse.error > 0.1
+
+
+def test_a_callable_that_no_mesh_resolves_has_neither_action_nor_energy(oscillator):
+    measured = cg.trade(oscillator, [cg.Galerkin(8)], [4], lambda t: [np.sin(t) + 1e-6 * abs(np.sin(9e3 * t))])
+    (row,) = measured.rows
+    assert row.error == pytest.approx(1e-6, rel=0.01)
+    assert np.isnan(row.functional_error)
+    assert np.isnan(row.energy_error)
+    assert "nan" in str(measured)
+
+
 def test_a_callable_reference_has_no_cost():
     measured = cg.trade(double_integrator(), [cg.Galerkin(3)], [4], lambda t: [3 * t**2 - 2 * t**3])
     assert np.isnan(measured.rows[0].functional_error)
