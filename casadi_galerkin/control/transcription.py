@@ -20,7 +20,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.control.attempts import or_from_longer_durations, or_with_ipopt
+from casadi_galerkin.control.attempts import AS_GUESSED, Beginning, or_from_other_beginnings, or_with_ipopt
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import FEASIBLE, UNSEEN, unseen_change, violations
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
@@ -116,6 +116,7 @@ class ControlTranscription:
             or an earlier ControlTrajectory, whose controls, duration and parameters are then used too; where it has the
             same method and intervals, the solver starts warm, from its multipliers.  A guess of the controls is a
             callable t -> (n,), or an array (n, N r) of values at the quadrature points, of held controls (n, N)
+            Where nothing is found from a guess, one halfway to the straight line is tried
         mesh : (N + 1,) joints; where the duration is free their span is its guess, and where nothing is found from
             that, 4 and 16 times as long ones are tried, as far as its bounds allow, if it has some
         solver : ipopt or fatrop, with or without options
@@ -147,12 +148,12 @@ class ControlTranscription:
         span = float(calculus.mesh[0]), float(calculus.mesh[-1])
         problem = self.problem.varied({**ends, "parameters": parameters}, span)
 
-        def solved(longer: float) -> ControlTrajectory:
-            begun = self.start(problem, calculus, guess, longer)
+        def solved(beginning: Beginning) -> ControlTrajectory:
+            begun = self.start(problem, calculus, guess, beginning)
             return or_with_ipopt(solver, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began))
 
         with fork_waits:  # it builds its Functions when they are first needed
-            path = or_from_longer_durations(problem, guess, solved)
+            path = or_from_other_beginnings(problem, guess, solved)
         if verbose:
             print(path)
         return path
@@ -202,23 +203,30 @@ class ControlTranscription:
         return self._trajectory(told, optimum, report, variation, problem, found, path, change, violation, began)
 
     def start(
-        self, problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None, longer: float = 1.0
+        self,
+        problem: ControlProblem,
+        calculus: DiscreteCalculus,
+        guess: Guess | None,
+        beginning: Beginning = AS_GUESSED,
     ) -> tuple[dict[str, np.ndarray], tuple[np.ndarray, ...], np.ndarray]:
         """Values at a guess; multipliers of the bounds and of the equations where it has them; sizes of terms by kind.
 
         The equations of motion are measured by their terms along the guess, but by no more than `WILD` times those on
         the straight line between the ends, so that the solver's tolerance, which is absolute, does not depend on units.
         The terms of a wild guess are far too large.  With momenta of zero the equations of the joints are the momenta.
-        Free durations are `longer` times those of the guess.
         """
         chain, near = self.chain, near_answer(guess, self.chain, calculus)
-        values = first_values(problem, chain, calculus, guess, near, longer)
+        longer, share = beginning.longer, beginning.share
+        values = straight = first_values(problem, chain, calculus, guess, near, longer)
+        wild = guess is not None and near is None  # or noisy; the straight line is not
+        if wild:
+            straight = first_values(problem, chain, calculus, None, None, longer)
+            values = {name: share * values[name] + (1 - share) * straight[name] for name in values}
         report = self.graph.report(*chain.pack(values))
         if not np.isfinite(report.cost + report.action + np.sum(report.equations)):
             check_finite(problem, self.graph.embedding, values)
         largest = report.sizes.copy()
-        if guess is not None and near is None:  # it may be noisy or wild; the straight line is not
-            straight = first_values(problem, chain, calculus, None, None, longer)
+        if wild:
             line = self.graph.report(*chain.pack(straight)).sizes
             largest = np.where((line > 0) & np.isfinite(line), np.fmin(WILD * line, largest), largest)
         sizes = largest[chain.motions]

@@ -1,10 +1,14 @@
 """What is tried in turn where an optimization finds nothing."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from control_problems import double_integrator
+from paths import script
 
 import casadi_galerkin as cg
+
+guesses = script("guesses")
 
 
 def swing_to_rest(duration):
@@ -35,5 +39,32 @@ def test_a_free_duration_is_begun_with_longer_ones_where_none_is_found(duration)
 
 def test_longer_durations_that_lead_nowhere_are_told():
     far = double_integrator(end=[100.0], control_bounds=(-1.0, 1.0), duration_bounds=(0.5, 10.0))
-    with pytest.raises(cg.ConvergenceError, match="From longer durations no path was found, either"):
+    tried = "No path was found from 4 times the duration of the guess or 10 times the duration of the guess, either"
+    with pytest.raises(cg.ConvergenceError, match=tried):
         cg.solve(far, cg.Galerkin(3), intervals=10)
+
+
+def test_a_wild_guess_is_drawn_halfway_to_the_straight_line_where_it_leads_nowhere():
+    """Of 40 guesses for this acrobot, 11 led nowhere, and of these 6 lead somewhere with half of their waves."""
+    program = cg.transcribe(guesses.acrobot(), cg.Galerkin(guesses.DEGREE), guesses.INTERVALS)
+    wild = guesses.guess(program.problem, seed=1)
+    path = program.solve(guess=(wild.x, wild.u))
+    assert "halfway between the straight line and the guess" in path.solver
+    assert path.iterations > 400  # 54 of them not in vain
+    again = program.solve(guess=path)
+    assert "halfway" not in again.solver
+    assert again.cost == pytest.approx(path.cost, rel=1e-9)
+
+
+def test_a_gentler_guess_on_which_a_callable_is_not_finite_is_none():
+    """The guess leaps over the gap in which the cost is not defined, the straight line is below, halfway is within."""
+    pushed = double_integrator(
+        end=[0.0],
+        running_cost=lambda t, x, v, u: u[0] ** 2 / 2 + ca.sqrt((x[0] - 0.89) ** 2 - 0.0025),
+        control_bounds=(1.0, 2.0),
+    )
+    program = cg.transcribe(pushed, cg.Galerkin(4), intervals=2)
+    with pytest.raises(ValueError, match="not finite"):
+        program.solve(guess=lambda t: [4 * t * (1 - t)])
+    with pytest.raises(cg.ConvergenceError, match="No path was found from halfway between the straight line and the"):
+        program.solve(guess=lambda t: [8 * t * (1 - t)])
