@@ -177,7 +177,8 @@ def _check_going_on(linear: Linearization, at: Iterate, iteration: int) -> None:
     """Stop where there is no step, or no time."""
     if not math.isfinite(at.norm):
         finite = bool(np.isfinite(linear.matrix).all())
-        raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=finite)
+        what = "singular" if finite else "not finite"
+        raise SolveFailure(f"the Hessian of the action is {what}", at.unknowns, iteration, singular=finite)
     if seconds_left() < 0:
         raise SolveFailure("the time was up", at.unknowns, iteration)
 
