@@ -297,7 +297,7 @@ class Walk(Curve[Solution]):
             try:
                 if answer is not None:
                     z, solution = np.append(answer[1].unknowns, answer[0][-1]), answer[1]
-                    found = CriticalPoint(solution, self.problem(z), self.data(z), self.path(z))
+                    found = CriticalPoint(solution, self.problem(z), self.path(z))
                     trajectory = self.transcription.trajectory(found, 0.0)
                     following = self.tangent(z, tangent)
                     if self.length(following) > 0:  # of a path that grows without bound it is not a number

@@ -108,7 +108,7 @@ def roundoff_error(graph: BoundaryGraph, point: CriticalPoint) -> float:
     `ROUNDED` times eps and the terms that the i-th equation sums.  The true error was measured at 0.1 to 5 times
     that, or less by luck and symmetry.
     """
-    unknowns, data = point.solution.unknowns, point.data
+    unknowns, data = point.solution.unknowns, point.solution.data
     terms = ROUNDED * EPS * np.array(graph.functional.function("summary")(unknowns, *data)[3]).ravel()
     with graph.stationarity.linearization() as at:
         at.relinearize(unknowns, data)

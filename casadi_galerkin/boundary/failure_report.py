@@ -18,17 +18,21 @@ from casadi_galerkin.solvers.stationarity import Stationarity, joined
 
 
 def not_finite(functional: Functional, unknowns: np.ndarray, data: Data) -> str:
-    """Say at which time the Lagrangian or its derivatives first are not finite."""
+    """Say at which time the Lagrangian, or a derivative of it or of the force, first is not finite."""
     pointwise, numbering, parameters = functional.pointwise, functional.numbering, functional.parameters_of(data)
     joints, points = joints_of(numbering, unknowns, data), numbering.method.element.points
     steps = np.tile(np.diff(joints), len(points))
     times = np.tile(joints[:-1], len(points)) + np.repeat(points, len(joints) - 1) * steps
     x, slope = (np.array(a) for a in embedding(numbering)(joined(unknowns, data)))
     for k in np.argsort(times, kind="stable"):
-        results = pointwise.first(times[k], steps[k], x[:, k], slope[:, k], *parameters)
-        if not all(np.all(np.isfinite(np.array(result))) for result in results):
+        results = pointwise.derivatives(times[k], steps[k], x[:, k], slope[:, k], *parameters)
+        finite = [bool(np.all(np.isfinite(np.array(result)))) for result in results]
+        if not all(finite):
+            what = "the Lagrangian" if not all(finite[:3]) else "a derivative of the equations of motion"
             v = slope[:, k] / steps[k]
-            return f"the Lagrangian is not finite at t = {times[k]:.6g}, where x = {x[:, k]} and v = {v}"
+            return f"{what} is not finite at t = {times[k]:.6g}, where x = {x[:, k]} and v = {v}"
+    if functional.terms:
+        return "a derivative of a constraint, of a condition on the ends or of the end action is not finite"
     return "the Lagrangian overflows"
 
 
@@ -72,7 +76,8 @@ def explained(
     place = f"the largest residual is at t = {when:.6g}"
     if worst >= numbering.positions:
         place = "the largest residual is that of a constraint, of a condition on the ends or of the energy"
-    if not np.all(np.isfinite(g)):
+    derivatives = stationarity.functional.function("derivatives")(unknowns, *data)
+    if not all(np.isfinite(a.nonzeros()).all() for a in derivatives):
         place = not_finite(stationarity.functional, unknowns, data)
     where = f"after {failure.iterations} iterations; {place}"
     kind: type[ConvergenceError] = ConvergenceError

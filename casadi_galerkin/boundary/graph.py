@@ -30,11 +30,10 @@ FREE = [np.nan]  # what stands for a position that is not given
 
 @dataclass(frozen=True)
 class CriticalPoint:
-    """What a solver found: its solution, the problem and data it was found for, and the path it stands for."""
+    """What a solver found: its solution, the problem it was found for, and the path it stands for."""
 
     solution: Solution
     problem: BoundaryProblem
-    data: Data
     polynomial: PiecewisePolynomial
 
     @lazy
@@ -97,8 +96,8 @@ class BoundaryGraph:
         except SolveFailure as failure:
             path = self.emb(failure.unknowns, data)
             raise explained(self.stationarity, failure, path, data) from None
-        path = self.emb(solution.unknowns, data)
-        return CriticalPoint(solution, problem, data, path)
+        path = self.emb(solution.unknowns, solution.data)
+        return CriticalPoint(solution, problem, path)
 
     def on_path(self, path: PiecewisePolynomial) -> tuple[np.ndarray, Data]:
         """Unknowns and data of a path of any degree on any mesh of as many intervals."""

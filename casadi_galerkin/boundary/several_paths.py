@@ -306,8 +306,8 @@ class Search:
 
     def consider(self, solution: Solution, seconds: float) -> None:
         """Keep a critical point if it is new, regular, and a path."""
-        polynomial = self.transcription.emb(solution.unknowns, self.data)
-        point = CriticalPoint(solution, self.transcription.problem, self.data, polynomial)
+        polynomial = self.transcription.emb(solution.unknowns, solution.data)
+        point = CriticalPoint(solution, self.transcription.problem, polynomial)
         if not self.remembered(solution.unknowns):
             return
         try:

@@ -147,7 +147,7 @@ class Transcription(BoundaryGraph):
 
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
-        solution, data = point.solution, point.data
+        solution, data = point.solution, point.solution.data
         problem, path = point.problem, point.polynomial
         refuse_undefined(self.functional, solution, path, data)
         wrong = turned_back(problem, path, self.plane_in(data)) or off_constraint(problem, path)
@@ -178,7 +178,7 @@ class Transcription(BoundaryGraph):
 
     def check_second_variation(self, point: CriticalPoint) -> None:
         """Raise if the second variation vanishes at a critical point."""
-        quotient = smallest_second_variation(self.stationarity, point.solution.unknowns, point.data)
+        quotient = smallest_second_variation(self.stationarity, point.solution.unknowns, point.solution.data)
         if quotient < SINGULAR:
             raise conjugate(point.solution, point.polynomial, quotient)
 

@@ -44,6 +44,7 @@ class Solution:
     Attributes
     ----------
     unknowns : ξ
+    data : what they were found for, where ends that are rounding alone are zero
     iterations : Newton (and IPOPT) iterations together
     residual : largest residual over its own roundoff floor
     report : what was used to find it
@@ -54,6 +55,7 @@ class Solution:
     """
 
     unknowns: np.ndarray
+    data: Data
     iterations: int
     residual: float
     report: str
@@ -132,26 +134,26 @@ def _without_rounding(linear: Linearization, x: np.ndarray, data: Data, iteratio
     """What the next steps lead to if components that are rounding alone are zero; None if there are none.
 
     Where terms of others cancel in the equations of a component that is zero, rounding keeps it from being zero, and
-    its steps are never small relative to itself.
+    its steps are never small relative to itself.  So do given ends like sin(π), which then are zero, too.
     """
     at = linear.newton_step(x, data)
     if not math.isfinite(at.norm):
         return None
-    nothing, least = _rounding_alone(linear, at, data)
+    nothing, data, least = _rounding_alone(linear, at, data)
     for _ in range(CLOSE if np.any(nothing) else 0):
         x = np.where(nothing, 0.0, x + at.step)
         if np.max((np.abs(at.step) / at.sizes)[~nothing], initial=0.0) ** 2 <= EPS:
             action, momentum, _, regularity = linear.verification(x, data)
             gradient, floor = (np.array(a).ravel() for a in linear.stationarity.floor(x, *data))
             residual = float(np.max(np.abs(gradient) / np.where(nothing, np.fmax(floor, least), floor)))
-            solution = Solution(x, iterations, residual, "Newton", action, momentum, regularity)
+            solution = Solution(x, data, iterations, residual, "Newton", action, momentum, regularity)
             return solution if residual <= ROUNDOFF else None
         at = linear.newton_step(x, data)
     return None
 
 
-def _rounding_alone(linear: Linearization, at: Iterate, data: Data) -> tuple[np.ndarray, np.ndarray]:
-    """Which unknowns belong to a component that is rounding alone, and the roundoff floors that tell; (n,) each.
+def _rounding_alone(linear: Linearization, at: Iterate, data: Data) -> tuple[np.ndarray, Data, np.ndarray]:
+    """Which unknowns belong to a component that is rounding alone, (n,); the data with its ends zero; roundoff floors.
 
     Its equations are solved up to rounding, and it is no larger than what rounding of them does to it.
 
@@ -167,17 +169,24 @@ def _rounding_alone(linear: Linearization, at: Iterate, data: Data) -> tuple[np.
     for own in unknowns_of:
         least[own] = np.max(least[own], initial=0.0)
     blurred, moving = np.abs(linear.blurs(least)).max(axis=0), np.fmax(np.abs(x), np.abs(at.step))
-    for own in unknowns_of:
+    ends = [end.copy() for end in data[:2]]
+    for i, own in enumerate(unknowns_of):
         solved = np.all(np.abs(gradient[own]) <= ROUNDOFF * least[own])
-        nothing[own] = solved and np.max(moving[own], initial=0.0) <= ROUNDOFF * np.max(blurred[own], initial=0.0)
-    return nothing, least
+        given = [np.array(fixed) == i for fixed in (numbering.fixed_start, numbering.fixed_end)]
+        sizes = [moving[own], *(np.abs(end[chosen]) for end, chosen in zip(ends, given, strict=True))]
+        if solved and max(np.max(a, initial=0.0) for a in sizes) <= ROUNDOFF * np.max(blurred[own], initial=0.0):
+            nothing[own] = True
+            for end, chosen in zip(ends, given, strict=True):
+                end[chosen] = 0.0
+    return nothing, (*ends, *data[2:]), least
 
 
 def _check_going_on(linear: Linearization, at: Iterate, iteration: int) -> None:
     """Stop where there is no step, or no time."""
     if not math.isfinite(at.norm):
         finite = bool(np.isfinite(linear.matrix).all())
-        raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=finite)
+        what = "singular" if finite else "not finite"
+        raise SolveFailure(f"the Hessian of the action is {what}", at.unknowns, iteration, singular=finite)
     if seconds_left() < 0:
         raise SolveFailure("the time was up", at.unknowns, iteration)
 
@@ -244,4 +253,4 @@ def verified(
     action, momentum, residual, regularity = linear.verification(x, data)
     if not residual <= ROUNDOFF:
         return None
-    return Solution(x, iterations, residual, report, action, momentum, regularity - drift)
+    return Solution(x, data, iterations, residual, report, action, momentum, regularity - drift)

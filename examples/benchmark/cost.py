@@ -123,7 +123,7 @@ def stepper(intervals, degree=4):
 
     def step():
         with transcription.stationarity.linearization() as at:
-            at.newton_step(unknowns, point.data)
+            at.newton_step(unknowns, point.solution.data)
 
     return step
 

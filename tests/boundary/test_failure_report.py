@@ -43,6 +43,27 @@ def test_every_engine_names_a_guess_outside_the_lagrangians_domain(engine):
         cg.solve(problem, cg.Galerkin(4), intervals=5, solver=engine)
 
 
+def test_a_derivative_not_finite_at_a_guess_at_rest_is_no_singular_hessian():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2, (0, 1), [0.0, 0.0], [0.0, 0.0], force=lambda t, x, v: t - v * ca.norm_2(v)
+    )
+    where = r"a derivative of the equations of motion is not finite at t = 0\.0.*v = \[0\. 0\.\]"
+    with pytest.raises(cg.ConvergenceError, match=f"the Hessian of the action is not finite.*{where}"):
+        cg.solve(problem, cg.Galerkin(2), intervals=4)
+
+
+def test_a_condition_on_the_ends_not_finite_at_the_guess_is_not_laid_to_the_lagrangian():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2,
+        (0, 1),
+        [0.0, 0.0],
+        [None, None],
+        end_conditions=lambda first, last: ca.norm_2(last) - 1,
+    )
+    with pytest.raises(cg.ConvergenceError, match="a derivative of a constraint, of a condition on the ends"):
+        cg.solve(problem, cg.Galerkin(2), intervals=4)
+
+
 def test_a_path_on_which_the_action_is_not_finite_is_not_returned():
     """The derivative of log(x - t) continues to x < t, where the logarithm itself does not exist."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - ca.log(x[0] - t), (0, 1), [1.0], [0.5])

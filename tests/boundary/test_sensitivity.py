@@ -406,7 +406,7 @@ def test_velocities_that_are_unknowns_follow_from_the_path(problem):
     path = transcription.solve(guess=lambda t: np.linspace(1.4, 2.0, problem.dimension) * t)
     point = transcription.critical_point(guess=path)
     assert point.solution.iterations == 1
-    known = transcription.unknowns(path.polynomial.values.T, point.data)
+    known = transcription.unknowns(path.polynomial.values.T, point.solution.data)
     np.testing.assert_allclose(known, point.solution.unknowns, rtol=0, atol=1e-12)
     assert path.estimate_error() < 1e-10
     step = 1e-5

@@ -226,7 +226,7 @@ def test_a_load_leads_from_one_catenoid_to_the_other_and_back(load):
     transcription = cg.transcribe(cg.BoundaryProblem(catenoid, (-0.5, 0.5), [1.0], [1.0]), cg.Galerkin(8), 8)
     wide = transcription.critical_point()
     narrow = transcription.critical_point(guess=lambda t: [0.235 * np.cosh(t / 0.235)])
-    unknowns, data = wide.solution.unknowns, wide.data
+    unknowns, data = wide.solution.unknowns, wide.solution.data
     with transcription.stationarity.linearization() as at:
         curve = LoadedCurve(at, unknowns, data, load * np.ones(len(unknowns)), np.ones(len(unknowns)), 1e8)
         ends = [list(curve.crossings(side)) for side in (1.0, -1.0)]

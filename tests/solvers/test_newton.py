@@ -168,6 +168,28 @@ def test_rest_in_a_magnetic_field_is_found(place, how):
     np.testing.assert_allclose(path.x, np.array([[place], [0.0]]) + 0 * path.t, rtol=1e-14, atol=1e-300)
 
 
+@pytest.mark.parametrize("how", HOW, ids=["mesh", "tol"])
+@pytest.mark.parametrize("count", [4, 6])
+def test_a_ring_of_masses_breathes_from_ends_of_cosines_and_sines(count, how):
+    """Some of these are rounding alone, like sin(π); the pulls of two neighbors cancel across them."""
+    angles = 2 * np.pi * np.arange(count) / count
+    circle = np.array([*np.cos(angles), *np.sin(angles)])
+    pull = 2 * np.sin(np.pi / count)  # a side of the ring over its radius
+
+    def ring(t, x, v):
+        places = [ca.vertcat(x[i], x[count + i]) for i in range(count)]
+        sides = [ca.norm_2(places[i] - places[i - 1]) for i in range(count)]
+        return ca.dot(v, v) / 2 - sum((side - 1) ** 2 for side in sides) / 2
+
+    def radius(t, x, v):
+        return count * (v[0] ** 2 - (pull * x[0] - 1) ** 2) / 2
+
+    path = cg.solve(cg.BoundaryProblem(ring, (0, 0.7), circle, 1.3 * circle), **how)
+    exact = cg.solve(cg.BoundaryProblem(radius, (0, 0.7), [1.0], [1.3]), tol=1e-12)
+    np.testing.assert_allclose(path.x, circle[:, None] * exact(path.t), rtol=0, atol=1e-9)
+    assert path.morse_index == exact.morse_index
+
+
 @pytest.mark.parametrize("tol", [1e-3, 1e-9])
 @pytest.mark.parametrize("friction", [0.0, 0.2])
 @pytest.mark.parametrize("rest", [None, 0.5])
