@@ -227,17 +227,15 @@ class _Statement:
         problem, d = self.problem, self.problem.dimension
         if not any(says(getattr(problem, name)) for name in (*RATES, "end_action", "end_conditions")):
             return None
-        rates = {name: np.array([value is not None for value in getattr(problem, name)]) for name in RATES}
+        chosen = {name: [i for i, value in enumerate(getattr(problem, name)) if value is not None] for name in RATES}
         x, t = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], ca.SX.sym("t", 2)
         positions = ca.vertcat(*x)
-        sizes = [int(np.count_nonzero(chosen)) for chosen in rates.values()]
-        parts = ca.vertsplit(self.given, [*np.cumsum([0, *sizes]).tolist(), self.given.numel()])
-        values = dict(zip(RATES, parts, strict=False))  # the last part is no rate
+        parts = ca.vertsplit(self.given, [*np.cumsum([0, *map(len, chosen.values())]).tolist(), self.given.numel()])
+        stated = {name: ca.SX.zeros(d) for name in RATES}
+        for name, values in zip(RATES, parts, strict=False):  # the last part is no rate
+            stated[name][chosen[name]] = values
         action = ca.SX(0) if problem.end_action is None else self._called(problem.end_action, *x)
-        work = ca.SX(0)
-        for side, sign, at in (("start", 1, x[0]), ("end", -1, x[1])):
-            for k, i in enumerate(np.flatnonzero(rates[f"{side}_momentum"]).tolist()):
-                work += sign * values[f"{side}_momentum"][k] * at[i]
+        work = ca.dot(stated["start_momentum"], x[0]) - ca.dot(stated["end_momentum"], x[1])
         rows, unknowns = ca.densify(ca.gradient(action + work, positions)), []
         further = ca.SX(0, 1)
         if problem.end_conditions is not None:
@@ -248,19 +246,19 @@ class _Statement:
         symmetric = True
         places: list[ca.SX] = []
         for k, name in enumerate(RATES[:2]):
-            chosen, unknown, held = np.flatnonzero(rates[name]).tolist(), self.unknown[k], self.held[k]
-            velocities, place, v = ca.SX.sym("v", len(unknown)), ca.SX.sym("x", len(held)), ca.SX.zeros(d)
-            v[chosen], v[unknown] = values[name], velocities
+            given, unknown, held = chosen[name], self.unknown[k], self.held[k]
+            velocities, place, v = ca.SX.sym("v", len(unknown)), ca.SX.sym("x", len(held)), stated[name]
+            v[unknown] = velocities
             momentum = (-1) ** k * self._momentum(t[k], x[k], v)
             natural = [momentum[i] - rows[k * d + i] for i in unknown if i not in held]
             further = ca.vertcat(further, *natural, *(x[k][i] - place[j] for j, i in enumerate(held)))
-            for i in (*chosen, *held):
+            for i in (*given, *held):
                 rows[k * d + i] = momentum[i]
             unknowns, places = [*unknowns, velocities], [*places, place]
-            if unknown or ca.jacobian(momentum[chosen], positions).nnz():
+            if unknown or ca.jacobian(momentum[given], positions).nnz():
                 symmetric = False
             else:
-                work += sum(momentum[i] * x[k][i] for i in chosen)
+                work += sum(momentum[i] * x[k][i] for i in given)
         rows = ca.vertcat(rows, further, ca.SX.zeros(sum(map(len, self.held))))
         added = ca.vertcat(action, work)
         return self._function("ends", ca.vertcat(positions, *unknowns, *places), t, added, rows), symmetric
