@@ -15,7 +15,7 @@ from numpy.polynomial import legendre
 from casadi_galerkin.calculus.discrete_calculus import spread_between
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.calculus.roundoff import TINY, component_sizes
 
 FINEST = 32.0  # an interval is split into at most this many at once
 COARSEST = 4.0  # and at most this many are merged
@@ -74,7 +74,7 @@ def truncation(path: PiecewisePolynomial) -> np.ndarray:
         return np.asarray(largest * steps ** (m + 1) / (4 * m + 2))
     last = np.maximum(coefficients[:, :, -1], coefficients[:, :, -2])
     before = np.maximum(coefficients[:, :, -3], coefficients[:, :, -4])
-    rate = np.sqrt(np.minimum(last / np.maximum(before, 1e-300), 1.0))
+    rate = np.sqrt(np.minimum(last / np.maximum(before, TINY), 1.0))
     following = rate * np.maximum(coefficients[:, :, -1], rate * coefficients[:, :, -2])
     return np.asarray(np.max(following, axis=0))
 

@@ -233,8 +233,6 @@ class Functional:
         - curvature : with left z and right y -> signed zᵀ∇²S y, positive sum of the sizes of its terms
         - sensitivity : with direction of the parameters -> change of ∇S along it
         """
-        if name in self._functions:
-            return self._functions[name]
         builders: dict[str, Callable[[], Parts]] = {
             "action": lambda: ({}, ["action"], [self.action]),
             "gradient": lambda: ({}, ["gradient"], [self.gradient]),

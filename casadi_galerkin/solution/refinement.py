@@ -109,10 +109,10 @@ class Refinement(ABC, Generic[Level, Detail]):
                 at_floor = estimate.trusted and smallest / 2 < estimate.error < self.roundoff_level
                 nearer = estimate.trusted and estimate.error < smallest
                 self.fruitless = 0 if nearer else self.fruitless + 1
-                if smallest == np.inf or nearer:
+                if nearer or smallest == np.inf:
                     self.best = level, estimate.error
-                if estimate.trusted:
-                    smallest = self.best[1]
+                if nearer:
+                    smallest = estimate.error
                 if at_floor:
                     raise self.stopped(f"{self.tol:g} asked, {smallest:.0e} is the roundoff floor here", *self.best)
                 self.check_time()
