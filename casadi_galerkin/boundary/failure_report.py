@@ -68,7 +68,7 @@ def explained(
     """Report what a solver failed at; `path` is its last iterate."""
     unknowns, numbering = failure.unknowns, stationarity.functional.numbering
     times = DiscreteCalculus(numbering.method, joints_of(numbering, unknowns, data)).node_times
-    g, floor = (np.array(a).ravel() for a in stationarity.floor.call([unknowns, *data]))
+    g, floor = stationarity.gradient_and_floor(unknowns, data)
     with np.errstate(invalid="ignore"):  # where both are infinite
         residual = np.abs(g) / floor
     worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))

@@ -40,11 +40,10 @@ def boundary_function(
     transcription.trajectory(point, 0.0)  # refuses a singular Hessian
     functional, numbering = transcription.functional, transcription.numbering
     unknowns, known = point.solution.unknowns, point.solution.data
-    floor = transcription.stationarity.floor
-    weights = EPS / np.array(floor.call([unknowns, *known])[1]).ravel()
-    names = [name for name in ("start", "end", "parameters") if name in floor.name_in()]
-    data = {name: floor.mx_in(name) for name in names}
-    joints = {"mesh": ca.DM(known[2])} | ({"given": ca.DM(known[-1])} if "given" in floor.name_in() else {})
+    weights = EPS / transcription.stationarity.gradient_and_floor(unknowns, known)[1]
+    symbols = functional.symbols
+    data = {name: symbols[name] for name in ("start", "end", "parameters") if name in symbols}
+    joints = {"mesh": ca.DM(known[2])} | ({"given": ca.DM(known[-1])} if "given" in symbols else {})
     nodes = ca.MX.sym("guess", problem.dimension, numbering.of_nodes.shape[0])
     first = ca.vertcat(ca.vec(nodes)[numbering.place.tolist()], unknowns[numbering.positions :])
     root = embeddable(functional, weights)(guess=first, **joints, **data)["unknowns"]

@@ -97,7 +97,7 @@ def _units(stationarity: Stationarity, guess: np.ndarray, data: Data) -> tuple[n
 
     The largest term would not do: on a graded mesh it belongs to its shortest interval.
     """
-    floor = np.array(stationarity.floor.call([guess, *data])[1]).ravel()
+    _, floor = stationarity.gradient_and_floor(guess, data)
     sizes = stationarity.sizes(guess, data)
     measured = np.isfinite(sizes)
     unit = float(np.median((sizes * floor)[measured] / EPS)) if np.any(measured) else 1.0

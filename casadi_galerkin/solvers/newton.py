@@ -144,7 +144,7 @@ def _without_rounding(linear: Linearization, x: np.ndarray, data: Data, iteratio
         x = np.where(nothing, 0.0, x + at.step)
         if np.max((np.abs(at.step) / at.sizes)[~nothing], initial=0.0) ** 2 <= EPS:
             action, momentum, _, regularity = linear.verification(x, data)
-            gradient, floor = (np.array(a).ravel() for a in linear.stationarity.floor(x, *data))
+            gradient, floor = linear.stationarity.gradient_and_floor(x, data)
             residual = float(np.max(np.abs(gradient) / np.where(nothing, np.fmax(floor, least), floor)))
             solution = Solution(x, data, iterations, residual, "Newton", action, momentum, regularity)
             return solution if residual <= ROUNDOFF else None
@@ -160,10 +160,11 @@ def _rounding_alone(linear: Linearization, at: Iterate, data: Data) -> tuple[np.
     Terms that cancel within the derivatives of L tell of their sizes only by what the equations change by where the
     unknowns are rounded otherwise.  That is measured, and the largest of a component's is taken.
     """
-    numbering, evaluate, x = linear.stationarity.functional.numbering, linear.stationarity.floor, at.unknowns
-    gradient, least = (np.array(a).ravel() for a in evaluate(x, *data))
+    stationarity, x = linear.stationarity, at.unknowns
+    numbering = stationarity.functional.numbering
+    gradient, least = stationarity.gradient_and_floor(x, data)
     for signs in np.random.default_rng(len(x)).choice((-EPS, EPS), (SIGNS, len(x))):
-        least = np.fmax(least, np.abs(np.array(evaluate(x * (1 + signs), *data)[0]).ravel() - gradient))
+        least = np.fmax(least, np.abs(stationarity.gradient_and_floor(x * (1 + signs), data)[0] - gradient))
     components, nothing = numbering.component[: numbering.positions], np.zeros(len(x), dtype=bool)
     unknowns_of = [np.flatnonzero(components == i) for i in range(numbering.dimension)]
     for own in unknowns_of:
@@ -223,7 +224,7 @@ def _forecast(step: np.ndarray, simplified: np.ndarray, now: Iterate) -> float:
     before, after, nonlinearity = (
         np.abs(np.array((step, simplified, simplified - now.step)) / now.sizes).max(axis=1).tolist()
     )
-    return float(before * after / max(nonlinearity * now.norm, 1e-300))
+    return float(before * after / max(nonlinearity * now.norm, TINY))
 
 
 def _line_search(
@@ -236,7 +237,7 @@ def _line_search(
         if length <= (1 - damping / 4) * at.norm:
             return trial, simplified, damping
         # half of it where the nonlinearity is not a number
-        damping = min(damping / 2, at.norm * damping**2 / (2 * max(nonlinearity, 1e-300)))
+        damping = min(damping / 2, at.norm * damping**2 / (2 * max(nonlinearity, TINY)))
     if softest(linear, at.unknowns, data)[1] < SINGULAR:
         raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=True)
     raise SolveFailure("the line search found no step that comes nearer to a solution", at.unknowns, iteration)

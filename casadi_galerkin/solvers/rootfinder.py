@@ -77,8 +77,7 @@ def casadi_root(
     stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0, **options: Any
 ) -> Solution:
     """CasADi's Newton method, verified; arguments and failures are those of a `Solver`."""
-    floor = np.array(stationarity.floor.call([guess, *data])[1]).ravel()
-    rows = EPS / floor
+    rows = EPS / stationarity.gradient_and_floor(guess, data)[1]
     with stationarity.linearization() as at:
         near, last = at.keep(
             f"rootfinder {sorted(options.items())}", lambda: casadi_newton(stationarity.functional, options)

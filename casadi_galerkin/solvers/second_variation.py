@@ -9,7 +9,6 @@ import numpy as np
 
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.numbering import Data
-from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.solvers.stationarity import Linearization, Stationarity, joined
 
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
@@ -55,7 +54,7 @@ def softest(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.nda
 
 def smallest_second_variation(stationarity: Stationarity, unknowns: np.ndarray, data: Data) -> float:
     """Smallest second variation relative to the sizes of its terms, as `softest` finds it."""
-    with fork_waits, stationarity.linearization() as at:
+    with stationarity.linearization() as at:
         return softest(at, unknowns, data)[1]
 
 
@@ -72,7 +71,6 @@ def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data:
         return None
     if len(unknowns) == 0:
         return 0
-    with fork_waits:
+    with stationarity.linearization() as at:
         matrix = functional.function("derivatives").call([unknowns, *data])[0]
-        with stationarity.linearization() as at:
-            return linear.negative_eigenvalues(matrix, at.keep)
+        return linear.negative_eigenvalues(matrix, at.keep)

@@ -23,7 +23,7 @@ from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.numbering import Data
-from casadi_galerkin.functional.threads import one_thread, without_zero_pivots
+from casadi_galerkin.functional.threads import fork_waits, one_thread, without_zero_pivots
 from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
 
 Built = TypeVar("Built")
@@ -88,7 +88,7 @@ class Stationarity:
         ----------
         linear_solver : name of a CasADi linear solver; default `linear_methods`
         """
-        with self._workspaces.lend() as lent, one_thread(), without_zero_pivots():
+        with fork_waits, self._workspaces.lend() as lent, one_thread(), without_zero_pivots():
             lent.methods = (linear_solver,) if linear_solver else self.linear_methods
             yield lent
 
@@ -142,6 +142,11 @@ class Stationarity:
             return {}, ["gradient", "floor"], [gradient, floor]
 
         return self.functional.keep("floor", parts)
+
+    def gradient_and_floor(self, unknowns: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray]:
+        """∇S and the roundoff floor of every entry of it, (n,) each."""
+        gradient, floor = self.floor.call([unknowns, *data])
+        return np.array(gradient).ravel(), np.array(floor).ravel()
 
     def sizes(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """What each unknown is measured by: the size of its component in the path, or one where that is zero."""
