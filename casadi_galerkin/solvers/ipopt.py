@@ -60,8 +60,6 @@ def _interior_point(
     options: Mapping[str, Any],
 ) -> Solution:
     name = "IPOPT on the action" if minimize else "IPOPT"
-    if seconds_left() <= 0:
-        raise SolveFailure(f"the time was up before {name} began", guess, 0)
     sizes, unit = _units(stationarity, guess, data)
     own = len(guess) - (stationarity.functional.numbering.multipliers if minimize else 0)
     with stationarity.linearization() as at:

@@ -22,6 +22,7 @@ import casadi_galerkin.solvers.ipopt as interior_point
 import casadi_galerkin.solvers.rootfinder as casadi_rootfinder
 from casadi_galerkin.calculus.numbers import whole
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.stationarity import Stationarity
 
@@ -135,6 +136,8 @@ def _newton(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: 
             raise
         reasons, iterations = [f"Newton's method: {failure}"], failure.iterations
         for rescue in _rescues(stationarity):
+            if seconds_left() < 0:
+                break
             try:
                 return rescue(stationarity, guess, data, verbose)
             except SolveFailure as another:
