@@ -13,12 +13,12 @@ from casadi_galerkin.calculus.numbers import counted, real_array, spanned, whole
 
 
 def times_within(mesh: np.ndarray, t: ArrayLike) -> np.ndarray:
-    """Times t as an array; refuses one that lies outside of the mesh by more than its rounding."""
+    """Times t as an array within the mesh; refuses one that lies outside by more than its rounding."""
     times = real_array("times", t)
     slack = 1e-12 * (mesh[-1] - mesh[0])
     if np.any(~((times >= mesh[0] - slack) & (times <= mesh[-1] + slack))):
         raise ValueError(f"times must lie within [{mesh[0]}, {mesh[-1]}], got {t!r}")
-    return times
+    return np.asarray(np.clip(times, mesh[0], mesh[-1]))
 
 
 def times_at(mesh: np.ndarray, parts: np.ndarray) -> np.ndarray:
@@ -137,7 +137,7 @@ class PiecewisePolynomial:
         flat = times.ravel()
         steps = np.diff(self.mesh)
         i = np.clip(np.searchsorted(self.mesh, flat, side=side) - 1, 0, len(steps) - 1)
-        basis = lagrange_values(self.nodes, np.clip((flat - self.mesh[i]) / steps[i], 0.0, 1.0))
+        basis = lagrange_values(self.nodes, (flat - self.mesh[i]) / steps[i])
         if order:
             slopes = np.linalg.matrix_power(differentiation_matrix(self.nodes), order)
             basis = basis @ slopes / steps[i, None] ** order

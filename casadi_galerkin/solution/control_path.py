@@ -85,7 +85,7 @@ class ControlPath:
         changes = self._changes.tolist()
 
         def switched(values: np.ndarray) -> ca.SX:
-            return ca.pw_const(t, changes, values.tolist()) if changes else ca.SX(values[0])
+            return ca.pw_const(t, changes, values.tolist())
 
         s = (t - switched(self.mesh[:-1])) / switched(np.diff(self.mesh))
         gaps = [s - point for point in self.points.tolist()]

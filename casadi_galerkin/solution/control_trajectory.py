@@ -14,7 +14,7 @@ from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.numbers import counted, spanned
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.quadrature import gauss
-from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.calculus.roundoff import TINY, component_sizes
 from casadi_galerkin.problems.bounds import beyond
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of
@@ -203,7 +203,7 @@ class ControlTrajectory(Trajectory):
         values = self.path_constraints(np.linspace(0.0, 1.0, 4 * len(self.method.quadrature) + 1))
         sizes = [np.max(np.abs(np.where(np.isfinite(a), a, 0.0)), axis=(1, 2)) for a in (values, low, high)]
         size = np.max(sizes, axis=0)[:, None, None]
-        return np.asarray((beyond(values, low, high) / np.where(size > 0, size, 1.0)).max(axis=(0, 2)))
+        return np.asarray((beyond(values, low, high) / np.maximum(size, TINY)).max(axis=(0, 2)))
 
     def _motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """∂L/∂v and ∂L/∂x + F along the path, and what follows rates with these; (d, K) each."""

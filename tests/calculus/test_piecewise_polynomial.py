@@ -38,6 +38,14 @@ def test_times_outside_the_mesh_are_refused(t):
         path(t)
 
 
+def test_times_that_rounding_puts_outside_count_as_the_ends():
+    """The last interval is so short that its polynomial must not be continued even by rounding."""
+    path = cg.DiscreteCalculus(cg.Galerkin(2), [0.0, 1.0 - 1e-12, 1.0]).emb([[0.0, 0.0, 0.0, 3.0, 1.0]])
+    assert path([-1e-13, 1.0 + 5e-13]).tolist() == [[0.0, 1.0]]
+    with pytest.raises(ValueError, match="times must lie within"):
+        path(1.0 + 2e-12)
+
+
 @pytest.mark.parametrize("nu", [-1, 1.5, True, "1"])
 def test_an_order_of_derivative_that_is_none_is_refused(nu):
     path = cg.DiscreteCalculus(cg.Galerkin(1), [0.0, 2.0]).emb([[0.0, 1.0]])

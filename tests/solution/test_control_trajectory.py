@@ -191,6 +191,13 @@ def test_summary_tells_where_the_points_do_not_see_a_jump():
     assert any(line.startswith(f"  defect      {path.dynamics_defect[2]:.1e}") and where in line for line in unseen)
 
 
+def test_an_overshoot_is_seen_where_only_one_side_is_bounded():
+    path = cg.solve(minimum_time(), cg.Galerkin(2), 5)
+    for bounds in ((-1.0, np.inf), (-np.inf, 1.0)):
+        one_sided = replace(path, problem=replace(path.problem, control_bounds=bounds))
+        np.testing.assert_allclose(one_sided.control_overshoot[2], 2 * path.control_overshoot[2], rtol=1e-6)
+
+
 def test_the_defect_of_a_problem_without_momenta_is_of_its_values():
     first_order = double_integrator(
         lagrangian=None, force=None, start_velocity=[None], end_velocity=[None], rates=lambda t, x, v, u: u

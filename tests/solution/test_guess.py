@@ -9,6 +9,7 @@ from given import Series
 from scenes import BY_NAME, oscillator, oscillator_problem, pendulum
 
 import casadi_galerkin as cg
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.solution.guess import guess_values, guessed, meeting_ends
 
 METHOD = cg.Galerkin(2)
@@ -168,3 +169,13 @@ def test_a_callable_is_called_once_for_all_times_where_it_can_be(function, most)
     np.testing.assert_allclose(found, np.transpose([function(t) for t in times.tolist()]), rtol=1e-15)
     assert guess.calls <= most
     np.testing.assert_array_equal(times, np.linspace(0.0, 2.0, 21))  # which others share
+
+
+def test_a_path_as_guess_keeps_its_values_on_its_own_mesh_and_its_jumps_on_that_of_another_degree():
+    mesh = np.array([0.2, 0.6, 2.9])
+    values = np.array([[0.0, 0.2, 0.3, -2.0, 0.1]])
+    path = PiecewisePolynomial(mesh, np.array([0.0, 0.5, 1.0]), values, np.array([[1.0, 0.1]]))
+    np.testing.assert_array_equal(guess_values(path, cg.DiscreteCalculus(cg.Galerkin(2), mesh), 1), values)
+    for degree in range(3, 12):
+        finer = cg.DiscreteCalculus(cg.Galerkin(degree), mesh)
+        assert guess_values(path, finer, 1)[0, degree] == 0.3
