@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.error_estimate import UNLIKE, disagreement, discretization_error, roundoff_error
+from casadi_galerkin.boundary.error_estimate import ALIKE, agreement, discretization_error, roundoff_error
 from casadi_galerkin.boundary.first_path import PATIENCE, first_path_strategies, following, is_newton
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.levels import Levels
@@ -57,6 +57,7 @@ BLURRED = 1e-14  # part left out that rounding of the node values alone looks li
 TELLS = 1e-12  # energies that agree to so much agree: they sum the rounding of all intervals
 FAR = 0.1  # part of the tolerance below which rounding need not be looked at: it moves a path by eps / regularity
 ILL = 1e4  # roundoff floor over eps from which it is the problem's conditioning that is named
+MESHES, STEADY = 3, 1.02  # where an agreement keeps within, it is not the mesh's: a mass may vanish where forces act
 NOISE = 10.0  # an error that is not so many times what rounding does no longer falls with the mesh
 LEAST, MOST = 0.1, 1e6  # parts that an interval is split into for the energy it misses; a mesh splits by less at once
 SHORTEST = 1e-13  # interval over the duration at which a refinement stops: a double has three digits more
@@ -92,6 +93,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         self.levels, self.patience = levels, math.inf
         self.built = levels.build_seconds  # before this refinement
         self.seen: dict[str, tuple[float, float, float, int]] = {}
+        self.agreements: list[float] = []  # about the variations
         self.nearest: dict[str, float] = {}  # smallest errors so far, by what they were estimated from
         self.solver, self.following = solver, following(solver)
 
@@ -130,9 +132,13 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             self.check_stubborn(level, source, missed, STUBBORN)
             return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed, path.degree))
         error = max(error, float(np.max(said["force"])))
-        if error <= self.tol and (apart := self.disagreement(level, varied)) > UNLIKE:
-            halved = np.full(len(left_out), TARGET * self.tol * 2.0 ** (path.degree + 1))
-            return Estimate(apart, False, "variations", halved)
+        if error <= self.tol:
+            self.agreements.append(self.agreement(level, varied))
+            last = self.agreements[-MESHES:]
+            steady = len(last) == MESHES and max(last) < STEADY * min(last)
+            if last[-1] < ALIKE and not steady:
+                halved = np.full(len(left_out), TARGET * self.tol * 2.0 ** (path.degree + 1))
+                return Estimate(1 - last[-1], False, "variations", halved)
         left_out *= error / max(np.max(left_out), 1e-300)
         return Estimate(error, True, f"degree {of_higher_degree(path.degree).degree}", left_out)
 
@@ -171,13 +177,13 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """Largest error on a path, from Newton steps in a higher degree on the same mesh, and its variations there."""
         return discretization_error(self.levels.transcription(of_higher_degree(path.degree), path.mesh), path)
 
-    def disagreement(self, level: CriticalPoint, varied: PiecewisePolynomial) -> float:
-        """How different the variations are in the path's own degree; refuses a path of a family, which they show."""
+    def agreement(self, level: CriticalPoint, varied: PiecewisePolynomial) -> float:
+        """How far the variations agree with those in the path's own degree; refuses a path of a family."""
         graph = self.levels.transcription(of_degree(level.polynomial.degree), level.polynomial.mesh)
-        apart = disagreement(graph, level.polynomial, varied)
-        if not apart <= UNLIKE:
+        agreed = agreement(graph, level.polynomial, varied)
+        if not agreed >= ALIKE:
             graph.check_second_variation(level)
-        return apart
+        return agreed
 
     def improve(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> CriticalPoint:
         """Solve on the equidistributed mesh; where Newton's method does not follow, on one changed less.

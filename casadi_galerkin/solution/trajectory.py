@@ -107,8 +107,8 @@ class Trajectory(Path):
         ends, with steps from the same start otherwise.  The estimate is at least what the balance of energy is violated
         by, relative to the energy's terms, what jumps of the force may change, and the part of L that its values at a
         few points do not tell, where this is much: these show a kink or a singularity, which both degrees may miss.
-        It is more than a half where the two degrees tie a path between two ends so differently that the mesh resolves
-        no variation of it, and infinite where the higher degree has no answer.
+        It is no less than the part by which variations of a path between two ends are smaller in one of the degrees,
+        where that tells that the mesh does not resolve them, and infinite where the higher degree has no answer.
 
         Raises
         ------

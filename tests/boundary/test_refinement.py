@@ -377,7 +377,7 @@ def test_a_kink_that_no_tail_holds_is_not_pinned_by_the_mesh(width, place, tol):
 def test_the_estimate_of_a_path_on_a_mesh_tells_that_its_variations_are_not_resolved():
     pinned = cg.solve(kink(20), cg.Galerkin(4), intervals=20, guess=lambda t: [np.tanh((t - 5) / np.sqrt(2))])
     assert abs(pinned(5.0)[0]) < 0.1
-    assert pinned.estimate_error() > 0.5
+    assert pinned.estimate_error() > 0.2
     assert cg.solve(kink(3), cg.Galerkin(4), intervals=20).estimate_error() < 1e-3
 
 
