@@ -72,7 +72,7 @@ def agreement(graph: BoundaryGraph, path: PiecewisePolynomial, of_higher: Piecew
         return 1.0  # nothing can vary
     unknowns, data = graph.on_path(path)
     with graph.stationarity.linearization() as at:
-        at.relinearize(unknowns, data)
+        at.newton_step(unknowns, data)  # built for the solver already
         of_lower = _joined(graph, path, at.solve(*_generic_forces(graph, path)))
     means = np.array([np.mean(np.abs(values), axis=1) for values in (of_lower.at(of_higher.nodes), of_higher.values)])
     means = np.maximum(means, HARDLY * np.max(means) + TINY)
@@ -82,14 +82,16 @@ def agreement(graph: BoundaryGraph, path: PiecewisePolynomial, of_higher: Piecew
 def _generic_forces(graph: BoundaryGraph, path: PiecewisePolynomial) -> np.ndarray:
     """The virtual work ∫ F·δx dt of some smooth forces F(t), the same in all degrees, per unknown; (FORCES, n)."""
     numbering, element, steps = graph.numbering, graph.method.element, np.diff(path.mesh)
+    sizes, degree = component_sizes(path.values), graph.method.degree
     shares = (times_at(path.mesh, element.points) - path.mesh[0]) / (path.mesh[-1] - path.mesh[0])
-    sizes, works = component_sizes(path.values), np.zeros((FORCES, numbering.size))
-    for k, work in enumerate(works, start=1):
-        force = np.cos(k * (np.arange(len(sizes)) + 3 * shares[:, None])).T / sizes[:, None]
-        of_intervals = steps[:, None] * (force.reshape(len(sizes), len(steps), -1) * element.weights @ element.values)
-        of_nodes = np.concatenate((of_intervals[:, :, :-1].reshape(len(sizes), -1), of_intervals[:, -1:, -1]), axis=1)
-        of_nodes[:, graph.method.degree : -1 : graph.method.degree] += of_intervals[:, :-1, -1]
-        np.add.at(work, numbering.of_nodes, of_nodes.T)
+    phases = np.multiply.outer(np.arange(1, FORCES + 1), np.arange(len(sizes))[:, None] + 3 * shares)
+    forces = (np.cos(phases) / sizes[:, None]).reshape(FORCES, len(sizes), len(steps), -1)
+    of_intervals = steps[:, None] * (forces * element.weights @ element.values)
+    of_nodes = np.zeros((FORCES, len(sizes), len(steps) * degree + 1))
+    of_nodes[:, :, :-1] = of_intervals[:, :, :, :-1].reshape(FORCES, len(sizes), -1)
+    of_nodes[:, :, degree::degree] += of_intervals[:, :, :, -1]
+    works = np.zeros((FORCES, numbering.size))
+    np.add.at(works, (slice(None), numbering.of_nodes.T), of_nodes)  # the ends of a periodic path are one unknown
     return works[:, : numbering.free]
 
 
