@@ -11,7 +11,7 @@ import numpy as np
 
 from casadi_galerkin.boundary.graph import BoundaryGraph, CriticalPoint
 from casadi_galerkin.calculus.mesh_adaptation import largest_change, of_higher_degree
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -82,16 +82,13 @@ def agreement(graph: BoundaryGraph, path: PiecewisePolynomial, of_higher: Piecew
 def _generic_forces(graph: BoundaryGraph, path: PiecewisePolynomial) -> np.ndarray:
     """The virtual work ∫ F·δx dt of some smooth forces F(t), the same in all degrees, per unknown; (FORCES, n)."""
     numbering, element, steps = graph.numbering, graph.method.element, np.diff(path.mesh)
-    sizes, degree = component_sizes(path.values), graph.method.degree
-    shares = (times_at(path.mesh, element.points) - path.mesh[0]) / (path.mesh[-1] - path.mesh[0])
-    phases = np.multiply.outer(np.arange(1, FORCES + 1), np.arange(len(sizes))[:, None] + 3 * shares)
-    forces = (np.cos(phases) / sizes[:, None]).reshape(FORCES, len(sizes), len(steps), -1)
-    of_intervals = steps[:, None] * (forces * element.weights @ element.values)
-    of_nodes = np.zeros((FORCES, len(sizes), len(steps) * degree + 1))
-    of_nodes[:, :, :-1] = of_intervals[:, :, :, :-1].reshape(FORCES, len(sizes), -1)
-    of_nodes[:, :, degree::degree] += of_intervals[:, :, :, -1]
+    times, weights = path.times(element.nodes[:-1]), element.weights @ element.values
+    of_nodes = np.append(np.outer(steps, weights[:-1]), 0.0)
+    of_nodes[graph.method.degree :: graph.method.degree] += steps * weights[-1]
+    phases = np.arange(len(path.values))[:, None] + 3 * (times - times[0]) / (times[-1] - times[0])
+    forces = np.cos(np.multiply.outer(np.arange(1, FORCES + 1), phases)) / component_sizes(path.values)[:, None]
     works = np.zeros((FORCES, numbering.size))
-    np.add.at(works, (slice(None), numbering.of_nodes.T), of_nodes)  # the ends of a periodic path are one unknown
+    np.add.at(works, (slice(None), numbering.of_nodes.T), forces * of_nodes)  # a periodic path has one end
     return works[:, : numbering.free]
 
 
