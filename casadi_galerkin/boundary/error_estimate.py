@@ -49,12 +49,11 @@ def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial) -> tup
     with graph.stationarity.linearization() as at:
         (step,) = at.solve(at.relinearize(unknowns, data))
         again, *varied = at.solve(at.relinearize(unknowns + step, data), *_generic_forces(graph, path))
-    first, second = moved(step), moved(again)
-    if not math.isfinite(first + second):
-        first = math.inf
-    elif first > 0:
-        first /= 1 - min(SLOWEST, second / first)
-    return first, _joined(graph, path, varied)
+    error = math.inf
+    if np.isfinite([step, again]).all():
+        first, second = moved(step), moved(again)
+        error = first / (1 - min(SLOWEST, second / first)) if first > 0 else 0.0
+    return error, _joined(graph, path, varied)
 
 
 def agreement(graph: BoundaryGraph, path: PiecewisePolynomial, of_higher: PiecewisePolynomial) -> float:
@@ -74,6 +73,8 @@ def agreement(graph: BoundaryGraph, path: PiecewisePolynomial, of_higher: Piecew
     with graph.stationarity.linearization() as at:
         at.newton_step(unknowns, data)  # built for the solver already
         of_lower = _joined(graph, path, at.solve(*_generic_forces(graph, path)))
+    if not (np.isfinite(of_lower.values).all() and np.isfinite(of_higher.values).all()):
+        return 0.0  # one of the Hessians is singular
     means = np.array([np.mean(np.abs(values), axis=1) for values in (of_lower.at(of_higher.nodes), of_higher.values)])
     means = np.maximum(means, HARDLY * np.max(means) + TINY)
     return float(np.min(means.min(axis=0) / means.max(axis=0)))
@@ -88,7 +89,8 @@ def _generic_forces(graph: BoundaryGraph, path: PiecewisePolynomial) -> np.ndarr
     phases = np.arange(len(path.values))[:, None] + 3 * (times - times[0]) / (times[-1] - times[0])
     forces = np.cos(np.multiply.outer(np.arange(1, FORCES + 1), phases)) / component_sizes(path.values)[:, None]
     works = np.zeros((FORCES, numbering.size))
-    np.add.at(works, (slice(None), numbering.of_nodes.T), forces * of_nodes)  # a periodic path has one end
+    for work, force in zip(works, forces * of_nodes, strict=True):
+        np.add.at(work, numbering.of_nodes.T, force)  # a periodic path has one end
     return works[:, : numbering.free]
 
 
