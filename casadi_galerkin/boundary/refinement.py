@@ -7,6 +7,9 @@ once, estimate its error in the joints and between them: measured 0.9 to 1.1 tim
 reference problems, 0.4 to 15 times near collisions.  Legendre coefficients alone miss the error in the joints, the
 strong Euler-Lagrange residual needs the norm of an inverse to become one.  Only a path that passes is returned.
 
+A coarse mesh may also tie a path by what it does not resolve.  So forces must move the path alike in both degrees
+(`agreement`), or every interval is halved.
+
 Where the Hessian is nearly singular, this error is a multiple of what the path leaves out, and has the shape of the
 softest variation, not that of its cause.  A new mesh therefore spreads what is left out, scaled to the error.
 """
@@ -138,7 +141,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             steady = len(last) == MESHES and max(last) < STEADY * min(last)
             if last[-1] < ALIKE and not steady:
                 halved = np.full(len(left_out), TARGET * self.tol * 2.0 ** (path.degree + 1))
-                return Estimate(1 - last[-1], False, "variations", halved)
+                return Estimate(1 - last[-1], False, "responses to forces", halved)
         left_out *= error / max(np.max(left_out), 1e-300)
         return Estimate(error, True, f"degree {of_higher_degree(path.degree).degree}", left_out)
 

@@ -50,10 +50,10 @@ def equispaced_points(degree: int) -> np.ndarray:
 
 def barycentric_weights(nodes: np.ndarray) -> np.ndarray:
     """Weights 1/Π_{k≠j}(s_j - s_k) of distinct nodes, scaled so that the largest is 1; shape of `nodes`."""
-    gaps = 4.0 * (nodes[:, None] - nodes[None, :])  # the capacity of [0, 1] is 1/4: so scaled, products stay in range
+    gaps = nodes[:, None] - nodes[None, :]
     np.fill_diagonal(gaps, 1.0)
-    weights = 1 / np.prod(gaps, axis=1)
-    return np.asarray(weights / np.max(np.abs(weights)))
+    logs = -np.log(np.abs(gaps)).sum(axis=1)  # the plain product leaves the range of doubles near degree 500
+    return np.asarray(np.prod(np.sign(gaps), axis=1) * np.exp(logs - logs.max()))
 
 
 def lagrange_values(nodes: np.ndarray, s: np.ndarray) -> np.ndarray:

@@ -101,9 +101,9 @@ def velocities(
                 break
             damping[refused] /= 2
         v, last = trial, length
-    # a component near zero is as good as the others, and rest as good as the guess
-    rounded = np.abs(v) + np.where(at_rest, nothing, EPS * np.max(np.abs(v), axis=0)) / FOUND
-    sizes = np.abs(momentum) + np.abs(found) + 4 * np.einsum("kij,jk->ik", np.abs(_defined(masses)), rounded)
+    # a component near zero is as good as what settles the others, and rest as good as the guess
+    rounded = 4 * np.abs(v) + np.where(at_rest, 4 * nothing, least) / FOUND
+    sizes = np.abs(momentum) + np.abs(found) + np.einsum("kij,jk->ik", np.abs(_defined(masses)), rounded)
     sizes += EPS / FOUND * np.max(np.abs(momentum), axis=1, keepdims=True)  # where a mass vanishes, p is only rounding
     missed = (np.abs(momentum - found) > FOUND * sizes).any(axis=0)  # where ∂²L/∂v² vanishes, there are no steps
     return np.where(settled & ~missed, v, np.nan)

@@ -77,3 +77,12 @@ def test_rest_is_found_where_its_momentum_is_not_zero():
     rounded = at_rest * (1 + np.random.default_rng(2).choice([-1, 1], x.shape) * np.finfo(float).eps)
     found = velocities_of_momenta(legendre_transform(problem.lagrangian), zero[0], x, rounded, zero)
     np.testing.assert_allclose(found, 0, rtol=0, atol=1e-15)
+
+
+def test_a_component_at_rest_is_found_beside_a_momentum_larger_than_its_velocity():
+    """In a rotating frame; its guess is off by less than what settles the other component."""
+    t, x, v = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("v", 2)
+    turning = ca.Function("L", [t, x, v], [ca.dot(v, v) / 2 + x[0] * v[1] - x[1] * v[0]])
+    place, momentum, guess = (np.array([a]).T for a in ([0.8, 0.0], [1.00e-14, 1.02], [1.07e-14, 0.22]))
+    found = velocities_of_momenta(legendre_transform(turning), np.zeros(1), place, momentum, guess)
+    np.testing.assert_allclose(found.ravel(), [1e-14, 0.22], rtol=0, atol=1e-15)
