@@ -60,6 +60,7 @@ BLURRED = 1e-14  # part left out that rounding of the node values alone looks li
 TELLS = 1e-12  # energies that agree to so much agree: they sum the rounding of all intervals
 FAR = 0.1  # part of the tolerance below which rounding need not be looked at: it moves a path by eps / regularity
 ILL = 1e4  # roundoff floor over eps from which it is the problem's conditioning that is named
+HALVED = 8  # meshes on which variations may disagree; on finer ones only rounding was seen to differ
 MESHES, STEADY = 3, 1.02  # where an agreement keeps within, it is not the mesh's: a mass may vanish where forces act
 NOISE = 10.0  # an error that is not so many times what rounding does no longer falls with the mesh
 LEAST, MOST = 0.1, 1e6  # parts that an interval is split into for the energy it misses; a mesh splits by less at once
@@ -96,7 +97,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         self.levels, self.patience = levels, math.inf
         self.built = levels.build_seconds  # before this refinement
         self.seen: dict[str, tuple[float, float, float, int]] = {}
-        self.agreements: list[float] = []  # about the variations
+        self.agreements: list[float] = []  # of the degrees about how far forces move the path, on each mesh
         self.nearest: dict[str, float] = {}  # smallest errors so far, by what they were estimated from
         self.solver, self.following = solver, following(solver)
 
@@ -135,13 +136,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             self.check_stubborn(level, source, missed, STUBBORN)
             return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed, path.degree))
         error = max(error, float(np.max(said["force"])))
-        if error <= self.tol:
-            self.agreements.append(self.agreement(level, varied))
-            last = self.agreements[-MESHES:]
-            steady = len(last) == MESHES and max(last) < STEADY * min(last)
-            if last[-1] < ALIKE and not steady:
-                halved = np.full(len(left_out), TARGET * self.tol * 2.0 ** (path.degree + 1))
-                return Estimate(1 - last[-1], False, "responses to forces", halved)
+        if error <= self.tol and not self.agreed(level, varied):
+            halved = np.full(len(left_out), TARGET * self.tol * 2.0 ** (path.degree + 1))
+            return Estimate(1 - self.agreements[-1], False, "responses to forces", halved)
         left_out *= error / max(np.max(left_out), 1e-300)
         return Estimate(error, True, f"degree {of_higher_degree(path.degree).degree}", left_out)
 
@@ -180,13 +177,18 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """Largest error on a path, from Newton steps in a higher degree on the same mesh, and its variations there."""
         return discretization_error(self.levels.transcription(of_higher_degree(path.degree), path.mesh), path)
 
-    def agreement(self, level: CriticalPoint, varied: PiecewisePolynomial) -> float:
-        """How far the variations agree with those in the path's own degree; refuses a path of a family."""
+    def agreed(self, level: CriticalPoint, varied: PiecewisePolynomial) -> bool:
+        """Whether forces move the path alike in its own degree, or, on any mesh, unlike; refuses a path of a family."""
         graph = self.levels.transcription(of_degree(level.polynomial.degree), level.polynomial.mesh)
-        agreed = agreement(graph, level.polynomial, varied)
-        if not agreed >= ALIKE:
-            graph.check_second_variation(level)
-        return agreed
+        self.agreements.append(agreement(graph, level.polynomial, varied))
+        last = self.agreements[-MESHES:]
+        if last[-1] >= ALIKE or (len(last) == MESHES and max(last) < STEADY * min(last)):
+            return True
+        graph.check_second_variation(level)
+        if len(self.agreements) == HALVED:
+            reason = "how far forces move the path differs with the degree on any mesh: the ends are nearly conjugate"
+            raise self.stopped(reason, level, 1 - last[-1])
+        return False
 
     def improve(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> CriticalPoint:
         """Solve on the equidistributed mesh; where Newton's method does not follow, on one changed less.
