@@ -39,13 +39,14 @@ def planner():
 
 
 def plant():
-    """What trolley and load do in one sample under a constant force: a Function of x0 = (x, v) and u."""
-    x, v, u = ca.SX.sym("x", 2), ca.SX.sym("v", 2), ca.SX.sym("u")
-    energy = lagrangian(0, x, v)
-    momentum = ca.gradient(energy, v)
-    load = ca.gradient(energy, x) + ca.vertcat(u, 0) - ca.jtimes(momentum, x, v)
-    rates = ca.vertcat(v, ca.solve(ca.jacobian(momentum, v), load))
-    return ca.integrator("plant", "rk", {"x": ca.vertcat(x, v), "u": u, "ode": rates}, 0, SAMPLE, {"simplify": True})
+    """What trolley and load do in one sample under a constant force, by Newton's laws: a Function of x0 and u."""
+    state, u = ca.SX.sym("x", 4), ca.SX.sym("u")
+    _, angle, speed, turning = ca.vertsplit(state)
+    pull = LOAD * ca.sin(angle) * (ROPE * turning**2 + GRAVITY * ca.cos(angle))
+    trolley = (u + pull) / (TROLLEY + LOAD * ca.sin(angle) ** 2)
+    rope = -(trolley * ca.cos(angle) + GRAVITY * ca.sin(angle)) / ROPE
+    rates = ca.vertcat(speed, turning, trolley, rope)
+    return ca.integrator("plant", "rk", {"x": state, "u": u, "ode": rates}, 0, SAMPLE, {"simplify": True})
 
 
 def sample():

@@ -99,9 +99,9 @@ class BoundaryGraph:
         path = self.emb(solution.unknowns, solution.data)
         return CriticalPoint(solution, problem, path)
 
-    def on_path(self, path: PiecewisePolynomial) -> tuple[np.ndarray, Data]:
-        """Unknowns and data of a path of any degree on any mesh of as many intervals."""
-        data = self.data(path.mesh, None, self.plane(path))
+    def on_path(self, path: PiecewisePolynomial, problem: BoundaryProblem | None = None) -> tuple[np.ndarray, Data]:
+        """Unknowns and data of a path of any degree on any mesh of as many intervals; `problem` as for `data`."""
+        data = self.data(path.mesh, problem, self.plane(path))
         return self.unknowns(path.at(self.method.element.nodes).T, data), data
 
     def guess_on_mesh(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:

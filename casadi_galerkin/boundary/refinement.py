@@ -27,6 +27,7 @@ from casadi_galerkin.boundary.error_estimate import ALIKE, agreement, discretiza
 from casadi_galerkin.boundary.first_path import PATIENCE, first_path_strategies, following, is_newton
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.levels import Levels
+from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.discrete_calculus import NEAREST, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import (
@@ -61,7 +62,7 @@ TELLS = 1e-12  # energies that agree to so much agree: they sum the rounding of 
 FAR = 0.1  # part of the tolerance below which rounding need not be looked at: it moves a path by eps / regularity
 ILL = 1e4  # roundoff floor over eps from which it is the problem's conditioning that is named
 HALVED = 8  # meshes on which variations may disagree; on finer ones only rounding was seen to differ
-MESHES, STEADY = 3, 1.02  # where an agreement keeps within, it is not the mesh's: a mass may vanish where forces act
+LASTING, STEADY = 3, 1.02  # meshes, factor: an agreement that keeps within is not theirs: a mass may vanish at an end
 NOISE = 10.0  # an error that is not so many times what rounding does no longer falls with the mesh
 LEAST, MOST = 0.1, 1e6  # parts that an interval is split into for the energy it misses; a mesh splits by less at once
 SHORTEST = 1e-13  # interval over the duration at which a refinement stops: a double has three digits more
@@ -155,7 +156,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         regularity = level.solution.regularity
         if FAR * self.tol * regularity > EPS:
             return 0.0
-        graph = self.levels.transcription(of_degree(level.polynomial.degree), level.polynomial.mesh)
+        graph = self.graph(level.polynomial)
         floor = roundoff_error(graph, level)
         if floor > self.tol:
             graph.refuse_conjugate(level)
@@ -173,16 +174,20 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         target = TARGET * self.tol
         return np.asarray(target * np.clip(missed / target, LEAST, MOST) ** (degree + 1))
 
+    def graph(self, path: PiecewisePolynomial) -> Transcription:
+        """The graph in the degree and on the mesh of a path."""
+        return self.levels.transcription(of_degree(path.degree), path.mesh)
+
     def error(self, path: PiecewisePolynomial) -> tuple[float, PiecewisePolynomial]:
         """Largest error on a path, from Newton steps in a higher degree on the same mesh, and its variations there."""
         return discretization_error(self.levels.transcription(of_higher_degree(path.degree), path.mesh), path)
 
     def agreed(self, level: CriticalPoint, varied: PiecewisePolynomial) -> bool:
         """Whether forces move the path alike in its own degree, or, on any mesh, unlike; refuses a path of a family."""
-        graph = self.levels.transcription(of_degree(level.polynomial.degree), level.polynomial.mesh)
+        graph = self.graph(level.polynomial)
         self.agreements.append(agreement(graph, level.polynomial, varied))
-        last = self.agreements[-MESHES:]
-        if last[-1] >= ALIKE or (len(last) == MESHES and max(last) < STEADY * min(last)):
+        last = self.agreements[-LASTING:]
+        if last[-1] >= ALIKE or (len(last) == LASTING and max(last) < STEADY * min(last)):
             return True
         graph.check_second_variation(level)
         if len(self.agreements) == HALVED:

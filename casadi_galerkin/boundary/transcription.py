@@ -221,8 +221,7 @@ class SecondVariation:
         """The graph's conditions, unknowns and data at the path."""
         problem, mesh = self._problem, self._path.mesh
         graph = self._transcription or transcribed(problem, self._method, None, mesh, one_by_one)
-        data = graph.data(mesh, problem, graph.plane(self._path))
-        return graph.stationarity, graph.unknowns(self._path.values.T, data), data
+        return graph.stationarity, *graph.on_path(self._path, problem)
 
     def smallest(self) -> float:
         """Smallest second variation relative to the sizes of its terms; see `softest`."""
