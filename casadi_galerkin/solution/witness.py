@@ -126,60 +126,103 @@ def _rules(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return parts, np.array(finer.weights), lagrange_values(np.array(finer.points), parts)
 
 
+class _Sampled:
+    """A path between two breakpoints, with L̂ and its derivatives at the same K places on each of its N intervals.
+
+    Attributes
+    ----------
+    steps : (N,), and `h` the same at all places, (N K,)
+    x, v, times : (d, N K) twice and (N K,)
+    joints : numbers of the joints among the places, (N + 1,)
+    terms : the pointwise Functions of L̂
+    derivatives : those of `terms.derivatives`: L̂, by x, by the slope, and the blocks of its Hessian, (N K, ...) each
+    between : (K, m + 2), from values at the points of the quadrature to those of their polynomial at the places
+    """
+
+    def __init__(self, problem: Problem, path: PiecewisePolynomial) -> None:
+        self.problem, self.path, self.steps = problem, path, np.diff(path.mesh)
+        parts, self._weights, self.between = _rules(path.degree)
+        self.x, self.v = (values.reshape(len(values), -1) for values in path.at_parts(parts))
+        self.h = np.repeat(self.steps, len(parts))
+        self.joints = np.append(np.arange(0, len(self.h), len(parts)), len(self.h) - len(parts) + 1)  # the last end
+        inside = np.nextafter(
+            path.mesh[[0, -1]], path.mesh[[-1, 0]]
+        )  # after a step at the start, before one at the end
+        self.times = np.clip(times_at(path.mesh, parts), *inside)
+        self.terms = pointwise(problem.lagrangian, problem.force)
+        self.derivatives = self.evaluate(self.terms.derivatives)
+
+    def evaluate(self, function: ca.Function) -> list[np.ndarray]:
+        """Values of a Function of the arguments of L̂ at all places, (N K, ...) each."""
+        given = [self.times, self.h, self.x.ravel(order="F"), (self.v * self.h).ravel(order="F")]
+        shared: tuple[int, ...] = ()
+        if self.problem.parameters is not None:
+            given, shared = [*given, np.array(self.problem.parameters)], (4,)
+        found = Evaluator(one_by_one(function, len(self.h), shared))(*given)
+        return [value.reshape(len(self.h), -1) for value in found]
+
+    def by_interval(self, values: np.ndarray) -> np.ndarray:
+        """Values at all places, those of an interval in a row; (N, K)."""
+        return values.reshape(len(self.steps), -1)
+
+    def at_points(self, values: np.ndarray) -> np.ndarray:
+        """Those of them that are at the m + 2 points of the quadrature; (N, m + 2)."""
+        return self.by_interval(values)[:, 2 : 2 + len(self._weights)]
+
+    def integral(self, values: np.ndarray) -> np.ndarray:
+        """∫ over every interval, of length 1, (N,)."""
+        return np.asarray(self.at_points(values) @ self._weights)
+
+
 @np.errstate(invalid="ignore")  # of an infinite L
 def _between_breakpoints(
     problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The same without breakpoints."""
-    terms, steps = pointwise(problem.lagrangian, problem.force), np.diff(path.mesh)
-    parts, weights, between = _rules(path.degree)
-    x, v = (values.reshape(len(values), -1) for values in path.at_parts(parts))
-    h = np.repeat(steps, len(parts))
-    through = slice(2, 2 + len(weights))
-    joints = np.append(np.arange(0, len(h), len(parts)), len(h) - len(parts) + 1)  # all starts, and the last end
-    inside = np.nextafter(path.mesh[[0, -1]], path.mesh[[-1, 0]])  # after a step at the start, before one at the end
-    times = np.clip(times_at(path.mesh, parts), *inside)
-    given = [times, h, x.ravel(order="F"), (v * h).ravel(order="F")]
-    given += [] if problem.parameters is None else [np.array(problem.parameters)]
+    sampled = _Sampled(problem, path)
+    kept, scale, floor = _energies(sampled, momentum)
+    return missed_balance(kept, scale, floor), _unresolved(sampled, scale, floor)
 
-    def evaluate(function: ca.Function) -> list[np.ndarray]:
-        """Its values at all parts of all intervals, (N (2m + 3), ...)."""
-        found = Evaluator(one_by_one(function, len(h), () if problem.parameters is None else (4,)))(*given)
-        return [value.reshape(len(h), -1) for value in found]
 
-    def integral(values: np.ndarray) -> np.ndarray:
-        """∫ over every interval, (N,)."""
-        return np.asarray(values.reshape(len(steps), -1)[:, through] @ weights)
+def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What `missed_balance` takes, at all joints."""
+    h, speed, (lagrangian, work, slope, *blocks) = at.h[at.joints], np.abs(at.v[:, at.joints]), at.derivatives
+    mass = at.terms.mass([h * block[at.joints].T for block in blocks])
+    kinetic = np.sum(momentum * at.v[:, at.joints], axis=0)
+    energy = kinetic - lagrangian[at.joints, 0] / h + _correction(mass, momentum - slope[at.joints].T)
 
-    lagrangian, work, slope, *blocks = evaluate(terms.derivatives)
-    of_steps, velocity = h[joints], v[:, joints]
-    mass, kinetic = terms.mass([of_steps * block[joints].T for block in blocks]), np.sum(momentum * velocity, axis=0)
-    energy = kinetic - lagrangian[joints, 0] / of_steps + _correction(mass, momentum - slope[joints].T)
-    supplied = steps * integral(work_of_constraint(problem, times, x, v))
-    speed, sizes, duration = np.abs(velocity), component_sizes(path.values), float(np.sum(steps))
-    pushed = np.einsum("tij,jt->it", np.abs(mass), speed)
+    pushed, duration = np.einsum("tij,jt->it", np.abs(mass), speed), float(np.sum(at.steps))
     local = np.abs(kinetic) + np.abs(energy) + np.sum(speed * pushed, axis=0)  # p·v may be a small difference of terms
-    least = EPS * np.max(np.einsum("i,tij,j->t", sizes, np.abs(mass), sizes)) / duration**2  # where a path is at rest
-    mean = max(float(steps @ (local[1:] + local[:-1])) / 2 / duration, float(least), TINY)
-    scale = np.maximum(local, mean)
-    sum_of_slopes = np.abs(differentiation_matrix(path.nodes)[0]).sum()  # what rounding of values does to x'
-    before = np.maximum(np.arange(len(joints)) - 1, 0)  # a momentum is that of the interval before its joint
-    places = np.max(np.abs(path.local), axis=2)[:, before]  # the nearer to zero, the less are positions rounded
-    blurred = sum_of_slopes * np.sum(places * pushed, axis=0) / steps[before]
-    pulled = np.sum(np.abs(x[:, joints] * work[joints].T), axis=0) / of_steps
+    sizes = component_sizes(at.path.values)
+    at_rest = EPS * np.max(np.einsum("i,tij,j->t", sizes, np.abs(mass), sizes)) / duration**2
+    mean = float(at.steps @ (local[1:] + local[:-1])) / 2 / duration
+    scale = np.maximum(local, max(mean, float(at_rest), TINY))
+
+    places = np.max(np.abs(at.path.local), axis=2)  # of values in an interval: the nearer to zero, the less rounded
+    rounding = np.abs(differentiation_matrix(at.path.nodes)[0]).sum()  # of values does so much to x'
+    before = np.maximum(np.arange(len(at.joints)) - 1, 0)  # a momentum is that of the interval before its joint
+    blurred = rounding * np.sum(places[:, before] * pushed, axis=0) / at.steps[before]
+    pulled = np.sum(np.abs(at.x[:, at.joints] * work[at.joints].T), axis=0) / h
     floor = BLURRED * EPS * (blurred + pulled + scale)
-    if terms.supplied is not None:
-        falls, by_both = evaluate(terms.supplied)
-        supplied += integral(falls)
-        slopes = np.abs(v * h) + sum_of_slopes * np.repeat(np.max(np.abs(path.local), axis=2), len(parts), axis=1)
-        rounded = np.abs(by_both) * np.concatenate((np.abs(x), slopes)).T  # the terms of a force may cancel
-        floor += BLURRED * EPS * np.append(0.0, np.cumsum(integral(np.sum(rounded, axis=1))))
-    missed = missed_balance(energy + np.append(0.0, np.cumsum(supplied)), scale, floor)
-    values = lagrangian.reshape(len(steps), -1) / steps[:, None]
-    size = np.maximum(np.max(np.abs(values), axis=1), np.maximum(scale[1:], scale[:-1]))
-    difference = np.max(np.abs(values - values[:, through] @ between.T), axis=1) - np.maximum(floor[1:], floor[:-1])
-    unresolved = np.where(np.isfinite(size), difference / size, np.inf)
-    return missed, np.where(unresolved > RESOLVED, unresolved, 0.0)
+
+    supplied = at.steps * at.integral(work_of_constraint(at.problem, at.times, at.x, at.v))
+    if at.terms.supplied is not None:
+        falls, by_both = at.evaluate(at.terms.supplied)
+        supplied += at.integral(falls)
+        slopes = np.abs(at.v * at.h) + rounding * np.repeat(places, len(at.h) // len(at.steps), axis=1)
+        rounded = np.abs(by_both) * np.concatenate((np.abs(at.x), slopes)).T  # the terms of a force may cancel
+        floor += BLURRED * EPS * np.append(0.0, np.cumsum(at.integral(np.sum(rounded, axis=1))))
+    return energy + np.append(0.0, np.cumsum(supplied)), scale, floor
+
+
+def _unresolved(at: _Sampled, scale: np.ndarray, floor: np.ndarray) -> np.ndarray:
+    """Part of its size, or of the energies around, by which L is missed between points; (N,), 0 where resolved."""
+    lagrangian = at.derivatives[0][:, 0] / at.h
+    missed = np.abs(at.by_interval(lagrangian) - at.at_points(lagrangian) @ at.between.T)
+    size = np.maximum(np.max(np.abs(at.by_interval(lagrangian)), axis=1), np.maximum(scale[1:], scale[:-1]))
+    beyond = np.max(missed, axis=1) - np.maximum(floor[1:], floor[:-1])
+    part = np.where(np.isfinite(size), beyond / size, np.inf)
+    return np.where(part > RESOLVED, part, 0.0)
 
 
 def _correction(mass: np.ndarray, missing: np.ndarray) -> np.ndarray:
