@@ -72,22 +72,24 @@ class Chain:
 
     Attributes
     ----------
-    dimension, mechanical, controls, parameters, constraints, conditions, held : numbers of components, of those with an
-        equation of motion, of controls, parameters, path constraints, end conditions and holonomic constraints
+    dimension, mechanical, controls, parameters, constraints, path_constraints, conditions : numbers of components, of
+        those with an equation of motion, of controls, parameters, holonomic constraints, path constraints and end
+        conditions
     breaks : numbers of the joints at the breakpoints
     crossed : (K,), those of them where the velocity counts, see `ControlProblem.crossings`
     jumped : (K,), which of these have a jump
     phases : (N,), number of the phase with a duration of its own that every interval lies in
     unknowns, equations, size : numbers of unknowns, of equations, and of entries of ξ
     fields : name -> entries of ξ: "x" (N + 1, d), "momentum" (N + 1, mechanical), "nodes" (N, m, d), the values at the
-        nodes after the first, "controls" (N, points, n), "impulses" (N, m, held) of a constraint at these nodes and
-        "start_impulse" (held,), "start_velocity", "end_velocity" (mechanical,), "velocity" (K, mechanical) before the
-        joints crossed, "durations" (N + 1, phases) and "parameters" (N + 1, count), alike at all joints, and "begin",
-        "left", "part", "sizes"
+        nodes after the first, "controls" (N, points, n), "impulses" (N, m, constraints) at these nodes and
+        "start_impulse" (constraints,), "start_velocity", "end_velocity" (mechanical,), "velocity" (K, mechanical)
+        before the joints crossed, "durations" (N + 1, phases) and "parameters" (N + 1, count), alike at all joints, and
+        "begin", "left", "part", "sizes"
     rows : name -> equations: "x", "momentum", "constants" tie (N, ...) states; "motion" (N, m, mechanical) are those of
-        the nodes before the last, "rates" (N, m, others); "path" (N, r, count); "held" (N, m, held) and "start_held"
-        are a constraint, "start_tangent" and "end_tangent" its rate; "start", "end" (mechanical,); "ends"; "arrival"
-        (K, mechanical) are the momenta that arrive at the joints crossed, "waypoint 0" and so on the functions there
+        the nodes before the last, "rates" (N, m, others); "path" (N, r, count); "constraint" (N, m, constraints) and
+        "start_constraint" are a constraint, "start_tangent" and "end_tangent" its rate; "start", "end" (mechanical,);
+        "ends"; "arrival" (K, mechanical) are the momenta that arrive at the joints crossed, "waypoint 0" and so on the
+        functions there
     arrivals : (N, mechanical), equations of the momenta that the intervals end with
     kinds, unknown_kinds : (equations,), equal where equations compare the same quantities, and (unknowns,), where
         unknowns are values of the same quantity
@@ -99,9 +101,9 @@ class Chain:
     def __init__(self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray) -> None:
         self.problem, self.method, self.intervals = problem, method, len(mesh) - 1
         self.dimension, self.mechanical, self.controls = problem.dimension, problem.mechanical, problem.controls
-        self.parameters, self.held = len(problem.parameters or ()), problem.constraints
+        self.parameters, self.constraints = len(problem.parameters or ()), problem.constraints
         limited = problem.path_constraint, problem.end_conditions
-        self.constraints, self.conditions = (0 if given is None else len(given[1]) for given in limited)
+        self.path_constraints, self.conditions = (0 if given is None else len(given[1]) for given in limited)
         self.breaks = np.searchsorted(mesh, problem.breakpoints)
         self.crossed = np.searchsorted(mesh, [crossing.time for crossing in problem.crossings])
         self.jumped = np.array([crossing.jump is not None for crossing in problem.crossings], dtype=bool)
@@ -121,9 +123,9 @@ class Chain:
         chosen: Layout = {
             "nodes": (m, d),
             "controls": (len(self.control_times), self.controls),
-            "impulses": (m, self.held),
+            "impulses": (m, self.constraints),
         }
-        at_start: Layout = {"start_velocity": (mechanical,), "start_impulse": (self.held,)}
+        at_start: Layout = {"start_velocity": (mechanical,), "start_impulse": (self.constraints,)}
         at_end: Layout = {"end_velocity": (mechanical,)}
         given = {name: shape for name, shape in constants.items() if name not in free}
         data: Layout = {**given, "begin": (1,), "left": (n,), "part": (n,), "sizes": (mechanical,)}
@@ -145,16 +147,16 @@ class Chain:
 
     def _number_equations(self) -> None:
         n, m, r = self.intervals, self.method.degree, len(self.method.quadrature)
-        others, motion, held = self.dimension - self.mechanical, (self.mechanical,), (self.held,)
+        others, motion, constraint = self.dimension - self.mechanical, (self.mechanical,), (self.constraints,)
         tied: Layout = {"x": (self.dimension,), "momentum": motion, "constants": (self.free_constants,)}
         inner: Layout = {
             "motion": (m, *motion),
             "rates": (m, others),
-            "path": (r, self.constraints),
-            "held": (m, *held),
+            "path": (r, self.path_constraints),
+            "constraint": (m, *constraint),
         }
-        at_start: Layout = {"start": motion, "start_held": held, "start_tangent": held}
-        at_end: Layout = {"end": motion, "end_tangent": held, "ends": (self.conditions,)}
+        at_start: Layout = {"start": motion, "start_constraint": constraint, "start_tangent": constraint}
+        at_end: Layout = {"end": motion, "end_tangent": constraint, "ends": (self.conditions,)}
         passed: dict[int, Layout] = {
             joint - 1: {"arrival": motion, f"waypoint {k}": (self.conditions_there[k],)}
             for k, joint in enumerate(self.crossed.tolist())
@@ -171,7 +173,7 @@ class Chain:
         self.stages = [(*width, length(other)) for width, other in zip(self._widths, further, strict=True)]
         motions = ["momentum", "motion", "start", "end", "arrival"]
         alike = [["x"], motions, ["constants"], ["rates"], ["path"], ["ends"], *([name] for name in waypoints)]
-        alike += [["held", "start_held"], ["start_tangent", "end_tangent"]]
+        alike += [["constraint", "start_constraint"], ["start_tangent", "end_tangent"]]
         self.kinds = kinds_of(self.rows, alike, self.equations)
         self.motions = slice(self.dimension, self.dimension + self.mechanical)
 

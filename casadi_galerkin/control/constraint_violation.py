@@ -17,7 +17,7 @@ UNITS = "The solver's tolerances are absolute: take units in which cost, lengths
 VANISHED = 1e-13  # part of its terms along the guess below which a component's are taken for their roundoff
 
 
-def measures(chain: Chain, limits: ProgramBounds, report: Report, before: np.ndarray) -> np.ndarray:
+def measures(chain: Chain, bounds: ProgramBounds, report: Report, before: np.ndarray) -> np.ndarray:
     """Sizes that the equations are measured by.
 
     Those of a component by the largest sum of terms that one of them has along the path, or along the guess
@@ -25,13 +25,13 @@ def measures(chain: Chain, limits: ProgramBounds, report: Report, before: np.nda
     condition on the ends by the sizes of what its value is made of, |∇g||z|, or its finite bound.
     """
     sizes = np.where(report.sizes <= VANISHED * before, before, report.sizes)
-    stated = chain.largest(_stated(limits.equations_lower, limits.equations_upper))
+    stated = chain.largest(_stated(bounds.equations_lower, bounds.equations_upper))
     sizes = np.fmax(np.where(sizes > NOTHING, sizes, 0.0), stated)
     return np.asarray(np.where(sizes > 0, sizes, 1.0)[chain.kinds])
 
 
 def violations(
-    chain: Chain, limits: ProgramBounds, unknowns: np.ndarray, report: Report, before: np.ndarray
+    chain: Chain, bounds: ProgramBounds, unknowns: np.ndarray, report: Report, before: np.ndarray
 ) -> np.ndarray:
     """Violation of every equation, then of every unknown's bounds, relative to what is compared.
 
@@ -39,12 +39,12 @@ def violations(
     a bound, it moves the bound by rounding, and that is all that is left of a value that should be zero.  Values that
     are all but zero are compared with their bounds.
     """
-    excess = _excess(report.equations, limits.equations_lower, limits.equations_upper)
-    outside = _excess(unknowns, limits.lower, limits.upper)
+    excess = _excess(report.equations, bounds.equations_lower, bounds.equations_upper)
+    outside = _excess(unknowns, bounds.lower, bounds.upper)
     kinds = chain.unknown_kinds
-    sizes, stated = largest_of(np.abs(unknowns), kinds), largest_of(_stated(limits.lower, limits.upper), kinds)
+    sizes, stated = largest_of(np.abs(unknowns), kinds), largest_of(_stated(bounds.lower, bounds.upper), kinds)
     sizes = np.where(sizes > NOTHING, sizes, stated)[kinds]
-    return np.concatenate((excess / measures(chain, limits, report, before), outside / np.where(sizes > 0, sizes, 1.0)))
+    return np.concatenate((excess / measures(chain, bounds, report, before), outside / np.where(sizes > 0, sizes, 1.0)))
 
 
 def _stated(low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -52,7 +52,7 @@ def _stated(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.fmax(*(np.where(np.isfinite(side), np.abs(side), 0.0) for side in (low, high)))
 
 
-def unseen_change(chain: Chain, limits: ProgramBounds, optimum: Optimum, report: Report, times: np.ndarray) -> float:
+def unseen_change(chain: Chain, bounds: ProgramBounds, optimum: Optimum, report: Report, times: np.ndarray) -> float:
     """How much the cost may still change by, to first order.
 
     These are the derivatives that are left by unknowns that are not given, times the largest sizes of such unknowns,
@@ -60,9 +60,9 @@ def unseen_change(chain: Chain, limits: ProgramBounds, optimum: Optimum, report:
     and vary by it over its duration: what rounding leaves of derivatives by nodes of short intervals, which cancel, is
     no change of the cost.  `times` (N m + 1,) are those of the nodes.
     """
-    x, bounds, kinds, fields = optimum.unknowns, optimum.bound_multipliers, chain.unknown_kinds, chain.fields
-    low, high, least, most = limits.sides
-    left, sizes = np.where(low < high, report.slope + bounds, 0.0), largest_of(np.abs(x), kinds)
+    x, of_bounds, kinds, fields = optimum.unknowns, optimum.bound_multipliers, chain.unknown_kinds, chain.fields
+    low, high, least, most = bounds.sides
+    left, sizes = np.where(low < high, report.slope + of_bounds, 0.0), largest_of(np.abs(x), kinds)
     of_nodes = np.zeros((chain.intervals * chain.method.degree + 1, chain.dimension))
     of_nodes[:: chain.method.degree] += left[fields["x"]]
     of_nodes[1:] += left[fields["nodes"]].reshape(-1, chain.dimension)
@@ -71,7 +71,7 @@ def unseen_change(chain: Chain, limits: ProgramBounds, optimum: Optimum, report:
     others = kinds >= chain.dimension
     changed = np.abs(left[others]) @ sizes[kinds[others]]
     rows = _gap(report.equations, optimum.multipliers, least, most)
-    unmet = _gap(x, bounds, low, high)
+    unmet = _gap(x, of_bounds, low, high)
     return float(moved + changed + np.sum(rows[least < most]) + np.sum(unmet[low < high]))
 
 

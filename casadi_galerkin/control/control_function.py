@@ -11,7 +11,7 @@ from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import FEASIBLE, measures
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import RELAXED
-from casadi_galerkin.control.program_bounds import limits_of
+from casadi_galerkin.control.program_bounds import bounds_of
 from casadi_galerkin.control.transcription import transcribed_control
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.guess import Guess
@@ -32,14 +32,14 @@ def control_function(
     """Turn an optimization into a Function; see `solution_function` for the arguments."""
     transcription = transcribed_control(problem, method, intervals, mesh)
     path = transcription.solve(guess=guess, solver=solver)
-    chain, limits = transcription.chain, transcription.limits
-    values, _, before = transcription.start(problem, transcription.calculus, path)
-    known = chain.pack(values)
-    sizes = measures(chain, limits, transcription.graph.report(*known), before)
+    chain, bounds = transcription.chain, transcription.bounds
+    start = transcription.starting_point(problem, transcription.calculus, path)
+    known = chain.pack(start.values)
+    sizes = measures(chain, bounds, transcription.graph.report(*known), start.sizes)
     first, data = (ca.MX(ca.DM(part)) for part in known)
-    checked_by = limits_of(problem, chain, implied=True)  # ends that are data may leave a constraint
-    programmed = limits.narrowed(RELAXED[solver.name])
-    bounds, narrow = ([ca.MX(ca.DM(side)) for side in b.sides] for b in (checked_by, programmed))
+    checked_by = bounds_of(problem, chain, implied=True)  # ends that are data may leave a constraint
+    programmed = bounds.narrowed(RELAXED[solver.name])
+    stated, narrow = ([ca.MX(ca.DM(side)) for side in b.sides] for b in (checked_by, programmed))
     inputs, allowed = {}, ca.MX(1)
     for name, entries in _given(problem, chain).items():
         inputs[name] = ca.MX.sym(name, len(entries))
@@ -53,7 +53,7 @@ def control_function(
         if name == "parameters":
             data[(entries - chain.unknowns).tolist()] = value
         else:
-            for side in (*bounds[:2], *narrow[:2]):
+            for side in (*stated[:2], *narrow[:2]):
                 side[entries.tolist()] = value
     f, degree = chain.fields, method.degree
     inputs["guess"] = ca.MX.sym("guess", chain.dimension, chain.intervals * degree + 1)
@@ -64,7 +64,7 @@ def control_function(
     program, sides = transcription.program(solver, warm=False, verbose=0), ("lbx", "ubx", "lbg", "ubg")
     found = program(x0=first, p=data, **dict(zip(sides, narrow, strict=True)))
     multipliers = found["lam_g"], found["lam_x"]
-    violation, slope = _violation(transcription.graph, sizes)(found["x"], data, *multipliers, *bounds)
+    violation, slope = _violation(transcription.graph, sizes)(found["x"], data, *multipliers, *stated)
     verified = ca.logic_and(allowed, ca.logic_and(violation <= FEASIBLE, slope <= STATIONARY))
     everything = ca.vertcat(found["x"], data)
     outputs = {

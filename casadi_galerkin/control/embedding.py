@@ -100,13 +100,13 @@ class ChainEmbedding:
         when = {"duration": 1, **common, "begin": 1, "share": 1}
         along = {"x": d, "slope": d, "controls": chain.controls, **when, "part": 1, "sizes": mechanical}
         both = {f"{name}{k}": at_end[name] for k in (0, 1) for name in ("x", "velocity")} | {**common, "time": 1}
-        held = {"x": d, "impulse": chain.held, **when, "sizes": mechanical}
+        at_node = {"x": d, "impulse": chain.constraints, **when, "sizes": mechanical}
         r, m = len(chain.method.quadrature), chain.method.degree
         self.points = Place(chain.intervals * r, along, 0)
         self.either_end = Place(2, at_end, self.points.last)
         joined = chain.conditions > 0 or chain.problem.terminal_cost is not None
         self.both_ends = Place(int(joined), both, self.either_end.last)
-        self.nodes = Place((chain.intervals * m + 1) * (chain.held > 0), held, self.both_ends.last)
+        self.nodes = Place((chain.intervals * m + 1) * (chain.constraints > 0), at_node, self.both_ends.last)
         crossing, first = {"x": d, "velocity": mechanical, **when, "sizes": mechanical}, self.nodes.last
         width = sum(crossing.values())
         self.crossings = [Place(1, crossing, first + k * width) for k in range(len(chain.crossed))]
@@ -143,9 +143,9 @@ class ChainEmbedding:
             entries |= {"parameters": f["parameters"][-1], "time": f["begin"]}
             triplets += [(self.both_ends.row(name), index, 1.0) for name, index in entries.items()]
             triplets.append((self.both_ends.row("time"), f["durations"][-1:], 1.0))
-        if self.chain.held:  # at the first node, then at those after it on every interval
+        if self.chain.constraints:  # at the first node, then at those after it on every interval
             interval, a = np.divmod(np.arange(self.chain.intervals * m), m)
-            impulses = f["impulses"].reshape(-1, self.chain.held)
+            impulses = f["impulses"].reshape(-1, self.chain.constraints)
             triplets += [
                 (self.nodes.row("x"), np.vstack((f["x"][:1], f["nodes"].reshape(-1, self.chain.dimension))), 1.0),
                 (self.nodes.row("impulse"), np.vstack((f["start_impulse"], impulses)), 1.0),
@@ -203,16 +203,16 @@ class ChainEmbedding:
         """Θᵀ: what the pointwise functions return, at all places x equations.
 
         At a quadrature point these are f and g of the mechanical components, the defects of the others, and the path
-        constraints; at either end ∂L/∂v and the rate of what is held; the conditions on both; at the nodes what is
-        held, and its impulse; at the joints crossed x after, ∂L/∂v before and after, and the condition.
+        constraints; at either end ∂L/∂v and the rate of the constraint; the conditions on both; at the nodes it and
+        its impulse; at the joints crossed x after, ∂L/∂v before and after, and the condition.
         """
         chain, rows, m = self.chain, self.chain.rows, self.chain.method.degree
         n, dm, element = chain.intervals, chain.mechanical, chain.method.element
-        along = {"f": dm, "g": dm, "defect": chain.dimension - dm, "path": chain.constraints}
+        along = {"f": dm, "g": dm, "defect": chain.dimension - dm, "path": chain.path_constraints}
         points = Place(self.points.count, along, 0)
-        either_end = Place(2, {"momentum": dm, "tangent": chain.held}, points.last)
+        either_end = Place(2, {"momentum": dm, "tangent": chain.constraints}, points.last)
         both_ends = Place(self.both_ends.count, {"conditions": chain.conditions}, either_end.last)
-        nodes = Place(self.nodes.count, {"held": chain.held, "push": dm}, both_ends.last)
+        nodes = Place(self.nodes.count, {"constraint": chain.constraints, "push": dm}, both_ends.last)
         weights, sign = element.weights[:, None], np.append(np.ones(m), -1.0)
         tests = weights * lagrange_values(np.array(gauss(m).points), element.points)
         works = np.concatenate((rows["motion"], chain.arrivals[:, None]), axis=1)[:, None]  # (N, 1, m + 1, dm)
@@ -226,12 +226,12 @@ class ChainEmbedding:
             (either_end.row("tangent"), np.stack((rows["start_tangent"], rows["end_tangent"])), 1.0),
             (both_ends.row("conditions"), rows["ends"], 1.0),
         ]
-        if chain.held:
+        if chain.constraints:
             later = np.concatenate((rows["motion"][:, 1:], rows["momentum"][:, None]), axis=1).reshape(-1, dm)
-            of_held = np.vstack((rows["start_held"], rows["held"].reshape(-1, chain.held)))
+            of_constraint = np.vstack((rows["start_constraint"], rows["constraint"].reshape(-1, chain.constraints)))
             signs = np.append(-1.0, np.tile(sign[1:], n))[:, None]
             triplets += [
-                (nodes.row("held"), of_held, 1.0),
+                (nodes.row("constraint"), of_constraint, 1.0),
                 (nodes.row("push"), np.vstack((rows["start"], later)), signs),
             ]
         last = nodes.last

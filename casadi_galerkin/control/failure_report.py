@@ -74,7 +74,7 @@ def name_equation(chain: Chain, row: int) -> tuple[str, float]:
         "rates": "the rate of x",
         "path": "path constraint",
         "ends": "end condition",
-        **dict.fromkeys(("held", "start_held"), "constraint"),
+        **dict.fromkeys(("constraint", "start_constraint"), "constraint"),
         **dict.fromkeys(("start_tangent", "end_tangent"), "the rate of constraint"),
         "waypoint": "condition",
     }
@@ -116,7 +116,7 @@ def _place(chain: Chain, name: str, found: tuple[int, ...]) -> float:
         "nodes": method.element.nodes[1:],
         "motion": method.element.nodes,
         "rates": np.array(gauss(method.degree).points),
-        "held": method.element.nodes[1:],
+        "constraint": method.element.nodes[1:],
         "impulses": method.element.nodes[1:],
         "path": method.element.points,
         "controls": chain.control_times,

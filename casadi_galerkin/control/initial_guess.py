@@ -78,8 +78,8 @@ def first_values(
         "part": np.diff(mesh) / lasting,
         "momentum": np.zeros((n + 1, dm)),
         "sizes": np.ones(dm),
-        "impulses": np.zeros((n, degree, chain.held)),
-        "start_impulse": np.zeros(chain.held),
+        "impulses": np.zeros((n, degree, chain.constraints)),
+        "start_impulse": np.zeros(chain.constraints),
     }
 
 

@@ -117,13 +117,13 @@ def _built(graph: ControlGraph, plugin: str, options: dict[str, Any]) -> ca.Func
 
 
 def optimize(
-    solver: Lender[Evaluator], guess: np.ndarray, data: np.ndarray, limits: ProgramBounds, *duals: Any
+    solver: Lender[Evaluator], guess: np.ndarray, data: np.ndarray, bounds: ProgramBounds, *duals: Any
 ) -> Optimum:
     """Run the solver from a guess, to start warm with the multipliers of the bounds and of the equations."""
     with solver.lend() as run:
-        x, _, _, bounds, equations, _ = run(guess, data, *limits.sides, *(duals or (0.0, 0.0)))
+        x, _, _, of_bounds, of_equations, _ = run(guess, data, *bounds.sides, *(duals or (0.0, 0.0)))
         stats = run.stats
     status = str(stats["return_status"]).replace("_", " ")
     status = FATROP_WORDS.get(status, status)
-    found = np.where(limits.lower == limits.upper, limits.lower, x)  # fatrop holds what is given as an equation
-    return Optimum(found, equations, bounds, bool(stats["success"]), status, int(stats["iter_count"]))
+    found = np.where(bounds.lower == bounds.upper, bounds.lower, x)  # fatrop holds what is given as an equation
+    return Optimum(found, of_equations, of_bounds, bool(stats["success"]), status, int(stats["iter_count"]))

@@ -39,7 +39,7 @@ def _narrowed(low: np.ndarray, high: np.ndarray, relaxed: float) -> tuple[np.nda
     return low + move[0], high - move[1]
 
 
-def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> ProgramBounds:
+def bounds_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> ProgramBounds:
     """Bounds of the unknowns and of the equations; what is given is a bound on both sides.
 
     Durations and parameters are bounded at the end, and their continuity holds the others.  Equations that the given
@@ -69,15 +69,15 @@ def limits_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
     return with_ends(ProgramBounds(*sides[:, : chain.unknowns], *equations), problem, chain)
 
 
-def with_ends(limits: ProgramBounds, problem: ControlProblem, chain: Chain) -> ProgramBounds:
+def with_ends(bounds: ProgramBounds, problem: ControlProblem, chain: Chain) -> ProgramBounds:
     """The same bounds with the ends and the velocities there that a problem gives."""
     velocities = (*problem.start_velocity[: chain.mechanical], *problem.end_velocity[: chain.mechanical])
     stated = np.array([*problem.start, *problem.end, *velocities], dtype=float)  # NaN for None
     index = np.concatenate((*chain.fields["x"][[0, -1]], chain.fields["start_velocity"], chain.fields["end_velocity"]))
     given = np.isfinite(stated)
-    sides = np.array([limits.lower, limits.upper])
+    sides = np.array([bounds.lower, bounds.upper])
     sides[:, index[given]] = stated[given]
-    return replace(limits, lower=sides[0], upper=sides[1])
+    return replace(bounds, lower=sides[0], upper=sides[1])
 
 
 def _limit(sides: np.ndarray, index: np.ndarray, bounds: ArrayLike) -> None:
@@ -89,19 +89,19 @@ def _limit(sides: np.ndarray, index: np.ndarray, bounds: ArrayLike) -> None:
 def _implied(problem: ControlProblem, chain: Chain) -> list[np.ndarray]:
     """Equations of a holonomic constraint that what is given at the ends meets already."""
     stated = [
-        (problem.start, chain.rows["start_held"]),
-        (problem.end, chain.rows["held"][-1, -1]),
+        (problem.start, chain.rows["start_constraint"]),
+        (problem.end, chain.rows["constraint"][-1, -1]),
         (problem.start_velocity, chain.rows["start_tangent"]),
         (problem.end_velocity, chain.rows["end_tangent"]),
     ]
     return [rows for given, rows in stated if None not in given]
 
 
-def check_count(chain: Chain, limits: ProgramBounds) -> None:
+def check_count(chain: Chain, bounds: ProgramBounds) -> None:
     """Refuse more equations than unknowns, as a very coarse mesh has; what only passes states on is not counted."""
     passed = sum(states for states, *_ in chain.stages[1:]) + chain.mechanical
-    equations = int(np.count_nonzero(limits.equations_lower == limits.equations_upper)) - passed
-    unknowns = int(np.count_nonzero(limits.lower < limits.upper)) - passed
+    equations = int(np.count_nonzero(bounds.equations_lower == bounds.equations_upper)) - passed
+    unknowns = int(np.count_nonzero(bounds.lower < bounds.upper)) - passed
     if equations > unknowns:
         raise ValueError(
             f"{counted(equations, 'equation')} for {counted(unknowns, 'unknown')} on "
@@ -110,7 +110,7 @@ def check_count(chain: Chain, limits: ProgramBounds) -> None:
         )
 
 
-def check_stages(chain: Chain, limits: ProgramBounds) -> None:
+def check_stages(chain: Chain, bounds: ProgramBounds) -> None:
     """Refuse what fatrop cannot take apart into stages, or takes for an error when it runs."""
     conditions = chain.problem.end_conditions
     if conditions is not None and any(conditions[0].sparsity_jac(k, 0).nnz() for k in (0, 1)):
@@ -123,8 +123,8 @@ def check_stages(chain: Chain, limits: ProgramBounds) -> None:
     for i, following in enumerate(np.append(states[1:], 0)):
         own, row = row + following, row + following + counts[i]
         first, unknown = unknown, unknown + states[i] + others[i]
-        equations = np.count_nonzero((limits.equations_lower == limits.equations_upper)[own:row])
-        equations += np.count_nonzero((limits.lower == limits.upper)[first:unknown])
+        equations = np.count_nonzero((bounds.equations_lower == bounds.equations_upper)[own:row])
+        equations += np.count_nonzero((bounds.lower == bounds.upper)[first:unknown])
         if equations > unknown - first:
             where = f"interval {i}" if i < chain.intervals else "the end"
             raise ValueError(

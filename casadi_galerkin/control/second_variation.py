@@ -16,7 +16,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
-from casadi_galerkin.control.program_bounds import limits_of
+from casadi_galerkin.control.program_bounds import bounds_of
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
@@ -50,13 +50,13 @@ class CostVariation:
         By more than `FLAT` of it, for moves as large as the path.
         """
         chain, at = Chain(self.problem, self.method, self.mesh), self.optimum
-        graph, limits = ControlGraph(self.problem, chain, one_by_one), limits_of(self.problem, chain)
+        graph, bounds = ControlGraph(self.problem, chain, one_by_one), bounds_of(self.problem, chain)
         by_cost = np.any(np.array(graph.gradient(at.unknowns, self.data)[1]))
         multipliers = at.multipliers if by_cost else 0 * at.multipliers  # which then are rounding alone
         hessian = graph.whole_hessian(at.unknowns, self.data, 1.0, multipliers)[1]
         values, gradients = graph.jacobian(at.unknowns, self.data)
         sizes, rows = _sizes(chain, at.unknowns), np.array(values).ravel()
-        low, high, least, most = limits.sides
+        low, high, least, most = bounds.sides
         free = np.flatnonzero(~_met(at.unknowns, low, high, at.bound_multipliers, sizes)).tolist()
         held = np.flatnonzero(_met(rows, least, most, at.multipliers, np.abs(rows))).tolist()
         units, flat = (ca.diag(ca.DM(a)) for a in (np.where(sizes > 0, sizes, 1.0), np.where(sizes > 0, FLAT, 0.0)))

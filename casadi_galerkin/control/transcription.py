@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -18,16 +19,15 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.attempts import AS_GUESSED, Beginning, or_from_other_beginnings, or_with_ipopt
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import FEASIBLE, UNSEEN, unseen_change, violations
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
-from casadi_galerkin.control.graph import ControlGraph, Report
+from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
-from casadi_galerkin.control.optimizer import RELAXED, Optimum, optimize, with_fatrop, with_ipopt
-from casadi_galerkin.control.program_bounds import check_count, check_stages, limits_of, with_ends
+from casadi_galerkin.control.optimizer import RELAXED, optimize, with_fatrop, with_ipopt
+from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, with_ends
 from casadi_galerkin.control.second_variation import CostVariation
 from casadi_galerkin.functional.buffers import Evaluator, Lender
 from casadi_galerkin.functional.mapping import Mapping, by_rows
@@ -49,6 +49,22 @@ SHORTEST = 1e-10  # interval over the duration; at 1e-9 to 1e-12 IPOPT was seen 
 NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
 
 
+@dataclass(frozen=True)
+class StartingPoint:
+    """Where a solve begins.
+
+    Attributes
+    ----------
+    values : one array for every field of the `Chain`
+    duals : multipliers of the bounds and of the equations to start warm from, or nothing
+    sizes : of the terms of every kind of equation
+    """
+
+    values: dict[str, np.ndarray]
+    duals: tuple[np.ndarray, ...]
+    sizes: np.ndarray
+
+
 class ControlTranscription:
     """A control problem on N intervals as a nonlinear program, built once and solved often.
 
@@ -65,7 +81,7 @@ class ControlTranscription:
     ----------
     chain : Chain, which unknown is what
     graph : ControlGraph, the Functions
-    limits : ProgramBounds
+    bounds : ProgramBounds
     calculus : DiscreteCalculus of the joints
     build_seconds : float
 
@@ -88,8 +104,8 @@ class ControlTranscription:
         self.chain = Chain(problem, method, mesh)
         self.calculus = DiscreteCalculus(method, mesh)
         self.graph = ControlGraph(problem, self.chain, mapping)
-        self.limits = limits_of(problem, self.chain)
-        check_count(self.chain, self.limits)
+        self.bounds = bounds_of(problem, self.chain)
+        check_count(self.chain, self.bounds)
         self._solvers: dict[str, Lender[Evaluator]] = {}
         self.build_seconds = time.perf_counter() - began
 
@@ -149,7 +165,7 @@ class ControlTranscription:
         problem = self.problem.varied({**ends, "parameters": parameters}, span)
 
         def solved(beginning: Beginning) -> ControlTrajectory:
-            begun = self.start(problem, calculus, guess, beginning)
+            begun = self.starting_point(problem, calculus, guess, beginning)
             return or_with_ipopt(solver, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began))
 
         with fork_waits:  # it builds its Functions when they are first needed
@@ -175,41 +191,70 @@ class ControlTranscription:
         solver: Solver,
         problem: ControlProblem,
         mesh: np.ndarray,
-        start: tuple[dict[str, np.ndarray], tuple[np.ndarray, ...], np.ndarray],
+        start: StartingPoint,
         verbose: int,
         began: float,
     ) -> ControlTrajectory:
-        """What one solver finds from a `start`, verified."""
-        chain, limits = self.chain, with_ends(self.limits, problem, self.chain)
-        values, duals, before = start
-        unknowns, data = chain.pack(values)
-        way = self._kept_program(solver, bool(duals), verbose)
-        optimum = optimize(way, unknowns, data, limits.narrowed(RELAXED[solver.name]), *duals)
+        """What one solver finds from a starting point, verified."""
+        chain, bounds = self.chain, with_ends(self.bounds, problem, self.chain)
+        unknowns, data = chain.pack(start.values)
+        way = self._kept_program(solver, bool(start.duals), verbose)
+        optimum = optimize(way, unknowns, data, bounds.narrowed(RELAXED[solver.name]), *start.duals)
         if optimum.status == INVALID:
             refuse_derivatives(self.graph, unknowns, data, mesh)
         report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
-        relative = violations(chain, limits, optimum.unknowns, report, before)
-        found, violation = chain.unpack(optimum.unknowns, data), float(np.max(relative))
-        path = chain.path(found, self._joints(found, mesh))
+        relative = violations(chain, bounds, optimum.unknowns, report, start.sizes)
+        values, violation = chain.unpack(optimum.unknowns, data), float(np.max(relative))
+        path = chain.path(values, self._joints(values, mesh))
         if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
             raise explained(NAMES[solver.name], chain, optimum, report.cost, relative, path)
         off = off_constraint(problem, path)
         if off is not None:
             raise ConvergenceError(f"no path was found: {off}", Path(path), violation / EPS, optimum.iterations)
-        variation = CostVariation(problem, self.method, mesh, optimum, data, report.cost)
-        change = unseen_change(chain, limits, optimum, report, path.times(path.nodes[:-1]))
+        change = unseen_change(chain, bounds, optimum, report, path.times(path.nodes[:-1]))
         hidden = f"; its tolerances are absolute, and may hide a change of the cost by {change:.1e}"
-        told = f"{NAMES[solver.name]} ({optimum.status}{hidden if change > UNSEEN * abs(report.cost) else ''})"
-        return self._trajectory(told, optimum, report, variation, problem, found, path, change, violation, began)
+        hidden = hidden if change > UNSEEN * abs(report.cost) else ""
+        multipliers = optimum.multipliers / chain.units(values["sizes"])
+        joints, mechanical = path.mesh, chain.mechanical
+        parameters = None if problem.parameters is None else tuple(values["parameters"].tolist())
+        breakpoints = tuple(joints[chain.breaks].tolist())
+        found = problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints)
+        others = np.zeros((chain.dimension - mechanical, len(joints)))
+        momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
+        rates = path.at_parts(np.array([0.0, 1.0]))[1][mechanical:, [0, -1], [0, 1]].T
+        return ControlTrajectory(
+            polynomial=path,
+            momentum=tangent_at_joints(found, path, momentum),
+            action=report.action,
+            iterations=optimum.iterations,
+            residual=violation / EPS,
+            solver=f"{NAMES[solver.name]} ({optimum.status}{hidden})",
+            build_seconds=self.build_seconds,
+            solve_seconds=time.perf_counter() - began - self.build_seconds,
+            method=self.method,
+            problem=found,
+            second_variation=CostVariation(problem, self.method, mesh, optimum, data, report.cost),
+            cost=report.cost,
+            control=self._over_time(joints, chain.control_times, values["controls"]),
+            costate=chain.costate(multipliers, optimum.bound_multipliers, report.arriving, joints),
+            path_multipliers=self._path_multipliers(multipliers, joints),
+            duals=(multipliers, optimum.bound_multipliers),
+            hamiltonian=report.hamiltonian,
+            unseen_change=change,
+            violation=violation,
+            start_velocity=np.append(values["start_velocity"], rates[0]),
+            end_velocity=np.append(values["end_velocity"], rates[1]),
+            arrival_velocity=values["velocity"],
+        )
 
-    def start(
+    def starting_point(
         self,
         problem: ControlProblem,
         calculus: DiscreteCalculus,
         guess: Guess | None,
         beginning: Beginning = AS_GUESSED,
-    ) -> tuple[dict[str, np.ndarray], tuple[np.ndarray, ...], np.ndarray]:
-        """Values at a guess; multipliers of the bounds and of the equations where it has them; sizes of terms by kind.
+    ) -> StartingPoint:
+        """Where a solve from a guess begins.
 
         The equations of motion are measured by their terms along the guess, but by no more than `WILD` times those on
         the straight line between the ends, so that the solver's tolerance, which is absolute, does not depend on units.
@@ -237,12 +282,12 @@ class ControlTranscription:
         values["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0) / values["sizes"]
         units = chain.units(values["sizes"])
         duals = () if near is None else (near.duals[1], near.duals[0] * units)
-        return values, duals, largest
+        return StartingPoint(values, duals, largest)
 
     def program(self, solver: Solver, warm: bool, verbose: int) -> ca.Function:
         """Build the solver for this program."""
         if solver.name == fatrop.name:
-            check_stages(self.chain, self.limits)
+            check_stages(self.chain, self.bounds)
             return with_fatrop(self.graph, verbose, solver.options)
         return with_ipopt(self.graph, warm, verbose, solver.options)
 
@@ -267,55 +312,9 @@ class ControlTranscription:
         phases = self.chain.phases
         return np.append(marks[phases] + values["durations"][phases] * values["left"], marks[-1])
 
-    def _trajectory(
-        self,
-        told: str,
-        optimum: Optimum,
-        report: Report,
-        variation: CostVariation,
-        problem: ControlProblem,
-        values: dict[str, np.ndarray],
-        path: PiecewisePolynomial,
-        change: float,
-        violation: float,
-        began: float,
-    ) -> ControlTrajectory:
-        chain, joints = self.chain, path.mesh
-        multipliers = optimum.multipliers / chain.units(values["sizes"])
-        parameters = None if problem.parameters is None else tuple(values["parameters"].tolist())
-        breakpoints = tuple(joints[chain.breaks].tolist())
-        others = np.zeros((chain.dimension - chain.mechanical, len(joints)))
-        problem = problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints)
-        momentum = tangent_at_joints(problem, path, np.vstack(((values["momentum"] * values["sizes"]).T, others)))
-        rates = path.at_parts(np.array([0.0, 1.0]))[1][chain.mechanical :, [0, -1], [0, 1]].T
-        return ControlTrajectory(
-            polynomial=path,
-            momentum=momentum,
-            action=report.action,
-            iterations=optimum.iterations,
-            residual=violation / EPS,
-            solver=told,
-            build_seconds=self.build_seconds,
-            solve_seconds=time.perf_counter() - began - self.build_seconds,
-            method=self.method,
-            problem=problem,
-            second_variation=variation,
-            cost=report.cost,
-            control=self._over_time(joints, chain.control_times, values["controls"]),
-            costate=chain.costate(multipliers, optimum.bound_multipliers, report.arriving, joints),
-            path_multipliers=self._path_multipliers(multipliers, joints),
-            duals=(multipliers, optimum.bound_multipliers),
-            hamiltonian=report.hamiltonian,
-            unseen_change=change,
-            violation=violation,
-            start_velocity=np.append(values["start_velocity"], rates[0]),
-            end_velocity=np.append(values["end_velocity"], rates[1]),
-            arrival_velocity=values["velocity"],
-        )
-
     def _path_multipliers(self, multipliers: np.ndarray, joints: np.ndarray) -> ControlPath | None:
         """Multipliers of the path constraints as functions of time: those of each point over its share of time."""
-        if not self.chain.constraints:
+        if not self.chain.path_constraints:
             return None
         shares = np.multiply.outer(np.diff(joints), self.method.element.weights)
         values = multipliers[self.chain.rows["path"]] / shares[:, :, None]

@@ -182,7 +182,7 @@ def test_an_answer_is_a_guess_with_its_jumps():
     known = cold.solve()
     assert cold.solve(guess=known).iterations <= 2
     finer = cg.transcribe(staged(), cg.Galerkin(6), 12)
-    values, _, _ = finer.start(finer.problem, finer.calculus, known)
+    values = finer.starting_point(finer.problem, finer.calculus, known).values
     jumps = values["x"][finer.chain.crossed] - values["nodes"][finer.chain.crossed - 1, -1]
     when = np.array(known.problem.breakpoints)
     np.testing.assert_allclose(jumps.T, known(when) - known.before(when), rtol=0, atol=1e-12)
