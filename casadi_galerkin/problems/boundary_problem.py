@@ -161,13 +161,13 @@ class BoundaryProblem:
         functions = [f for f in (self.lagrangian, self.constraint) if f is not None]
         return self.force is None and not any(f.sparsity_jac(0, 0).nnz() for f in functions)
 
-    def varied(self, changes: Mapping[str, Any], t_span: tuple[float, float]) -> BoundaryProblem:
+    def varied(self, changes: Mapping[str, Any], t_span: Sequence[float] | None = None) -> BoundaryProblem:
         """Copy with other given values.
 
         Parameters
         ----------
         changes : new values by name, one of `VARIED`: with None exactly where the problem has None; or None, for none
-        t_span : (t_0, t_N), checked before; with the breakpoints inside
+        t_span : (t_0, t_N) with the breakpoints inside; default the same
         """
         other = with_changes(self, changes, t_span)
         check_constraint(other)

@@ -248,7 +248,7 @@ class ControlProblem:
         timed = {name: tuple((moved[t], what) for t, what in getattr(self, name)) for name in ("waypoints", "jumps")}
         return with_values(self, t_span=t_span, parameters=parameters, breakpoints=breakpoints, **timed)
 
-    def varied(self, changes: Mapping[str, Any], t_span: tuple[float, float]) -> ControlProblem:
+    def varied(self, changes: Mapping[str, Any], t_span: Sequence[float] | None = None) -> ControlProblem:
         """Copy with other ends, velocities or parameters, by name, and other times; see `BoundaryProblem.varied`."""
         other = with_changes(self, changes, t_span)
         other._check_ends()

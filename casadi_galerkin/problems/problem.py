@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import check_method
-from casadi_galerkin.calculus.numbers import components, finite, numbers, times_inside
+from casadi_galerkin.calculus.numbers import components, finite, numbers, time_span, times_inside
 
 
 class Problem(Protocol):
@@ -75,14 +75,15 @@ def check_types(problem: object, method: object, *kinds: type) -> None:
     check_method(method)
 
 
-def with_changes(problem: Stated, changes: Mapping[str, Any], t_span: tuple[float, float]) -> Stated:
+def with_changes(problem: Stated, changes: Mapping[str, Any], t_span: Sequence[float] | None) -> Stated:
     """Copy with other times around its breakpoints, and other values by name: None exactly where the problem has it.
 
     What is None as a whole stays as it is.
     """
-    if t_span != problem.t_span:
-        times_inside("breakpoints", problem.breakpoints, t_span)
-    values: dict[str, Any] = {}
+    span = problem.t_span if t_span is None else time_span(t_span)
+    values: dict[str, Any] = {"t_span": span}
+    if span != problem.t_span:
+        times_inside("breakpoints", problem.breakpoints, span)
     for name, value in changes.items():
         if value is None:
             continue
@@ -97,7 +98,7 @@ def with_changes(problem: Stated, changes: Mapping[str, Any], t_span: tuple[floa
             values[name] = components(name, value, len(before))
             if [a is None for a in values[name]] != [a is None for a in before]:
                 raise ValueError(f"{name} must have None where the problem has it, {before}, got {values[name]}")
-    return with_values(problem, t_span=t_span, **values)
+    return with_values(problem, **values)
 
 
 MOST_SHOWN = 6  # numbers of a repr

@@ -62,7 +62,7 @@ class CutShort(ConvergenceError):
 def varied(problem: Stated, variation: Variation) -> Stated:
     """The problem of a variation."""
     given = {name: value for name, value in variation.items() if name in VARIED}
-    return problem.varied(given, variation.get("t_span", problem.t_span))
+    return problem.varied(given, variation.get("t_span"))
 
 
 class Neighbors:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.boundary.branches import jumps
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.numbers import counted, time_span
+from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import check_kind
@@ -249,11 +249,8 @@ def _checked(problem: BoundaryProblem | ControlProblem, number: int, variation: 
         raise ValueError(f"variation {number} has {unknown[0]!r}; what can be varied is {told}")
     checked = dict(variation)
     try:
-        if "t_span" in checked:
-            checked["t_span"] = time_span(checked["t_span"])
-        given = {name: checked[name] for name in VARIED if name in checked}
-        varied = problem.varied(given, checked.get("t_span", problem.t_span))
-        checked |= {name: getattr(varied, name) for name in given}
+        other = problem.varied({name: checked[name] for name in VARIED if name in checked}, checked.get("t_span"))
+        checked |= {name: getattr(other, name) for name in checked if name != "guess"}
     except (TypeError, ValueError) as error:
         raise type(error)(f"variation {number}: {error}") from None
     return checked

@@ -64,7 +64,7 @@ class Row:
     >>> (row,) = cg.trade(oscillator, [cg.Galerkin(6)], [4]).rows
     >>> row.way, row.intervals, row.unknowns, row.error < 1e-9, row.failure
     ('newton', 4, 23, True, None)
-    >>> row.solve(oscillator.varied({"end": [2.0]}, oscillator.t_span))(1.0).tolist()
+    >>> row.solve(oscillator.varied({"end": [2.0]}))(1.0).tolist()
     [2.0]
     """
 

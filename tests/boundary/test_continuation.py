@@ -220,7 +220,7 @@ def test_a_branch_grows_far_beyond_the_size_of_its_first_path(imperfection):
         lambda t, x, v, p: v[0] ** 2 / 2 + p[0] * ca.cos(x[0]), (0, 1), [0.0], [imperfection], parameters=[1.0]
     )
     branch = cg.continuation(rod, [20.0], intervals=10)
-    bent = rod.varied({"parameters": [20.0]}, rod.t_span)
+    bent = rod.varied({"parameters": [20.0]})
     direct = cg.solve(bent, cg.Galerkin(8), 10, guess=lambda t: [2.2 * np.sin(np.pi * t)])
     assert branch.reached
     assert branch.trajectories[-1].morse_index == direct.morse_index == 0
@@ -319,6 +319,6 @@ def test_a_branch_that_meets_its_mirror_image_turns_where_another_one_crosses():
     half = np.roll(path.x[:, :-1], 10, axis=1)
     np.testing.assert_allclose(branch.trajectories[-1].x[:, :-1], -half, rtol=0, atol=1e-9)
     for share, index in ((-1e-6, 0), (1e-6, 1)):
-        beside = duffing.varied({"parameters": [fold.parameters[0] * (1 + share)]}, duffing.t_span)
+        beside = duffing.varied({"parameters": [fold.parameters[0] * (1 + share)]})
         symmetric = cg.solve(beside, cg.Galerkin(8), 20, guess=lambda t: [-0.8 * np.cos(t)])
         assert symmetric.morse_index == index

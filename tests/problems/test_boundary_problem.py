@@ -195,3 +195,10 @@ def test_another_time_span_must_hold_the_breakpoints(t_span):
     with pytest.raises(ValueError, match=r"breakpoints must increase inside of .*, got \(0.7,\)"):
         cg.transcribe(problem, tol=1e-6).solve(t_span=t_span)
     assert problem.varied({}, (0.5, 1.0)).t_span == (0.5, 1.0)
+
+
+def test_the_time_span_of_a_varied_problem_is_checked_and_may_be_left_out():
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0.0, 2.0), [0.0], [1.0])
+    with pytest.raises(ValueError, match=r"t_span must increase, got \(1.0, 0.0\)"):
+        problem.varied({}, (1.0, 0.0))
+    assert problem.varied({"end": [2.0]}).t_span == (0.0, 2.0)
