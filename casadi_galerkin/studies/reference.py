@@ -36,14 +36,14 @@ SAMPLES = 2000  # times at which errors are taken, and at least 4 on every inter
 LOOKS, SLACK = 5, 1e-12  # times at which a callable is tried; part of the time span by which ends may differ
 FINER_DEGREE, LEAST_DEGREE = 4, 8  # degrees that a reference has more than the methods, and its least one
 RESOLVED = 1e-11  # part that the values of a callable may leave out, else its velocities are not told
-FINER, ROUNDOFF, DOUBLINGS = 1e-2, 1e-14, 4  # part of the least error that a reference's own may be; its floor
+FINER, LEAST_ERROR, DOUBLINGS = 1e-2, 1e-14, 4  # part of the least error that a reference's own may be; its floor
 
 AnyProblem: TypeAlias = BoundaryProblem | InitialProblem | ControlProblem
 Reference: TypeAlias = Trajectory | Callable[[float], ArrayLike]
 Measure: TypeAlias = Callable[[Any], float]  # of a path, a Trajectory unless the reference is a callable
 
 
-def check_reference(problem: AnyProblem, given: Reference) -> None:
+def _check(problem: AnyProblem, given: Reference) -> None:
     """Refuse a reference that is no path of the problem."""
     d, span = problem.dimension, problem.t_span
     free = any(getattr(problem, name, None) is not None for name in ("duration_bounds", "energy"))
@@ -75,33 +75,32 @@ class ReferenceSolution:
     def __init__(
         self, problem: AnyProblem, given: Reference, parameters: tuple[float, ...] | None, measure: Measure | None
     ) -> None:
+        _check(problem, given)
         self._path: Path
         self._at: Callable[[np.ndarray], np.ndarray]
-        told = True
         if isinstance(given, Trajectory):
             self._path, self._at, self._marks, parameters = given, given, marks(given.problem), given.parameters
         else:
             self._at = partial(sampled, "the reference", given, dimension=problem.dimension)
-            polynomial = _interpolated(problem, self._at)
-            self._path, self._marks = Path(polynomial), marks(problem)
-            told = bool(np.max(truncation(polynomial)) <= RESOLVED)
+            self._path, self._marks = Path(_interpolated(problem, self._at)), marks(problem)
         calculus = DiscreteCalculus(Galerkin(LEAST_DEGREE), self._path.t)
         self._lagrangian = with_parameters(problem.lagrangian, parameters)
         values, kinetic = self._terms(calculus.quadrature_times)
-        self._functional = float(calculus.weights @ values)
+        self._sizes = component_sizes(self._path.polynomial.values)[:, None]
+        self._energy_size = float(np.max(np.abs(values) + np.abs(kinetic))) or 1.0  # zero at rest
         self._functional_size = float(calculus.weights @ np.abs(values)) or 1.0
-        if isinstance(problem, BoundaryProblem) and problem.end_action is not None:
-            ends = self._path.x[:, [0, -1]].T
-            self._functional += float(with_parameters(problem.end_action, parameters)(*ends))
-        if isinstance(given, Trajectory):
-            self._functional = given.action
         if isinstance(problem, ControlProblem):  # a callable has no controls, so no cost
             self._functional = given.cost if isinstance(given, ControlTrajectory) else np.nan
             self._functional_size = abs(self._functional) or 1.0
-        self.energy_size = float(np.max(np.abs(values) + np.abs(kinetic))) or 1.0  # zero at rest
-        if not told:
-            self._functional = self.energy_size = np.nan
-        self.sizes = component_sizes(self._path.polynomial.values)[:, None]
+        elif isinstance(given, Trajectory):
+            self._functional = given.action
+        else:
+            self._functional = float(calculus.weights @ values)
+            if isinstance(problem, BoundaryProblem) and problem.end_action is not None:
+                end_action = with_parameters(problem.end_action, parameters)
+                self._functional += float(end_action(self._path.x[:, 0], self._path.x[:, -1]))
+        if not isinstance(given, Trajectory) and np.max(truncation(self._path.polynomial)) > RESOLVED:
+            self._functional = self._energy_size = np.nan
         self._measure = measure
         if measure is not None:
             self._quantity = measured(measure, self._path)
@@ -122,9 +121,9 @@ class ReferenceSolution:
         """Errors of a path by their names in a `Row`, all relative."""
         inside = np.linspace(0.0, 1.0, max(4, SAMPLES // len(path.t)) + 1)[1:-1]
         joints, times = self._matching(path, path.t), times_at(path.t, inside)
-        joint_error = float(np.max(np.abs(path.x - self._at(joints)) / self.sizes))
+        joint_error = float(np.max(np.abs(path.x - self._at(joints)) / self._sizes))
         between = self._at(self._matching(path, times))
-        path_error = max(float(np.max(np.abs(path(times) - between) / self.sizes)), joint_error)
+        path_error = max(float(np.max(np.abs(path(times) - between) / self._sizes)), joint_error)
         lagrangian, kinetic = self._terms(joints)
         energy_error = float(np.max(np.abs(path.energy - (kinetic - lagrangian))))
         functional = path.cost if isinstance(path, ControlTrajectory) else path.action
@@ -133,7 +132,7 @@ class ReferenceSolution:
             "path_error": path_error,
             "joint_error": joint_error,
             "functional_error": abs(functional - self._functional) / self._functional_size,
-            "energy_error": energy_error / self.energy_size,
+            "energy_error": energy_error / self._energy_size,
         }
 
     def _missed(self, measure: Measure, path: Trajectory) -> float:
@@ -178,7 +177,7 @@ def finer(
         if difference >= estimate:
             break
         best, estimate = fine, difference
-        if estimate <= max(ROUNDOFF, FINER * min(truth.errors(path)["error"] for path in paths)):
+        if estimate <= max(LEAST_ERROR, FINER * min(truth.errors(path)["error"] for path in paths)):
             break
         intervals *= 2
     return best, estimate

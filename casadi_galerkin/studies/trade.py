@@ -36,7 +36,6 @@ from casadi_galerkin.studies.reference import (
     Measure,
     Reference,
     ReferenceSolution,
-    check_reference,
     finer,
     measured,
 )
@@ -245,9 +244,7 @@ def trade(
     grid = _listed("methods", methods), _listed("intervals", intervals)
     ways = _ways(problem, *grid, _listed("tolerances", tolerances), _solvers(problem, solvers), shooting, guess)
     if reference is not None:
-        check_reference(problem, reference)
-        if measure is not None:
-            ReferenceSolution(problem, reference, problem.parameters, measure)
+        ReferenceSolution(problem, reference, problem.parameters, measure)  # refuses what does not fit
     count = len(ways) + len([way for way in ways if way.adaptive])
     with progress("trade", (1 + REPEATS) * count) as advance:
         cells: list[_Cell] = []

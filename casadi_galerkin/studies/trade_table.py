@@ -19,7 +19,7 @@ from casadi_galerkin.solution.plotting import Pictured, plot_work_precision
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver
 from casadi_galerkin.stepping.shooting import shoot
-from casadi_galerkin.studies.reference import ROUNDOFF, AnyProblem
+from casadi_galerkin.studies.reference import LEAST_ERROR, AnyProblem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -184,7 +184,7 @@ class Trade(Table, Pictured):
     @property
     def floor(self) -> float:
         """Error below which rows cannot be told apart: roundoff, or the reference's own error."""
-        return max(self.reference_error, ROUNDOFF)
+        return max(self.reference_error, LEAST_ERROR)
 
     def _solved(self) -> list[Row]:
         return [row for row in self.rows if row.failure is None]
