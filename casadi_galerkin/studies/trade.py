@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -107,6 +108,22 @@ def _on_its_mesh(problem: AnyProblem, cell: _Cell) -> Row:
     return Row(row.method, row.intervals, row.solver, row.tol, mesh=tuple(joints.tolist()))
 
 
+def _cells(problem: AnyProblem, ways: list[Row], guess: Guess | None, measure: Measure | None) -> list[_Cell]:
+    """All ways, and then those on the meshes that tolerances have found, solved and repeated."""
+    cells, waiting = list[_Cell](), list(ways)
+    with progress("trade", (1 + REPEATS) * (len(ways) + len([way for way in ways if way.adaptive]))) as advance:
+        while waiting:
+            cells.append(_cell(problem, waiting.pop(0), guess, measure))
+            if cells[-1].row.adaptive and cells[-1].path is not None:
+                waiting.append(_on_its_mesh(problem, cells[-1]))
+            advance(1)
+        for _ in range(REPEATS):  # in turns, so that a busy spell of the machine does not fall on one way alone
+            for cell in cells:
+                cell.repeat()
+                advance(1)
+    return cells
+
+
 def _unknowns(problem: AnyProblem, path: Trajectory) -> int:
     """Node values and controls that were solved for."""
     ends = [getattr(problem, name, None) or () for name in ("start", "end", "position")]
@@ -114,22 +131,6 @@ def _unknowns(problem: AnyProblem, path: Trajectory) -> int:
     periodic = path.x.shape[0] if getattr(problem, "periodic", False) else 0
     controls = path.control.values.size if hasattr(path, "control") else 0
     return path.polynomial.values.size - fixed - periodic + controls
-
-
-def _check_given(problem: AnyProblem, guess: Guess | None, shooting: bool, measure: Measure | None) -> None:
-    """Refuse what would fail in each way, or in the reference."""
-    if measure is not None and not callable(measure):
-        raise TypeError(f"measure must be a callable path -> number, got {measure!r}")
-    if flag("shooting", shooting) and not isinstance(problem, BoundaryProblem):
-        raise ValueError(f"only a BoundaryProblem is solved by shooting, got a {type(problem).__name__}")
-    if guess is None:
-        return
-    if isinstance(problem, InitialProblem):
-        raise ValueError("an initial problem takes no guess: it is solved step by step")
-    if not isinstance(guess, Trajectory) and not callable(guess):
-        raise TypeError(f"the guess of a trade must fit every mesh: a callable or a Trajectory, got {guess!r}")
-    if shooting and not isinstance(guess, Trajectory):
-        raise TypeError(f"shooting begins at the start of a Trajectory: give one as the guess, got {guess!r}")
 
 
 def _listed(name: str, given: Iterable[Any]) -> list[Any]:
@@ -157,29 +158,37 @@ def _solvers(problem: AnyProblem, solvers: Iterable[Solver]) -> Sequence[Solver 
 
 def _ways(
     problem: AnyProblem,
-    methods: Sequence[Galerkin],
-    counts: Sequence[int],
+    grid: Sequence[tuple[Galerkin, int]],
     tolerances: Sequence[float],
     solvers: Sequence[Solver | None],
     shooting: bool,
-    guess: Guess | None,
 ) -> list[Row]:
     """All ways, not yet measured; refuses what does not fit."""
-    grid = [(method, count) for method in methods for count in counts]
     if not grid and not tolerances:
-        raise ValueError(
-            f"give at least one method and one number of intervals, or a tolerance, got {methods} and {counts}"
-        )
+        raise ValueError("give at least one method and one number of intervals, or a tolerance, got neither")
     for method, count in grid:
         check_types(problem, method, BoundaryProblem, InitialProblem, ControlProblem)
-        mesh = mesh_of(problem.t_span, count, None, problem.breakpoints)
-        if guess is not None:
-            guess_values(guess, DiscreteCalculus(method, mesh), problem.dimension)
+        mesh_of(problem.t_span, count, None, problem.breakpoints)
     if tolerances and isinstance(problem, InitialProblem):
         raise ValueError(f"an initial problem takes no tolerances: it is solved step by step, got {tolerances}")
+    if flag("shooting", shooting) and not isinstance(problem, BoundaryProblem):
+        raise ValueError(f"only a BoundaryProblem is solved by shooting, got a {type(problem).__name__}")
     ways = [Row(method, count, solver) for method, count in grid for solver in solvers]
     ways += [Row(method, count, shooting=True) for method, count in grid if shooting]
     return ways + [Row(solver=solver, tol=check_tolerance(tol)) for solver in solvers for tol in tolerances]
+
+
+def _check_guess(problem: AnyProblem, guess: Guess, grid: Sequence[tuple[Galerkin, int]], shooting: bool) -> None:
+    """Refuse a guess that does not fit all ways."""
+    if isinstance(problem, InitialProblem):
+        raise ValueError("an initial problem takes no guess: it is solved step by step")
+    if not isinstance(guess, Trajectory) and not callable(guess):
+        raise TypeError(f"the guess of a trade must fit every mesh: a callable or a Trajectory, got {guess!r}")
+    if shooting and not isinstance(guess, Trajectory):
+        raise TypeError(f"shooting begins at the start of a Trajectory: give one as the guess, got {guess!r}")
+    for method, count in grid:
+        calculus = DiscreteCalculus(method, mesh_of(problem.t_span, count, None, problem.breakpoints))
+        guess_values(guess, calculus, problem.dimension)
 
 
 def trade(
@@ -240,23 +249,15 @@ def trade(
     0.32105
     """
     check_kind(problem, BoundaryProblem, InitialProblem, ControlProblem)
-    _check_given(problem, guess, shooting, measure)
-    grid = _listed("methods", methods), _listed("intervals", intervals)
-    ways = _ways(problem, *grid, _listed("tolerances", tolerances), _solvers(problem, solvers), shooting, guess)
+    if measure is not None and not callable(measure):
+        raise TypeError(f"measure must be a callable path -> number, got {measure!r}")
+    grid = list(product(_listed("methods", methods), _listed("intervals", intervals)))
+    ways = _ways(problem, grid, _listed("tolerances", tolerances), _solvers(problem, solvers), shooting)
+    if guess is not None:
+        _check_guess(problem, guess, grid, shooting)
     if reference is not None:
         ReferenceSolution(problem, reference, problem.parameters, measure)  # refuses what does not fit
-    count = len(ways) + len([way for way in ways if way.adaptive])
-    with progress("trade", (1 + REPEATS) * count) as advance:
-        cells: list[_Cell] = []
-        while ways:
-            cells.append(_cell(problem, ways.pop(0), guess, measure))
-            if cells[-1].row.adaptive and cells[-1].path is not None:
-                ways.append(_on_its_mesh(problem, cells[-1]))
-            advance(1)
-        for _ in range(REPEATS):  # in turns, so that a busy spell of the machine does not fall on one way alone
-            for cell in cells:
-                cell.repeat()
-                advance(1)
+    cells = _cells(problem, ways, guess, measure)
     paths = [cell.path for cell in cells if cell.path is not None]
     if not paths:
         raise ConvergenceError(f"no way led to a path; the first failure: {cells[0].row.failure}")
