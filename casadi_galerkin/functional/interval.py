@@ -35,7 +35,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, TINY
-from casadi_galerkin.functional.pointwise import pulled_back
+from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF, solve_scaled
 
 DOUBLINGS = 4  # of Newton's iterations, to at most 16; 1 to 8 were measured, the most at the largest steps
@@ -88,16 +88,13 @@ def slope_basis(degree: int) -> SlopeBasis:
 def _points(lagrangian: ca.Function, force: ca.Function | None) -> ca.Function:
     """(t, h, x, x', sizes) -> L̂, its derivatives with h F added (2d,), their Jacobian, and the sizes that round them.
 
-    `sizes` (2d,) are those of the terms that were summed to (x, x'), which
-    may cancel.
+    `sizes` (2d,) are those of the terms that were summed to (x, x'), which may cancel.
     """
     d = lagrangian.size1_in(1)
     t, h, x, slope = ca.SX.sym("t"), ca.SX.sym("h"), ca.SX.sym("x", d), ca.SX.sym("slope", d)
     at, terms = ca.vertcat(x, slope), ca.SX.sym("terms", 2 * d)
-    action = pulled_back(lagrangian, t, h, x, slope)
-    values = ca.densify(ca.gradient(action, at))
-    if force is not None:
-        values[:d] += h * force(t, x, slope / h)
+    action, *slopes = pointwise(lagrangian, force).first(t, h, x, slope)
+    values = ca.vertcat(*slopes)
     jacobian = ca.jacobian(values, at)
     sizes = ca.densify(ca.fabs(values) + ca.mtimes(ca.fabs(jacobian), terms))
     return ca.Function("points", [t, h, x, slope, terms], [action, values, jacobian, sizes], {"cse": True})
