@@ -52,8 +52,8 @@ def sparse(triplets: Iterable[Triplet], shape: tuple[int, int]) -> ca.DM:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
-    """One kind of place: how many there are, and what is known at each, or what the pointwise functions return there.
+class Places:
+    """Places of one kind: how many there are, and what is known at each, or what the pointwise functions return there.
 
     Attributes
     ----------
@@ -89,8 +89,8 @@ class ChainEmbedding:
 
     Attributes
     ----------
-    points, either_end, both_ends, nodes : Place of each kind
-    crossings : list of Place, one for each joint crossed
+    points, either_end, both_ends, nodes : Places
+    crossings : list of Places, one for each joint crossed
     """
 
     def __init__(self, chain: Chain) -> None:
@@ -102,17 +102,17 @@ class ChainEmbedding:
         both = {f"{name}{k}": at_end[name] for k in (0, 1) for name in ("x", "velocity")} | {**common, "time": 1}
         at_node = {"x": d, "impulse": chain.constraints, **when, "sizes": mechanical}
         r, m = len(chain.method.quadrature), chain.method.degree
-        self.points = Place(chain.intervals * r, along, 0)
-        self.either_end = Place(2, at_end, self.points.last)
+        self.points = Places(chain.intervals * r, along, 0)
+        self.either_end = Places(2, at_end, self.points.last)
         joined = chain.conditions > 0 or chain.problem.terminal_cost is not None
-        self.both_ends = Place(int(joined), both, self.either_end.last)
-        self.nodes = Place((chain.intervals * m + 1) * (chain.constraints > 0), at_node, self.both_ends.last)
+        self.both_ends = Places(int(joined), both, self.either_end.last)
+        self.nodes = Places((chain.intervals * m + 1) * (chain.constraints > 0), at_node, self.both_ends.last)
         crossing, first = {"x": d, "velocity": mechanical, **when, "sizes": mechanical}, self.nodes.last
         width = sum(crossing.values())
-        self.crossings = [Place(1, crossing, first + k * width) for k in range(len(chain.crossed))]
+        self.crossings = [Places(1, crossing, first + k * width) for k in range(len(chain.crossed))]
 
     @property
-    def places(self) -> list[Place]:
+    def places(self) -> list[Places]:
         """Kinds of places that there are."""
         kinds = (self.points, self.either_end, self.both_ends, self.nodes, *self.crossings)
         return [place for place in kinds if place.count]
@@ -159,7 +159,7 @@ class ChainEmbedding:
             ]
         return sparse(triplets, (sum(place.count * place.width for place in self.places), self.chain.size))
 
-    def _along(self, place: Place, interval: np.ndarray, share: np.ndarray) -> list[Triplet]:
+    def _along(self, place: Places, interval: np.ndarray, share: np.ndarray) -> list[Triplet]:
         """Entries of A for the times of places, given as intervals (K,) and parts of these (K,); p and S there."""
         f, phases = self.chain.fields, self.chain.phases[interval, None]
         earlier = np.arange(f["durations"].shape[1]) < phases
@@ -209,10 +209,10 @@ class ChainEmbedding:
         chain, rows, m = self.chain, self.chain.rows, self.chain.method.degree
         n, dm, element = chain.intervals, chain.mechanical, chain.method.element
         along = {"f": dm, "g": dm, "defect": chain.dimension - dm, "path": chain.path_constraints}
-        points = Place(self.points.count, along, 0)
-        either_end = Place(2, {"momentum": dm, "tangent": chain.constraints}, points.last)
-        both_ends = Place(self.both_ends.count, {"conditions": chain.conditions}, either_end.last)
-        nodes = Place(self.nodes.count, {"constraint": chain.constraints, "push": dm}, both_ends.last)
+        points = Places(self.points.count, along, 0)
+        either_end = Places(2, {"momentum": dm, "tangent": chain.constraints}, points.last)
+        both_ends = Places(self.both_ends.count, {"conditions": chain.conditions}, either_end.last)
+        nodes = Places(self.nodes.count, {"constraint": chain.constraints, "push": dm}, both_ends.last)
         weights, sign = element.weights[:, None], np.append(np.ones(m), -1.0)
         tests = weights * lagrange_values(np.array(gauss(m).points), element.points)
         works = np.concatenate((rows["motion"], chain.arrivals[:, None]), axis=1)[:, None]  # (N, 1, m + 1, dm)

@@ -48,7 +48,7 @@ MARGIN = 3.0  # times what is not known of a switch: joints beside it
 AROUND = 0.05  # of sqrt(tol), over the duration: a switch between two joints moves x by the square of their distance
 APART = 1e-4  # of the duration: where what is said of a switch differs by less, it has one joint
 DISTINCT = 1e-8  # of the duration: nearer switches are one, such as those of two controls at a breakpoint
-ROUNDOFF = 1e-15  # of positions relative to their size
+POSITION_ROUNDOFF = 1e-15  # of positions relative to their size
 ROUNDED = 1e-13  # part of momenta that rounding leaves
 ALIKE = 0.1  # of what two degrees pass a bound by: they differ by less where no point sees it
 
@@ -58,15 +58,15 @@ def parts_of(degree: int) -> np.ndarray:
     return np.linspace(0, 1, 4 * degree + 1)
 
 
-def excess(path: ControlTrajectory) -> np.ndarray:
+def position_excess(path: ControlTrajectory) -> np.ndarray:
     """By how much positions leave their bounds between the nodes, relative to the components' sizes; (N,)."""
     low, high = (np.array(side)[:, None, None] for side in path.problem.position_bounds)
     positions = path.polynomial.at_parts(parts_of(path.method.degree))[0]
     outside = beyond(positions, low, high) / component_sizes(path.polynomial.values)[:, None, None]
-    return np.asarray(np.max(np.where(outside > ROUNDOFF, outside, 0.0), axis=(0, 2)))
+    return np.asarray(np.max(np.where(outside > POSITION_ROUNDOFF, outside, 0.0), axis=(0, 2)))
 
 
-def limited_values(path: ControlTrajectory, parts: np.ndarray) -> np.ndarray:
+def bounded_values(path: ControlTrajectory, parts: np.ndarray) -> np.ndarray:
     """Controls, and then path constraints, at fractions (K,) of every interval; (count, N, K)."""
     controls = path.control.at(parts).reshape(-1, len(path.t) - 1, len(parts))
     constraints = () if path.path_multipliers is None else (path.path_constraints(parts),)
@@ -87,7 +87,7 @@ def unmet(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndarray:
         g, least, most = path.problem.path_constraint
         low, high = low + least, high + most
         governed = np.append(governed, np.isin(range(len(least)), g.sparsity_jac(3, 0).row()))
-    both = np.stack([limited_values(p, parts_of(path.method.degree)) for p in (path, higher)])
+    both = np.stack([bounded_values(p, parts_of(path.method.degree)) for p in (path, higher)])
     sizes = component_sizes(both[0].reshape(len(governed), -1))
     lowest, highest, size = (np.reshape(a, (-1, 1, 1)) for a in (low, high, sizes))
     passed = np.min(beyond(both, lowest, highest), axis=0)
@@ -157,7 +157,7 @@ class HigherDegree:
     @lazy
     def outside(self) -> np.ndarray:
         """Distances by which the path is moved by bounds that it leaves unseen, (N,); √ε where a position does by ε."""
-        return np.asarray(np.maximum(np.sqrt(excess(self.path)), unmet(self.path, self.higher)))
+        return np.asarray(np.maximum(np.sqrt(position_excess(self.path)), unmet(self.path, self.higher)))
 
     @lazy
     def shared(self) -> float:

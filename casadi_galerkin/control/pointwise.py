@@ -21,14 +21,14 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.control.embedding import ChainEmbedding, Place
+from casadi_galerkin.control.embedding import ChainEmbedding, Places
 from casadi_galerkin.functional.mapping import Mapping
 from casadi_galerkin.functional.pointwise import pulled_back
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import Crossing
 
 Terms = dict[str, ca.SX]  # the rows, and the cost and the action where there are any
-NOTHING = ca.SX(1, 1)
+NO_TERM = ca.SX(1, 1)  # structurally zero
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class PointwiseTerms:
     z: ca.SX
     active: np.ndarray
     rows: ca.SX
-    cost: ca.SX = NOTHING
-    action: ca.SX = NOTHING
+    cost: ca.SX = NO_TERM
+    action: ca.SX = NO_TERM
 
     @lazy
     def _by(self) -> ca.SX:
@@ -135,7 +135,7 @@ class PointwiseTerms:
 
 def places(problem: ControlProblem, embedding: ChainEmbedding, mapping: Mapping) -> list[PointwiseTerms]:
     """The terms at all kinds of places that there are."""
-    make: dict[Place, Callable[..., Terms]] = {
+    make: dict[Places, Callable[..., Terms]] = {
         embedding.points: _at_points,
         embedding.either_end: _at_either_end,
         embedding.both_ends: _at_both_ends,

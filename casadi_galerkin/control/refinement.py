@@ -76,7 +76,7 @@ PATIENCE = 10  # levels in a row that came no nearer, after which the mesh is ha
 HIGHER = 2  # degrees added for the error estimate; two, because of parity
 
 
-def degree_for(tol: float) -> int:
+def degree_of_optimum(tol: float) -> int:
     """Degree for a tolerance: smooth scenes then need 8 to 20 intervals."""
     return int(np.clip(np.ceil(1 - np.log10(tol)), 4, 10))
 
@@ -121,7 +121,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         self.following = solver.with_options(**{"mu_init": FOLLOWING_BARRIER, **solver.options})
         sharp = float(np.clip(SHARP / tol**2, 10, SHARPEST))
         self.beside_switches = self.following.with_options(**{"barrier_tol_factor": sharp, **solver.options})
-        self.method = Galerkin(degree_for(tol)) if method is None else method
+        self.method = Galerkin(degree_of_optimum(tol)) if method is None else method
         self.build_seconds = 0.0
         self.known: HigherDegree | None = None
         self.cost_known = np.inf  # smallest error of the cost of the path under way
@@ -276,7 +276,7 @@ def first_control_mesh(
     problem: ControlProblem, tol: float, method: Galerkin | None, intervals: int | None, mesh: ArrayLike | None
 ) -> np.ndarray:
     """Joints where a refinement begins; refuses what does not fit, see `solve` for the arguments."""
-    check_types(problem, Galerkin(degree_for(tol)) if method is None else method, ControlProblem)
+    check_types(problem, Galerkin(degree_of_optimum(tol)) if method is None else method, ControlProblem)
     if problem.hold:
         raise ValueError(
             "with hold every interval has one value of the controls, so the mesh is part of the problem and "

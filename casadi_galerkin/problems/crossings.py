@@ -17,7 +17,7 @@ from casadi_galerkin.problems.callables import Traceable, trace
 Positions: TypeAlias = Sequence[float | tuple[float, float] | None]
 Waypoint: TypeAlias = tuple[float, Positions | tuple[Traceable, Limit, Limit]]
 Pairs: TypeAlias = tuple[tuple[float, float], ...]
-Place = TypeVar("Place")
+Checked = TypeVar("Checked")
 
 
 @dataclass(frozen=True)
@@ -68,11 +68,11 @@ def waypoints_of(
     return _timed("waypoints", "(t, positions) or (t, (g, lo, hi))", given, checked)
 
 
-def _timed(name: str, kind: str, given: Any, checked: Callable[[Any], Place]) -> tuple[tuple[float, Place], ...]:
+def _timed(name: str, kind: str, given: Any, checked: Callable[[Any], Checked]) -> tuple[tuple[float, Checked], ...]:
     """Check pairs of a time and what is stated there; no two may have the same time."""
     if not isinstance(given, (tuple, list, np.ndarray)):
         raise TypeError(f"{name} must be pairs {kind}, got {given!r}")
-    found: dict[float, Place] = {}
+    found: dict[float, Checked] = {}
     for pair in given:
         if not isinstance(pair, (tuple, list)) or len(pair) != 2:
             raise TypeError(f"{name} must be pairs {kind}, got {pair!r}")

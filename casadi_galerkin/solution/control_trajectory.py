@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 CONTINUOUS = 1e-8  # of the largest control: what the solver leaves between two values that should agree
 SHOWN_OVERSHOOT = 1e-3  # of the bounds' width; less is no reason for another mesh
 SHOWN_EXCESS = 1e-8  # of the constraints' size; at the points as much is accepted
-SMOOTH = np.linspace(0.0, 1.0, 40)  # parts of an interval at which a line is drawn
+ALONG = np.linspace(0.0, 1.0, 40)  # parts of an interval at which a line is drawn
 DOT = 3.0  # size of the dots of quadrature points, which are many
 
 
@@ -277,7 +277,7 @@ class ControlTrajectory(Trajectory):
         labels : n names of the controls with units
         time : name of the time with its unit
         """
-        lines = self.control.at(SMOOTH).reshape(len(self.control.values), -1, len(SMOOTH))
+        lines = self.control.at(ALONG).reshape(len(self.control.values), -1, len(ALONG))
         points = self.control.times, self.control.values
         drawn = plot_path(*self._broken(lines), *points, axes, labels, time, "u", DOT)
         draw_bounds(drawn, np.array(self.problem.control_bounds))
@@ -299,7 +299,7 @@ class ControlTrajectory(Trajectory):
         """
         if self.problem.path_constraint is None or self.path_multipliers is None:
             raise ValueError("there is no path constraint to draw")
-        times, lines = self._broken(self.path_constraints(SMOOTH))
+        times, lines = self._broken(self.path_constraints(ALONG))
         values = self.path_constraints(self.path_multipliers.points)
         points = self.path_multipliers.times
         drawn = plot_path(times, lines, points, values.reshape(len(values), -1), axes, labels, time, "g", DOT)
@@ -308,8 +308,8 @@ class ControlTrajectory(Trajectory):
         return drawn
 
     def _broken(self, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Times (K,) and values (n, K) of lines (n, N, ...) at `SMOOTH`, broken at the joints, where they may jump."""
-        times = times_at(self.t, SMOOTH).reshape(-1, len(SMOOTH))
+        """Times (K,) and values (n, K) of lines (n, N, ...) at `ALONG`, broken at the joints, where they may jump."""
+        times = times_at(self.t, ALONG).reshape(-1, len(ALONG))
         parted = [np.append(a, np.full_like(a[..., :1], np.nan), axis=-1) for a in (times, lines)]
         return parted[0].ravel(), parted[1].reshape(len(lines), -1)
 
