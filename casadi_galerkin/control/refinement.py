@@ -7,31 +7,22 @@ the optimum is the global one.
 
 Where the solver finds no answer the mesh is halved, twice at most, and the last good path tried there; where it finds
 none of degree m + 2, the level is not judged, and the next one has the mesh halved.  So has the one after many levels
-that came no nearer: of eight runs with twenty switches five go round in circles without it, and one takes too long
-with it.  IPOPT's own tolerance does not follow `tol`: of eight problems of the literature, 1e-9 instead of 1e-12 was a
-tenth faster on four, slower on two, and failed on two.
+that came no nearer, which may otherwise go round in circles where controls switch often.  IPOPT's own tolerance does
+not follow `tol`: a looser one was hardly faster, and sometimes failed.
 
-Measured over tolerances 1e-3 ... 1e-8, the estimate is 0.95 to 1.2 times the true error on smooth paths down to 1e-12,
-and 1.5 to 2.5 times with a path constraint touched in one point.  With bang-bang controls it is only a bound, because
-it holds for the switching times; where a position touches its bound, 6 to 30 times.  For the nineteen problems of
-`examples/benchmark/literature.py` at 1e-3 ... 1e-6 it bounds the error of the cost in all of 69 answers; seven runs,
-all along singular arcs, ended without one.
+On smooth paths the estimate is near the true error.  With bang-bang controls it is only a bound, because it holds for
+the switching times, and where a position touches its bound it is many times the error.  How often it bounds the error
+of the cost, `examples/benchmark/literature.py` counts on nineteen problems of the literature.
 
 What the solver itself leaves of the cost (`unseen_change`) is part of the error of the cost.  No mesh makes it less:
-where it is above the tolerance the refinement ends at once.  For these problems it is below 1e-8 of the cost.
+where it is above the tolerance the refinement ends at once.
 
 Out of reach is a path with a singular arc, where controls differ from mesh to mesh and cost the same: the cost is then
-known long before the path.  The error raised says so, and a tolerance of the cost alone is met: for the nineteen
-problems at 1e-3 ... 1e-8 in 112 runs of 114, always with a cost as near as asked.  The estimate of its error bounds it
-in 111 of these; in the other one, where bounds are met and left, it is 5 times too small.  Out of reach, too, is a path
-to 1e-8 with a path constraint touched in one point and a Gauss rule.
+known long before the path.  The error raised says so, and a tolerance of the cost alone is mostly met.  So is a path to
+1e-8 with a path constraint touched in one point and a Gauss rule.
 
-Jumps in time that no breakpoint names are seen (`time_witness`), and the mesh is refined beside them.  The estimate
-bounds the error of the cost in all of 24 runs at 1e-3 and 1e-5 with steps of a weight, a force, a potential, a mass and
-rates; at 1e-7 some are refused with the time to name.  Where a path constraint steps it is 5 to 10 times too small at
-1e-5.  On ten smooth problems that depend on time, what is taken for jumps is below 1e-2 of the estimate.
-
-The dynamics defect was measured too: of order m, it is 0.3 to 100 times the error of x.
+Jumps in time that no breakpoint names are seen (`time_witness`), and the mesh is refined beside them; at tight
+tolerances the error raised tells the time to name.  Where a path constraint steps, the estimate is too small.
 """
 
 from __future__ import annotations

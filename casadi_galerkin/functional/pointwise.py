@@ -82,7 +82,7 @@ class Pointwise:
 
     @lazy
     def without_repetition(self) -> ca.Function:
-        """The same without instructions that repeat, a tenth to a quarter of them.
+        """What `derivatives` has, without the instructions that repeat, a tenth to a quarter of them.
 
         Finding them takes longer than one solve saves by it.
         """

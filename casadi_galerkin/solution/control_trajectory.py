@@ -337,7 +337,7 @@ class ControlTrajectory(Trajectory):
 
     @property
     def _left_out(self) -> np.ndarray:
-        """The same, but nothing where the equations of motion hold between the points, too."""
+        """What the polynomials leave out, but nothing where the equations of motion hold between the points, too."""
         return np.asarray(np.minimum(super()._left_out, self.dynamics_defect))
 
     def _between_points(self) -> list[str]:
