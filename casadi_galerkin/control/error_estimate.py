@@ -69,8 +69,7 @@ def position_excess(path: ControlTrajectory) -> np.ndarray:
 def bounded_values(path: ControlTrajectory, parts: np.ndarray) -> np.ndarray:
     """Controls, and then path constraints, at fractions (K,) of every interval; (count, N, K)."""
     controls = path.control.at(parts).reshape(-1, len(path.t) - 1, len(parts))
-    constraints = () if path.path_multipliers is None else (path.path_constraints(parts),)
-    return np.concatenate((controls, *constraints))
+    return np.concatenate((controls, path.path_constraints(parts)))
 
 
 def unmet(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndarray:

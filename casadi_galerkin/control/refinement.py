@@ -17,9 +17,9 @@ of the cost, `examples/benchmark/literature.py` counts on nineteen problems of t
 What the solver itself leaves of the cost (`unseen_change`) is part of the error of the cost.  No mesh makes it less:
 where it is above the tolerance the refinement ends at once.
 
-Out of reach is a path with a singular arc, where controls differ from mesh to mesh and cost the same: the cost is then
-known long before the path.  The error raised says so, and a tolerance of the cost alone is mostly met.  So is a path to
-1e-8 with a path constraint touched in one point and a Gauss rule.
+Out of reach is a path to 1e-8 with a path constraint touched in one point and a Gauss rule.  So is a path with a
+singular arc, where controls differ from mesh to mesh and cost the same: the cost is then known long before the path.
+The error raised says so, and a tolerance of the cost alone is mostly met.
 
 Jumps in time that no breakpoint names are seen (`time_witness`), and the mesh is refined beside them; at tight
 tolerances the error raised tells the time to name.  Where a path constraint steps, the estimate is too small.

@@ -184,12 +184,13 @@ class ControlTrajectory(Trajectory):
 
     def path_constraints(self, parts: np.ndarray) -> np.ndarray:
         """Values of the path constraints at fractions (K,) of every interval, joints included; (k, N, K)."""
-        assert self.problem.path_constraint is not None
+        if self.problem.path_constraint is None:
+            return np.empty((0, len(self.t) - 1, len(parts)))
         constraint = with_parameters(self.problem.path_constraint[0], self.parameters)
         x, v = (a.reshape(len(a), -1) for a in self.polynomial.at_parts(parts))
         times = times_at(self.t, parts)
         values = np.array(constraint.map(len(times))(times[None, :], x, v, self.control.at(parts)))
-        return values.reshape(len(values), -1, len(parts))
+        return values.reshape(len(values), len(self.t) - 1, len(parts))
 
     @lazy
     def constraint_excess(self) -> np.ndarray:
@@ -197,13 +198,13 @@ class ControlTrajectory(Trajectory):
 
         It is relative to the largest value of each constraint on the path, or to its finite bound where that is larger.
         """
-        if self.problem.path_constraint is None or self.path_multipliers is None:
+        if self.problem.path_constraint is None:
             return np.zeros(len(self.t) - 1)
         low, high = (np.array(side)[:, None, None] for side in self.problem.path_constraint[1:])
         values = self.path_constraints(np.linspace(0.0, 1.0, 4 * len(self.method.quadrature) + 1))
         sizes = [np.max(np.abs(np.where(np.isfinite(a), a, 0.0)), axis=(1, 2)) for a in (values, low, high)]
         size = np.max(sizes, axis=0)[:, None, None]
-        return np.asarray((beyond(values, low, high) / np.maximum(size, TINY)).max(axis=(0, 2)))
+        return np.asarray((beyond(values, low, high) / np.maximum(size, TINY)).max(axis=(0, 2), initial=0.0))
 
     def _motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """∂L/∂v and ∂L/∂x + F along the path, and what follows rates with these; (d, K) each."""

@@ -285,3 +285,9 @@ def test_a_picture_shows_path_constraints_bounds_and_breakpoints():
     assert [line.get_xdata()[0] for line in top.lines if line.get_color() == "0.6"] == [0.5]
     with pytest.raises(ValueError, match="there is no path constraint to draw"):
         cg.solve(double_integrator(), cg.Galerkin(4), 3).plot_constraints()
+
+
+def test_without_path_constraints_there_are_no_values_of_any():
+    path = cg.solve(double_integrator(), cg.Galerkin(3), intervals=4)
+    assert path.path_constraints(np.array([0.0, 0.5, 1.0])).shape == (0, 4, 3)
+    assert path.constraint_excess.tolist() == [0.0] * 4
