@@ -244,9 +244,9 @@ class HigherDegree:
         jumps: dict[float, float] = {}  # times, and how close to them joints stand
         duration, breakpoints = np.ptp(mesh), self.higher.problem.breakpoints
         closest, known = AROUND * np.sqrt(tol) * duration, max(self.change, TARGET * tol) * duration
-        told = [(s, s.when) for s in self.found]
-        told += [(s, s.due) for s in self.found if abs(s.due - s.when) > APART * duration]
-        for s, when in told:
+        switched = [(s, s.when) for s in self.found]
+        switched += [(s, s.due) for s in self.found if abs(s.due - s.when) > APART * duration]
+        for s, when in switched:
             when = next((b for b in breakpoints if abs(b - when) < known), when)
             if any(abs(when - other) < DISTINCT * duration for other in jumps):
                 continue

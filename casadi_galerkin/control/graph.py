@@ -179,7 +179,7 @@ class ControlGraph:
         durations = self.at[0][int(embedding.points.row("duration")[0, 0]), :]
         given = list(zip(self.places, self.at, self.weights, along, strict=True))
         crossings = given[len(given) - len(chain.crossed) :]
-        told = [
+        values = [
             self.cost,
             self._total("weighted_action"),
             self.equations,
@@ -189,7 +189,7 @@ class ControlGraph:
             ca.sum1(ca.reshape(shares / durations, -1, chain.intervals)),
             *(place.lagrangian_gradient(*z)[: chain.dimension] for place, *z in crossings),
         ]
-        verification = self._name("verification", [ca.densify(ca.veccat(*told))], multipliers)
+        verification = self._name("verification", [ca.densify(ca.veccat(*values))], multipliers)
         return Lender(lambda: Evaluator(verification))
 
     def report(self, unknowns: np.ndarray, data: np.ndarray, multipliers: np.ndarray | None = None) -> Report:
@@ -197,9 +197,9 @@ class ControlGraph:
         count, chain = self.chain.equations, self.chain
         given = np.zeros(count) if multipliers is None else multipliers
         with self._verification.lend() as evaluate:
-            (told,) = evaluate(unknowns, data, given)
-        (cost, action), rest = told[:2].tolist(), told[2 + 3 * count :]
-        equations, *terms = told[2 : 2 + 3 * count].reshape(3, -1)
+            (values,) = evaluate(unknowns, data, given)
+        (cost, action), rest = values[:2].tolist(), values[2 + 3 * count :]
+        equations, *terms = values[2 : 2 + 3 * count].reshape(3, -1)
         # The terms of a component that stands still are roundoff of its slopes: what cancels in the slopes measures it.
         # Those of another are measured without it.
         moving, canceled = map(chain.largest, terms)

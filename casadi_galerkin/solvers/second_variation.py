@@ -44,12 +44,12 @@ def softest(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.nda
         y, z, force = solved / largest, other / np.max(np.abs(other / sizes)), rhs / largest  # ∇²S y = -force
         rhs = weights * z
     signed, positive = (float(value[0]) for value in at.evaluate("curvature", unknowns, data, z, y))
-    told = abs(z @ force)
-    if not (math.isfinite(signed) and AGREED * told < positive < math.inf):
+    assembled = abs(z @ force)
+    if not (math.isfinite(signed) and AGREED * assembled < positive < math.inf):
         return y, 0.0
     path = slice(linear.numbering.positions)
     terms = 0.0 if symmetric else float(ca.bilin(entries[path, path], abs(z[path]), abs(y[path])))
-    return y, abs(signed) / positive if told > HIDDEN * terms else 0.0
+    return y, abs(signed) / positive if assembled > HIDDEN * terms else 0.0
 
 
 def smallest_second_variation(stationarity: Stationarity, unknowns: np.ndarray, data: Data) -> float:

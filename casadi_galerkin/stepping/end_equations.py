@@ -37,13 +37,13 @@ class EndEquations:
     Attributes
     ----------
     function : Function (ends) -> values (2d + k,), jacobian (2d + k, 4d + k), dense
-    plain : numbers of those that do no more than give one entry of the start
-    told : (2d + k,), the entries of the start that are given so; NaN for the others
+    explicit : numbers of those that do no more than give one entry of the start
+    given_start : (2d + k,), the entries of the start that are given so; NaN for the others
     """
 
     function: ca.Function
-    plain: list[int]
-    told: np.ndarray
+    explicit: list[int]
+    given_start: np.ndarray
 
 
 def end_equations(problem: BoundaryProblem, method: Galerkin, plane: np.ndarray | None = None) -> EndEquations:
@@ -78,19 +78,19 @@ def end_equations(problem: BoundaryProblem, method: Galerkin, plane: np.ndarray 
     if problem.energy is not None:
         x, p = ([ca.vertcat(a, ca.SX.sym("stretch")) for a in ends] for ends in (x, p))
         equations += [p[0][d], p[1][d] + problem.energy * (times[1] - times[0])]
-    return _with_plain(ca.vertcat(*equations, further), ca.vertcat(x[0], p[0], *own), ca.vertcat(x[1], p[1]))
+    return _with_explicit(ca.vertcat(*equations, further), ca.vertcat(x[0], p[0], *own), ca.vertcat(x[1], p[1]))
 
 
-def _with_plain(values: ca.SX, start: ca.SX, end: ca.SX) -> EndEquations:
+def _with_explicit(values: ca.SX, start: ca.SX, end: ca.SX) -> EndEquations:
     """Find those equations that have one entry of the start alone, times a number."""
     ends = ca.vertcat(start, end)
     jacobian = ca.jacobian(values, ends)
     function = ca.Function("end_equations", [ends], [ca.densify(values), ca.densify(jacobian)])
-    at_zero, told, plain = function(0)[0], np.full(start.numel(), np.nan), []
+    at_zero, given, explicit = function(0)[0], np.full(start.numel(), np.nan), []
     for i in range(values.numel()):
         row = jacobian[i, :]
         entry = row.sparsity().get_col()
-        if len(entry) == 1 and entry[0] < len(told) and row.nz[0].is_constant() and np.isnan(told[entry[0]]):
-            told[entry[0]] = -float(at_zero[i]) / float(row.nz[0])
-            plain.append(i)
-    return EndEquations(function, plain, told)
+        if len(entry) == 1 and entry[0] < len(given) and row.nz[0].is_constant() and np.isnan(given[entry[0]]):
+            given[entry[0]] = -float(at_zero[i]) / float(row.nz[0])
+            explicit.append(i)
+    return EndEquations(function, explicit, given)

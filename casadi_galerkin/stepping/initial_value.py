@@ -75,7 +75,7 @@ def start_state(problem: InitialProblem) -> tuple[np.ndarray, np.ndarray]:
 
 def verified(roll: Roll, stepper: Stepper) -> Roll:
     """Return the roll if all of its steps were solved to roundoff; else name the first that was not."""
-    good, n = roll.verified, len(roll.mesh) - 1
+    good, n = roll.solved_steps, len(roll.mesh) - 1
     if good == n:
         return roll
     start, end = told_apart(*roll.mesh[good : good + 2])
@@ -102,7 +102,7 @@ def error_of_steps(path: Trajectory) -> float:
     higher = of_higher_degree(path.method.degree)
     stepper = Stepper(path.problem, higher)
     roll = stepper.roll(path.x[:, 0], path.momentum[:, 0], path.velocity[:, 0], path.t)
-    if roll.verified < len(path.t) - 1:
+    if roll.solved_steps < len(path.t) - 1:
         return math.inf
     finer, nodes = path_of(roll, stepper, len(path.t) - 1), higher.element.nodes
     return path.doubted(largest_change(path.polynomial, nodes, finer.values - path.polynomial.at(nodes)))

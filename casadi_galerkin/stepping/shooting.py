@@ -161,7 +161,7 @@ def _line(problem: BoundaryProblem) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def _newton(shooting: Shooting, state: np.ndarray, own: np.ndarray, velocity: np.ndarray) -> tuple[Shot, int]:
     """Newton's method with natural monotonicity line search: the shot that meets the end, and its iterations."""
-    multipliers = np.zeros(len(shooting.told) - len(state) - len(own))
+    multipliers = np.zeros(len(shooting.given_start) - len(state) - len(own))
     z = np.concatenate((state, multipliers, own))[shooting.free]
     shot = shooting.shoot(z, velocity)
     if shot is None:

@@ -84,7 +84,7 @@ class Shooting:
 
     Attributes
     ----------
-    told : (2d + k,), as of `EndEquations`
+    given_start : (2d + k,), as of `EndEquations`
     free : (n,), which entries of (x_0, p_0, η) are z
     plane : (2d,), normal and point of the plane that fixes the phase, or None
     """
@@ -101,13 +101,13 @@ class Shooting:
             self.plane = phase_plane(calculus.emb(guessed))
         self.stepper = Stepper(problem, method, problem.energy is not None)
         equations = end_equations(problem, method, self.plane)
-        self._equations, self.told = Evaluator(equations.function), equations.told
-        self.free = np.flatnonzero(np.isnan(self.told))
-        self._open = np.delete(np.arange(len(self.told)), equations.plain)
+        self._equations, self.given_start = Evaluator(equations.function), equations.given_start
+        self.free = np.flatnonzero(np.isnan(self.given_start))
+        self._open = np.delete(np.arange(len(self.given_start)), equations.explicit)
 
     def start(self, z: np.ndarray) -> np.ndarray:
         """(x_0, p_0, η), (2d + k,)."""
-        start = self.told.copy()
+        start = self.given_start.copy()
         start[self.free] = z
         return start
 
@@ -120,7 +120,7 @@ class Shooting:
         """The path from z, or None if one of its steps fails; `velocity` predicts the first step."""
         d, start = self.stepper.dimension, self.start(z)
         roll = self.stepper.roll(start[:d], start[d : 2 * d], velocity, self.mesh)
-        if roll.verified < len(roll.mesh) - 1 or not self.stepper.timed(roll).mesh[-1] > roll.mesh[0]:
+        if roll.solved_steps < len(roll.mesh) - 1 or not self.stepper.timed(roll).mesh[-1] > roll.mesh[0]:
             return None
         steps = self.stepper.jacobians(self.mesh, roll.x, roll.p, roll.unknowns)
         growth = chain(steps)
@@ -137,7 +137,7 @@ class Shooting:
 
     def _by_z(self, growth: np.ndarray) -> np.ndarray:
         """Derivatives of the ends by z, (4d + k, n), where `growth` is that of (x_N, p_N) by (x_0, p_0)."""
-        start = np.eye(len(self.told))
+        start = np.eye(len(self.given_start))
         return np.concatenate((start, growth @ start[: len(growth)]))[:, self.free]
 
     def _sizes(self, roll: Roll, steps: np.ndarray, own: np.ndarray, wanted: np.ndarray) -> np.ndarray:

@@ -55,7 +55,7 @@ class Roll:
         return self.unknowns[:, :d, :columns].transpose(1, 0, 2)
 
     @property
-    def verified(self) -> int:
+    def solved_steps(self) -> int:
         """Number of steps before the first that failed."""
         failed = ~(self.residual <= ROUNDOFF)
         return int(np.argmax(failed)) if failed.any() else len(failed)
