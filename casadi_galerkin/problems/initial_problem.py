@@ -57,6 +57,7 @@ class InitialProblem:
         lagrangian: Traceable,
         t_span: Sequence[float],
         position: Sequence[float],
+        *,
         momentum: Sequence[float] | None = None,
         velocity: Sequence[float] | None = None,
         parameters: Sequence[float] | None = None,

@@ -198,7 +198,7 @@ def test_a_first_path_that_collides_fails():
 def test_bad_input_is_named():
     problem = PROBLEMS["pendulum"]
     with pytest.raises(TypeError, match="problem must be a BoundaryProblem, got InitialProblem"):
-        cg.shoot(cg.InitialProblem(pendulum, (0, 1), [0.0], [1.0]), cg.Galerkin(3), 5)
+        cg.shoot(cg.InitialProblem(pendulum, (0, 1), [0.0], momentum=[1.0]), cg.Galerkin(3), 5)
     with pytest.raises(TypeError, match="method must be a Galerkin"):
         cg.shoot(problem, 3, 5)
     with pytest.raises(ValueError, match="give either intervals or mesh"):

@@ -64,12 +64,13 @@ def test_jacobian_of_a_step_is_its_derivative(scene):
 @pytest.mark.parametrize("intervals", [1, 2, PIECE, PIECE + 1, 2 * PIECE + 3])
 def test_any_number_of_steps_is_the_same_as_one_after_the_other(intervals):
     mesh = np.cumsum(np.append(0, np.linspace(0.02, 0.06, intervals)))
-    whole = cg.solve(cg.InitialProblem(pendulum, (0, mesh[-1]), [2.0], [0.3]), cg.Galerkin(3), mesh=mesh)
+    start = {"position": [2.0], "momentum": [0.3]}
+    whole = cg.solve(cg.InitialProblem(pendulum, (0, mesh[-1]), **start), cg.Galerkin(3), mesh=mesh)
     half = (intervals + 1) // 2
-    first = cg.solve(cg.InitialProblem(pendulum, (0, mesh[half]), [2.0], [0.3]), cg.Galerkin(3), mesh=mesh[: half + 1])
+    first = cg.solve(cg.InitialProblem(pendulum, (0, mesh[half]), **start), cg.Galerkin(3), mesh=mesh[: half + 1])
     np.testing.assert_array_equal(first.x, whole.x[:, : half + 1])
     if half < intervals:
-        rest = cg.InitialProblem(pendulum, (mesh[half], mesh[-1]), first.x[:, -1], first.momentum[:, -1])
+        rest = cg.InitialProblem(pendulum, (mesh[half], mesh[-1]), first.x[:, -1], momentum=first.momentum[:, -1])
         second = cg.solve(rest, cg.Galerkin(3), mesh=mesh[half:])
         np.testing.assert_allclose(second.x, whole.x[:, half:], rtol=0, atol=SAME)
     assert whole.polynomial.values.shape == (1, 3 * intervals + 1)
