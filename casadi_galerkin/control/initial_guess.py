@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import casadi as ca
 import numpy as np
 
@@ -39,11 +37,7 @@ def first_values(
     everywhere, degree = np.array(marks(problem)), chain.method.degree
     of_phases = everywhere if chain.is_free("durations") else everywhere[[0, -1]]
     if isinstance(guess, ControlTrajectory):
-        if len(guess.x) != problem.dimension:
-            size = counted(problem.dimension, "component")
-            raise ValueError(f"the guess must be a path of {size}, got {len(guess.x)}")
-        path_guess = near.polynomial.values if near else _earlier(guess, guess, everywhere, times)
-        control_guess = near.control.values if near else _earlier_controls(guess, chain, everywhere, calculus)
+        path_guess, control_guess = _of_answer(guess, near, chain, calculus, everywhere)
     path = _path(problem, calculus, path_guess)
     nodes = path[1:].reshape(n, degree, -1).copy()
     arrived, arriving = _arrivals(chain, calculus, everywhere, guess, path)
@@ -83,11 +77,20 @@ def first_values(
     }
 
 
-def _earlier(
-    guess: ControlTrajectory, path: Callable[[np.ndarray], np.ndarray], now: np.ndarray, times: np.ndarray
-) -> np.ndarray:
-    """Values of an earlier answer, or of its controls, at the same fractions of the durations between marks."""
-    return path(between_marks(times, now, marks(guess.problem)))
+def _of_answer(
+    answer: ControlTrajectory, near: ControlTrajectory | None, chain: Chain, calculus: DiscreteCalculus, now: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Node values and controls of an earlier answer, at the same fractions of the durations between the marks `now`."""
+    if len(answer.x) != chain.dimension:
+        raise ValueError(f"the guess must be a path of {counted(chain.dimension, 'component')}, got {len(answer.x)}")
+    controls = len(answer.control.values)
+    if controls != chain.controls:
+        raise ValueError(f"the guess must have {counted(chain.controls, 'control')}, got {controls}")
+    if near is not None:
+        return near.polynomial.values, near.control.values
+    times = calculus.node_times, times_at(calculus.mesh, chain.control_times)
+    nodes, points = (between_marks(t, now, marks(answer.problem)) for t in times)
+    return answer(nodes), answer.control(points)
 
 
 def _arrivals(
@@ -98,8 +101,8 @@ def _arrivals(
     found, dm = path[nodes], chain.mechanical
     velocities = ((found - path[nodes - 1]) / (times[nodes] - times[nodes - 1])[:, None])[:, :dm]
     if len(nodes) and isinstance(guess, ControlTrajectory):
-        after, before = (_earlier(guess, along, now, times[nodes]) for along in (guess, guess.polynomial.before))
-        found = np.clip(found + (before - after).T, *chain.problem.position_bounds)
+        at = between_marks(times[nodes], now, marks(guess.problem))
+        found = np.clip(found + (guess.before(at) - guess(at)).T, *chain.problem.position_bounds)
         velocities = guess.arrival_velocity if guess.arrival_velocity.shape == velocities.shape else velocities
     return found, velocities
 
@@ -137,15 +140,6 @@ def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | No
     bent = np.clip(meeting_ends(values, calculus.node_parts, ends), *problem.position_bounds)
     bent[[0, -1]] = np.where(np.isnan(ends), bent[[0, -1]], ends)
     return np.asarray(bent)
-
-
-def _earlier_controls(
-    guess: ControlTrajectory, chain: Chain, now: np.ndarray, calculus: DiscreteCalculus
-) -> np.ndarray:
-    """Controls (n, points) of an earlier answer."""
-    if len(guess.control.values) != chain.controls:
-        raise ValueError(f"the guess must have {counted(chain.controls, 'control')}, got {len(guess.control.values)}")
-    return _earlier(guess, guess.control, now, times_at(calculus.mesh, chain.control_times))
 
 
 def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus, guess: Values | None) -> np.ndarray:
