@@ -40,7 +40,6 @@ SMALLEST_NEIGHBORHOOD = 4  # variations about one that has to be solved before
 
 Variation = Mapping[str, Any]
 Answer = Trajectory | Exception
-Answers = dict[int, Answer]  # by the number of the variation
 Known = tuple[np.ndarray, Trajectory]  # the given values of a problem, and its path
 Chunk = tuple[Sequence[int], Sequence[Known]]  # variations to solve one after the other, and paths to start from
 Solve = Callable[[Variation, Sequence[Known]], Trajectory]  # of a variation, from paths that are known
@@ -160,115 +159,123 @@ def _chunk(pickled: bytes, variations: Sequence[Variation], known: Sequence[Know
         return list(_answers(_unpickled(pickled), variations, known))
 
 
-def _chunks(
-    solver: Solve, variations: Sequence[Variation], answers: Answers, advance: Advance, solved: Solved
-) -> list[Chunk]:
-    """Chunks in the order given, or of neighbors, the first of which `solved` has solved."""
-    if isinstance(solver, Neighbors):
-        return _neighborhoods(solver.problem, variations, answers, advance, solved)
-    count = len(variations)
-    size = min(LARGEST_CHUNK, -(-count // CHUNKS) or 1)
-    return [(range(first, min(first + size, count)), ()) for first in range(0, count, size)]
+class Batch:
+    """Variations on the way to their answers.
 
+    Parameters
+    ----------
+    solver : what solves a variation in this process
+    variations : in their order
 
-def _neighborhoods(
-    problem: BoundaryProblem, variations: Sequence[Variation], answers: Answers, advance: Advance, solved: Solved
-) -> list[Chunk]:
-    """Chunks of variations that are near one another, each about one that is solved first, those farther off later.
-
-    The first ones are solved here, the nearest to one that is solved before the others.  Chunks are the same whoever
-    solves them, so that the answers are, too.
+    Attributes
+    ----------
+    answers : those that there are, by the number of their variation
+    advance : told how many more there are
     """
-    count = len(variations)
-    if not count:
-        return []
-    size = min(LARGEST_CHUNK, max(SMALLEST_NEIGHBORHOOD, -(-count // CHUNKS)))
-    values = np.array([values_of(varied(problem, variation)) for variation in variations])
-    scaled = values / [spread if spread > 0 else 1.0 for spread in np.ptp(values, axis=0)]
-    centers = np.arange(0, count, size)
-    apart = np.array([np.sum((scaled - scaled[center]) ** 2, axis=1) for center in centers])
-    waiting = np.where(centers == 0, 0.0, np.inf)  # distances from what is solved; NaN for what is
-    begins: dict[int, list[Known]] = {}
-    for _ in centers:
-        i = int(np.nanargmin(waiting))
-        first = int(centers[i])
-        order = sorted(begins, key=lambda k: float(apart[k, first]))
-        near = next((begins[k] for k in order if begins[k]), [])
-        with suppress(Exception):  # of a worker; it is solved again with what is lost
-            (answers[first],) = solved([variations[first]], near)
-        begins[i] = _known(answers.get(first))
-        waiting = np.minimum(waiting, apart[i, centers])
-        waiting[i] = np.nan
-        advance(1)
-    belongs = np.argmin(apart, axis=0)
-    chunks: list[Chunk] = []
-    for i, begin in begins.items():
-        own = np.flatnonzero(belongs == i)
-        own = own[np.argsort(apart[i, own], kind="stable")]
-        chunks.append(([k for k in own.tolist() if k != centers[i]], begin))
-    return chunks
 
+    def __init__(self, solver: Solve, variations: Sequence[Variation]) -> None:
+        self.solver, self.variations = solver, variations
+        self.answers: dict[int, Answer] = {}
+        self.advance: Advance = lambda _: None
 
-def solve_here(solver: Solve, variations: Sequence[Variation], answers: Answers, advance: Advance) -> None:
-    """Solve all in this process."""
-    for numbers, known in _chunks(solver, variations, answers, advance, lambda *given: list(_answers(solver, *given))):
-        some = [variations[i] for i in numbers]
-        for i, answer in zip(numbers, _answers(solver, some, known), strict=True):
-            answers[i] = answer
-            advance(1)
+    def solve_here(self) -> None:
+        """Solve all in this process."""
+        for numbers, known in self._chunks(lambda *given: list(_answers(self.solver, *given))):
+            some = [self.variations[i] for i in numbers]
+            for i, answer in zip(numbers, _answers(self.solver, some, known), strict=True):
+                self.answers[i] = answer
+                self.advance(1)
 
+    def solve_by(self, executor: Executor, pickled: bytes) -> None:
+        """Solve all by an executor, whose workers unpickle what `solver_of` takes."""
+        self._solve_chunks(executor, pickled)
+        self._solve_lost(executor, pickled)
 
-def solve_chunks(
-    solver: Solve,
-    executor: Executor,
-    pickled: bytes,
-    variations: Sequence[Variation],
-    answers: Answers,
-    advance: Advance,
-) -> None:
-    """Solve all chunks; those of a worker that fails are left out."""
-    taken: list[Future[list[Answer]]] = []
+    def _chunks(self, solved: Solved) -> list[Chunk]:
+        """Chunks in the order given, or of neighbors, the first of which `solved` has solved."""
+        if isinstance(self.solver, Neighbors):
+            return self._neighborhoods(self.solver.problem, solved)
+        count = len(self.variations)
+        size = min(LARGEST_CHUNK, -(-count // CHUNKS) or 1)
+        return [(range(first, min(first + size, count)), ()) for first in range(0, count, size)]
 
-    def submitted(some: Sequence[Variation], known: Sequence[Known]) -> Future[list[Answer]]:
-        taken.append(executor.submit(_chunk, pickled, some, known))
-        return taken[-1]
+    def _neighborhoods(self, problem: BoundaryProblem, solved: Solved) -> list[Chunk]:
+        """Chunks of variations that are near one another, each about one that is solved first, those farther off later.
 
-    chunks = _chunks(solver, variations, answers, advance, lambda *given: submitted(*given).result())
-    futures: dict[Future[list[Answer]], Sequence[int]] = {}
-    try:
-        for numbers, known in chunks:
-            try:
-                futures[submitted([variations[i] for i in numbers], known)] = numbers
-            except Exception:
-                if not taken:
-                    raise  # it has never worked
-                break  # a worker has failed meanwhile
-        for future in as_completed(futures):
-            with suppress(Exception):
-                advance(len(future.result()))
-    finally:  # also after an interrupt, be it here or in a worker
-        for future, numbers in futures.items():
-            if not future.cancel() and future.done() and future.exception() is None:
-                answers.update(zip(numbers, future.result(), strict=True))
+        The first ones are solved here, the nearest to one that is solved before the others.  Chunks are the same
+        whoever solves them, so that the answers are, too.
+        """
+        count = len(self.variations)
+        if not count:
+            return []
+        size = min(LARGEST_CHUNK, max(SMALLEST_NEIGHBORHOOD, -(-count // CHUNKS)))
+        values = np.array([values_of(varied(problem, variation)) for variation in self.variations])
+        scaled = values / [spread if spread > 0 else 1.0 for spread in np.ptp(values, axis=0)]
+        centers = np.arange(0, count, size)
+        apart = np.array([np.sum((scaled - scaled[center]) ** 2, axis=1) for center in centers])
+        waiting = np.where(centers == 0, 0.0, np.inf)  # distances from what is solved; NaN for what is
+        begins: dict[int, list[Known]] = {}
+        for _ in centers:
+            i = int(np.nanargmin(waiting))
+            first = int(centers[i])
+            order = sorted(begins, key=lambda k: float(apart[k, first]))
+            near = next((begins[k] for k in order if begins[k]), [])
+            with suppress(Exception):  # of a worker; it is solved again with what is lost
+                (self.answers[first],) = solved([self.variations[first]], near)
+            begins[i] = _known(self.answers.get(first))
+            waiting = np.minimum(waiting, apart[i, centers])
+            waiting[i] = np.nan
+            self.advance(1)
+        belongs = np.argmin(apart, axis=0)
+        chunks: list[Chunk] = []
+        for i, begin in begins.items():
+            own = np.flatnonzero(belongs == i)
+            own = own[np.argsort(apart[i, own], kind="stable")]
+            chunks.append(([k for k in own.tolist() if k != centers[i]], begin))
+        return chunks
 
+    def _solve_chunks(self, executor: Executor, pickled: bytes) -> None:
+        """Solve all chunks; those of a worker that fails are left out."""
+        taken: list[Future[list[Answer]]] = []
 
-def solve_lost(
-    executor: Executor, pickled: bytes, variations: Sequence[Variation], answers: Answers, advance: Advance
-) -> None:
-    """Solve what has no answer yet, each alone, so that a worker that fails tells which variation it fails of."""
-    lost = [i for i in range(len(variations)) if i not in answers]
-    with ExitStack() as own:
-        for i in lost:
-            try:
-                executor = _working(executor, pickled, own)
-            except Exception as error:
-                answers.update((j, CutShort(f"no worker works, {named(error)}")) for j in lost if j not in answers)
-                break
-            try:  # without known paths: Dask would repeat the failure of the very same call
-                (answers[i],) = executor.submit(_chunk, pickled, [variations[i]]).result()
-            except Exception as error:
-                answers[i] = CutShort(f"the worker that solved this variation failed, {named(error)}")
-            advance(1)
+        def submitted(some: Sequence[Variation], known: Sequence[Known]) -> Future[list[Answer]]:
+            taken.append(executor.submit(_chunk, pickled, some, known))
+            return taken[-1]
+
+        chunks = self._chunks(lambda *given: submitted(*given).result())
+        futures: dict[Future[list[Answer]], Sequence[int]] = {}
+        try:
+            for numbers, known in chunks:
+                try:
+                    futures[submitted([self.variations[i] for i in numbers], known)] = numbers
+                except Exception:
+                    if not taken:
+                        raise  # it has never worked
+                    break  # a worker has failed meanwhile
+            for future in as_completed(futures):
+                with suppress(Exception):
+                    self.advance(len(future.result()))
+        finally:  # also after an interrupt, be it here or in a worker
+            for future, numbers in futures.items():
+                if not future.cancel() and future.done() and future.exception() is None:
+                    self.answers.update(zip(numbers, future.result(), strict=True))
+
+    def _solve_lost(self, executor: Executor, pickled: bytes) -> None:
+        """Solve what has no answer yet, each alone, so that a worker that fails tells which variation it fails of."""
+        lost = [i for i in range(len(self.variations)) if i not in self.answers]
+        with ExitStack() as own:
+            for i in lost:
+                try:
+                    executor = _working(executor, pickled, own)
+                except Exception as error:
+                    left = [j for j in lost if j not in self.answers]
+                    self.answers.update((j, CutShort(f"no worker works, {named(error)}")) for j in left)
+                    break
+                try:  # without known paths: Dask would repeat the failure of the very same call
+                    (self.answers[i],) = executor.submit(_chunk, pickled, [self.variations[i]]).result()
+                except Exception as error:
+                    self.answers[i] = CutShort(f"the worker that solved this variation failed, {named(error)}")
+                self.advance(1)
 
 
 def _working(executor: Executor, pickled: bytes, own: ExitStack) -> Executor:

@@ -23,17 +23,7 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table, by_component
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.studies.distribution import (
-    Answer,
-    Answers,
-    CutShort,
-    Variation,
-    named,
-    solve_chunks,
-    solve_here,
-    solve_lost,
-    solver_of,
-)
+from casadi_galerkin.studies.distribution import Answer, Batch, CutShort, Variation, named, solver_of
 
 FIELDS = (*VARIED, "t_span", "guess")
 
@@ -227,16 +217,14 @@ def sweep(
     checked = [_checked(problem, i, variation) for i, variation in enumerate(variations)]
     arguments = (problem, method, intervals, tol)
     solver = solver_of(*arguments)  # refuses here what would fail in every worker
-    answers: Answers = {}
-    with progress("sweep", len(checked)) as advance, suppress(KeyboardInterrupt):
+    batch = Batch(solver, checked)
+    with progress("sweep", len(checked)) as batch.advance, suppress(KeyboardInterrupt):
         if executor is None:
-            solve_here(solver, checked, answers, advance)
+            batch.solve_here()
         else:
-            pickled = pickle.dumps(arguments)
-            solve_chunks(solver, executor, pickled, checked, answers, advance)
-            solve_lost(executor, pickled, checked, answers, advance)
-    interrupted = "the sweep was interrupted before this variation was solved"
-    return Sweep(tuple(answers[i] if i in answers else CutShort(interrupted) for i in range(len(checked))))
+            batch.solve_by(executor, pickle.dumps(arguments))
+    cut_short = CutShort("the sweep was interrupted before this variation was solved")
+    return Sweep(tuple(batch.answers.get(i, cut_short) for i in range(len(checked))))
 
 
 def _checked(problem: BoundaryProblem | ControlProblem, number: int, variation: Variation) -> Variation:
