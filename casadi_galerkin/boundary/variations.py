@@ -9,8 +9,8 @@ from itertools import chain
 
 import numpy as np
 
-from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem, says
-from casadi_galerkin.problems.problem import Problem
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem, says
+from casadi_galerkin.problems.problem import VARIED, Problem
 
 Given = tuple[float | None, ...] | float | None
 

@@ -24,7 +24,8 @@ from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import Mapping
 from casadi_galerkin.functional.numbering import Numbering
-from casadi_galerkin.problems.boundary_problem import RATES, BoundaryProblem, says
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem, says
+from casadi_galerkin.problems.problem import RATES
 
 AT_REST = 1e-3  # speed at the start over the largest, below which the start tells no phase
 

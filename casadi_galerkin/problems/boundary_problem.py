@@ -17,12 +17,10 @@ import casadi as ca
 from casadi_galerkin.calculus.numbers import components, counted, finite, flag, numbers, time_span, times_inside
 from casadi_galerkin.problems.callables import Traceable, arguments, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint
-from casadi_galerkin.problems.problem import shown, with_changes
+from casadi_galerkin.problems.problem import RATES, shown, with_changes
 
 Given = tuple[float | None, ...]
 ENDS = ("start", "end")
-RATES = ("start_velocity", "end_velocity", "start_momentum", "end_momentum")
-VARIED = ("start", "end", "parameters", *RATES, "energy")  # what `BoundaryProblem.varied` takes
 
 
 @dataclass(frozen=True, repr=False)

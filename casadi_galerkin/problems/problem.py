@@ -11,6 +11,9 @@ import numpy as np
 from casadi_galerkin.calculus.galerkin import check_method
 from casadi_galerkin.calculus.numbers import components, finite, numbers, time_span, times_inside
 
+RATES = ("start_velocity", "end_velocity", "start_momentum", "end_momentum")
+VARIED = ("start", "end", "parameters", *RATES, "energy")  # what can be varied, where a problem has it
+
 
 class Problem(Protocol):
     """What an answer keeps of the problem that it solves."""
@@ -85,6 +88,8 @@ def with_changes(problem: Stated, changes: Mapping[str, Any], t_span: Sequence[f
     if span != problem.t_span:
         times_inside("breakpoints", problem.breakpoints, span)
     for name, value in changes.items():
+        if name not in VARIED:
+            raise ValueError(f"what can be varied is {', '.join(VARIED)}, got {name}={value!r}")
         if value is None:
             continue
         before = getattr(problem, name, None)

@@ -27,9 +27,9 @@ from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.control.refinement import first_control_mesh
 from casadi_galerkin.functional.threads import fork_waits
-from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import between_marks, marks
+from casadi_galerkin.problems.problem import VARIED, between_marks, marks
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.limits import check_tolerance
 from casadi_galerkin.solution.progress import Advance

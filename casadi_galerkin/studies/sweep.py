@@ -16,9 +16,9 @@ from casadi_galerkin.boundary.branches import jumps
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.numbers import counted
-from casadi_galerkin.problems.boundary_problem import VARIED, BoundaryProblem
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import check_kind
+from casadi_galerkin.problems.problem import VARIED, check_kind
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table, by_component
 from casadi_galerkin.solution.progress import progress

@@ -202,3 +202,10 @@ def test_the_time_span_of_a_varied_problem_is_checked_and_may_be_left_out():
     with pytest.raises(ValueError, match=r"t_span must increase, got \(1.0, 0.0\)"):
         problem.varied({}, (1.0, 0.0))
     assert problem.varied({"end": [2.0]}).t_span == (0.0, 2.0)
+
+
+@pytest.mark.parametrize("name", ["breakpoints", "periodic", "lagrangian", "ends"])
+def test_what_cannot_be_varied_is_named(name):
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0.0, 2.0), [0.0], [1.0], breakpoints=[1.0])
+    with pytest.raises(ValueError, match=rf"what can be varied is start, .*, energy, got {name}=\[5.0\]"):
+        problem.varied({name: [5.0]})
