@@ -228,7 +228,7 @@ def _refuse_conjugate(shot: Shot, iteration: int) -> None:
 
 def _met(shot: Shot, iteration: int) -> Shot:
     """Return the shot, one that cannot be bettered, if it meets the end to its roundoff and in half of the digits."""
-    sizes = np.abs(shot.wanted) @ shot.sizes
+    sizes = np.abs(shot.by_ends) @ shot.sizes
     sizes = np.where(sizes > 0, sizes, 1.0)
     missed, moved = (float(np.max(np.abs(a) / sizes, initial=0.0)) for a in (shot.miss, shot.floor))
     if missed <= MISS and shot.residual <= ROUNDOFF:

@@ -39,7 +39,7 @@ class Shot:
     floor : (n,), what the rounding of the start and of the end do to it; Newton's method may stop below it
     stepper : Stepper that made the steps
     steps : (N, 2d, 2d), Jacobians of the steps
-    wanted : (n, 4d + k), derivatives of the miss by the ends
+    by_ends : (n, 4d + k), derivatives of the miss by the ends
     by_z : (n, n), its derivative
     terms : (n, n), sizes of the terms that the derivative sums
     growth : (N + 1, 2d, 2d), derivatives of (x_i, p_i) by (x_0, p_0)
@@ -52,7 +52,7 @@ class Shot:
     floor: np.ndarray
     stepper: Stepper
     steps: np.ndarray
-    wanted: np.ndarray
+    by_ends: np.ndarray
     by_z: np.ndarray
     terms: np.ndarray
     growth: np.ndarray
@@ -69,11 +69,11 @@ class Shot:
         The floor of the miss is the rounding of the states at all joints, carried on to the end.
         """
         states = np.abs(np.concatenate((self.roll.x, self.roll.p)))
-        onward = chain(self.steps[::-1].transpose(0, 2, 1))[::-1].transpose(0, 2, 1)  # ∂(x_N, p_N)/∂(x_i, p_i)
+        onward = accumulated(self.steps[::-1].transpose(0, 2, 1))[::-1].transpose(0, 2, 1)  # ∂(x_N, p_N)/∂(x_i, p_i)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             floor = self.sizes.copy()
             floor[-len(states) :] = np.einsum("iab,bi->a", np.abs(onward), states)
-            ratios = np.abs(self.miss) / (np.abs(self.wanted) @ (EPS * floor + TINY))
+            ratios = np.abs(self.miss) / (np.abs(self.by_ends) @ (EPS * floor + TINY))
         return float(max(np.max(self.roll.residual), np.max(ratios, initial=0.0)))
 
 
@@ -123,24 +123,24 @@ class Shooting:
         if roll.solved_steps < len(roll.mesh) - 1 or not self.stepper.timed(roll).mesh[-1] > roll.mesh[0]:
             return None
         steps = self.stepper.jacobians(self.mesh, roll.x, roll.p, roll.unknowns)
-        growth = chain(steps)
+        growth = accumulated(steps)
         ends = np.concatenate((start, roll.x[:, -1], roll.p[:, -1]))
-        miss, wanted = self._equations(ends)
-        miss, wanted = miss[self._open], wanted.reshape(len(ends), -1).T[self._open]
+        miss, by_ends = self._equations(ends)
+        miss, by_ends = miss[self._open], by_ends.reshape(len(ends), -1).T[self._open]
         with np.errstate(over="ignore", invalid="ignore"):
-            sizes = self._sizes(roll, steps, start[2 * d :], np.abs(wanted))
+            sizes = self._sizes(roll, steps, start[2 * d :], np.abs(by_ends))
             moved = np.append(np.zeros(len(start)), np.abs(growth[-1]) @ np.abs(start[: 2 * d]))
-            floor = EPS * (np.abs(wanted) @ (sizes + moved))
-            by_z = wanted @ self._by_z(growth[-1])
-            terms = np.abs(wanted) @ self._by_z(np.abs(steps[-1]) @ np.abs(growth[-2]))
-        return Shot(roll, sizes, sizes[self.free], miss, floor, self.stepper, steps, wanted, by_z, terms, growth)
+            floor = EPS * (np.abs(by_ends) @ (sizes + moved))
+            by_z = by_ends @ self._by_z(growth[-1])
+            terms = np.abs(by_ends) @ self._by_z(np.abs(steps[-1]) @ np.abs(growth[-2]))
+        return Shot(roll, sizes, sizes[self.free], miss, floor, self.stepper, steps, by_ends, by_z, terms, growth)
 
     def _by_z(self, growth: np.ndarray) -> np.ndarray:
         """Derivatives of the ends by z, (4d + k, n), where `growth` is that of (x_N, p_N) by (x_0, p_0)."""
         start = np.eye(len(self.given_start))
         return np.concatenate((start, growth @ start[: len(growth)]))[:, self.free]
 
-    def _sizes(self, roll: Roll, steps: np.ndarray, own: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    def _sizes(self, roll: Roll, steps: np.ndarray, own: np.ndarray, by_ends: np.ndarray) -> np.ndarray:
         """Sizes of the ends, (4d + k,): of (x, p) the largest at the joints, of η what is as large in an equation.
 
         The momentum of a stretch sums terms that cancel where the energy is near zero; it is as large as they are.
@@ -149,15 +149,15 @@ class Shooting:
         if self.stepper.stretched:
             states[-1] = max(states[-1], np.sum(np.abs(steps[:, -1, :-1]), axis=0) @ states[:-1])
         sizes = np.concatenate((states, np.zeros(len(own)), states))
-        asked = wanted @ sizes
-        for i, column in enumerate(wanted[:, len(states) : -len(states)].T):
+        asked = by_ends @ sizes
+        for i, column in enumerate(by_ends[:, len(states) : -len(states)].T):
             found = (column > 0) & (asked > 0)
             alike = np.min(asked[found] / column[found]) if found.any() else 0.0
             sizes[len(states) + i] = max(abs(own[i]), alike)
         return sizes
 
 
-def chain(jacobians: np.ndarray) -> np.ndarray:
+def accumulated(jacobians: np.ndarray) -> np.ndarray:
     """Products of the steps' Jacobians (N, n, n) up to every joint; (N + 1, n, n), the first the identity."""
     products = np.empty((len(jacobians) + 1, *jacobians.shape[1:]))
     products[0] = np.eye(len(products[0]))

@@ -37,7 +37,7 @@ from casadi_galerkin.solution.plotting import Pictured, plot_gaps
 from casadi_galerkin.solution.trajectory import Trajectory, index_in_words
 from casadi_galerkin.stepping.geometry import jacobians
 from casadi_galerkin.stepping.shooting import check_start, shoot
-from casadi_galerkin.stepping.shot import chain
+from casadi_galerkin.stepping.shot import accumulated
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -272,7 +272,7 @@ def _growth_rate(t: np.ndarray, gap: np.ndarray) -> float:
 
 def _condition_stepwise(path: Trajectory) -> float:
     """κ of the map from (x_0, p_0) to the joints."""
-    growth = chain(jacobians(path))[:, : len(path.x)]
+    growth = accumulated(jacobians(path))[:, : len(path.x)]
     positions, momenta = component_sizes(path.x), component_sizes(path.momentum)
     with np.errstate(over="ignore"):
         return float(np.max(np.abs(growth) @ np.concatenate((positions, momenta)) / positions))

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.special import ellipk
 
 import casadi_galerkin as cg
-from casadi_galerkin.stepping.shot import chain
+from casadi_galerkin.stepping.shot import accumulated
 from casadi_galerkin.stepping.stepper import Stepper
 
 METHOD = cg.Galerkin(8)
@@ -166,7 +166,7 @@ def test_derivatives_by_the_stretch_are_those_of_the_whole_path():
     roll = lambda stretch: stepper.roll(np.array([0.5, stretch]), np.array([1.0, 0.0]), np.array([1.0, 0.0]), mesh)  # noqa: E731
     states = lambda stretch: np.concatenate((roll(stretch).x, roll(stretch).p))  # noqa: E731
     middle = roll(1.2)
-    product = chain(stepper.jacobians(mesh, middle.x, middle.p, middle.unknowns))
+    product = accumulated(stepper.jacobians(mesh, middle.x, middle.p, middle.unknowns))
     by_stretch = (states(1.2 + difference) - states(1.2 - difference)) / (2 * difference)
     np.testing.assert_allclose(product[:, :, 1].T, by_stretch, rtol=0, atol=1e-8)
     np.testing.assert_allclose(middle.p[1], -mesh * (0.5 - np.cos(0.5)), rtol=1e-5)  # -∫ H dt over the stretch

@@ -9,7 +9,7 @@ from scenes import pendulum, saddle
 import casadi_galerkin as cg
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.stepping.shooting import MISS, _met
-from casadi_galerkin.stepping.shot import Shooting, chain
+from casadi_galerkin.stepping.shot import Shooting, accumulated
 
 SAME = 1e-12  # the same discrete equations solved in two ways; conditions below 100
 
@@ -108,7 +108,7 @@ def test_products_of_jacobians_are_the_derivative_of_the_whole_path():
         return np.concatenate((path.x, path.momentum))
 
     problem = cg.InitialProblem(pendulum, (0, 2), [0.5], momentum=[1.0])
-    product = chain(cg.geometry(cg.solve(problem, method, mesh=mesh)).jacobians)
+    product = accumulated(cg.geometry(cg.solve(problem, method, mesh=mesh)).jacobians)
     by_x = (states(0.5 + difference, 1.0) - states(0.5 - difference, 1.0)) / (2 * difference)
     by_p = (states(0.5, 1.0 + difference) - states(0.5, 1.0 - difference)) / (2 * difference)
     np.testing.assert_allclose(product[:, :, 0].T, by_x, rtol=0, atol=1e-8)
