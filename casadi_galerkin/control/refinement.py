@@ -84,9 +84,9 @@ def halved(mesh: np.ndarray) -> np.ndarray:
 
 
 def fits_any_mesh(guess: Guess | None) -> bool:
-    """Whether a guess is none or a function of time; arrays are values on one mesh."""
+    """Whether a guess is none, a function of time, or values with their times; arrays are values on one mesh."""
     parts = guess if isinstance(guess, tuple) else (guess,)
-    return all(part is None or callable(part) for part in parts)
+    return all(part is None or callable(part) or isinstance(part, tuple) for part in parts)
 
 
 class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):

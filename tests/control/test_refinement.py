@@ -20,7 +20,7 @@ from paths import script
 from scipy.optimize import fsolve, minimize_scalar
 
 import casadi_galerkin as cg
-from casadi_galerkin.control.refinement import ControlRefinement
+from casadi_galerkin.control.refinement import ControlRefinement, fits_any_mesh
 
 
 def late_start(velocity=-0.3):
@@ -439,3 +439,18 @@ def test_two_controls_may_switch_at_the_same_time():
     )
     path = cg.solve(problem, tol=tol)
     assert abs(path.cost / fastest(-0.3)[0] - 1) <= path.error_estimate <= tol
+
+
+@pytest.mark.parametrize(
+    ("guess", "fits"),
+    [
+        (None, True),
+        (lambda t: [t], True),
+        ((lambda t: [t], None), True),
+        ((([0.0, 1.0], [[0.0, 1.0]]), None), True),
+        (np.zeros((1, 9)), False),
+        ((lambda t: [t], np.zeros((1, 24))), False),
+    ],
+)
+def test_times_with_values_are_a_guess_for_any_mesh_and_values_alone_are_not(guess, fits):
+    assert fits_any_mesh(guess) is fits
