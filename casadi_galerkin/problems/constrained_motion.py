@@ -31,9 +31,7 @@ HELD = 1e-12  # part of its terms by which a given position or velocity may miss
 
 
 @lru_cache(8)
-def constrained_motion(
-    lagrangian: ca.Function, constraint: ca.Function, force: ca.Function | None = None
-) -> ca.Function:
+def constrained_motion(lagrangian: ca.Function, constraint: ca.Function, force: ca.Function | None) -> ca.Function:
     """(t, x, v) -> the linear system's sparse matrix and right-hand side, p (d,), G v + ∂g/∂t (k,), ∂g/∂t (k,).
 
     Parameters

@@ -297,12 +297,12 @@ class ControlProblem:
                     )
         if self.duration_bounds is None and self.parameter_bounds is None:
             check_constraint(self)
-            self._check_constraint("start", self.t_span[0])
-            self._check_constraint("end", self.t_span[1])
+            self._check_end_state("start", self.t_span[0])
+            self._check_end_state("end", self.t_span[1])
         if self.end_conditions is not None:
-            self._check_conditions(*self.end_conditions)
+            self._check_end_conditions(*self.end_conditions)
 
-    def _check_constraint(self, name: str, t: float) -> None:
+    def _check_end_state(self, name: str, t: float) -> None:
         """Refuse a fully given state at an end off a path constraint on which controls have no say, or not tangent."""
         x, v = getattr(self, name), getattr(self, f"{name}_velocity")
         if None in (*x, *v):
@@ -320,7 +320,7 @@ class ControlProblem:
                     f"[{low[i]}, {high[i]}]"
                 )
 
-    def _check_conditions(self, g: ca.Function, low: tuple[float, ...], high: tuple[float, ...]) -> None:
+    def _check_end_conditions(self, g: ca.Function, low: tuple[float, ...], high: tuple[float, ...]) -> None:
         """Refuse a condition on the ends that what is given there violates."""
         names = ("start", "start_velocity", "end", "end_velocity")
         given = [np.array(getattr(self, name), dtype=float) for name in names]  # NaN for None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import casadi as ca
@@ -97,8 +97,8 @@ class Trajectory(Path):
     method: Galerkin
     problem: Problem
     error_estimate: float | None = None
-    second_variation: SecondVariation | None = field(default=None, repr=False)
-    find_error: Callable[[Trajectory], float] = field(default=_no_error, repr=False)
+    second_variation: SecondVariation | None = None
+    find_error: Callable[[Trajectory], float] = _no_error
 
     def estimate_error(self) -> float:
         """Estimate the relative error of x, at the joints and between them; kept as `error_estimate`.

@@ -59,8 +59,8 @@ class Solver:
     """
 
     name: str
-    _run: Callable[..., Solution] = field(repr=False)
-    _check: Callable[[str, object], None] = field(repr=False)
+    _run: Callable[..., Solution]
+    _check: Callable[[str, object], None]
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __call__(self, stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0) -> Solution:

@@ -46,7 +46,7 @@ class EndEquations:
     given_start: np.ndarray
 
 
-def end_equations(problem: BoundaryProblem, method: Galerkin, plane: np.ndarray | None = None) -> EndEquations:
+def end_equations(problem: BoundaryProblem, method: Galerkin, plane: np.ndarray | None) -> EndEquations:
     """Write the equations of a problem (see the module); `plane` fixes the phase where it is free."""
     d, times = problem.dimension, problem.t_span
     constraint = with_parameters(problem.constraint, problem.parameters)

@@ -26,7 +26,7 @@ from casadi_galerkin.stepping.stepper import Roll, Stepper
 SPEEDS = np.logspace(-12, 12, 25)  # in which velocities are looked for where L is singular at rest
 
 
-def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbose: int = 0) -> Trajectory:
+def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbose: int) -> Trajectory:
     """Solve an initial problem step by step on the joints of a mesh; see `solve`.
 
     Where a path meets a singularity, a step of a certain length may still have a solution, beyond it: the discrete
