@@ -113,21 +113,22 @@ class ControlGraph:
         """blockdiag(∇e_k)."""
         return self._blocks([place.jacobian_pattern for place in self.places], self._evaluate("jacobian", self.at))
 
-    def _name(self, name: str, outputs: list[ca.MX], *extra: ca.MX) -> ca.Function:
+    def _function(self, name: str, outputs: list[ca.MX], *extra: ca.MX) -> ca.Function:
+        """A Function of (unknowns, data, ...); some have the names that the cache of fatrop has for them."""
         return ca.Function(name, [self.unknowns, self.data, *extra], outputs)
 
     @lazy
     def gradient(self) -> ca.Function:
         """(unknowns, data) -> f, ∇f."""
         total = ca.mtimes(self.embedding.derivative.T, self._gradients)
-        return self._name("gradient", [self.cost, ca.densify(total)])
+        return self._function("gradient", [self.cost, ca.densify(total)])
 
     @lazy
     def jacobian(self) -> ca.Function:
         """(unknowns, data) -> G, ∇G."""
         embedding = self.embedding
         matrix = ca.mtimes(embedding.test.T, ca.mtimes(self._derivatives, embedding.derivative)) + embedding.linear
-        return self._name("nlp_jac_g", [self.equations, matrix])
+        return self._function("nlp_jac_g", [self.equations, matrix])
 
     def _along(self, multipliers: ca.MX) -> list[ca.MX]:
         """Multipliers (Θᵀλ)_k of the rows, at all kinds of places."""
@@ -155,7 +156,7 @@ class ControlGraph:
     @lazy
     def hessian(self) -> ca.Function:
         """(unknowns, data, φ, λ) -> upper half of ∇²f̄."""
-        return self._name("hessian", [self._upper_hessian], *self._lagrangian[:2])
+        return self._function("hessian", [self._upper_hessian], *self._lagrangian[:2])
 
     @lazy
     def whole_hessian(self) -> ca.Function:
@@ -163,7 +164,7 @@ class ControlGraph:
         factor, multipliers, given = self._lagrangian
         slope = self._slope(ca.veccat(*self._evaluate("lagrangian_gradient", *given)), multipliers)
         outputs = [ca.densify(slope), ca.triu2symm(self._upper_hessian)]
-        return self._name("nlp_hess_l", outputs, factor, multipliers)
+        return self._function("nlp_hess_l", outputs, factor, multipliers)
 
     @lazy
     def _verification(self) -> Lender[Evaluator]:
@@ -189,7 +190,7 @@ class ControlGraph:
             ca.sum1(ca.reshape(shares / durations, -1, chain.intervals)),
             *(place.lagrangian_gradient(*z)[: chain.dimension] for place, *z in crossings),
         ]
-        verification = self._name("verification", [ca.densify(ca.veccat(*values))], multipliers)
+        verification = self._function("verification", [ca.densify(ca.veccat(*values))], multipliers)
         return Lender(lambda: Evaluator(verification))
 
     def report(self, unknowns: np.ndarray, data: np.ndarray, multipliers: np.ndarray | None = None) -> Report:

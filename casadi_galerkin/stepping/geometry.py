@@ -131,5 +131,5 @@ def jacobians(path: Trajectory) -> np.ndarray:
     slopes = path.polynomial.at_parts(stepper.basis.points)[1]
     s = (slopes * np.diff(path.t)[:, None]).transpose(1, 0, 2)
     if path.problem.constraint is not None:
-        s = stepper.solved(path.t, path.x, path.momentum, s)
+        s = stepper.unknowns(path.t, path.x, path.momentum, s)
     return stepper.jacobians(path.t, path.x, path.momentum, s)

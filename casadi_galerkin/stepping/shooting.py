@@ -100,7 +100,7 @@ def shoot(
     build = equations + shooting.stepper.build_seconds
     seconds = time.perf_counter() - began - build
     solver = f"single shooting, misses the end by {np.max(np.abs(shot.miss), initial=0.0):.1e}"
-    roll = shooting.stepper.timed(shot.roll)
+    roll = shooting.stepper.unstretched(shot.roll)
     action = float(roll.action.sum())
     if problem.end_action is not None:
         action += float(with_parameters(problem.end_action, problem.parameters)(roll.x[:, 0], roll.x[:, -1]))

@@ -60,7 +60,7 @@ class Shot:
     @property
     def path(self) -> PiecewisePolynomial:
         """The path from joint to joint."""
-        return path_of(self.stepper.timed(self.roll), self.stepper, len(self.steps))
+        return path_of(self.stepper.unstretched(self.roll), self.stepper, len(self.steps))
 
     @property
     def residual(self) -> float:
@@ -120,7 +120,7 @@ class Shooting:
         """The path from z, or None if one of its steps fails; `velocity` predicts the first step."""
         d, start = self.stepper.dimension, self.start(z)
         roll = self.stepper.roll(start[:d], start[d : 2 * d], velocity, self.mesh)
-        if roll.solved_steps < len(roll.mesh) - 1 or not self.stepper.timed(roll).mesh[-1] > roll.mesh[0]:
+        if roll.solved_steps < len(roll.mesh) - 1 or not self.stepper.unstretched(roll).mesh[-1] > roll.mesh[0]:
             return None
         steps = self.stepper.jacobians(self.mesh, roll.x, roll.p, roll.unknowns)
         growth = accumulated(steps)

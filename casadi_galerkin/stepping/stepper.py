@@ -144,7 +144,7 @@ class Stepper:
             action[:n],
         )
 
-    def timed(self, roll: Roll) -> Roll:
+    def unstretched(self, roll: Roll) -> Roll:
         """The steps at their times: a stretch is then that of the mesh, and no component."""
         if not self.stretched:
             return roll
@@ -152,7 +152,7 @@ class Stepper:
         mesh = roll.mesh[0] + roll.x[d, 0] * (roll.mesh - roll.mesh[0])
         return replace(roll, mesh=mesh, x=roll.x[:d], p=roll.p[:d], unknowns=np.delete(roll.unknowns, d, axis=1))
 
-    def solved(self, mesh: np.ndarray, x: np.ndarray, p: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    def unknowns(self, mesh: np.ndarray, x: np.ndarray, p: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Unknowns of every interval, as in `Roll`, from slopes (N, d, m) that are theirs or near: with impulses."""
         count, (rows, columns) = len(mesh) - 1, self._shape
         guess = np.zeros((count, rows, columns))

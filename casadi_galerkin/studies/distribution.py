@@ -142,7 +142,7 @@ def _known(answer: Answer | None) -> list[Known]:
     return [(values_of(answer.problem), answer)]
 
 
-def named(error: BaseException) -> str:
+def in_words(error: BaseException) -> str:
     """The kind of an error and its words."""
     return f"{type(error).__name__}: {error}"
 
@@ -269,12 +269,12 @@ class Batch:
                     executor = _working(executor, pickled, own)
                 except Exception as error:
                     left = [j for j in lost if j not in self.answers]
-                    self.answers.update((j, CutShort(f"no worker works, {named(error)}")) for j in left)
+                    self.answers.update((j, CutShort(f"no worker works, {in_words(error)}")) for j in left)
                     break
                 try:  # without known paths: Dask would repeat the failure of the very same call
                     (self.answers[i],) = executor.submit(_chunk, pickled, [self.variations[i]]).result()
                 except Exception as error:
-                    self.answers[i] = CutShort(f"the worker that solved this variation failed, {named(error)}")
+                    self.answers[i] = CutShort(f"the worker that solved this variation failed, {in_words(error)}")
                 self.advance(1)
 
 

@@ -103,7 +103,7 @@ class ReferenceSolution:
             self._functional = self._energy_size = np.nan
         self._measure = measure
         if measure is not None:
-            self._quantity = measured(measure, self._path)
+            self._quantity = quantity(measure, self._path)
 
     def _matching(self, path: Trajectory, times: np.ndarray) -> np.ndarray:
         """Times of the reference at the same parts of the durations between breakpoints."""
@@ -137,7 +137,7 @@ class ReferenceSolution:
 
     def _missed(self, measure: Measure, path: Trajectory) -> float:
         """Error of the quantity that the user names, relative to its value where that is not zero."""
-        return abs(measured(measure, path) - self._quantity) / (abs(self._quantity) or 1.0)
+        return abs(quantity(measure, path) - self._quantity) / (abs(self._quantity) or 1.0)
 
 
 def _interpolated(problem: AnyProblem, at: Callable[[np.ndarray], np.ndarray]) -> PiecewisePolynomial:
@@ -153,7 +153,7 @@ def _interpolated(problem: AnyProblem, at: Callable[[np.ndarray], np.ndarray]) -
     return resolved(on, mesh, RESOLVED, SAMPLES, breakpoints)
 
 
-def measured(measure: Measure, path: Path) -> float:
+def quantity(measure: Measure, path: Path) -> float:
     """A quantity of a path; refuses what is no finite number."""
     value = measure(path)
     checked = number(value)

@@ -23,7 +23,7 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table, by_component
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.studies.distribution import Answer, Batch, CutShort, Variation, named, solver_of
+from casadi_galerkin.studies.distribution import Answer, Batch, CutShort, Variation, in_words, solver_of
 
 FIELDS = (*VARIED, "t_span", "guess")
 
@@ -153,7 +153,7 @@ class Sweep(Table):
         if not failures:
             return text
         first, error = next(iter(failures.items()))
-        reason = str(error) if isinstance(error, ConvergenceError) else named(error)
+        reason = str(error) if isinstance(error, ConvergenceError) else in_words(error)
         return f"{text}\n  variation {first} is the first without an answer: {reason}"
 
 

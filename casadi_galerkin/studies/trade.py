@@ -38,7 +38,7 @@ from casadi_galerkin.studies.reference import (
     Reference,
     ReferenceSolution,
     finer,
-    measured,
+    quantity,
 )
 from casadi_galerkin.studies.trade_table import Row, Trade
 
@@ -82,7 +82,7 @@ def _cell(problem: AnyProblem, row: Row, guess: Guess | None, measure: Measure |
     except (RuntimeError, ValueError) as failure:  # a ConvergenceError is a RuntimeError, and so is what CasADi raises
         return _Cell(replace(row, failure=str(failure)))
     if measure is not None:
-        measured(measure, path)
+        quantity(measure, path)
     if row.adaptive:
         row = replace(row, method=path.method, intervals=len(path.t) - 1)
     row = replace(row, unknowns=_unknowns(problem, path), iterations=path.iterations, first_seconds=min(seconds))
