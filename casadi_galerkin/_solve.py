@@ -315,8 +315,9 @@ def solution_function(
     It has no derivatives; with fatrop, C code can be generated from it.
 
     The Function runs CasADi's Newton method, or the solver, and has none of the rescues of `solve`: the guess should
-    be a path for data nearby.  Where the answer does not pass the check that `solve` makes, all outputs are NaN, which
-    IPOPT takes for a step too far; nothing unverified is returned.  It does not tell where a Hessian is singular.
+    be a path for data nearby.  Where residuals are above their roundoff floors or, of a ControlProblem, an equation or
+    a bound is violated or the cost not stationary, all outputs are NaN, which IPOPT takes for a step too far.  It does
+    not see what else `solve` refuses, such as a singular Hessian.
 
     Raises
     ------
