@@ -26,7 +26,7 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import off_constraint
 from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
-from casadi_galerkin.problems.problem import RATES, check_types
+from casadi_galerkin.problems.problem import END_MOTIONS, check_types
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.path import Path
@@ -199,8 +199,8 @@ class Transcription(BoundaryGraph):
 def check_given(given: Named[str, object]) -> None:
     """Refuse what no boundary problem states."""
     for name in given:
-        if name not in (*RATES, "energy"):
-            raise TypeError(f"solve takes {', '.join(RATES)} or energy beside its own arguments, got {name}")
+        if name not in (*END_MOTIONS, "energy"):
+            raise TypeError(f"solve takes {', '.join(END_MOTIONS)} or energy beside its own arguments, got {name}")
 
 
 class SecondVariation:

@@ -28,7 +28,7 @@ class Numbering:
     intervals : int, N
     dimension : int, d
     fixed_start, fixed_end : indices of the components that are given at the ends
-    held_start, held_end : those of them that are unknowns all the same, as a term holds them where they are given
+    pinned_start, pinned_end : those of them that are unknowns all the same, as a term pins them where they are given
     periodic : bool, whether the last joint is the first one; `fixed_start` then holds for both
     multipliers : int, unknowns beside the path
     stretched : bool, whether the duration is unknown; the last of ξ is the logarithm of its ratio to that of the mesh
@@ -39,8 +39,8 @@ class Numbering:
     dimension: int
     fixed_start: tuple[int, ...]
     fixed_end: tuple[int, ...]
-    held_start: tuple[int, ...]
-    held_end: tuple[int, ...]
+    pinned_start: tuple[int, ...]
+    pinned_end: tuple[int, ...]
     periodic: bool
     multipliers: int
     stretched: bool
@@ -61,7 +61,7 @@ class Numbering:
         nodes = np.zeros((self.intervals * self.method.degree + 1, self.dimension), dtype=np.int64)
         given = np.zeros(nodes.shape, dtype=bool)
         given[[0, -1]] = self.of_ends >= 0
-        given[0, list(self.held_start)] = given[-1, list(self.held_end)] = False
+        given[0, list(self.pinned_start)] = given[-1, list(self.pinned_end)] = False
         free = ~given[: self.distinct]
         nodes[: self.distinct][free] = np.arange(self.positions)
         nodes[[0, -1]] = np.where(given[[0, -1]], self.free + self.of_ends, nodes[[0, -1]])
@@ -89,8 +89,8 @@ class Numbering:
     @lazy
     def positions(self) -> int:
         """Number of free values of the path."""
-        held = len(self.held_start) + len(self.held_end)
-        return self.distinct * self.dimension - len(self.fixed_start) - len(self.fixed_end) + held
+        pinned = len(self.pinned_start) + len(self.pinned_end)
+        return self.distinct * self.dimension - len(self.fixed_start) - len(self.fixed_end) + pinned
 
     @lazy
     def free(self) -> int:

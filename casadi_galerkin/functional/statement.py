@@ -25,7 +25,7 @@ from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import Mapping
 from casadi_galerkin.functional.numbering import Numbering
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem, says
-from casadi_galerkin.problems.problem import RATES
+from casadi_galerkin.problems.problem import END_MOTIONS
 
 AT_REST = 1e-3  # speed at the start over the largest, below which the start tells no phase
 
@@ -89,7 +89,7 @@ def turned_back(problem: BoundaryProblem, path: PiecewisePolynomial, plane: np.n
 
 def given_values(problem: BoundaryProblem, plane: np.ndarray | None = None) -> np.ndarray:
     """What the terms take beside the parameters: given velocities and momenta, the plane (n, c), the energy."""
-    values = [value for name in RATES for value in getattr(problem, name) if value is not None]
+    values = [value for name in END_MOTIONS for value in getattr(problem, name) if value is not None]
     if has_phase(problem):
         values += [0.0] * (2 * problem.dimension) if plane is None else plane.tolist()
     return np.array(values + ([] if problem.energy is None else [problem.energy]))
@@ -117,18 +117,18 @@ def rows_of_ends(
     Also the components at the start and at the end whose given positions are equations of the term.
     """
     statement, d, given = _Statement(problem, method, 1), problem.dimension, given_values(problem, plane)
-    x, held = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], statement.held
+    x, pinned = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], statement.pinned
     if has_phase(problem):
         multiplier = ca.SX.sym("own")
         rows = statement._phase()(ca.vertcat(x[0], multiplier), 0, problem.parameters or [], given)[1]
-        return ca.Function("rows", [*x, multiplier], [ca.vertcat(rows[:d], ca.SX.zeros(d), rows[d])]), held
+        return ca.Function("rows", [*x, multiplier], [ca.vertcat(rows[:d], ca.SX.zeros(d), rows[d])]), pinned
     if statement.at_ends is None:
-        return ca.Function("rows", [*x, ca.SX(0, 1)], [ca.SX.zeros(2 * d)]), held
+        return ca.Function("rows", [*x, ca.SX(0, 1)], [ca.SX.zeros(2 * d)]), pinned
     term = statement.at_ends[0]
-    places = [problem.start[i] for i in held[0]] + [problem.end[i] for i in held[1]]
+    places = [problem.start[i] for i in pinned[0]] + [problem.end[i] for i in pinned[1]]
     own = ca.SX.sym("own", term.size1_in(0) - 2 * d - len(places))
     rows = term(ca.vertcat(*x, own, *places), problem.t_span, problem.parameters or [], given)[1]
-    return ca.Function("rows", [*x, own], [rows[: 2 * d + own.numel()]]), held
+    return ca.Function("rows", [*x, own], [rows[: 2 * d + own.numel()]]), pinned
 
 
 class _Statement:
@@ -142,15 +142,16 @@ class _Statement:
             tuple(i for i, value in enumerate(side) if value is not None) for side in (problem.start, problem.end)
         )
         d, last = problem.dimension, intervals * method.degree
-        self.unknown = [end.unknown for end in end_velocities(problem)]
-        self.held = [[i for i in found if i in given] for found, given in zip(self.unknown, (start, end), strict=True)]
+        self.velocities = end_velocities(problem)
+        fixed = zip(self.velocities, (start, end), strict=True)
+        self.pinned = [[i for i in velocities.unknown if i in given] for velocities, given in fixed]
         self.constrained = np.arange(len(start) == d, last + (not problem.periodic and len(end) < d))
         self.constraints = 0 if problem.constraint is None else problem.constraint.size1_out(0)
         self.at_ends = self._ends()
         multipliers = self.constraints * len(self.constrained) + has_phase(problem)
-        multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d - sum(map(len, self.held))
+        multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d - sum(map(len, self.pinned))
         stretched = problem.energy is not None
-        ends = start, end, tuple(self.held[0]), tuple(self.held[1])
+        ends = start, end, tuple(self.pinned[0]), tuple(self.pinned[1])
         self.numbering = Numbering(method, intervals, d, *ends, problem.periodic, multipliers, stretched)
 
     @lazy
@@ -179,7 +180,7 @@ class _Statement:
             terms.append(LocalTerm(self._phase(), entries, ca.DM(0, self.intervals + 1), True))
         if self.at_ends is not None:
             function, symmetric = self.at_ends
-            given = [numbering.free + ends[held] for ends, held in zip(numbering.of_ends, self.held, strict=True)]
+            given = [numbering.free + ends[pinned] for ends, pinned in zip(numbering.of_ends, self.pinned, strict=True)]
             entries = np.concatenate((*numbering.of_nodes[[0, -1]], multipliers, *given))[:, None]
             ends = ca.DM(ca.Sparsity.triplet(2, self.intervals + 1, [0, 1], [0, self.intervals]), 1.0)
             terms.append(LocalTerm(function, entries, ends, symmetric))
@@ -223,18 +224,14 @@ class _Statement:
     def _ends(self) -> tuple[ca.Function, bool] | None:
         """The Function of the ends, and whether its jacobian is symmetric; None where nothing is said of them.
 
-        Of y = (x_0, x_N, μ, velocities that are not given but have a part in a momentum that follows from one).
+        Of y = (x_0, x_N, μ, velocities that are not given but have a part in a momentum that follows from one, and the
+        given positions that are pinned).
         """
         problem, d = self.problem, self.problem.dimension
-        if not any(says(getattr(problem, name)) for name in (*RATES, "end_action", "end_conditions")):
+        if not any(says(getattr(problem, name)) for name in (*END_MOTIONS, "end_action", "end_conditions")):
             return None
-        chosen = {name: [i for i, value in enumerate(getattr(problem, name)) if value is not None] for name in RATES}
-        x, t = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], ca.SX.sym("t", 2)
+        x, t, stated = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], ca.SX.sym("t", 2), self._stated_motions()
         positions = ca.vertcat(*x)
-        parts = ca.vertsplit(self.given, [*np.cumsum([0, *map(len, chosen.values())]).tolist(), self.given.numel()])
-        stated = {name: ca.SX.zeros(d) for name in RATES}
-        for name, values in zip(RATES, parts, strict=False):  # the last part is no rate
-            stated[name][chosen[name]] = values
         action = ca.SX(0) if problem.end_action is None else self._called(problem.end_action, *x)
         work = ca.dot(stated["start_momentum"], x[0]) - ca.dot(stated["end_momentum"], x[1])
         rows, unknowns = ca.densify(ca.gradient(action + work, positions)), []
@@ -246,23 +243,31 @@ class _Statement:
             rows += ca.jtimes(further, positions, multipliers, True)
         symmetric = True
         places: list[ca.SX] = []
-        for k, name in enumerate(RATES[:2]):
-            given, unknown, held = chosen[name], self.unknown[k], self.held[k]
-            velocities, place, v = ca.SX.sym("v", len(unknown)), ca.SX.sym("x", len(held)), stated[name]
+        for k, (end, pinned) in enumerate(zip(self.velocities, self.pinned, strict=True)):
+            given, unknown = end.given, end.unknown
+            velocities, place, v = ca.SX.sym("v", len(unknown)), ca.SX.sym("x", len(pinned)), stated[END_MOTIONS[k]]
             v[unknown] = velocities
             momentum = (-1) ** k * self._momentum(t[k], x[k], v)
-            natural = [momentum[i] - rows[k * d + i] for i in unknown if i not in held]
-            further = ca.vertcat(further, *natural, *(x[k][i] - place[j] for j, i in enumerate(held)))
-            for i in (*given, *held):
+            natural = [momentum[i] - rows[k * d + i] for i in unknown if i not in pinned]
+            further = ca.vertcat(further, *natural, *(x[k][i] - place[j] for j, i in enumerate(pinned)))
+            for i in (*given, *pinned):
                 rows[k * d + i] = momentum[i]
             unknowns, places = [*unknowns, velocities], [*places, place]
             if unknown or ca.jacobian(momentum[given], positions).nnz():
                 symmetric = False
             else:
                 work += sum(momentum[i] * x[k][i] for i in given)
-        rows = ca.vertcat(rows, further, ca.SX.zeros(sum(map(len, self.held))))
+        rows = ca.vertcat(rows, further, ca.SX.zeros(sum(map(len, self.pinned))))
         added = ca.vertcat(action, work)
         return self._function("ends", ca.vertcat(positions, *unknowns, *places), t, added, rows), symmetric
+
+    def _stated_motions(self) -> dict[str, ca.SX]:
+        """The velocities and momenta given at the ends by name, (d,) each; zero where none is."""
+        given, zero = iter(ca.vertsplit(self.given)), ca.SX(0.0)
+        return {
+            name: ca.vertcat(*(zero if value is None else next(given) for value in getattr(self.problem, name)))
+            for name in END_MOTIONS
+        }
 
     def _momentum(self, t: ca.SX, x: ca.SX, v: ca.SX) -> ca.SX:
         """∂L/∂v, (d,)."""

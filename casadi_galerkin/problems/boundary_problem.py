@@ -17,7 +17,7 @@ import casadi as ca
 from casadi_galerkin.calculus.numbers import components, counted, finite, flag, numbers, time_span, times_inside
 from casadi_galerkin.problems.callables import Traceable, arguments, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint
-from casadi_galerkin.problems.problem import RATES, shown, with_changes
+from casadi_galerkin.problems.problem import END_MOTIONS, shown, with_changes
 
 Given = tuple[float | None, ...]
 ENDS = ("start", "end")
@@ -145,7 +145,7 @@ class BoundaryProblem:
         said += [f"parameters {shown(self.parameters)}"]
         said += [f"energy {self.energy:g}"] if self.energy is not None else []
         said += [name for name in ("force", "constraint", "end_action", "end_conditions") if getattr(self, name)]
-        said += [f"{name} {shown(getattr(self, name))}" for name in RATES if says(getattr(self, name))]
+        said += [f"{name} {shown(getattr(self, name))}" for name in END_MOTIONS if says(getattr(self, name))]
         return f"BoundaryProblem of {counted(self.dimension, 'component')} on {self.t_span}: {', '.join(said)}"
 
     @property
@@ -174,16 +174,16 @@ class BoundaryProblem:
 
 def _check_ends(problem: BoundaryProblem) -> None:
     """Refuse what contradicts itself at the ends, and conditions that are too many."""
-    stated = [name for name in (*RATES, "end_action", "end_conditions") if says(getattr(problem, name))]
+    stated = [name for name in (*END_MOTIONS, "end_action", "end_conditions") if says(getattr(problem, name))]
     if problem.periodic and stated:
         raise ValueError(f"a periodic path has no ends: leave out {', '.join(stated)}")
-    given = [name for name in RATES[:2] if says(getattr(problem, name))]
+    given = [name for name in END_MOTIONS[:2] if says(getattr(problem, name))]
     if problem.constraint is not None and given:
         raise ValueError(f"a constraint leaves only tangent velocities: instead of {given[0]} give the momentum there")
     taken = []
     for side in ENDS:
-        position, *rates = (getattr(problem, name) for name in (side, f"{side}_velocity", f"{side}_momentum"))
-        for i, (x, velocity, momentum) in enumerate(zip(position, *rates, strict=True)):
+        position, *motions = (getattr(problem, name) for name in (side, f"{side}_velocity", f"{side}_momentum"))
+        for i, (x, velocity, momentum) in enumerate(zip(position, *motions, strict=True)):
             named = {side: x, f"{side}_velocity": velocity, f"{side}_momentum": momentum}
             named = {name: value for name, value in named.items() if value is not None}
             if len(named) > 1:
