@@ -23,7 +23,7 @@ from casadi_galerkin.boundary.transcription import check_given
 from casadi_galerkin.boundary.variations import between, ends_replaced, same_statement
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import degree_for, of_degree
-from casadi_galerkin.calculus.numbers import check_verbose, counted, time_span
+from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import between_marks, marks
@@ -113,7 +113,7 @@ class AdaptiveTranscription:
         check_given(given)
         check_verbose(verbose)
         changes = {"start": start, "end": end, "parameters": parameters, **given}
-        problem = self.problem.varied(changes, self.problem.t_span if t_span is None else time_span(t_span))
+        problem = self.problem.varied(changes, t_span)
         path = self.found(problem, guess, self.first, solver, verbose)
         self.first = self.first or path
         if verbose:

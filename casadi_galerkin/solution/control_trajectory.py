@@ -261,8 +261,8 @@ class ControlTrajectory(Trajectory):
         self.plot_controls(drawn[1], control_labels, "")
         if limited:
             self.plot_constraints(drawn[2], constraint_labels, "")
-        line, at_joints = self.costate.line(self._fine()), self.costate(self.t)
-        plot_path(*line, self.t, at_joints, drawn[-1], costate_labels, time, "λ")
+        line, at_joints = self.costate.line(self._fine()), (self.t, self.costate(self.t))
+        plot_path(line, at_joints, drawn[-1], costate_labels, time, "λ")
         for panel in drawn:
             for when in self.problem.breakpoints:
                 panel.axvline(when, color="0.6", linewidth=0.8)
@@ -280,7 +280,7 @@ class ControlTrajectory(Trajectory):
         """
         lines = self.control.at(ALONG).reshape(len(self.control.values), -1, len(ALONG))
         points = self.control.times, self.control.values
-        drawn = plot_path(*self._broken(lines), *points, axes, labels, time, "u", DOT)
+        drawn = plot_path(self._broken(lines), points, axes, labels, time, "u", DOT)
         draw_bounds(drawn, np.array(self.problem.control_bounds))
         return drawn
 
@@ -300,12 +300,11 @@ class ControlTrajectory(Trajectory):
         """
         if self.problem.path_constraint is None or self.path_multipliers is None:
             raise ValueError("there is no path constraint to draw")
-        times, lines = self._broken(self.path_constraints(ALONG))
-        values = self.path_constraints(self.path_multipliers.points)
-        points = self.path_multipliers.times
-        drawn = plot_path(times, lines, points, values.reshape(len(values), -1), axes, labels, time, "g", DOT)
+        times, values = self.path_multipliers.times, self.path_constraints(self.path_multipliers.points)
+        line, points = self._broken(self.path_constraints(ALONG)), (times, values.reshape(len(values), -1))
+        drawn = plot_path(line, points, axes, labels, time, "g", DOT)
         draw_bounds(drawn, np.array(self.problem.path_constraint[1:]))
-        draw_multipliers(drawn, points, self.path_multipliers.values)
+        draw_multipliers(drawn, times, self.path_multipliers.values)
         return drawn
 
     def _broken(self, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

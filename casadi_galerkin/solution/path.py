@@ -68,7 +68,7 @@ class Path(Table, Pictured):
         labels : d names with units, such as "angle in rad"
         time : name of the time with its unit
         """
-        drawn = plot_path(*self._line(), self.t, self.x, axes, labels, time)
+        drawn = plot_path(self._line(), (self.t, self.x), axes, labels, time)
         if axes is None:
             drawn.set_title(self._title(), wrap=True)
         return drawn

@@ -25,6 +25,8 @@ SIZE = (4.6, 3.2)  # inches, legible where three stand side by side on a page
 DOTS = 200  # joints beyond which their dots would hide the line
 FRAMES_A_SECOND = 25
 
+Line: TypeAlias = tuple[np.ndarray, np.ndarray]  # times (K,) and values (d, K)
+
 
 def panels(rows: int = 1, columns: int = 1, size: tuple[float, float] = SIZE, **options: Any) -> Any:
     """Matplotlib axes of a new figure in the style of the package's pictures: one, or an array of rows and columns.
@@ -81,29 +83,28 @@ class Pictured(ABC):
 
 
 def plot_path(
-    times: np.ndarray,
-    values: np.ndarray,
-    joints: np.ndarray,
-    joint_values: np.ndarray,
+    line: Line,
+    points: Line,
     axes: Axes | None,
     labels: Sequence[str] | None,
     time: str,
     name: str = "x",
     dot: float | None = None,
 ) -> Axes:
-    """Draw components over time: lines (K,), (d, K), and joints or points (M,), (d, M) as dots, if at most `DOTS`.
+    """Draw components over time: lines through times (K,) and values (d, K), and points as dots, if at most `DOTS`.
 
     Without labels components have the name with an index.  Several are named by the legend, where their colors suffice.
     NaN breaks a line; `dot` is the size of a dot.
     """
-    names = _named(name, len(values), labels)
+    count = len(line[1])
+    names = _named(name, count, labels)
     axes = axes_or_new(axes)
-    for i, (line, dots) in enumerate(zip(values, joint_values, strict=True)):
+    for i, (values, dots) in enumerate(zip(line[1], points[1], strict=True)):
         color = COLORS[i % len(COLORS)]
-        axes.plot(times, line, color=color, label=names[i])
-        if len(joints) <= DOTS:
-            axes.plot(joints, dots, ".", color=color, markersize=dot)
-    alone, legend = len(values) == 1, 1 < len(values) <= len(COLORS)
+        axes.plot(line[0], values, color=color, label=names[i])
+        if len(points[0]) <= DOTS:
+            axes.plot(points[0], dots, ".", color=color, markersize=dot)
+    alone, legend = count == 1, 1 < count <= len(COLORS)
     axes.set(xlabel=time, ylabel=names[0] if alone else "" if legend and labels is not None else name)
     if legend:
         axes.legend(fontsize="small")
@@ -193,22 +194,15 @@ def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None,
     return axes
 
 
-def plot_phase(
-    x: np.ndarray,
-    p: np.ndarray,
-    joint_x: np.ndarray,
-    joint_p: np.ndarray,
-    labels: tuple[str, str],
-    axes: Axes | None,
-) -> Axes:
-    """Draw one component in phase space: a line through (x, p), all (K,), joints as dots, the first one larger."""
+def plot_phase(places: np.ndarray, joints: np.ndarray, axes: Axes | None, labels: Sequence[str]) -> Axes:
+    """Draw a way through phase space: a line through places (2, K), joints (2, N + 1) as dots, the first one larger."""
     names = _named("x and p", 2, labels)
     axes = axes_or_new(axes)
     if not axes.lines:
         axes.set_prop_cycle(color=COLORS)
-    (line,) = axes.plot(x, p)
-    axes.plot(joint_x, joint_p, ".", color=line.get_color())
-    axes.plot(joint_x[:1], joint_p[:1], "o", color=line.get_color())
+    (line,) = axes.plot(*places)
+    axes.plot(*joints, ".", color=line.get_color())
+    axes.plot(*joints[:, :1], "o", color=line.get_color())
     axes.set(xlabel=names[0], ylabel=names[1])
     return axes
 

@@ -224,9 +224,10 @@ class Trajectory(Path):
         place("component", component, len(self.x))
         times = self._fine()
         along = legendre_transform(self._lagrangian).map(len(times))(times[None, :], self(times), self(times, 1))
-        x, p = self(times)[component], np.array(along[0])[component]
+        places = np.stack((self(times)[component], np.array(along[0])[component]))
+        joints = np.stack((self.x[component], self.momentum[component]))
         names = (f"x[{component}]", f"p[{component}]") if labels is None else labels
-        return plot_phase(x, p, self.x[component], self.momentum[component], names, axes)
+        return plot_phase(places, joints, axes, names)
 
     def animate(
         self,
