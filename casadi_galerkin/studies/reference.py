@@ -28,6 +28,7 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import between_marks, marks
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, sampled
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
@@ -170,8 +171,13 @@ def finer(
     intervals = max(4, max((len(path.t) - 1) * path.method.degree for path in paths) // degree)
     best, estimate = paths[0], np.inf
     for _ in range(DOUBLINGS):
-        other = solve(problem, Galerkin(degree), 5 * intervals // 4, guess=guess)
-        fine = solve(problem, Galerkin(degree + 1), 2 * intervals, guess=guess)
+        try:
+            other = solve(problem, Galerkin(degree), 5 * intervals // 4, guess=guess)
+            fine = solve(problem, Galerkin(degree + 1), 2 * intervals, guess=guess)
+        except ConvergenceError:
+            if estimate == np.inf:
+                raise
+            break
         truth = ReferenceSolution(problem, fine, None, measure)
         difference = truth.errors(other)["error"]
         if difference >= estimate:

@@ -175,3 +175,22 @@ def test_paths_without_energy_are_compared(kind):
     }[kind]()
     row = cg.trade(problem, [cg.Galerkin(2)], [4]).rows[0]
     assert max(row.error, row.functional_error, row.energy_error) < REFERENCE
+
+
+def test_a_reference_that_cannot_be_made_finer_is_the_last_one_that_was_found(monkeypatch):
+    module = import_module("casadi_galerkin.studies.reference")
+    solve = module.solve
+
+    def solved(problem, method, intervals, guess):
+        if intervals > 8:
+            raise cg.ConvergenceError("too fine")
+        return solve(problem, method, intervals, guess=guess)
+
+    monkeypatch.setattr(module, "solve", solved)
+    problem = cg.BoundaryProblem(lambda t, x, v: 1e-4 * v[0] ** 2 / 2 + x[0] ** 2 / 2, (0.0, 1.0), [1.0], [0.0])
+    measured = cg.trade(problem, [cg.Galerkin(2)], [16])
+    assert measured.reference.startswith("degree 9, 9 quadrature points of order 18 on 8 intervals")
+    assert 1e-4 < measured.reference_error < 0.1
+    monkeypatch.setattr(module, "solve", lambda problem, method, intervals, guess: solved(problem, method, 9, guess))
+    with pytest.raises(cg.ConvergenceError, match="too fine"):
+        cg.trade(problem, [cg.Galerkin(2)], [16])
