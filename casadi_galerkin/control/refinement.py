@@ -1,9 +1,10 @@
 """From a tolerance to a degree and a mesh, for trajectory optimization.
 
-Every mesh is solved twice, with degree m and, warm-started from that, with degree m + 2 (`error_estimate` says how
-these make an error and a new mesh).  Estimated are the relative errors of cost and duration, and the largest error of
-x at the joints and between them, relative to the size of its component.  Neither the control is judged, nor whether
-the optimum is the global one.
+Every mesh is solved twice, with degree m and, from that path moved by less than `tol`, with degree m + 2
+(`error_estimate` says how these make an error and a new mesh).  Were it not moved, the solver would be content with
+the path itself wherever that hardly counts in the cost, and the two would not differ.  Estimated are the relative
+errors of cost and duration, and the largest error of x at the joints and between them, relative to the size of its
+component.  Neither the control is judged, nor whether the optimum is the global one.
 
 Where the solver finds no answer the mesh is halved, twice at most, and the last good path tried there; where it finds
 none of degree m + 2, the level is not judged, and the next one has the mesh halved.  So has the one after many levels
@@ -49,7 +50,7 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import between_marks, check_types, marks
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
-from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solution.guess import Guess, waves
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.refinement import HINT, Estimate, Refinement
 from casadi_galerkin.solvers.deadline import until
@@ -64,6 +65,7 @@ SHARP, SHARPEST = 3e-11, 1e4
 DOUBLINGS = 2  # of a mesh, while the solver finds nothing on it
 FOR_STARTS = 0.5  # of the time: no further start begins after it
 PATIENCE = 10  # levels in a row that came no nearer, after which the mesh is halved: two may lead to one another
+DISTURBED = 0.1  # of the tolerance: a path of degree m is moved by as much before it is solved with degree m + 2
 HIGHER = 2  # degrees added for the error estimate; two, because of parity
 
 
@@ -87,6 +89,15 @@ def fits_any_mesh(guess: Guess | None) -> bool:
     """Whether a guess is none, a function of time, or values with their times; arrays are values on one mesh."""
     parts = guess if isinstance(guess, tuple) else (guess,)
     return all(part is None or callable(part) or isinstance(part, tuple) for part in parts)
+
+
+def disturbed(path: ControlTrajectory, by: float) -> ControlTrajectory:
+    """A path moved by a random smooth one of this part of its size."""
+    before = path.polynomial
+    sizes = by * np.max(np.abs(before.values), axis=1)
+    parts = (before.times(before.nodes[:-1]) - path.t[0]) / np.ptp(path.t)
+    values = before.values + waves(np.random.default_rng(0), sizes)(parts)
+    return replace(path, polynomial=PiecewisePolynomial(path.t, before.nodes, values, before.arrivals))
 
 
 class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
@@ -164,7 +175,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         method = raised(self.method)
         self.check_time()
         try:
-            higher = self.solve(method, self.scaled(level.t, level), level)
+            higher = self.solve(method, self.scaled(level.t, level), disturbed(level, DISTURBED * self.tol))
         except ConvergenceError:
             self.check_time()
             return Estimate(np.inf, False, f"no answer of degree {method.degree}", None)

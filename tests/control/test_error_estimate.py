@@ -1,6 +1,7 @@
-"""The estimated error of a trajectory optimization is sharp on a smooth path, and where its phases are free."""
+"""The estimated error of an optimization is sharp on a smooth path, where phases are free, and where little counts."""
 
 import casadi as ca
+import numpy as np
 import pytest
 from control_problems import cart_pole, double_integrator, resolved, true_error
 
@@ -36,3 +37,28 @@ def test_estimate_is_sharp_where_the_phases_are_free(degree, tol):
     path = cg.solve(over_bumps(), cg.Galerkin(degree), tol=tol)
     ratio = path.error_estimate / true_error(path, *resolved(over_bumps))
     assert 0.95 < ratio < 1.5
+
+
+@pytest.mark.parametrize("weight", [1.0, 1e-6, 1e-12])
+def test_estimate_is_sharp_where_a_component_hardly_counts_in_the_cost(weight):
+    """It leaves its ends within 0.03.  An optimizer stops long before it knows where, by any tolerance of the slope.
+
+    Begun at the path found, it stops there with the higher degree as well: that estimates 4e-14 for an error of 1e-4.
+    """
+    width = 0.03
+    task = cg.ControlProblem(
+        None,
+        (0.0, 1.0),
+        start=[1.0, 1.0],
+        end=[0.0, 0.5],
+        start_velocity=[None, None],
+        end_velocity=[None, None],
+        force=None,
+        rates=lambda t, x, v, u: u,
+        controls=2,
+        running_cost=lambda t, x, v, u: (u[0] ** 2 + x[0] ** 2 + weight * ((width * u[1]) ** 2 + x[1] ** 2)) / 2,
+    )
+    path, t = cg.solve(task, tol=1e-5), np.linspace(0.0, 1.0, 2001)
+    exact = (np.sinh((1 - t) / width) + 0.5 * np.sinh(t / width)) / np.sinh(1 / width)
+    error = np.max(np.abs(path(t)[1] - exact))
+    assert 0.8 < path.error_estimate / error < 1.5
