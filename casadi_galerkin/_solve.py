@@ -15,6 +15,7 @@ from casadi_galerkin.boundary.sensitivity import boundary_function
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.mesh_adaptation import degree_for, of_degree
 from casadi_galerkin.calculus.numbers import check_verbose
 from casadi_galerkin.control.control_function import control_function
 from casadi_galerkin.control.refinement import ControlRefinement, first_control_mesh
@@ -157,7 +158,8 @@ def solve(
         refinement = ControlRefinement(problem, tolerance, of_cost, method, limits, solver or ipopt, verbose)
         path = refinement.run(joints, guess, starts)
     else:
-        joints = first_mesh(problem, tolerance, method, intervals, mesh)
+        method = of_degree(degree_for(tolerance)) if method is None else method
+        joints = first_mesh(problem, method, intervals, mesh)
         levels, solver = Levels(problem, verbose=verbose), solver or newton
         path = BoundaryRefinement(levels, tolerance, method, solver, limits).run(joints, guess)
     if verbose:

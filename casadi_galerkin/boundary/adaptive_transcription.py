@@ -73,8 +73,8 @@ class AdaptiveTranscription:
         limits: Limits | None = None,
     ) -> None:
         self.problem, self.tol, self.limits = problem, check_tolerance(tol), limits or Limits()
-        self._coarse = first_mesh(problem, self.tol, method, intervals, mesh)
-        self.method = method or of_degree(degree_for(self.tol))  # of all paths: the mesh is for later ones, too
+        self.method = of_degree(degree_for(self.tol)) if method is None else method
+        self._coarse = first_mesh(problem, self.method, intervals, mesh)
         self._levels = Levels(problem, by_rows)
         self.first: Trajectory | None = None
 
@@ -147,7 +147,7 @@ class AdaptiveTranscription:
                 return self._followed(refinement, known)
             if kept is not None:
                 mesh = between_marks(kept.t, marks(kept.problem), marks(problem))
-                return refinement.resume(levels.solve(kept.method, mesh, guess, refinement.at_once))
+                return refinement.resume(levels.solve(self.method, mesh, guess, refinement.at_once))
         except LimitReached:
             raise
         except ConvergenceError:
@@ -178,12 +178,12 @@ class AdaptiveTranscription:
 
     def _moved(self, refinement: BoundaryRefinement, known: Trajectory, steps: int) -> CriticalPoint:
         """Move the given values of a known path in so many steps, on its mesh."""
-        levels, path = refinement.levels, known.polynomial.values
+        levels, path = refinement.levels, known.polynomial.at(self.method.element.nodes)
         assert isinstance(known.problem, BoundaryProblem)
         for step in range(1, steps + 1):
             problem = levels.problem if step == steps else between(known.problem, levels.problem, step / steps)
             mesh = between_marks(known.t, marks(known.problem), marks(problem))
-            point = levels.solve(known.method, mesh, ends_replaced(path, problem), refinement.at_once, problem)
+            point = levels.solve(self.method, mesh, ends_replaced(path, problem), refinement.at_once, problem)
             path = point.polynomial.values
         return point
 

@@ -106,7 +106,7 @@ def first_path_strategies(
         graph = levels.transcription(method, mesh)
         if graph.stationarity.variational and not graph.numbering.multipliers:
             joints = _with_more(levels, fine, DESCENT_INTERVALS)
-            found = partial(_by_descent, levels, joints, guess, brief)
+            found = partial(_by_descent, levels, method, joints, guess, brief)
             yield Strategy("descent of the action", found, math.inf)
         if levels.problem.force is not None:
             found = partial(under_growing_force, levels, fine, guess, roughly)
@@ -120,10 +120,11 @@ def _with_more(levels: Levels, mesh: np.ndarray, intervals: int) -> np.ndarray:
     return graded_alike(mesh, max(intervals, len(mesh) - 1), levels.problem.breakpoints)
 
 
-def _by_descent(levels: Levels, mesh: np.ndarray, guess: Guess | None, solver: SolverLike) -> CriticalPoint:
+def _by_descent(
+    levels: Levels, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike
+) -> CriticalPoint:
     """Lower the action of a guess until Newton's method takes over."""
-    method = of_degree(DESCENT_DEGREE)
-    transcribed = partial(levels.transcription, method, mapping=by_rows)
+    transcribed = partial(levels.transcription, of_degree(DESCENT_DEGREE), mapping=by_rows)
     path = transcribed(mesh).guess_on_mesh(guess, mesh)
     path = descend(transcribed, path, DESCENT_TOLERANCE)
     mesh = graded_alike(path.mesh, len(path.mesh) - 1, levels.problem.breakpoints)  # descending moves the joints

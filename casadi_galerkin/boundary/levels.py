@@ -27,7 +27,7 @@ class Levels:
     def __init__(self, problem: BoundaryProblem, mapping: Mapping = one_by_one, verbose: int = 0) -> None:
         check_mass(problem)
         self.problem, self.iterations, self._mapping, self.verbose = problem, 0, mapping, verbose
-        self._transcriptions: dict[tuple[int, int], Transcription] = {}
+        self._transcriptions: dict[tuple[Galerkin, int], Transcription] = {}
 
     def of(self, problem: BoundaryProblem, verbose: int = 0) -> Levels:
         """The same graphs for a problem that is `varied` from this one's; what is built for it is kept here, too."""
@@ -39,7 +39,7 @@ class Levels:
 
     def transcription(self, method: Galerkin, mesh: np.ndarray, mapping: Mapping | None = None) -> Transcription:
         """The graph for this degree and number of intervals."""
-        key = (method.degree, len(mesh))
+        key = (method, len(mesh))
         if key not in self._transcriptions:
             self._transcriptions[key] = Transcription(self.problem, method, mesh, mapping or self._mapping)
         built = self._transcriptions[key]

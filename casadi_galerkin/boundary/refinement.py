@@ -34,9 +34,7 @@ from casadi_galerkin.calculus.mesh_adaptation import (
     FEWEST,
     FINEST,
     TARGET,
-    degree_for,
     equidistributed,
-    of_degree,
     of_higher_degree,
     truncation,
 )
@@ -89,13 +87,12 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         self,
         levels: Levels,
         tol: float,
-        method: Galerkin | None,
+        method: Galerkin,
         solver: SolverLike,
         limits: Limits,
     ) -> None:
         super().__init__(tol, limits, levels.verbose)
-        self.method, self.fixed = method or of_degree(degree_for(tol)), method is not None
-        self.levels, self.patience = levels, math.inf
+        self.levels, self.method, self.patience = levels, method, math.inf
         self.built = levels.build_seconds  # before this refinement
         self.seen: dict[str, tuple[float, float, float, int]] = {}
         self.agreements: list[float] = []  # of the degrees about how far forces move the path, on each mesh
@@ -119,13 +116,13 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """What the path leaves out on every interval; where that is below the tolerance, its error."""
         path = level.polynomial
         left_out = truncation(path)
-        suits = not self.fixed or path.degree == self.method.degree
         largest = float(np.max(left_out))
-        floor = self.floor(level) if suits and largest <= max(self.tol, CLEAR) else 0.0
-        if not (suits and largest <= max(self.tol, BLURRED)):
+        floor = self.floor(level) if largest <= max(self.tol, CLEAR) else 0.0
+        if largest > max(self.tol, BLURRED):
             self.check_stubborn(level, "Legendre coefficients", left_out, WANDERING)
             return Estimate(largest, False, "Legendre coefficients", left_out)
-        error, varied = self.error(path)
+        higher = of_higher_degree(self.method.degree)
+        error, varied = discretization_error(self.levels.transcription(higher, path.mesh), path)
         error = math.hypot(error, floor)
         mesh, stretched = path.mesh, self.levels.problem.energy is not None
         self.roundoff_level = NOISE * max(
@@ -135,13 +132,13 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         source, missed = max(said.items(), key=lambda item: float(np.max(item[1])))
         if np.max(missed) > max(self.tol, TELLS):
             self.check_stubborn(level, source, missed, STUBBORN)
-            return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed, path.degree))
+            return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed))
         error = max(error, float(np.max(said["force"])))
         if error <= self.tol and not self.agreed(level, varied):
-            halved = np.full(len(left_out), TARGET * self.tol * 2.0 ** (path.degree + 1))
+            halved = np.full(len(left_out), TARGET * self.tol * 2.0 ** (self.method.degree + 1))
             return Estimate(1 - self.agreements[-1], False, "responses to forces", halved)
         left_out *= error / max(np.max(left_out), 1e-300)
-        return Estimate(error, True, f"degree {of_higher_degree(path.degree).degree}", left_out)
+        return Estimate(error, True, f"degree {higher.degree}", left_out)
 
     def stopped(self, reason: str, level: CriticalPoint, error: float, hint: str = HINT) -> LimitReached:
         """Say how far it got; where times are so far from zero that their rounding may be why, that."""
@@ -169,18 +166,14 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             raise self.stopped(reason, level, floor)
         return floor
 
-    def _left_out_for(self, missed: np.ndarray, degree: int) -> np.ndarray:
+    def _left_out_for(self, missed: np.ndarray) -> np.ndarray:
         """What would have intervals split in proportion to the energy they miss, which at a kink falls like h."""
         target = TARGET * self.tol
-        return np.asarray(target * np.clip(missed / target, LEAST, MOST) ** (degree + 1))
+        return np.asarray(target * np.clip(missed / target, LEAST, MOST) ** (self.method.degree + 1))
 
     def graph(self, path: PiecewisePolynomial) -> Transcription:
-        """The graph in the degree and on the mesh of a path."""
-        return self.levels.transcription(of_degree(path.degree), path.mesh)
-
-    def error(self, path: PiecewisePolynomial) -> tuple[float, PiecewisePolynomial]:
-        """Largest error on a path, from Newton steps in a higher degree on the same mesh, and its variations there."""
-        return discretization_error(self.levels.transcription(of_higher_degree(path.degree), path.mesh), path)
+        """The graph on the mesh of a path."""
+        return self.levels.transcription(self.method, path.mesh)
 
     def agreed(self, level: CriticalPoint, varied: PiecewisePolynomial) -> bool:
         """Whether forces move the path alike in its own degree, or, on any mesh, unlike; refuses a path of a family."""
@@ -198,24 +191,19 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     def improve(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> CriticalPoint:
         """Solve on the equidistributed mesh; where Newton's method does not follow, on one changed less.
 
-        Where the degree rises, an analytic path's error falls to the power of the orders' ratio.
         Where the last mesh did not halve the error, the path is less smooth than the method's order tells, and as many
         intervals elsewhere would not do: there are more.  Only errors estimated from the same are compared.
         """
-        finest, degree, method = FINEST, level.polynomial.degree, self.method
-        if degree > method.degree and not self.fixed:
-            method = of_degree(degree)
-        order = method.degree + 1
-        expected = estimate.detail ** (order / (degree + 1))
+        finest, order = FINEST, self.method.degree + 1
         breakpoints, before = self.levels.problem.breakpoints, len(level.polynomial.mesh) - 1
         nearest = self.nearest.get(estimate.source, math.inf)
         fewest = FEWEST if estimate.error < nearest / 2 else before + 1
         self.nearest[estimate.source] = min(nearest, estimate.error)
         while True:
-            mesh = equidistributed(level.polynomial.mesh, expected, order, self.tol, finest, fewest, breakpoints)
+            mesh = equidistributed(level.polynomial.mesh, estimate.detail, order, self.tol, finest, fewest, breakpoints)
             self.check_mesh(mesh, level, estimate)
             try:
-                return self.levels.solve(method, mesh, level.polynomial, self.following)
+                return self.levels.solve(self.method, mesh, level.polynomial, self.following)
             except ConvergenceError:
                 finest, self.patience = np.sqrt(finest), self.patience - 1
                 if finest < SMALLEST_SPLIT or self.patience < 0 or self.out_of_time():
@@ -303,9 +291,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     def roughly(self, levels: Levels, mesh: np.ndarray, guess: Guess | None) -> CriticalPoint:
         """Find a path on the way to the one that is looked for, on a mesh that resolves it."""
-        method = self.method if self.fixed else None
         limits = replace(self.limits, intervals=min(self.limits.intervals, FEW))
-        part = BoundaryRefinement(levels, max(self.tol, ROUGHLY), method, self.solver, limits)
+        part = BoundaryRefinement(levels, max(self.tol, ROUGHLY), self.method, self.solver, limits)
         part.patience, part.deadline = PATIENCE, self.deadline
         return part.refine(levels.solve(self.method, mesh, guess, self.following))[0]
 
@@ -317,8 +304,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     def finish(self, point: CriticalPoint, error: float) -> Trajectory:
         """Wrap the path that passed."""
-        method = self.method if self.fixed else of_degree(point.polynomial.degree)
-        path = self.levels.transcription(method, point.polynomial.mesh).trajectory(point, 0.0)
+        path = self.graph(point.polynomial).trajectory(point, 0.0)
         build_seconds = self.levels.build_seconds
         return replace(
             path,
@@ -329,12 +315,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         )
 
 
-def first_mesh(
-    problem: BoundaryProblem, tol: float, method: Galerkin | None, intervals: int | None, mesh: ArrayLike | None
-) -> np.ndarray:
+def first_mesh(problem: BoundaryProblem, method: Galerkin, intervals: int | None, mesh: ArrayLike | None) -> np.ndarray:
     """Joints where a refinement begins; refuses what does not fit, see `solve` for the arguments."""
-    first = of_degree(degree_for(tol)) if method is None else method
-    check_types(problem, first, BoundaryProblem)
+    check_types(problem, method, BoundaryProblem)
     if intervals is None and mesh is None:
-        intervals = max(FEWEST, math.ceil(FIRST_NODES / first.degree), 1 + len(problem.breakpoints))
+        intervals = max(FEWEST, math.ceil(FIRST_NODES / method.degree), 1 + len(problem.breakpoints))
     return mesh_of(problem.t_span, intervals, mesh, problem.breakpoints)
