@@ -19,7 +19,6 @@ from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.discrete_calculus import too_near
 from casadi_galerkin.calculus.mesh_adaptation import equidistributed, graded_alike, truncation
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.deadline import seconds_left
@@ -88,14 +87,9 @@ class ActionDescent:
         self.transcription, self.path, self.inertia = transcription, path, inertia
         self.step = np.inf
 
-    def arguments(self, path: PiecewisePolynomial) -> tuple[np.ndarray, Data]:
-        """Unknowns and data as the graph takes them."""
-        data = self.transcription.data(path.mesh)
-        return self.transcription.unknowns(path.values.T, data), data
-
     def action(self, path: PiecewisePolynomial) -> float:
         """Value of the discrete action; infinite where it is not defined."""
-        (value,) = self._at.evaluate("action", *self.arguments(path))[0]
+        (value,) = self._at.evaluate("action", *self.transcription.on_path(path))[0]
         return float(value) if np.isfinite(value) else np.inf
 
     def run(self, steps: int) -> bool:
@@ -111,7 +105,7 @@ class ActionDescent:
             for _ in range(steps):
                 if not self.advance():
                     return True
-                derivatives = self._at.evaluate("joint_time_derivatives", *self.arguments(self.path))
+                derivatives = self._at.evaluate("joint_time_derivatives", *self.transcription.on_path(self.path))
                 trial = retimed(self.path, *derivatives)
                 action = self.action(trial)
                 if action < self._action:
@@ -120,7 +114,7 @@ class ActionDescent:
 
     def advance(self) -> bool:
         """Take one step; False where it promises nothing."""
-        arguments = self.arguments(self.path)
+        arguments = self.transcription.on_path(self.path)
         sizes = self.transcription.stationarity.sizes(*arguments)
         while self.inertia <= MOST:
             g = self._at.relinearize(*arguments)

@@ -74,8 +74,8 @@ def _place(graph: Transcription, path: Trajectory, values: np.ndarray) -> Place:
     index = SecondVariation(graph, problem, path.polynomial).negative()
     if graph.numbering.multipliers or not graph.stationarity.variational:
         return Place(values, index, np.nan, np.full(len(values), np.nan))
-    data = graph.data(mesh, problem)
-    found = _slopes(graph.functional).call([graph.unknowns(path.polynomial.values.T, data), *data])
+    unknowns, data = graph.on_path(path.polynomial)
+    found = _slopes(graph.functional).call([unknowns, *data])
     action, at_start, at_end, by_joints, *further = (np.array(value).ravel() for value in found)
     joints = marks(problem)  # only the ends move
     ways = np.zeros((2, len(joints)))

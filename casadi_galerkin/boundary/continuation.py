@@ -212,7 +212,7 @@ class Walk(Curve[Solution]):
 
     def data(self, z: np.ndarray) -> Data:
         """The graph's other inputs at a point z."""
-        return self.transcription.data(self.transcription.mesh, self.problem(z))
+        return self.transcription.of(self.problem(z)).data(self.transcription.mesh)
 
     def directions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The Newton step at fixed s, and how ξ follows s."""

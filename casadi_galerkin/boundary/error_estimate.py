@@ -14,8 +14,6 @@ from casadi_galerkin.calculus.mesh_adaptation import largest_change, of_higher_d
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.functional.mapping import one_by_one
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.solution.trajectory import Trajectory
 
 ALIKE = 0.83  # agreement below which a mesh does not resolve the variations; 0.75 and 0.9 measured little else
 SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
@@ -116,14 +114,9 @@ def roundoff_error(graph: BoundaryGraph, point: CriticalPoint) -> float:
     return floor if math.isfinite(floor) else math.inf
 
 
-def error_between_ends(path: Trajectory) -> float:
-    """Estimate the relative error of a path between two ends: see `Trajectory.estimate_error`."""
-    problem = path.problem
-    assert isinstance(problem, BoundaryProblem)
-    lower, higher = (
-        BoundaryGraph(problem, method, path.t, one_by_one)
-        for method in (path.method, of_higher_degree(path.method.degree))
-    )
-    error, varied = discretization_error(higher, path.polynomial)
-    agreed = agreement(lower, path.polynomial, varied)
-    return path.doubted(error if agreed >= ALIKE else max(error, 1 - agreed))
+def error_between_ends(graph: BoundaryGraph, path: PiecewisePolynomial) -> float:
+    """Estimate the error of a path of the graph's degree; no less than 1 less its `agreement`, where that is poor."""
+    higher = BoundaryGraph(graph.problem, of_higher_degree(graph.method.degree), path.mesh, one_by_one)
+    error, varied = discretization_error(higher, path)
+    agreed = agreement(graph, path, varied)
+    return error if agreed >= ALIKE else max(error, 1 - agreed)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping as Named
+from copy import copy
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +26,8 @@ from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
 from casadi_galerkin.solvers.solver import SolverLike, newton
 from casadi_galerkin.solvers.stationarity import Stationarity, joined
+
+Graph = TypeVar("Graph", bound="BoundaryGraph")
 
 FREE = [np.nan]  # what stands for a position that is not given
 
@@ -54,6 +58,12 @@ class BoundaryGraph:
         self.numbering = self.functional.numbering
         self.stationarity = Stationarity(self.functional)
         self._end_velocities = end_velocities(problem)
+
+    def of(self: Graph, problem: BoundaryProblem) -> Graph:
+        """The same graph for a problem that is `varied` from this one's; nothing is built."""
+        other = copy(self)
+        other.problem = problem
+        return other
 
     @property
     def build_seconds(self) -> float:
@@ -86,10 +96,11 @@ class BoundaryGraph:
         calculus = self._calculus if mesh is None else remeshed(self._calculus, mesh, self.problem.breakpoints)
         joints = calculus.mesh
         problem = self.varied(changes or {}, joints)
-        data = self.data(joints, problem)
+        graph = self.of(problem)
+        data = graph.data(joints)
         values = self._guess(guess, calculus, data)
         if self.phase:
-            data = self.data(joints, problem, self.plane(calculus.emb(values.T)))
+            data = graph.data(joints, self.plane(calculus.emb(values.T)))
         try:
             with fork_waits:  # it builds its Functions when they are first needed
                 solution = solver(self.stationarity, self.unknowns(values, data), data, verbose)
@@ -99,9 +110,9 @@ class BoundaryGraph:
         path = self.emb(solution.unknowns, solution.data)
         return CriticalPoint(solution, problem, path)
 
-    def on_path(self, path: PiecewisePolynomial, problem: BoundaryProblem | None = None) -> tuple[np.ndarray, Data]:
-        """Unknowns and data of a path of any degree on any mesh of as many intervals; `problem` as for `data`."""
-        data = self.data(path.mesh, problem, self.plane(path))
+    def on_path(self, path: PiecewisePolynomial) -> tuple[np.ndarray, Data]:
+        """Unknowns and data of a path of any degree on any mesh of as many intervals."""
+        data = self.data(path.mesh, self.plane(path))
         return self.unknowns(path.at(self.method.element.nodes).T, data), data
 
     def guess_on_mesh(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:
@@ -122,19 +133,18 @@ class BoundaryGraph:
             return self.problem
         return self.problem.varied(changes, span)
 
-    def data(self, joints: np.ndarray, problem: BoundaryProblem | None = None, plane: np.ndarray | None = None) -> Data:
-        """Values of all inputs of the graph but the unknowns, of the problem itself or of one that is `varied` from it.
+    def data(self, joints: np.ndarray, plane: np.ndarray | None = None) -> Data:
+        """Values of all inputs of the graph but the unknowns.
 
         Parameters
         ----------
         joints : (N + 1,)
-        problem : BoundaryProblem
         plane : normal and point, (2d,), that fix the phase where it is free
         """
-        stated = problem or self.problem
-        ends = [np.array([value for value in end if value is not None]) for end in (stated.start, stated.end)]
-        parameters = [] if stated.parameters is None else [np.array(stated.parameters)]
-        given = given_values(stated, plane)
+        problem = self.problem
+        ends = [np.array([value for value in end if value is not None]) for end in (problem.start, problem.end)]
+        parameters = [] if problem.parameters is None else [np.array(problem.parameters)]
+        given = given_values(problem, plane)
         return (*ends, joints, *parameters, *([given] if len(given) else []))
 
     def plane(self, path: PiecewisePolynomial) -> np.ndarray | None:

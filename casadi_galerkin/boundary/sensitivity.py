@@ -156,8 +156,7 @@ def at_joints(problem: BoundaryProblem, path: Trajectory) -> Sensitivity:
     by_data = ca.densify(ca.jacobian(gradient, data))
     change = solutions(matrix, by_data)[0]
     change += solutions(matrix, ca.mac(matrix, change, by_data))[0]  # where rows differ in their units
-    given = transcription.data(path.t)
-    unknowns = transcription.unknowns(path.polynomial.values.T, given)
+    unknowns, given = transcription.on_path(path.polynomial)
     derivative = np.array(ca.Function("sensitivity", list(symbols.values()), [change]).call([unknowns, *given])[0])
     fixed = np.eye(numbering.size - numbering.free, data.numel())
     by_u = np.concatenate((derivative.reshape(numbering.free, data.numel()), fixed))

@@ -72,12 +72,6 @@ class Transcription(BoundaryGraph):
     (7, 7)
     """
 
-    def of(self, problem: BoundaryProblem) -> Transcription:
-        """The same graph for a problem that is `varied` from this one's; nothing is built."""
-        other = object.__new__(type(self))
-        other.__dict__.update(vars(self), problem=problem)
-        return other
-
     @property
     def action(self) -> ca.Function:
         """S, with the end action and the work of given momenta, of (unknowns, start, end, mesh[, parameters][, given]).
@@ -156,6 +150,7 @@ class Transcription(BoundaryGraph):
         self.refuse_conjugate(point)
         if self.numbering.stretched:  # the duration asked for was a guess
             problem = problem.varied({}, (float(path.mesh[0]), float(path.mesh[-1])))
+        variations = SecondVariation(self, problem, path)
         return Trajectory(
             polynomial=path,
             momentum=point.momentum,
@@ -167,8 +162,8 @@ class Transcription(BoundaryGraph):
             solve_seconds=solve_seconds,
             method=self.method,
             problem=problem,
-            second_variation=SecondVariation(self, problem, path),
-            find_error=error_between_ends,
+            second_variation=variations,
+            find_error=variations.error,
         )
 
     def refuse_conjugate(self, point: CriticalPoint) -> None:
@@ -204,7 +199,7 @@ def check_given(given: Named[str, object]) -> None:
 
 
 class SecondVariation:
-    """What tells how the action varies about a path; pickled without the graph, which is then built again.
+    """What tells how the action varies about a path, and its error; pickled without the graph, which is built again.
 
     Parameters
     ----------
@@ -217,11 +212,19 @@ class SecondVariation:
         self._transcription: Transcription | None = transcription
         self._problem, self._method, self._path = problem, transcription.method, path
 
+    def _graph(self) -> Transcription:
+        """The graph of the path's own degree."""
+        built = self._transcription or transcribed(self._problem, self._method, None, self._path.mesh, one_by_one)
+        return built.of(self._problem)
+
     def _at_path(self) -> tuple[Stationarity, np.ndarray, Data]:
         """The graph's conditions, unknowns and data at the path."""
-        problem, mesh = self._problem, self._path.mesh
-        graph = self._transcription or transcribed(problem, self._method, None, mesh, one_by_one)
-        return graph.stationarity, *graph.on_path(self._path, problem)
+        graph = self._graph()
+        return graph.stationarity, *graph.on_path(self._path)
+
+    def error(self, path: Trajectory) -> float:
+        """Estimate the relative error of the path: see `Trajectory.estimate_error`."""
+        return path.doubted(error_between_ends(self._graph(), self._path))
 
     def smallest(self) -> float:
         """Smallest second variation relative to the sizes of its terms; see `softest`."""
