@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -26,7 +25,6 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import damped_newton
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton
 
-PATIENCE = 2  # meshes on which a first path may be lost before another is looked for; a false one was seen to creep
 ITERATIONS = 40  # of Newton's method from an earlier path; where it took more it was measured to wander
 DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
 GUESS_INTERVALS = 200  # from which a guess is left as it is
@@ -36,11 +34,10 @@ MORE = 4  # times as many intervals as the coarse mesh has: where that is too co
 
 @dataclass(frozen=True)
 class Strategy:
-    """A way to a first path, and the number of meshes on which that may be lost before the next way is tried."""
+    """A way to a first path."""
 
     name: str
     find: Callable[[], CriticalPoint]
-    patience: float
 
 
 def is_newton(solver: SolverLike) -> TypeGuard[Solver]:
@@ -96,23 +93,23 @@ def first_path_strategies(
     mesh, solved, name = given.mesh, partial(levels.solve, method), repr(solver)
     if is_newton(solver):
         plain, brief = partial(damped_newton, **solver.options), following(solver)
-        yield Strategy("Newton's method", partial(solved, mesh, given.values, plain), PATIENCE)
+        yield Strategy("Newton's method", partial(solved, mesh, given.values, plain))
         if guess is not None:
             found = partial(_from_smoothed, levels, method, given, brief)
-            yield Strategy("Newton's method from the guess smoothed", found, PATIENCE)
+            yield Strategy("Newton's method from the guess smoothed", found)
         fine = _with_more(levels, on_its_joints(levels, method, guess, mesh, WELL).mesh, MORE * (len(mesh) - 1))
         found = partial(solved, fine, guess, brief)
-        yield Strategy(f"Newton's method on {len(fine) - 1} intervals", found, PATIENCE)
+        yield Strategy(f"Newton's method on {len(fine) - 1} intervals", found)
         graph = levels.transcription(method, mesh)
         if graph.stationarity.variational and not graph.numbering.multipliers:
             joints = _with_more(levels, fine, DESCENT_INTERVALS)
             found = partial(_by_descent, levels, method, joints, guess, brief)
-            yield Strategy("descent of the action", found, math.inf)
+            yield Strategy("descent of the action", found)
         if levels.problem.force is not None:
             found = partial(under_growing_force, levels, fine, guess, roughly)
-            yield Strategy("Newton's method under a growing force", found, math.inf)
+            yield Strategy("Newton's method under a growing force", found)
         name = "Newton's method with its rescues"
-    yield Strategy(name, partial(solved, mesh, guess, solver), math.inf)
+    yield Strategy(name, partial(solved, mesh, guess, solver))
 
 
 def _with_more(levels: Levels, mesh: np.ndarray, intervals: int) -> np.ndarray:

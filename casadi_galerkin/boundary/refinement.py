@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.error_estimate import ALIKE, agreement, discretization_error, roundoff_error
-from casadi_galerkin.boundary.first_path import PATIENCE, first_path_strategies, following, is_newton
+from casadi_galerkin.boundary.first_path import first_path_strategies, following, is_newton
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.boundary.transcription import Transcription
@@ -32,7 +32,6 @@ from casadi_galerkin.calculus.discrete_calculus import NEAREST, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import (
     FEWEST,
-    FINEST,
     TARGET,
     equidistributed,
     of_higher_degree,
@@ -75,7 +74,6 @@ UNSMOOTH = (
     "Either L is not smooth there: name that time in the breakpoints of the problem. Or the path passes through a "
     "singularity: give a guess that leads around it"
 )
-SMALLEST_SPLIT = 1.2  # where Newton's method does not follow even a mesh this little finer, it has lost the path
 
 
 class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
@@ -92,12 +90,16 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         limits: Limits,
     ) -> None:
         super().__init__(tol, limits, levels.verbose)
-        self.levels, self.method, self.patience = levels, method, math.inf
+        self.levels, self.method = levels, method
         self.built = levels.build_seconds  # before this refinement
+        self.solver, self.following = solver, following(solver)
+
+    def refine(self, level: CriticalPoint) -> tuple[CriticalPoint, float]:
+        """As for every refinement; nothing is remembered of other first paths."""
         self.seen: dict[str, tuple[float, float, float, int]] = {}
         self.agreements: list[float] = []  # of the degrees about how far forces move the path, on each mesh
         self.nearest: dict[str, float] = {}  # smallest errors so far, by what they were estimated from
-        self.solver, self.following = solver, following(solver)
+        return super().refine(level)
 
     @property
     def iterations(self) -> int:
@@ -189,25 +191,18 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         return False
 
     def improve(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> CriticalPoint:
-        """Solve on the equidistributed mesh; where Newton's method does not follow, on one changed less.
+        """Solve on the equidistributed mesh.
 
         Where the last mesh did not halve the error, the path is less smooth than the method's order tells, and as many
         intervals elsewhere would not do: there are more.  Only errors estimated from the same are compared.
         """
-        finest, order = FINEST, self.method.degree + 1
-        breakpoints, before = self.levels.problem.breakpoints, len(level.polynomial.mesh) - 1
+        path, order, breakpoints = level.polynomial, self.method.degree + 1, self.levels.problem.breakpoints
         nearest = self.nearest.get(estimate.source, math.inf)
-        fewest = FEWEST if estimate.error < nearest / 2 else before + 1
+        fewest = FEWEST if estimate.error < nearest / 2 else len(path.mesh)
         self.nearest[estimate.source] = min(nearest, estimate.error)
-        while True:
-            mesh = equidistributed(level.polynomial.mesh, estimate.detail, order, self.tol, finest, fewest, breakpoints)
-            self.check_mesh(mesh, level, estimate)
-            try:
-                return self.levels.solve(self.method, mesh, level.polynomial, self.following)
-            except ConvergenceError:
-                finest, self.patience = np.sqrt(finest), self.patience - 1
-                if finest < SMALLEST_SPLIT or self.patience < 0 or self.out_of_time():
-                    raise
+        mesh = equidistributed(path.mesh, estimate.detail, order, self.tol, fewest=fewest, breakpoints=breakpoints)
+        self.check_mesh(mesh, level, estimate)
+        return self.levels.solve(self.method, mesh, path, self.following)
 
     def check_mesh(self, mesh: np.ndarray, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> None:
         """Stop before there are too many intervals, or some so short that nothing more can be learned there."""
@@ -257,7 +252,6 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     def resume(self, level: CriticalPoint) -> Trajectory:
         """Refine a path that was found on a mesh that served another."""
-        self.patience = PATIENCE
         with until(self.deadline):
             return self.finish(*self.refine(level))
 
@@ -266,7 +260,6 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         guess = self.on_any_mesh(guess, mesh)
         failures: list[ConvergenceError] = []
         for strategy in first_path_strategies(self.levels, self.method, mesh, guess, self.solver, self.roughly):
-            self.patience, self.nearest = strategy.patience, {}
             began, before = time.perf_counter(), self.iterations
             try:
                 with until(self.deadline):
@@ -293,7 +286,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """Find a path on the way to the one that is looked for, on a mesh that resolves it."""
         limits = replace(self.limits, intervals=min(self.limits.intervals, FEW))
         part = BoundaryRefinement(levels, max(self.tol, ROUGHLY), self.method, self.solver, limits)
-        part.patience, part.deadline = PATIENCE, self.deadline
+        part.deadline = self.deadline
         return part.refine(levels.solve(self.method, mesh, guess, self.following))[0]
 
     def on_any_mesh(self, guess: Guess | None, mesh: np.ndarray) -> Guess | None:
