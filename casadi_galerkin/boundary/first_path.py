@@ -122,7 +122,6 @@ def _by_descent(
 ) -> CriticalPoint:
     """Lower the action of a guess until Newton's method takes over."""
     transcribed = partial(levels.transcription, of_degree(DESCENT_DEGREE), mapping=by_rows)
-    path = transcribed(mesh).guess_on_mesh(guess, mesh)
-    path = descend(transcribed, path, DESCENT_TOLERANCE)
+    path = descend(transcribed, transcribed(mesh).guess_on_mesh(guess, mesh), DESCENT_TOLERANCE)
     mesh = graded_alike(path.mesh, len(path.mesh) - 1, levels.problem.breakpoints)  # descending moves the joints
     return levels.solve(method, mesh, path, solver)
