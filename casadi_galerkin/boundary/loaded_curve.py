@@ -22,12 +22,11 @@ from casadi_galerkin.solvers.stationarity import Linearization
 
 FIRST_STEP, SMALLEST_STEP, FARTHEST = 0.1, 1e-4, 1e3  # of the arc length, in sizes of the path it begins at
 POINTS = 300  # of one curve, both those that were met and those that were missed
-FEW, LONGER, SHORTER = 3, 1.5, 0.5  # iterations from which the step grows; factors on it
-BEND = 0.7  # cosine of the largest angle between two tangents
+LONGER, SHORTER = 1.5, 0.5  # factors on the step after a correction, and after one that failed
 CLOSE = 0.02  # last Newton step over the arc step: the curve is only a way to what is solved to roundoff
 
 
-class LoadedCurve(Curve[int]):
+class LoadedCurve(Curve[bool]):
     """The curve of loaded paths through one stationary path.
 
     Parameters
@@ -67,9 +66,9 @@ class LoadedCurve(Curve[int]):
         newton, follow = self.at.solve(residual, -self.load)
         return newton, follow
 
-    def accepted(self, z: np.ndarray, length: float, iteration: int) -> int | None:  # noqa: ARG002
-        """Number of iterations, if the last was short."""
-        return iteration if length < CLOSE * self.step else None
+    def accepted(self, z: np.ndarray, length: float, iteration: int) -> bool | None:  # noqa: ARG002
+        """Whether the last step was short."""
+        return length < CLOSE * self.step or None
 
     def crossings(self, side: float) -> Iterator[np.ndarray]:
         """Approximate paths without load, in the order in which they are met; `side` is the load's first sign, ±1.0."""
@@ -77,18 +76,16 @@ class LoadedCurve(Curve[int]):
         tangent = self.tangent(z, np.append(np.zeros(len(z) - 1), side))
         for _ in range(POINTS):
             found = self.corrected(z + self.step * tangent, tangent, self.step)
-            following = tangent if found is None else self.tangent(found[0], tangent)
-            if found is None or not (following * tangent) @ self.weights > BEND:
+            if found is None:
                 self.step *= SHORTER
                 if self.step < SMALLEST_STEP:
                     return
                 continue
-            before, (z, iterations) = z, found
-            tangent = following
+            before, z = z, found[0]
+            tangent = self.tangent(z, tangent)
             if before[-1] * z[-1] < 0:
                 share = before[-1] / (before[-1] - z[-1])
                 yield before[:-1] + share * (z - before)[:-1]
             if self.length(z - self.start) > FARTHEST:
                 return
-            if iterations <= FEW:
-                self.step *= LONGER
+            self.step *= LONGER
