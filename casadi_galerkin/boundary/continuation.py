@@ -41,7 +41,7 @@ LONGER, SHORTER = 1.5, 0.5  # factors on the step after a correction, and after 
 CLOSE = 1e-8  # last Newton step after which the next one is at roundoff
 LEVEL = 1e-8  # |ṡ| at a fold over its change from the point before to that after; s is then exact to its square
 LEAST = 1e-7  # size of a component over the path's change up to the target at its first rate: it may begin at zero
-FEW = 20  # iterations to a fold, which rounding may keep from its level
+ITERATIONS = 20  # to a fold, which rounding may keep from its level
 POINTS = 1000  # of a branch
 
 
@@ -317,7 +317,7 @@ class Walk(Curve[Solution]):
         tangent = self.unit(before.tangent)
         ends, rates = [before.z, after.z], [tangent[-1], after.tangent[-1]]
         z, rate, level = before.z, tangent[-1], LEVEL * abs(rates[0] - rates[1])
-        for iteration in range(FEW):
+        for iteration in range(ITERATIONS):
             if abs(rate) < level:
                 break
             share = 0.5 if iteration % 3 == 2 else rates[0] / (rates[0] - rates[1])

@@ -53,9 +53,7 @@ from casadi_galerkin.solvers.solver import SolverLike
 from casadi_galerkin.solvers.stationarity import ROUNDOFF
 
 FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
-CLEAR = 1e-9  # part left out below which a path is near enough to its limit to tell how rounding moves it
 BLURRED = 1e-14  # part left out that rounding of the node values alone looks like
-TELLS = 1e-12  # energies that agree to so much agree: they sum the rounding of all intervals
 FAR = 0.1  # part of the tolerance below which rounding need not be looked at: it moves a path by eps / regularity
 ILL = 1e4  # roundoff floor over eps from which it is the problem's conditioning that is named
 HALVED = 8  # meshes on which variations may disagree; on finer ones only rounding was seen to differ
@@ -67,7 +65,7 @@ SHARP = 1e-6  # interval over the duration from which a refused mesh is said to 
 BLUNT = 1e5 * EPS  # interval over the distance to the nearer end at which it stops, too: times inside are so rounded
 BESIDE = 1e-2  # distance over the duration within which a breakpoint may be why an error stays
 CROWD, SHORT = 20, 1e-3  # intervals, in this part of the duration, among which rounding hides a kink
-ROUGHLY, FEW = 1e-3, 500  # tolerance and most intervals of paths on the way to the one that is looked for
+PASSING = 1e-3, 500  # tolerance and most intervals of paths on the way to the one that is looked for
 STUBBORN = 3  # meshes on which what a witness misses may stay until it is said to do so on any
 WANDERING = 12  # the same for Legendre coefficients, while intervals are moved to where these are large
 UNSMOOTH = (
@@ -119,10 +117,10 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         path = level.polynomial
         left_out = truncation(path)
         largest = float(np.max(left_out))
-        floor = self.floor(level) if largest <= max(self.tol, CLEAR) else 0.0
         if largest > max(self.tol, BLURRED):
             self.check_stubborn(level, "Legendre coefficients", left_out, WANDERING)
             return Estimate(largest, False, "Legendre coefficients", left_out)
+        floor = self.floor(level)
         higher = of_higher_degree(self.method.degree)
         error, varied = discretization_error(self.levels.transcription(higher, path.mesh), path)
         error = math.hypot(error, floor)
@@ -132,7 +130,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         )
         said = witnesses(self.levels.problem, path, level.momentum)
         source, missed = max(said.items(), key=lambda item: float(np.max(item[1])))
-        if np.max(missed) > max(self.tol, TELLS):
+        if np.max(missed) > self.tol:
             self.check_stubborn(level, source, missed, STUBBORN)
             return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed))
         error = max(error, float(np.max(said["force"])))
@@ -284,8 +282,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     def roughly(self, levels: Levels, mesh: np.ndarray, guess: Guess | None) -> CriticalPoint:
         """Find a path on the way to the one that is looked for, on a mesh that resolves it."""
-        limits = replace(self.limits, intervals=min(self.limits.intervals, FEW))
-        part = BoundaryRefinement(levels, max(self.tol, ROUGHLY), self.method, self.solver, limits)
+        tol, most = PASSING
+        limits = replace(self.limits, intervals=min(self.limits.intervals, most))
+        part = BoundaryRefinement(levels, max(self.tol, tol), self.method, self.solver, limits)
         part.deadline = self.deadline
         return part.refine(levels.solve(self.method, mesh, guess, self.following))[0]
 
