@@ -132,7 +132,6 @@ class ControlProblem:
         end: Sequence[float | None],
         start_velocity: Sequence[float | None],
         end_velocity: Sequence[float | None],
-        *,
         force: Traceable | None,
         running_cost: Traceable,
         controls: int,
