@@ -1,10 +1,11 @@
 """From a tolerance to a degree and a mesh, for trajectory optimization.
 
-Every mesh is solved twice, with degree m and, from that path moved by less than `tol`, with degree m + 2
+Every mesh is solved twice, with degree m and, from that path moved by √`tol` of its size, with degree m + 2
 (`error_estimate` says how these make an error and a new mesh).  Were it not moved, the solver would be content with
-the path itself wherever that hardly counts in the cost, and the two would not differ.  Estimated are the relative
-errors of cost and duration, and the largest error of x at the joints and between them, relative to the size of its
-component.  Neither the control is judged, nor whether the optimum is the global one.
+the path itself wherever that hardly counts in the cost, and the two would not differ.  Moved by so much it comes back
+to an optimum that is one, and stays away where many paths cost the same.  Estimated are the relative errors of cost and
+duration, and the largest error of x at the joints and between them, relative to the size of its component.  Neither
+the control is judged, nor whether the optimum is the global one.
 
 Where the solver finds no answer the mesh is halved, twice at most, and the last good path tried there; where it finds
 none of degree m + 2, the level is not judged, and the next one has the mesh halved.  So has the one after many levels
@@ -28,6 +29,7 @@ tolerances the error raised tells the time to name.  Where a path constraint ste
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 from functools import partial
@@ -65,7 +67,6 @@ SHARP, SHARPEST = 3e-11, 1e4
 DOUBLINGS = 2  # of a mesh, while the solver finds nothing on it
 FOR_STARTS = 0.5  # of the time: no further start begins after it
 PATIENCE = 10  # levels in a row that came no nearer, after which the mesh is halved: two may lead to one another
-DISTURBED = 0.1  # of the tolerance: a path of degree m is moved by as much before it is solved with degree m + 2
 HIGHER = 2  # degrees added for the error estimate; two, because of parity
 
 
@@ -175,7 +176,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         method = raised(self.method)
         self.check_time()
         try:
-            higher = self.solve(method, self.scaled(level.t, level), disturbed(level, DISTURBED * self.tol))
+            higher = self.solve(method, self.scaled(level.t, level), disturbed(level, math.sqrt(self.tol)))
         except ConvergenceError:
             self.check_time()
             return Estimate(np.inf, False, f"no answer of degree {method.degree}", None)

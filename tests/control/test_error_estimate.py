@@ -62,3 +62,23 @@ def test_estimate_is_sharp_where_a_component_hardly_counts_in_the_cost(weight):
     exact = (np.sinh((1 - t) / width) + 0.5 * np.sinh(t / width)) / np.sinh(1 / width)
     error = np.max(np.abs(path(t)[1] - exact))
     assert 0.8 < path.error_estimate / error < 1.5
+
+
+def test_a_path_that_the_cost_leaves_open_is_refused_and_its_cost_is_known():
+    """The cost knows y = x_1 + x_2 alone, (∫ y'² + y² dt)/2, and leaves the difference open."""
+    task = cg.ControlProblem(
+        None,
+        (0.0, 1.0),
+        start=[1.0, 1.0],
+        end=[0.0, 0.5],
+        start_velocity=[None, None],
+        end_velocity=[None, None],
+        force=None,
+        rates=lambda t, x, v, u: u,
+        controls=2,
+        running_cost=lambda t, x, v, u: ((u[0] + u[1]) ** 2 + (x[0] + x[1]) ** 2) / 2,
+    )
+    with pytest.raises(cg.LimitReached, match=r"only the path changes: the cost is known to \de-1\d, .* cost_tol"):
+        cg.solve(task, tol=1e-5, limits=cg.Limits(intervals=20))
+    cost = ((2**2 + 0.5**2) * np.cosh(1) - 2 * 2 * 0.5) / np.sinh(1) / 2
+    assert abs(cg.solve(task, cost_tol=1e-5).cost / cost - 1) < 1e-12
