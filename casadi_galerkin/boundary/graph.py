@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping as Named
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass
 from typing import TypeVar
@@ -16,7 +16,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.end_velocities import end_velocities
-from casadi_galerkin.functional.mapping import Mapping, by_rows
+from casadi_galerkin.functional.mapping import PointMap, by_rows
 from casadi_galerkin.functional.numbering import Data, joints_of
 from casadi_galerkin.functional.statement import functional_of, given_values, has_phase, phase_plane
 from casadi_galerkin.functional.threads import fork_waits
@@ -51,7 +51,7 @@ class BoundaryGraph:
     """A boundary problem on N intervals as one CasADi graph; arguments and attributes as of `Transcription`."""
 
     def __init__(
-        self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, mapping: Mapping = by_rows
+        self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, mapping: PointMap = by_rows
     ) -> None:
         self.problem, self.method, self.mesh, self.phase = problem, method, mesh, has_phase(problem)
         self.functional = functional_of(problem, method, len(mesh) - 1, mapping)
@@ -81,7 +81,7 @@ class BoundaryGraph:
 
     def critical_point(
         self,
-        changes: Named[str, object] | None = None,
+        changes: Mapping[str, object] | None = None,
         guess: Guess | None = None,
         mesh: ArrayLike | None = None,
         solver: SolverLike = newton,
@@ -126,7 +126,7 @@ class BoundaryGraph:
         given = np.zeros(self.numbering.size - self.numbering.free)
         return np.asarray(np.concatenate((step, given))[self.numbering.of_nodes].T)
 
-    def varied(self, changes: Named[str, object], joints: np.ndarray) -> BoundaryProblem:
+    def varied(self, changes: Mapping[str, object], joints: np.ndarray) -> BoundaryProblem:
         """The problem with other given values on other joints; see its own `varied`."""
         span = float(joints[0]), float(joints[-1])
         if span == self.problem.t_span and all(value is None for value in changes.values()):

@@ -10,7 +10,7 @@ from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.mass import check_mass
 from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.functional.mapping import Mapping, one_by_one
+from casadi_galerkin.functional.mapping import PointMap, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
@@ -24,7 +24,7 @@ class Levels:
     `verbose` is that of all solves.
     """
 
-    def __init__(self, problem: BoundaryProblem, mapping: Mapping = one_by_one, verbose: int = 0) -> None:
+    def __init__(self, problem: BoundaryProblem, mapping: PointMap = one_by_one, verbose: int = 0) -> None:
         check_mass(problem)
         self.problem, self.iterations, self._mapping, self.verbose = problem, 0, mapping, verbose
         self._transcriptions: dict[tuple[Galerkin, int], Transcription] = {}
@@ -37,7 +37,7 @@ class Levels:
         other.problem, other.iterations, other.verbose = problem, 0, verbose
         return other
 
-    def transcription(self, method: Galerkin, mesh: np.ndarray, mapping: Mapping | None = None) -> Transcription:
+    def transcription(self, method: Galerkin, mesh: np.ndarray, mapping: PointMap | None = None) -> Transcription:
         """The graph for this degree and number of intervals."""
         key = (method, len(mesh))
         if key not in self._transcriptions:

@@ -50,7 +50,7 @@ from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solution.witness import witnesses
 from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import SolverLike
-from casadi_galerkin.solvers.stationarity import ROUNDOFF
+from casadi_galerkin.solvers.stationarity import ACCEPTED
 
 FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
 BLURRED = 1e-14  # part left out that rounding of the node values alone looks like
@@ -266,7 +266,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             except LimitReached:
                 raise
             except ConvergenceError as failure:
-                if isinstance(failure, ConjugatePointError) and failure.residual <= ROUNDOFF:
+                if isinstance(failure, ConjugatePointError) and failure.residual <= ACCEPTED:
                     raise  # a path was found: another mesh may only hide that it is not the only one
                 failures.append(failure)
                 if self.out_of_time():

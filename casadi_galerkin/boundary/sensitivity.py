@@ -27,7 +27,7 @@ from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.linear_solver import all_finite
 from casadi_galerkin.solvers.rootfinder import embeddable
-from casadi_galerkin.solvers.stationarity import ROUNDOFF, Stationarity
+from casadi_galerkin.solvers.stationarity import ACCEPTED, Stationarity
 
 
 def boundary_function(
@@ -58,14 +58,14 @@ def boundary_function(
 
 
 def _check(problem: BoundaryProblem, stationarity: Stationarity) -> ca.Function:
-    """(unknowns, *data) -> whether all residuals are within `ROUNDOFF` of their floor; without derivatives.
+    """(unknowns, *data) -> whether all residuals are within `ACCEPTED` of their floor; without derivatives.
 
     Ends that are data may also leave a constraint, which no equation holds them to.
     """
     floor = stationarity.floor
     symbols, names = floor.mx_in(), floor.name_in()
     residual, least = floor.call(symbols)
-    passed = [ca.norm_inf(residual / least) <= ROUNDOFF, all_finite(residual)]
+    passed = [ca.norm_inf(residual / least) <= ACCEPTED, all_finite(residual)]
     if problem.constraint is not None:
         data, terms = dict(zip(names, symbols, strict=True)), problem.constraint.sx_in()
         missed = over_terms(problem.constraint(*terms), terms[:2], terms[2:])

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping as Named
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -19,7 +18,7 @@ from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.functional.mapping import Mapping, by_rows, one_by_one
+from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.statement import turned_back
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -191,7 +190,7 @@ class Transcription(BoundaryGraph):
         )
 
 
-def check_given(given: Named[str, object]) -> None:
+def check_given(given: Mapping[str, object]) -> None:
     """Refuse what no boundary problem states."""
     for name in given:
         if name not in (*END_MOTIONS, "energy"):
@@ -248,7 +247,7 @@ def transcribed(
     method: Galerkin,
     intervals: int | None,
     mesh: ArrayLike | None,
-    mapping: Mapping = by_rows,
+    mapping: PointMap = by_rows,
 ) -> Transcription:
     """Check what is given, and build the graph; arguments as for `transcribe`, and how L is evaluated at the points."""
     check_types(problem, method, BoundaryProblem)

@@ -21,7 +21,7 @@ from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.embedding import ChainEmbedding
 from casadi_galerkin.control.pointwise import places
 from casadi_galerkin.functional.buffers import Evaluator, Lender
-from casadi_galerkin.functional.mapping import Mapping
+from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.problems.control_problem import ControlProblem
 
 RESTING = 1e-13  # terms of motion below this part of what cancels in them are its roundoff
@@ -65,7 +65,7 @@ class ControlGraph:
     places : kinds of places
     """
 
-    def __init__(self, problem: ControlProblem, chain: Chain, mapping: Mapping) -> None:
+    def __init__(self, problem: ControlProblem, chain: Chain, mapping: PointMap) -> None:
         self.chain, self.embedding = chain, ChainEmbedding(chain)
         self.places = places(problem, self.embedding, mapping)
         weights = ca.repmat(ca.DM(chain.method.element.weights).T, 1, chain.intervals)

@@ -22,7 +22,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.control.embedding import ChainEmbedding, Places
-from casadi_galerkin.functional.mapping import Mapping
+from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.pointwise import pulled_back
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import Crossing
@@ -44,7 +44,7 @@ class PointwiseTerms:
     rows, cost, action : SX expressions in z
     """
 
-    mapping: Mapping
+    mapping: PointMap
     count: int
     z: ca.SX
     active: np.ndarray
@@ -133,7 +133,7 @@ class PointwiseTerms:
         return self._function(inputs, ca.jacobian(value, self.z[row]))
 
 
-def places(problem: ControlProblem, embedding: ChainEmbedding, mapping: Mapping) -> list[PointwiseTerms]:
+def places(problem: ControlProblem, embedding: ChainEmbedding, mapping: PointMap) -> list[PointwiseTerms]:
     """The terms at all kinds of places that there are."""
     make: dict[Places, Callable[..., Terms]] = {
         embedding.points: _at_points,

@@ -30,7 +30,7 @@ from casadi_galerkin.control.optimizer import RELAXED, optimize, with_fatrop, wi
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, with_ends
 from casadi_galerkin.control.second_variation import CostVariation
 from casadi_galerkin.functional.buffers import Evaluator, Lender
-from casadi_galerkin.functional.mapping import Mapping, by_rows
+from casadi_galerkin.functional.mapping import PointMap, by_rows
 from casadi_galerkin.functional.statement import refuse_points
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_at_joints
@@ -95,7 +95,9 @@ class ControlTranscription:
     [6.0, 6.0]
     """
 
-    def __init__(self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray, mapping: Mapping = by_rows) -> None:
+    def __init__(
+        self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray, mapping: PointMap = by_rows
+    ) -> None:
         began = time.perf_counter()
         self.problem, self.method, self.mesh = problem, method, mesh
         if problem.constraint is not None:
@@ -357,7 +359,7 @@ def transcribed_control(
     method: Galerkin,
     intervals: int | None,
     mesh: ArrayLike | None,
-    mapping: Mapping = by_rows,
+    mapping: PointMap = by_rows,
 ) -> ControlTranscription:
     """Check what is given, and build the program; arguments as for `transcribe`, and how terms are evaluated."""
     check_types(problem, method, ControlProblem)

@@ -40,7 +40,7 @@ from casadi_galerkin.functional.embedding import (
     variation,
 )
 from casadi_galerkin.functional.local_terms import LocalTerm
-from casadi_galerkin.functional.mapping import Mapping, by_rows, one_by_one
+from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data, Numbering, kept
 from casadi_galerkin.functional.pointwise import pointwise
 
@@ -77,7 +77,7 @@ class Functional:
         self,
         lagrangian: ca.Function,
         numbering: Numbering,
-        mapping: Mapping,
+        mapping: PointMap,
         force: ca.Function | None,
         terms: tuple[LocalTerm, ...],
         given: int,

@@ -11,7 +11,7 @@ import casadi as ca
 
 from casadi_galerkin.functional.numbering import KEPT
 
-Mapping: TypeAlias = Callable[[ca.Function, int, tuple[int, ...]], ca.Function]
+PointMap: TypeAlias = Callable[[ca.Function, int, tuple[int, ...]], ca.Function]
 
 ROW = 400  # points in a row: 1.5 to 4 times faster than one by one from 24 on, and values that stay in the cache
 

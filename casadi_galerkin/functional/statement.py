@@ -22,7 +22,7 @@ from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.end_velocities import end_velocities
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.local_terms import LocalTerm
-from casadi_galerkin.functional.mapping import Mapping
+from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Numbering
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem, says
 from casadi_galerkin.problems.problem import END_MOTIONS
@@ -30,7 +30,7 @@ from casadi_galerkin.problems.problem import END_MOTIONS
 AT_REST = 1e-3  # speed at the start over the largest, below which the start tells no phase
 
 
-def functional_of(problem: BoundaryProblem, method: Galerkin, intervals: int, mapping: Mapping) -> Functional:
+def functional_of(problem: BoundaryProblem, method: Galerkin, intervals: int, mapping: PointMap) -> Functional:
     """Build the functional of a problem on so many intervals."""
     statement = _Statement(problem, method, intervals)
     return Functional(

@@ -2,7 +2,7 @@
 
 The natural monotonicity test: P. Deuflhard, "Newton Methods for Nonlinear Problems", 2004, algorithm NLEQ-ERR.
 
-A solution is accepted if every residual is within `ROUNDOFF` times its own roundoff floor, eps times the sizes of
+A solution is accepted if every residual is within `ACCEPTED` times its own roundoff floor, eps times the sizes of
 the terms it sums and of what the rounding of the unknowns themselves does to it, |H||ξ|, with H of the last iterate.
 """
 
@@ -18,7 +18,7 @@ from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.linear_solver import LOCAL
 from casadi_galerkin.solvers.second_variation import SINGULAR, softest
-from casadi_galerkin.solvers.stationarity import ROUNDOFF, SIGNS, Iterate, Linearization, Stationarity
+from casadi_galerkin.solvers.stationarity import ACCEPTED, SIGNS, Iterate, Linearization, Stationarity
 
 NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
 SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if the next one is so much shorter
@@ -147,7 +147,7 @@ def _without_rounding(linear: Linearization, x: np.ndarray, data: Data, iteratio
             gradient, floor = linear.stationarity.gradient_and_floor(x, data)
             residual = float(np.max(np.abs(gradient) / np.where(nothing, np.fmax(floor, least), floor)))
             solution = Solution(x, data, iterations, residual, "Newton", action, momentum, regularity)
-            return solution if residual <= ROUNDOFF else None
+            return solution if residual <= ACCEPTED else None
         at = linear.newton_step(x, data)
     return None
 
@@ -172,10 +172,10 @@ def _rounding_alone(linear: Linearization, at: Iterate, data: Data) -> tuple[np.
     blurred, moving = np.abs(linear.blurs(least)).max(axis=0), np.fmax(np.abs(x), np.abs(at.step))
     ends = [end.copy() for end in data[:2]]
     for i, own in enumerate(unknowns_of):
-        solved = np.all(np.abs(gradient[own]) <= ROUNDOFF * least[own])
+        solved = np.all(np.abs(gradient[own]) <= ACCEPTED * least[own])
         given = [np.array(fixed) == i for fixed in (numbering.fixed_start, numbering.fixed_end)]
         sizes = [moving[own], *(np.abs(end[chosen]) for end, chosen in zip(ends, given, strict=True))]
-        if solved and max(np.max(a, initial=0.0) for a in sizes) <= ROUNDOFF * np.max(blurred[own], initial=0.0):
+        if solved and max(np.max(a, initial=0.0) for a in sizes) <= ACCEPTED * np.max(blurred[own], initial=0.0):
             nothing[own] = True
             for end, chosen in zip(ends, given, strict=True):
                 end[chosen] = 0.0
@@ -252,6 +252,6 @@ def verified(
     variation by up to `drift` of its terms.
     """
     action, momentum, residual, regularity = linear.verification(x, data)
-    if not residual <= ROUNDOFF:
+    if not residual <= ACCEPTED:
         return None
     return Solution(x, data, iterations, residual, report, action, momentum, regularity - drift)

@@ -28,7 +28,7 @@ from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
 
 Built = TypeVar("Built")
 
-ROUNDOFF = 50.0  # accepted residual over its roundoff floor; correct solutions were measured at 0.01 to 5
+ACCEPTED = 50.0  # accepted residual over its roundoff floor; correct solutions were measured at 0.01 to 5
 SIGNS = 4  # random signs of the rounding of the equations, from which its effect is told
 
 

@@ -20,7 +20,7 @@ from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.solvers.stationarity import ROUNDOFF
+from casadi_galerkin.solvers.stationarity import ACCEPTED
 from casadi_galerkin.stepping.stepper import Roll, Stepper
 
 SPEEDS = np.logspace(-12, 12, 25)  # in which velocities are looked for where L is singular at rest
@@ -81,7 +81,7 @@ def verified(roll: Roll, stepper: Stepper) -> Roll:
     start, end = told_apart(*roll.mesh[good : good + 2])
     raise ConvergenceError(
         f"step {good + 1} of {n}, from t = {start} to {end}, was not solved: its residual is "
-        f"{roll.residual[good]:.1e} times its roundoff floor, up to {ROUNDOFF:g} is accepted. Take shorter steps "
+        f"{roll.residual[good]:.1e} times its roundoff floor, up to {ACCEPTED:g} is accepted. Take shorter steps "
         "there; the path may run into a collision or another singularity",
         Path(path_of(roll, stepper, good)) if good else None,
         float(roll.residual[good]),

@@ -31,7 +31,7 @@ from casadi_galerkin.solution.guess import FAR, apart, guess_values
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import SMALLEST_DAMPING
-from casadi_galerkin.solvers.stationarity import ROUNDOFF
+from casadi_galerkin.solvers.stationarity import ACCEPTED
 from casadi_galerkin.stepping.initial_value import trajectory
 from casadi_galerkin.stepping.shot import Shooting, Shot
 
@@ -185,7 +185,7 @@ def _line_search(shooting: Shooting, shot: Shot, z: np.ndarray, step: np.ndarray
     """Halve the step until the next one, with the same derivative, is shorter in the sizes of z; no shot if none is."""
     scale = np.maximum(shot.scale, np.abs(step)) + TINY
     velocity, damping = shooting.velocity(shot.roll), 1.0
-    smallest = 1.0 if np.all(np.abs(shot.miss) <= ROUNDOFF * shot.floor) else SMALLEST_DAMPING
+    smallest = 1.0 if np.all(np.abs(shot.miss) <= ACCEPTED * shot.floor) else SMALLEST_DAMPING
     while damping >= smallest:
         trial = shooting.shoot(z + damping * step, velocity)
         if trial is not None:
@@ -231,7 +231,7 @@ def _met(shot: Shot, iteration: int) -> Shot:
     sizes = np.abs(shot.by_ends) @ shot.sizes
     sizes = np.where(sizes > 0, sizes, 1.0)
     missed, moved = (float(np.max(np.abs(a) / sizes, initial=0.0)) for a in (shot.miss, shot.floor))
-    if missed <= MISS and shot.residual <= ROUNDOFF:
+    if missed <= MISS and shot.residual <= ACCEPTED:
         values = shot.path.values
         if shot.stepper.stretched and np.all(np.ptp(values, axis=1) <= MISS * np.max(np.abs(values), axis=1)):
             raise _failure("the path has shrunk to a point, and its duration to zero", shot, iteration)

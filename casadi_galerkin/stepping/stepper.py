@@ -19,7 +19,7 @@ from casadi_galerkin.functional.interval import TAYLOR, interval, newton_iterati
 from casadi_galerkin.functional.statement import refuse_points
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.problem import Problem
-from casadi_galerkin.solvers.stationarity import ROUNDOFF
+from casadi_galerkin.solvers.stationarity import ACCEPTED
 
 PIECE = 64  # intervals rolled without Python; longer pieces were not faster, and took longer to build
 
@@ -57,7 +57,7 @@ class Roll:
     @property
     def solved_steps(self) -> int:
         """Number of steps before the first that failed."""
-        failed = ~(self.residual <= ROUNDOFF)
+        failed = ~(self.residual <= ACCEPTED)
         return int(np.argmax(failed)) if failed.any() else len(failed)
 
 
