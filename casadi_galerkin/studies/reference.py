@@ -155,11 +155,11 @@ def _interpolated(problem: AnyProblem, at: Callable[[np.ndarray], np.ndarray]) -
 
 
 def quantity(measure: Measure, path: Path) -> float:
-    """A quantity of a path; refuses what is no finite number."""
+    """A quantity of a path; a TypeError refuses what is no number, a ValueError one that is not finite."""
     value = measure(path)
     checked = number(value)
     if checked is None or not math.isfinite(checked):
-        raise TypeError(f"measure must return a finite number, got {value!r}")
+        raise (TypeError if checked is None else ValueError)(f"measure must return a finite number, got {value!r}")
     return checked
 
 

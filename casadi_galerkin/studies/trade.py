@@ -79,10 +79,10 @@ def _cell(problem: AnyProblem, row: Row, guess: Guess | None, measure: Measure |
             path = row.solve(fresh, guess)
             seconds.append(time.perf_counter() - began)
         again = _repeated(problem, row, guess)
+        if measure is not None:
+            quantity(measure, path)
     except (RuntimeError, ValueError) as failure:  # a ConvergenceError is a RuntimeError, and so is what CasADi raises
         return _Cell(replace(row, failure=str(failure)))
-    if measure is not None:
-        quantity(measure, path)
     if row.adaptive:
         row = replace(row, method=path.method, intervals=len(path.t) - 1)
     row = replace(row, unknowns=_unknowns(problem, path), iterations=path.iterations, first_seconds=min(seconds))
@@ -222,7 +222,8 @@ def trade(
     shooting : whether to `shoot` as well, by every method on every number of intervals; for a BoundaryProblem
     measure : a callable path -> number, the quantity whose error counts: a position at some time, a momentum, the cost.
         The path is a Trajectory, unless `reference` is a callable, which can only be called; default the path itself,
-        everywhere.  Its error is relative to its value on the reference where that is not zero
+        everywhere.  Its error is relative to its value on the reference where that is not zero; a way fails where it
+        is not finite, or raises a ValueError
     guess : a callable t -> (d,) or a Trajectory, for all ways and the reference: where several paths join the ends, it
         chooses one.  With `shooting`, a Trajectory, best a coarse one: it is the answer of a way on its own mesh
 

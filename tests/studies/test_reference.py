@@ -97,12 +97,23 @@ def test_a_quantity_that_vanishes_has_an_absolute_error(oscillator):
     assert measured.rows[0].error < REFERENCE
 
 
-@pytest.mark.parametrize("value", [None, np.nan, "far", [1.0, 2.0]])
-def test_a_measure_that_is_no_number_is_refused_before_any_cell(oscillator, value, monkeypatch):
+@pytest.mark.parametrize(
+    ("value", "error"), [(None, TypeError), (np.nan, ValueError), ("far", TypeError), ([1.0, 2.0], TypeError)]
+)
+def test_a_measure_that_is_no_number_is_refused_before_any_cell(oscillator, value, error, monkeypatch):
     module = import_module("casadi_galerkin.studies.trade")
     monkeypatch.setattr(module, "_cell", lambda *given: pytest.fail("solved before the measure was tried"))
-    with pytest.raises(TypeError, match="measure must return a finite number, got"):
+    with pytest.raises(error, match="measure must return a finite number, got"):
         cg.trade(oscillator, [cg.Galerkin(2)], [4], lambda t: [np.sin(t)], measure=lambda path: value)
+
+
+def test_a_way_whose_quantity_is_not_defined_fails_alone(oscillator):
+    def at_the_finest_joint(path):
+        return path.x[0, 1] if len(path.t) > 5 else np.nan
+
+    coarse, fine = cg.trade(oscillator, [cg.Galerkin(4)], [4, 8], measure=at_the_finest_joint).rows
+    assert coarse.failure == "measure must return a finite number, got nan"
+    assert fine.failure is None
 
 
 def layer(t):
