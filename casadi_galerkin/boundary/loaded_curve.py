@@ -23,6 +23,7 @@ from casadi_galerkin.solvers.stationarity import Linearization
 FIRST_STEP, SMALLEST_STEP, FARTHEST = 0.1, 1e-4, 1e3  # of the arc length, in sizes of the path it begins at
 POINTS = 300  # of one curve, both those that were met and those that were missed
 LONGER, SHORTER = 1.5, 0.5  # factors on the step after a correction, and after one that failed
+BEND = 0.7  # cosine of the largest angle between two tangents; with any, some searches took 3 times as long
 CLOSE = 0.02  # last Newton step over the arc step: the curve is only a way to what is solved to roundoff
 
 
@@ -76,13 +77,14 @@ class LoadedCurve(Curve[bool]):
         tangent = self.tangent(z, np.append(np.zeros(len(z) - 1), side))
         for _ in range(POINTS):
             found = self.corrected(z + self.step * tangent, tangent, self.step)
-            if found is None:
+            following = tangent if found is None else self.tangent(found[0], tangent)
+            if found is None or not (following * tangent) @ self.weights > BEND:
                 self.step *= SHORTER
                 if self.step < SMALLEST_STEP:
                     return
                 continue
             before, z = z, found[0]
-            tangent = self.tangent(z, tangent)
+            tangent = following
             if before[-1] * z[-1] < 0:
                 share = before[-1] / (before[-1] - z[-1])
                 yield before[:-1] + share * (z - before)[:-1]

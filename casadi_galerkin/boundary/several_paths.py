@@ -45,6 +45,7 @@ Symmetry = Callable[[np.ndarray], ArrayLike]
 SAME = 1e-6  # largest distance of two node values of one path found twice, in sizes of the component
 RESOLVED = 0.05  # largest estimated error of a path, in sizes of the component; of zigzags it is about one
 SOFT, ERRORS = 1e-3, 10.0  # relative second variation that is zero up to so many errors; regular ones are 1e-2 and more
+POLISHING = 20  # iterations of Newton's method from where a curve meets a path; more wander, for 4 times as long
 SMALLEST, LARGEST = -2.0, 5.0  # powers of two between which the amplitude of a random guess lies
 STIFFEST = 1e8  # largest entry of the Hessian over that at the paths; from there on roundoff rules
 SHOWN = 6  # paths in a repr
@@ -287,7 +288,7 @@ class Search:
             curve = LoadedCurve(at, self.begun, self.data, self.load, self.sizes, self.stiffest)
             for guess in curve.crossings(-1.0 if again else 1.0):
                 try:
-                    solution = damped_newton(self.stationarity, guess, self.data)
+                    solution = damped_newton(self.stationarity, guess, self.data, max_iter=POLISHING)
                 except SolveFailure:
                     continue
                 if self.same(self.values(solution.unknowns), values):
