@@ -61,6 +61,8 @@ class BoundaryGraph:
 
     def of(self: Graph, problem: BoundaryProblem) -> Graph:
         """The same graph for a problem that is `varied` from this one's; nothing is built."""
+        if problem is self.problem:
+            return self
         other = copy(self)
         other.problem = problem
         return other

@@ -42,8 +42,7 @@ class Levels:
         key = (method, len(mesh))
         if key not in self._transcriptions:
             self._transcriptions[key] = Transcription(self.problem, method, mesh, mapping or self._mapping)
-        built = self._transcriptions[key]
-        return built if built.problem is self.problem else built.of(self.problem)
+        return self._transcriptions[key].of(self.problem)
 
     def solve(
         self,

@@ -145,10 +145,8 @@ class _Sampled:
         self.x, self.v = (values.reshape(len(values), -1) for values in path.at_parts(parts))
         self.h = np.repeat(self.steps, len(parts))
         self.joints = np.append(np.arange(0, len(self.h), len(parts)), len(self.h) - len(parts) + 1)  # the last end
-        inside = np.nextafter(
-            path.mesh[[0, -1]], path.mesh[[-1, 0]]
-        )  # after a step at the start, before one at the end
-        self.times = np.clip(times_at(path.mesh, parts), *inside)
+        first, last = path.mesh[[0, -1]]  # a step of L at either lies outside of all times
+        self.times = np.clip(times_at(path.mesh, parts), np.nextafter(first, last), np.nextafter(last, first))
         self.terms = pointwise(problem.lagrangian, problem.force)
         self.derivatives = self.evaluate(self.terms.derivatives)
 

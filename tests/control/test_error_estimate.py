@@ -39,14 +39,9 @@ def test_estimate_is_sharp_where_the_phases_are_free(degree, tol):
     assert 0.95 < ratio < 1.5
 
 
-@pytest.mark.parametrize("weight", [1.0, 1e-6, 1e-12])
-def test_estimate_is_sharp_where_a_component_hardly_counts_in_the_cost(weight):
-    """It leaves its ends within 0.03.  An optimizer stops long before it knows where, by any tolerance of the slope.
-
-    Begun at the path found, it stops there with the higher degree as well: that estimates 4e-14 for an error of 1e-4.
-    """
-    width = 0.03
-    task = cg.ControlProblem(
+def two_rates(running_cost):
+    """Two components whose rates are the controls, from (1, 1) to (0, 1/2)."""
+    return cg.ControlProblem(
         None,
         (0.0, 1.0),
         start=[1.0, 1.0],
@@ -56,8 +51,18 @@ def test_estimate_is_sharp_where_a_component_hardly_counts_in_the_cost(weight):
         force=None,
         rates=lambda t, x, v, u: u,
         controls=2,
-        running_cost=lambda t, x, v, u: (u[0] ** 2 + x[0] ** 2 + weight * ((width * u[1]) ** 2 + x[1] ** 2)) / 2,
+        running_cost=running_cost,
     )
+
+
+@pytest.mark.parametrize("weight", [1.0, 1e-6, 1e-12])
+def test_estimate_is_sharp_where_a_component_hardly_counts_in_the_cost(weight):
+    """It leaves its ends within 0.03.  An optimizer stops long before it knows where, by any tolerance of the slope.
+
+    Begun at the path found, it stops there with the higher degree as well: that estimates 4e-14 for an error of 1e-4.
+    """
+    width = 0.03
+    task = two_rates(lambda t, x, v, u: (u[0] ** 2 + x[0] ** 2 + weight * ((width * u[1]) ** 2 + x[1] ** 2)) / 2)
     path, t = cg.solve(task, tol=1e-5), np.linspace(0.0, 1.0, 2001)
     exact = (np.sinh((1 - t) / width) + 0.5 * np.sinh(t / width)) / np.sinh(1 / width)
     error = np.max(np.abs(path(t)[1] - exact))
@@ -66,18 +71,7 @@ def test_estimate_is_sharp_where_a_component_hardly_counts_in_the_cost(weight):
 
 def test_a_path_that_the_cost_leaves_open_is_refused_and_its_cost_is_known():
     """The cost knows y = x_1 + x_2 alone, (∫ y'² + y² dt)/2, and leaves the difference open."""
-    task = cg.ControlProblem(
-        None,
-        (0.0, 1.0),
-        start=[1.0, 1.0],
-        end=[0.0, 0.5],
-        start_velocity=[None, None],
-        end_velocity=[None, None],
-        force=None,
-        rates=lambda t, x, v, u: u,
-        controls=2,
-        running_cost=lambda t, x, v, u: ((u[0] + u[1]) ** 2 + (x[0] + x[1]) ** 2) / 2,
-    )
+    task = two_rates(lambda t, x, v, u: ((u[0] + u[1]) ** 2 + (x[0] + x[1]) ** 2) / 2)
     with pytest.raises(cg.LimitReached, match=r"only the path changes: the cost is known to \de-1\d, .* cost_tol"):
         cg.solve(task, tol=1e-5, limits=cg.Limits(intervals=20))
     cost = ((2**2 + 0.5**2) * np.cosh(1) - 2 * 2 * 0.5) / np.sinh(1) / 2
