@@ -72,5 +72,5 @@ def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data:
     if len(unknowns) == 0:
         return 0
     with stationarity.linearization() as at:
-        matrix = functional.function("derivatives").call([unknowns, *data])[0]
-        return linear.negative_eigenvalues(matrix, at.keep)
+        at.relinearize(unknowns, data)
+        return linear.negative_eigenvalues(ca.DM(linear.sparsity, at.matrix), at.keep)
