@@ -76,9 +76,7 @@ CASES = {
     "Branch": lambda: cg.continuation(bratu_problem(), [4.0], intervals=10),
     "Fold": lambda: cg.continuation(bratu_problem(), [4.0], intervals=10).folds[0],
     "Paths": lambda: cg.paths(cg.BoundaryProblem(pendulum, (0, 5), [None], [None]), cg.Galerkin(6), 8, count=8),
-    "Paths of a coarse mesh": lambda: cg.paths(
-        BY_NAME["long pendulum, index 0"].problem, cg.Galerkin(1), 12, patience=5
-    ),
+    "Paths of a coarse mesh": lambda: cg.paths(BY_NAME["long pendulum, index 0"].problem, cg.Galerkin(1), 12),
     "Comparison": lambda: cg.compare(SHORT, METHOD, 50),
     "Comparison of many components": lambda: cg.compare(chain(12), METHOD, 10),
     "Trade": lambda: cg.trade(SHORT, [cg.Galerkin(degree) for degree in range(1, 7)], [4, 8, 16]),

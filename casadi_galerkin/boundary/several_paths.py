@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 Symmetry = Callable[[np.ndarray], ArrayLike]
 
+PATIENCE = 20  # solves in succession without a new path after which a search ends
+SEED = 0  # of the random guesses and loads: a search that is repeated gives the same paths
 SAME = 1e-6  # largest distance of two node values of one path found twice, in sizes of the component
 RESOLVED = 0.05  # largest estimated error of a path, in sizes of the component; of zigzags it is about one
 SOFT, ERRORS = 1e-3, 10.0  # relative second variation that is zero up to so many errors; regular ones are 1e-2 and more
@@ -129,15 +131,13 @@ def paths(
     count: int = 10,
     *,
     mesh: ArrayLike | None = None,
-    patience: int = 20,
     symmetries: Sequence[Symmetry] = (),
-    seed: int = 0,
 ) -> Paths:
     """Find several stationary paths of a problem, without a guess.
 
-    The search begins with the straight line, and goes on until it has `count` paths, or finds no more.  That it finds
-    no more is no proof that there are none.  Guesses and distances are measured by the sizes of the components on the
-    paths found so far, and by one where these are zero.
+    The search begins with the straight line, and goes on until it has `count` paths, or 20 solves in succession have
+    found no new one.  That is no proof that there are no more.  Guesses and distances are measured by the sizes of the
+    components on the paths found so far, and by one where these are zero.  The same call gives the same paths.
 
     Parameters
     ----------
@@ -146,11 +146,9 @@ def paths(
     intervals : number of equal intervals; or
     count : number of paths at which the search ends
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
-    patience : number of solves in succession without a new path after which the search ends
     symmetries : callables that take the values of a path at all nodes, (d, N m + 1) in the order of time, and return
         those of a path that counts as the same one: its mirror image, as in ``lambda x: -x``, or, of angles, the path
         moved by whole turns so that it begins between 0 and 2π.  Of such paths only one is returned
-    seed : whole number, of the random guesses and loads; the same seed gives the same paths
 
     Returns
     -------
@@ -173,9 +171,8 @@ def paths(
     """
     transcription = transcribed(problem, method, intervals, mesh)
     refuse_free_phase("paths", problem)
-    count, patience = whole_number("count", count), whole_number("patience", patience)
-    search = Search(transcription, whole_number("seed", seed, 0), _checked(symmetries, transcription))
-    return search.run(count, patience)
+    count = whole_number("count", count)
+    return Search(transcription, _checked(symmetries, transcription)).run(count)
 
 
 def _checked(symmetries: Sequence[Symmetry], transcription: Transcription) -> tuple[Symmetry, ...]:
@@ -201,9 +198,9 @@ def _image(i: int, symmetry: Symmetry, values: np.ndarray) -> np.ndarray:
 class Search:
     """A search under way."""
 
-    def __init__(self, transcription: Transcription, seed: int, symmetries: tuple[Symmetry, ...]) -> None:
+    def __init__(self, transcription: Transcription, symmetries: tuple[Symmetry, ...]) -> None:
         self.transcription, self.stationarity = transcription, transcription.stationarity
-        self.symmetries, self.random = symmetries, np.random.default_rng(seed)
+        self.symmetries, self.random = symmetries, np.random.default_rng(SEED)
         self.data = transcription.data(transcription.mesh)
         self.found: list[tuple[Trajectory, np.ndarray]] = []  # with their unknowns
         self.known: list[np.ndarray] = []  # unknowns of all critical points and their images, also of those dropped
@@ -227,11 +224,11 @@ class Search:
         """Unknowns ξ out of node values (d, N m + 1)."""
         return self.transcription.unknowns(values.T, self.data)
 
-    def run(self, count: int, patience: int) -> Paths:
-        """Search until there are so many paths, or so many solves without a new one."""
+    def run(self, count: int) -> Paths:
+        """Search until there are so many paths, or `PATIENCE` solves have found no new one."""
         last = 0
         with progress("paths", count, "path") as advance:
-            while len(self.found) < count and self.solves - last < patience:
+            while len(self.found) < count and self.solves - last < PATIENCE:
                 self.solves += 1
                 known, began = len(self.found), time.perf_counter()
                 with suppress(SolveFailure):
@@ -245,7 +242,7 @@ class Search:
         if not self.found:
             raise self.nothing()
         reached = len(self.found) == count
-        stopped = f"stopped at count={count}" if reached else f"stopped after {patience} solves without a new one"
+        stopped = f"stopped at count={count}" if reached else f"stopped after {PATIENCE} solves without a new one"
         ordered = sorted((path for path, _ in self.found), key=lambda path: path.action)
         return Paths(tuple(ordered), self.solves, self.unresolved, self.singular, stopped)
 
