@@ -232,7 +232,6 @@ class ControlTrajectory(Trajectory):
         time: str = "t",
         control_labels: Sequence[str] | None = None,
         costate_labels: Sequence[str] | None = None,
-        constraint_labels: Sequence[str] | None = None,
     ) -> Axes:
         """Draw positions, controls, path constraints and the costate, one above the other.
 
@@ -245,7 +244,6 @@ class ControlTrajectory(Trajectory):
         time : name of the time with its unit
         control_labels : n names of the controls with units
         costate_labels : d names of the costate with units: those of the cost over those of the momenta
-        constraint_labels : names of the path constraints with units
 
         Returns
         -------
@@ -260,7 +258,7 @@ class ControlTrajectory(Trajectory):
         draw_bounds(top, np.array(self.problem.position_bounds))
         self.plot_controls(drawn[1], control_labels, "")
         if limited:
-            self.plot_constraints(drawn[2], constraint_labels, "")
+            self.plot_constraints(drawn[2], time="")
         line, at_joints = self.costate.line(self._fine()), (self.t, self.costate(self.t))
         plot_path(line, at_joints, drawn[-1], costate_labels, time, "λ")
         for panel in drawn:

@@ -151,18 +151,18 @@ class Trade(Table, Pictured):
                 chosen.append(row)
         return chosen
 
-    def cheapest(self, tol: float, first_call: bool = False) -> Row:
-        """Fastest row whose error, with that of the reference, is at most `tol`; ValueError if there is none.
+    def cheapest(self, tol: float) -> Row:
+        """Row of the fastest repeated solve whose error, with that of the reference, is at most `tol`.
 
-        Parameters
-        ----------
-        tol : largest error
-        first_call : whether the fastest first call is wanted, not the fastest repeated solve
+        Raises
+        ------
+        ValueError
+            if there is none
         """
         most = finite("tol", tol)
         good = [row for row in self._solved() if row.error + self.reference_error <= most]
         if good:
-            return min(good, key=lambda row: row.first_seconds if first_call else row.solve_seconds)
+            return min(good, key=lambda row: row.solve_seconds)
         best = min((row.error for row in self._solved()), default=np.nan)
         raise ValueError(
             f"no row has an error of at most {tol:g}: the least is {best:.1e}, the reference's own "

@@ -276,9 +276,9 @@ def test_a_picture_shows_path_constraints_bounds_and_breakpoints():
         breakpoints=[0.5],
     )
     path = cg.solve(problem, cg.Galerkin(4), 4)
-    figure = path.plot(constraint_labels=["speed in m/s"]).figure
+    figure = path.plot().figure
     top, _, limited, _, multipliers = figure.axes
-    assert (limited.get_ylabel(), multipliers.get_ylabel()) == ("speed in m/s", "multiplier μ")
+    assert (limited.get_ylabel(), multipliers.get_ylabel()) == ("g[0]", "multiplier μ")
     dashed = [line.get_ydata()[0] for line in limited.lines if line.get_linestyle() == "--"]
     assert dashed == [-1, 0.6]
     assert [line.get_ydata()[0] for line in top.lines if line.get_linestyle() == "--"] == [1.5]

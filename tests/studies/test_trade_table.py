@@ -81,13 +81,6 @@ def test_cheapest_refuses_what_is_no_number(tol):
         cg.Trade((row(1.0, 1e-3),), "given", 0.0).cheapest(tol)
 
 
-def test_cheapest_may_be_asked_for_the_first_call():
-    rows = row(1.0, 1e-6, first_seconds=9.0), row(2.0, 1e-6, first_seconds=5.0), row(3.0, 1.0, first_seconds=1.0)
-    trade = cg.Trade(rows, "given", 0.0)
-    assert trade.cheapest(1e-3) is rows[0]
-    assert trade.cheapest(1e-3, first_call=True) is rows[1]
-
-
 @pytest.mark.parametrize(
     ("given", "way"),
     [
