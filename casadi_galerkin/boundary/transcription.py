@@ -162,7 +162,7 @@ class Transcription(BoundaryGraph):
             method=self.method,
             problem=problem,
             second_variation=variations,
-            find_error=variations.error,
+            find_difference=variations.difference,
         )
 
     def refuse_conjugate(self, point: CriticalPoint) -> None:
@@ -198,7 +198,7 @@ def check_given(given: Mapping[str, object]) -> None:
 
 
 class SecondVariation:
-    """What tells how the action varies about a path, and its error; pickled without the graph, which is built again.
+    """What tells how the action varies about a path, and its accuracy; pickled without the graph, which is built again.
 
     Parameters
     ----------
@@ -221,9 +221,9 @@ class SecondVariation:
         graph = self._graph()
         return graph.stationarity, *graph.on_path(self._path)
 
-    def error(self, path: Trajectory) -> float:
-        """Estimate the relative error of the path: see `Trajectory.estimate_error`."""
-        return path.doubted(error_between_ends(self._graph(), self._path))
+    def difference(self) -> float:
+        """Relative difference to a path of a higher degree: see `error_between_ends`."""
+        return error_between_ends(self._graph(), self._path)
 
     def smallest(self) -> float:
         """Smallest second variation relative to the sizes of its terms; see `softest`."""

@@ -49,10 +49,6 @@ def index_in_words(path: Trajectory) -> str:
     return "no Morse index" if path.morse_index is None else f"Morse index {path.morse_index}"
 
 
-def _no_error(path: Trajectory) -> float:
-    raise TypeError(f"the error of a {type(path).__name__} is estimated where it is solved to a tolerance: give tol")
-
-
 @dataclass(frozen=True, repr=False, eq=False)
 class Trajectory(Path):
     """A critical point of the discrete action: ``path(t)`` is its position, ``path(t, 1)`` its derivative.
@@ -71,8 +67,6 @@ class Trajectory(Path):
     method : Galerkin
     problem : what was solved, with the ends, parameters and times that it was solved for
     error_estimate : estimated relative error of x, at the joints and between them; None before `estimate_error`
-    second_variation : finds `morse_index` and `regularity`; None for a path that was found step by step
-    find_error : estimates the error of this path
 
     Examples
     --------
@@ -98,7 +92,7 @@ class Trajectory(Path):
     problem: Problem
     error_estimate: float | None = None
     second_variation: SecondVariation | None = None
-    find_error: Callable[[Trajectory], float] = _no_error
+    find_difference: Callable[[], float] | None = None  # relative, to a path of a higher degree
 
     def estimate_error(self) -> float:
         """Estimate the relative error of x, at the joints and between them; kept as `error_estimate`.
@@ -115,14 +109,14 @@ class Trajectory(Path):
         TypeError
             for a ControlTrajectory that was not solved to a tolerance, which alone tells its error
         """
-        if self.error_estimate is None:
-            object.__setattr__(self, "error_estimate", self.find_error(self))
-        assert self.error_estimate is not None
-        return self.error_estimate
-
-    def doubted(self, error: float) -> float:
-        """The largest of an error and of what the witnesses of this path say."""
-        return max(error, *(float(np.max(missed)) for missed in self._doubts))
+        if self.error_estimate is not None:
+            return self.error_estimate
+        if self.find_difference is None:
+            kind = type(self).__name__
+            raise TypeError(f"the error of a {kind} is estimated where it is solved to a tolerance: give tol")
+        error = max(self.find_difference(), *(float(np.max(missed)) for missed in self._doubts))
+        object.__setattr__(self, "error_estimate", error)
+        return error
 
     @lazy
     def _doubts(self) -> tuple[np.ndarray, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from functools import partial
 
 import numpy as np
 
@@ -97,15 +98,15 @@ def path_of(roll: Roll, stepper: Stepper, count: int) -> PiecewisePolynomial:
     return PiecewisePolynomial(roll.mesh[: count + 1], nodes, values)
 
 
-def error_of_steps(path: Trajectory) -> float:
-    """Estimate the relative error of a path of steps: see `Trajectory.estimate_error`."""
-    higher = of_higher_degree(path.method.degree)
-    stepper = Stepper(path.problem, higher)
-    roll = stepper.roll(path.x[:, 0], path.momentum[:, 0], path.velocity[:, 0], path.t)
-    if roll.solved_steps < len(path.t) - 1:
+def _difference(problem: InitialProblem | BoundaryProblem, path: PiecewisePolynomial, momentum: np.ndarray) -> float:
+    """Relative difference of a path of steps to one of a higher degree from the same start, of that momentum (d,)."""
+    higher = of_higher_degree(path.degree)
+    stepper, intervals = Stepper(problem, higher), len(path.mesh) - 1
+    roll = stepper.roll(path.values[:, 0], momentum, path(path.mesh[0], 1), path.mesh)
+    if roll.solved_steps < intervals:
         return math.inf
-    finer, nodes = path_of(roll, stepper, len(path.t) - 1), higher.element.nodes
-    return path.doubted(largest_change(path.polynomial, nodes, finer.values - path.polynomial.at(nodes)))
+    finer, nodes = path_of(roll, stepper, intervals), higher.element.nodes
+    return largest_change(path, nodes, finer.values - path.at(nodes))
 
 
 def trajectory(
@@ -133,5 +134,5 @@ def trajectory(
         solve_seconds=solve_seconds,
         method=stepper.method,
         problem=problem,
-        find_error=error_of_steps,
+        find_difference=partial(_difference, problem, path, roll.p[:, 0]),
     )
