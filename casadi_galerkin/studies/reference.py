@@ -73,17 +73,16 @@ class ReferenceSolution:
     at breakpoints.  A quantity that the user names is measured, too.
     """
 
-    def __init__(
-        self, problem: AnyProblem, given: Reference, parameters: tuple[float, ...] | None, measure: Measure | None
-    ) -> None:
+    def __init__(self, problem: AnyProblem, given: Reference, measure: Measure | None) -> None:
         _check(problem, given)
         self._path: Path
         self._at: Callable[[np.ndarray], np.ndarray]
         if isinstance(given, Trajectory):
-            self._path, self._at, self._marks, parameters = given, given, marks(given.problem), given.parameters
+            self._path, self._at, stated = given, given, given.problem
         else:
             self._at = partial(sampled, "the reference", given, dimension=problem.dimension)
-            self._path, self._marks = Path(_interpolated(problem, self._at)), marks(problem)
+            self._path, stated = Path(_interpolated(problem, self._at)), problem
+        self._marks, parameters = marks(stated), stated.parameters
         calculus = DiscreteCalculus(Galerkin(LEAST_DEGREE), self._path.t)
         self._lagrangian = with_parameters(problem.lagrangian, parameters)
         values, kinetic = self._terms(calculus.quadrature_times)
@@ -100,7 +99,8 @@ class ReferenceSolution:
             if isinstance(problem, BoundaryProblem) and problem.end_action is not None:
                 end_action = with_parameters(problem.end_action, parameters)
                 self._functional += float(end_action(self._path.x[:, 0], self._path.x[:, -1]))
-        if not isinstance(given, Trajectory) and np.max(truncation(self._path.polynomial)) > RESOLVED:
+        freed = getattr(problem, "parameter_bounds", None) is not None  # a callable tells no parameters
+        if not isinstance(given, Trajectory) and (freed or np.max(truncation(self._path.polynomial)) > RESOLVED):
             self._functional = self._energy_size = np.nan
         self._measure = measure
         if measure is not None:
@@ -178,7 +178,7 @@ def finer(
             if estimate == np.inf:
                 raise
             break
-        truth = ReferenceSolution(problem, fine, None, measure)
+        truth = ReferenceSolution(problem, fine, measure)
         difference = truth.errors(other)["error"]
         if difference >= estimate:
             break

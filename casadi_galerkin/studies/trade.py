@@ -256,8 +256,7 @@ def trade(
     ways = _ways(problem, grid, _listed("tolerances", tolerances), _solvers(problem, solvers), shooting)
     if guess is not None:
         _check_guess(problem, guess, grid, shooting)
-    if reference is not None:
-        ReferenceSolution(problem, reference, problem.parameters, measure)  # refuses what does not fit
+    truth = None if reference is None else ReferenceSolution(problem, reference, measure)
     cells = _cells(problem, ways, guess, measure)
     paths = [cell.path for cell in cells if cell.path is not None]
     if not paths:
@@ -265,10 +264,10 @@ def trade(
     described, own = "given", getattr(reference, "error_estimate", None) or 0.0
     if own:
         described = f"given, own error {own:.1e}"
-    if reference is None:
-        reference, own = finer(problem, paths, guess, measure)
-        described = f"{reference.method} on {counted(len(reference.t) - 1, 'interval')}, own error {own:.1e}"
-    truth = ReferenceSolution(problem, reference, paths[0].parameters, measure)
+    if truth is None:
+        fine, own = finer(problem, paths, guess, measure)
+        described = f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}, own error {own:.1e}"
+        truth = ReferenceSolution(problem, fine, measure)
     rows = [cell.row if cell.path is None else replace(cell.row, **truth.errors(cell.path)) for cell in cells]
     return Trade(tuple(rows), described, own, None if measure is None else _name(measure))
 
