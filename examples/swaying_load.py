@@ -5,6 +5,8 @@ that brings trolley and load to rest at the origin.  Plan and plant are Function
 it is simulated from many starts in one call, without Python between two samples, and written as C code.
 """
 
+from functools import cache
+
 import casadi as ca
 import numpy as np
 
@@ -49,6 +51,7 @@ def plant():
     return ca.integrator("plant", "rk", {"x": state, "u": u, "ode": rates}, 0, SAMPLE, {"simplify": True})
 
 
+@cache
 def sample():
     """Plan from a state, and push for one sample: a Function of the state, to the next one and the force."""
     plan, state = planner(), ca.MX.sym("state", 4)

@@ -87,6 +87,7 @@ class AdaptiveTranscription:
         self,
         start: Sequence[float | None] | None = None,
         end: Sequence[float | None] | None = None,
+        *,
         parameters: Sequence[float] | None = None,
         guess: Guess | None = None,
         t_span: Sequence[float] | None = None,

@@ -96,6 +96,7 @@ class Transcription(BoundaryGraph):
         self,
         start: Sequence[float | None] | None = None,
         end: Sequence[float | None] | None = None,
+        *,
         parameters: Sequence[float] | None = None,
         guess: Guess | None = None,
         mesh: ArrayLike | None = None,

@@ -95,7 +95,9 @@ def test_parameters_enter_and_change():
 
 def test_a_path_knows_the_problem_it_solves():
     problem = cg.BoundaryProblem(spring, (0, 1), [0.0], [None], parameters=[2.0, 0.0])
-    path = cg.transcribe(problem, cg.Galerkin(4), 3).solve([0.5], [None], [1.5, 0.1], mesh=[1.0, 1.2, 1.5, 2.0])
+    path = cg.transcribe(problem, cg.Galerkin(4), 3).solve(
+        [0.5], [None], parameters=[1.5, 0.1], mesh=[1.0, 1.2, 1.5, 2.0]
+    )
     asked = (path.problem.t_span, path.problem.start, path.problem.end, path.problem.parameters)
     assert asked == ((1.0, 2.0), (0.5,), (None,), (1.5, 0.1))
     again = cg.solve(path.problem, cg.Galerkin(4), mesh=path.t)
