@@ -34,7 +34,7 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table
 from casadi_galerkin.solution.guess import apart
 from casadi_galerkin.solution.plotting import Pictured, plot_gaps
-from casadi_galerkin.solution.trajectory import Trajectory, index_in_words
+from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.geometry import jacobians
 from casadi_galerkin.stepping.shooting import check_start, shoot
 from casadi_galerkin.stepping.shot import accumulated
@@ -82,8 +82,6 @@ class Comparison(Table, Pictured):
     condition_global, condition_stepwise : how many times a formulation magnifies a relative change of its data: of the
         positions given at the ends globally, not a number where none is; of (x_0, p_0) step by step.  The module
         `casadi_galerkin.studies.comparison` has the formulas
-    another : Trajectory, the path of `shooting` if it is another stationary path than `global_path`, solved globally
-        from there if that can be, so that it has a Morse index; None if shooting has found no other path
 
     Examples
     --------
@@ -100,7 +98,16 @@ class Comparison(Table, Pictured):
     gap_growth: float
     condition_global: float
     condition_stepwise: float
-    another: Trajectory | None = None
+
+    @property
+    def another(self) -> Trajectory | None:
+        """The path of `shooting` if it is another stationary path than `global_path`, else None."""
+        shot = self.shooting.path
+        return None if shot is None or self._distance(shot) <= SAME else shot
+
+    def _distance(self, other: Trajectory) -> float:
+        """Largest difference of a component at a node, over its size on the global path."""
+        return apart(other.polynomial.values, self.global_path.polynomial.values)
 
     @property
     def parting_time(self) -> float:
@@ -128,10 +135,9 @@ class Comparison(Table, Pictured):
             lines.append(f"  {name:22}{cost}  {gap:>11}  {self.condition_stepwise:9.1e}")
         lines.append(f"  the gap of the steps {self._growth()}")
         if self.another is not None:
-            lines.append(
-                f"  shooting found another stationary path: it has {_named(self.another)}, the global path has "
-                f"{_named(path)}, and they are up to {_distance(path, self.another):.2g} of its size apart"
-            )
+            actions = f"its action is {self.another.action:.6g}, that of the global path {path.action:.6g}"
+            distance = f"they are up to {self._distance(self.another):.2g} of its size apart"
+            lines.append(f"  shooting found another stationary path: {actions}, and {distance}")
         lines += [f"  {attempt.failure}" for attempt in (self.stepped, self.shooting) if attempt.failure]
         return "\n".join(lines)
 
@@ -217,7 +223,6 @@ def compare(
         _growth_rate(path.t, stepped.gap),
         _condition_global(solved, path),
         _condition_stepwise(path),
-        _another(solved, path, shooting.path),
     )
 
 
@@ -235,28 +240,6 @@ def _attempt(path: Trajectory, way: Callable[[], Trajectory]) -> Attempt:
     count = x.shape[1]
     gap[:count] = np.max(np.abs(x - path.x[:, :count]) / component_sizes(path.x)[:, None], axis=0)
     return Attempt(answer, failure, gap, iterations, seconds)
-
-
-def _distance(path: Trajectory, other: Trajectory) -> float:
-    """Largest difference of a component at a node, over its size on the first path."""
-    return apart(other.polynomial.values, path.polynomial.values)
-
-
-def _another(problem: BoundaryProblem, path: Trajectory, shot: Trajectory | None) -> Trajectory | None:
-    """What shooting found if it is another path than the global one; if it can be, as the global solve finds it."""
-    if shot is None or _distance(path, shot) <= SAME:
-        return None
-    try:
-        again = solve(problem, path.method, mesh=path.t, guess=shot)
-    except ConvergenceError:
-        return shot
-    if _distance(path, again) <= SAME:
-        return None
-    return again if _distance(shot, again) <= SAME else shot
-
-
-def _named(path: Trajectory) -> str:
-    return f"action {path.action:.6g} and {index_in_words(path)}"
 
 
 def _together(gap: np.ndarray) -> np.ndarray:
