@@ -18,6 +18,7 @@ import numpy as np
 Accepted = TypeVar("Accepted")
 
 MANY = 10  # iterations of Newton's method
+LONGER, SHORTER = 1.5, 0.5  # factors on the step after a correction, and after one that failed
 
 
 class Curve(ABC, Generic[Accepted]):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.arc_length import MANY, Curve
+from casadi_galerkin.boundary.arc_length import LONGER, MANY, SHORTER, Curve
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.1, 1e-9  # of the arc length, in which the path counts by its size
-LONGER, SHORTER = 1.5, 0.5  # factors on the step after a correction, and after one that failed
-CLOSE = 1e-8  # last Newton step after which the next one is at roundoff
+SETTLED = 1e-8  # last Newton step after which the next one is at roundoff
 LEVEL = 1e-8  # |ṡ| at a fold over its change from the point before to that after; s is then exact to its square
 LEAST = 1e-7  # size of a component over the path's change up to the target at its first rate: it may begin at zero
 ITERATIONS = 20  # to a fold, which rounding may keep from its level
@@ -224,7 +223,7 @@ class Walk(Curve[Solution]):
 
     def accepted(self, z: np.ndarray, length: float, iteration: int) -> Solution | None:
         """A point as a solution, if its residuals are at their roundoff floors."""
-        if length >= CLOSE:
+        if length >= SETTLED:
             return None
         unknowns, data = z[:-1], self.data(z)
         with self.stationarity.linearization() as at:
@@ -234,7 +233,7 @@ class Walk(Curve[Solution]):
             with suppress(SolveFailure):
                 solution = damped_newton(self.stationarity, unknowns, data)
                 moved = np.append(solution.unknowns - unknowns, 0.0)
-                return solution if self.length(moved) < CLOSE else None
+                return solution if self.length(moved) < SETTLED else None
         return solution
 
     def weigh(self, z: np.ndarray) -> None:

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.failure_report import explained
+from casadi_galerkin.boundary.failure_report import conjugate, explained
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
@@ -24,11 +24,13 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import tangent_at_joints
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
+from casadi_galerkin.solvers.second_variation import SINGULAR, smallest_second_variation
 from casadi_galerkin.solvers.solver import SolverLike, newton
 from casadi_galerkin.solvers.stationarity import Stationarity, joined
 
 Graph = TypeVar("Graph", bound="BoundaryGraph")
 
+REGULAR = 1e-9  # `Solution.regularity` above which the second variation need not be looked at
 FREE = [np.nan]  # what stands for a position that is not given
 
 
@@ -53,7 +55,7 @@ class BoundaryGraph:
     def __init__(
         self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, mapping: PointMap = by_rows
     ) -> None:
-        self.problem, self.method, self.mesh, self.phase = problem, method, mesh, has_phase(problem)
+        self.problem, self.method, self.mesh = problem, method, mesh
         self.functional = functional_of(problem, method, len(mesh) - 1, mapping)
         self.numbering = self.functional.numbering
         self.stationarity = Stationarity(self.functional)
@@ -101,7 +103,7 @@ class BoundaryGraph:
         graph = self.of(problem)
         data = graph.data(joints)
         values = self._guess(guess, calculus, data)
-        if self.phase:
+        if has_phase(problem):
             data = graph.data(joints, self.plane(calculus.emb(values.T)))
         try:
             with fork_waits:  # it builds its Functions when they are first needed
@@ -116,6 +118,17 @@ class BoundaryGraph:
         """Unknowns and data of a path of any degree on any mesh of as many intervals."""
         data = self.data(path.mesh, self.plane(path))
         return self.unknowns(path.at(self.method.element.nodes).T, data), data
+
+    def refuse_conjugate(self, point: CriticalPoint) -> None:
+        """Raise if the second variation vanishes at a critical point, where the solver saw that it may."""
+        if not point.solution.regularity > REGULAR:
+            self.check_second_variation(point)
+
+    def check_second_variation(self, point: CriticalPoint) -> None:
+        """Raise if the second variation vanishes at a critical point."""
+        quotient = smallest_second_variation(self.stationarity, point.solution.unknowns, point.solution.data)
+        if quotient < SINGULAR:
+            raise conjugate(point.solution, point.polynomial, quotient)
 
     def guess_on_mesh(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:
         """Put a guess on a mesh, bent to meet the ends."""
@@ -151,11 +164,11 @@ class BoundaryGraph:
 
     def plane(self, path: PiecewisePolynomial) -> np.ndarray | None:
         """The plane that fixes the phase of a path, if one is needed."""
-        return phase_plane(path) if self.phase else None
+        return phase_plane(path) if has_phase(self.problem) else None
 
     def plane_in(self, data: Data) -> np.ndarray | None:
         """The plane that the data hold, if one is needed: before the energy, which comes last."""
-        return data[-1][-2 * self.problem.dimension - 1 : -1] if self.phase else None
+        return data[-1][-2 * self.problem.dimension - 1 : -1] if has_phase(self.problem) else None
 
     def unknowns(self, values: np.ndarray, data: Data) -> np.ndarray:
         """Unknowns ξ out of node values (N m + 1, d): those of the critical point if they are its node values.

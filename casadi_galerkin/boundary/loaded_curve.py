@@ -16,15 +16,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from casadi_galerkin.boundary.arc_length import Curve
+from casadi_galerkin.boundary.arc_length import LONGER, SHORTER, Curve
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.stationarity import Linearization
 
 FIRST_STEP, SMALLEST_STEP, FARTHEST = 0.1, 1e-4, 1e3  # of the arc length, in sizes of the path it begins at
 POINTS = 300  # of one curve, both those that were met and those that were missed
-LONGER, SHORTER = 1.5, 0.5  # factors on the step after a correction, and after one that failed
 BEND = 0.7  # cosine of the largest angle between two tangents; with any, some searches took 3 times as long
-CLOSE = 0.02  # last Newton step over the arc step: the curve is only a way to what is solved to roundoff
+ROUGHLY = 0.02  # last Newton step over the arc step: the curve is only a way to what is solved to roundoff
 
 
 class LoadedCurve(Curve[bool]):
@@ -69,7 +68,7 @@ class LoadedCurve(Curve[bool]):
 
     def accepted(self, z: np.ndarray, length: float, iteration: int) -> bool | None:  # noqa: ARG002
         """Whether the last step was short."""
-        return length < CLOSE * self.step or None
+        return length < ROUGHLY * self.step or None
 
     def crossings(self, side: float) -> Iterator[np.ndarray]:
         """Approximate paths without load, in the order in which they are met; `side` is the load's first sign, ±1.0."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.error_estimate import error_between_ends
-from casadi_galerkin.boundary.failure_report import conjugate, refuse_undefined
+from casadi_galerkin.boundary.failure_report import refuse_undefined
 from casadi_galerkin.boundary.graph import BoundaryGraph, CriticalPoint
 from casadi_galerkin.boundary.mass import check_mass
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
@@ -31,14 +31,12 @@ from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import plot_pattern
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.solvers.second_variation import SINGULAR, negative_eigenvalues, smallest_second_variation
+from casadi_galerkin.solvers.second_variation import negative_eigenvalues, smallest_second_variation
 from casadi_galerkin.solvers.solver import Solver, newton
 from casadi_galerkin.solvers.stationarity import Stationarity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-REGULAR = 1e-9  # `Solution.regularity` above which the second variation need not be looked at
 
 
 class Transcription(BoundaryGraph):
@@ -58,7 +56,7 @@ class Transcription(BoundaryGraph):
     numbering : Numbering, which unknown is which value of the path
     functional : Functional, the one graph
     stationarity : Stationarity, what the solvers take
-    phase : bool, whether a plane has to fix the phase of a path
+    build_seconds : float, spent on building the graph so far
 
     Examples
     --------
@@ -165,17 +163,6 @@ class Transcription(BoundaryGraph):
             second_variation=variations,
             find_difference=variations.difference,
         )
-
-    def refuse_conjugate(self, point: CriticalPoint) -> None:
-        """Raise if the second variation vanishes at a critical point, where the solver saw that it may."""
-        if not point.solution.regularity > REGULAR:
-            self.check_second_variation(point)
-
-    def check_second_variation(self, point: CriticalPoint) -> None:
-        """Raise if the second variation vanishes at a critical point."""
-        quotient = smallest_second_variation(self.stationarity, point.solution.unknowns, point.solution.data)
-        if quotient < SINGULAR:
-            raise conjugate(point.solution, point.polynomial, quotient)
 
     def plot_hessian(self, axes: Axes | None = None) -> Axes:
         """Draw the sparsity pattern of the Hessian, a chain of blocks; returns the Matplotlib axes."""

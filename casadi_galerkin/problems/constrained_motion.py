@@ -26,7 +26,7 @@ from casadi_galerkin.problems.problem import Problem
 
 ITERATIONS = 20
 OFF = 0.1  # one chord of an arc misses it by 0.09; jumps through the center of a circle were measured at 0.16 to 0.25
-ROUNDED = 1e-10  # part of a position up to which it does not move
+STILL = 1e-10  # part of a position up to which it does not move
 HELD = 1e-12  # part of its terms by which a given position or velocity may miss a constraint
 
 
@@ -140,7 +140,7 @@ def off_constraint(problem: Problem, path: PiecewisePolynomial) -> str | None:
         return None
     parts = np.linspace(0.0, 1.0, 4 * path.degree + 1)
     x, times = path.at_parts(parts)[0].reshape(len(path.values), -1), times_at(path.mesh, parts)
-    moves = np.ptp(x, axis=1, keepdims=True) + ROUNDED * component_sizes(x)[:, None]
+    moves = np.ptp(x, axis=1, keepdims=True) + STILL * component_sizes(x)[:, None]
     measured = _missed(with_parameters(problem.constraint, problem.parameters)).map(len(times))
     missed, largest = (np.array(a) for a in measured(times[None, :], x, np.broadcast_to(moves, x.shape)))
     part = np.max(missed / np.maximum(np.max(largest, axis=1, keepdims=True), TINY), axis=0)

@@ -42,7 +42,7 @@ from casadi_galerkin.problems.crossings import (
 from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
 from casadi_galerkin.problems.problem import marks, shown, with_changes, with_values
 
-ROUNDED = 1e-8  # of a condition that the ends given meet, as much as a solve may leave
+MET = 1e-8  # of a condition that the ends given meet, as much as a solve may leave
 
 
 @dataclass(frozen=True, repr=False)
@@ -332,7 +332,7 @@ class ControlProblem:
             rows, columns = (np.array(index, dtype=int) for index in g.sparsity_jac(k, 0).get_triplet())
             depends[rows[which[columns]]] = True
         values = np.array(g(*map(np.nan_to_num, given))).ravel()
-        rounded = ROUNDED * np.fmax(1.0, np.abs(values))
+        rounded = MET * np.fmax(1.0, np.abs(values))
         for i in np.flatnonzero(~depends):
             if not low[i] - rounded[i] <= values[i] <= high[i] + rounded[i]:
                 raise ValueError(

@@ -56,10 +56,11 @@ def signature(thing):
 
 
 def members(thing):
-    """Public methods and properties that the class, or a class of the package that it inherits from, defines."""
+    """Public methods and properties that the class defines, and those that it has as an answer."""
     for name in dir(thing):
         owner = next((base for base in thing.__mro__ if name in vars(base)), object)
-        if owner.__module__.startswith("casadi_galerkin") and (name[0] != "_" or name in SPECIAL):
+        shared = owner.__module__.startswith("casadi_galerkin.solution.")
+        if (owner is thing or shared) and (name[0] != "_" or name in SPECIAL):
             member = inspect.getattr_static(thing, name)
             if inspect.getdoc(member) and (callable(member) or hasattr(member, "__get__")):
                 yield name, member
