@@ -67,10 +67,10 @@ class AdaptiveTranscription:
         self,
         problem: BoundaryProblem,
         tol: float,
-        method: Galerkin | None = None,
-        intervals: int | None = None,
-        mesh: ArrayLike | None = None,
-        limits: Limits | None = None,
+        method: Galerkin | None,
+        intervals: int | None,
+        mesh: ArrayLike | None,
+        limits: Limits | None,
     ) -> None:
         self.problem, self.tol, self.limits = problem, check_tolerance(tol), limits or Limits()
         self.method = of_degree(degree_for(self.tol)) if method is None else method

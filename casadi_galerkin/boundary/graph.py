@@ -16,7 +16,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.end_velocities import end_velocities
-from casadi_galerkin.functional.mapping import PointMap, by_rows
+from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Data, joints_of
 from casadi_galerkin.functional.statement import functional_of, given_values, has_phase, phase_plane
 from casadi_galerkin.functional.threads import fork_waits
@@ -52,9 +52,7 @@ class CriticalPoint:
 class BoundaryGraph:
     """A boundary problem on N intervals as one CasADi graph; arguments and attributes as of `Transcription`."""
 
-    def __init__(
-        self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, mapping: PointMap = by_rows
-    ) -> None:
+    def __init__(self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, mapping: PointMap) -> None:
         self.problem, self.method, self.mesh = problem, method, mesh
         self.functional = functional_of(problem, method, len(mesh) - 1, mapping)
         self.numbering = self.functional.numbering

@@ -84,9 +84,7 @@ class Galerkin:
         if not isinstance(rule, Quadrature):
             raise TypeError(f"quadrature must be a Quadrature such as gauss(3), got {rule!r}")
         _check_rule(degree, rule)
-        object.__setattr__(self, "degree", degree)
-        object.__setattr__(self, "control_points", points)
-        object.__setattr__(self, "quadrature", rule)
+        self.__dict__.update(degree=degree, control_points=points, quadrature=rule)  # the class is frozen
 
     @property
     def order(self) -> int:

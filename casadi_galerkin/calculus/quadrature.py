@@ -59,8 +59,7 @@ class Quadrature:
         if abs(w.sum() - 1) > SUM_TOLERANCE:
             raise ValueError(f"weights must sum to 1, got a sum of {float(w.sum())!r}")
         keep = w != 0
-        object.__setattr__(self, "points", tuple(q[keep].tolist()))
-        object.__setattr__(self, "weights", tuple(w[keep].tolist()))
+        self.__dict__.update(points=tuple(q[keep].tolist()), weights=tuple(w[keep].tolist()))  # the class is frozen
 
     def __len__(self) -> int:
         """Number r of points of nonzero weight."""

@@ -115,7 +115,7 @@ class Trajectory(Path):
             kind = type(self).__name__
             raise TypeError(f"the error of a {kind} is estimated where it is solved to a tolerance: give tol")
         error = max(self.find_difference(), *(float(np.max(missed)) for missed in self._doubts))
-        object.__setattr__(self, "error_estimate", error)
+        self.__dict__["error_estimate"] = error  # the class is frozen
         return error
 
     @lazy

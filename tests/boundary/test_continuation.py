@@ -81,7 +81,7 @@ def test_the_zero_path_is_walked():
     problem = cg.BoundaryProblem(
         lambda t, x, v, p: v[0] ** 2 / 2 + p[0] * (1 - t) * ca.cos(x[0]), (0, 1), [0.0], [None], parameters=[5.0]
     )
-    branch = cg.continuation(problem, [9.0], intervals=4)
+    branch = cg.continuation(problem, [9.0], mesh=[0.0, 0.2, 0.5, 0.8, 1.0])
     assert branch.reached
     assert all(np.all(path.x == 0.0) for path in branch.trajectories)
 
