@@ -216,7 +216,7 @@ def trade(
     intervals : several numbers of equal intervals
     reference : a Trajectory or a callable t -> (d,) over the same time span, that errors are differences to; where the
         duration is free, a Trajectory of any; default a solve several digits finer, whose own error is estimated and
-        reported
+        reported.  A callable tells no cost, and no energy where parameters are free: their errors are NaN
     tolerances : several numbers, as `solve` takes them; not for an InitialProblem
     solvers : several Solvers, as `solve` takes them; default the usual one.  Not for an InitialProblem
     shooting : whether to `shoot` as well, by every method on every number of intervals; for a BoundaryProblem

@@ -83,6 +83,20 @@ def test_parameters_reach_the_reference():
     assert max(measured.rows[0].error, measured.rows[0].functional_error, measured.rows[0].energy_error) < REFERENCE
 
 
+def test_a_callable_tells_no_energy_where_parameters_are_free():
+    """Whatever its mass, 2 / 7 in the optimum of 6 p² + (p - 2)², the path is the same."""
+    problem = double_integrator(
+        lagrangian=lambda t, x, v, p: p[0] * v[0] ** 2 / 2,
+        force=lambda t, x, v, u, p: u,
+        running_cost=lambda t, x, v, u, p: u[0] ** 2 / 2 + (p[0] - 2) ** 2,
+        parameters=[1.0],
+        parameter_bounds=(0.1, 3.0),
+    )
+    (row,) = cg.trade(problem, [cg.Galerkin(3)], [2], reference=lambda t: [3 * t**2 - 2 * t**3]).rows
+    assert row.error < 1e-8
+    assert np.isnan(row.energy_error)
+
+
 def test_a_measured_quantity_is_relative_to_its_value_on_the_reference(oscillator):
     """The position at t = 1 under a reference of sin(t) that is half of it, then all of it."""
     row = cg.trade(oscillator, [cg.Galerkin(8)], [8], lambda t: [np.sin(t) / 2], measure=lambda path: path(1.0)[0])
