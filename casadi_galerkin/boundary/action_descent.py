@@ -120,18 +120,13 @@ def retimed(
     `slope` (N + 1,), and `diagonal` (N + 1,) and `beside` (N,) of a tridiagonal matrix, are the action's derivatives by
     all joints.
     """
-    pivots, rhs, upper = diagonal.tolist(), (-slope).tolist(), beside.tolist()
-    shift = [0.0] * len(rhs)  # of Python's numbers, which do not warn of what is not finite
+    inner, shift = slice(1, -1), np.zeros(len(slope))
+    matrix = np.diag(diagonal[inner]) + np.diag(beside[inner], 1) + np.diag(beside[inner], -1)
     try:
-        for i in range(2, len(shift) - 1):  # symmetric elimination without the ends; faster here than a dense solve
-            factor = upper[i - 1] / pivots[i - 1]
-            pivots[i] -= factor * upper[i - 1]
-            rhs[i] -= factor * rhs[i - 1]
-        for i in range(len(shift) - 2, 0, -1):
-            shift[i] = (rhs[i] - upper[i] * shift[i + 1]) / pivots[i]
-    except ZeroDivisionError:
+        shift[inner] = np.linalg.solve(matrix, -slope[inner])
+    except np.linalg.LinAlgError:
         return path
     if not np.all(np.isfinite(shift)):
         return path
     largest = float(np.max(np.abs(np.diff(shift)) / np.diff(path.mesh)))
-    return PiecewisePolynomial(path.mesh + np.array(shift) * (SQUEEZE / max(largest, SQUEEZE)), path.nodes, path.values)
+    return PiecewisePolynomial(path.mesh + shift * (SQUEEZE / max(largest, SQUEEZE)), path.nodes, path.values)
