@@ -78,11 +78,6 @@ class AdaptiveTranscription:
         self._levels = Levels(problem, by_rows)
         self.first: Trajectory | None = None
 
-    @property
-    def build_seconds(self) -> float:
-        """Seconds spent on building all graphs so far."""
-        return self._levels.build_seconds
-
     def solve(
         self,
         start: Sequence[float | None] | None = None,

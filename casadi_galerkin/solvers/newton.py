@@ -25,7 +25,7 @@ SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if 
 STRONG_CONTRACTION = 0.1  # the same for a long first step: from a straight line, all steps are long
 NEARLY_FULL = 0.5  # forecast from which a short step is first tried in full: forecasts are cautious
 SMALLEST_DAMPING = 1e-7
-CLOSE = 10  # steps that bring a path to its end once what is rounding alone is zero: it was near
+LAST_STEPS = 10  # steps that bring a path to its end once what is rounding alone is zero: it was near
 DRIFT = 10.0  # change of the second variation over that which the last two steps show; along families at most 0.7
 
 
@@ -140,7 +140,7 @@ def _without_rounding(linear: Linearization, x: np.ndarray, data: Data, iteratio
     if not math.isfinite(at.norm):
         return None
     nothing, data, least = _rounding_alone(linear, at, data)
-    for _ in range(CLOSE if np.any(nothing) else 0):
+    for _ in range(LAST_STEPS if np.any(nothing) else 0):
         x = np.where(nothing, 0.0, x + at.step)
         if np.max((np.abs(at.step) / at.sizes)[~nothing], initial=0.0) ** 2 <= EPS:
             action, momentum, _, regularity = linear.verification(x, data)

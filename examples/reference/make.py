@@ -56,11 +56,13 @@ def signature(thing):
 
 
 def members(thing):
-    """Public methods and properties that the class defines, and those that it has as an answer."""
+    """Public methods and properties that the class defines, and those of answers that no public base of it has."""
+    bases = [base for base in thing.__mro__[1:] if getattr(cg, base.__name__, None) is base]
     for name in dir(thing):
         owner = next((base for base in thing.__mro__ if name in vars(base)), object)
-        shared = owner.__module__.startswith("casadi_galerkin.solution.")
-        if (owner is thing or shared) and (name[0] != "_" or name in SPECIAL):
+        of_answers = owner.__module__.startswith("casadi_galerkin.solution.")
+        told = owner is thing or (of_answers and not any(issubclass(base, owner) for base in bases))
+        if told and (name[0] != "_" or name in SPECIAL):
             member = inspect.getattr_static(thing, name)
             if inspect.getdoc(member) and (callable(member) or hasattr(member, "__get__")):
                 yield name, member
