@@ -14,7 +14,6 @@ from casadi_galerkin.boundary.action_descent import descend
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.growing_force import under_growing_force
 from casadi_galerkin.boundary.levels import Levels
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import graded_alike, of_degree, resolved
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -23,7 +22,7 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import FAR, Guess, apart
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import damped_newton
-from casadi_galerkin.solvers.solver import Solver, SolverLike, newton
+from casadi_galerkin.solvers.solver import Solver, SolverLike, newton, rescues
 
 ITERATIONS = 40  # of Newton's method from an earlier path; where it took more it was measured to wander
 DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
@@ -60,18 +59,20 @@ def on_its_joints(
     return resolved(interpolated, mesh, tol, GUESS_INTERVALS, levels.problem.breakpoints)
 
 
-def _from_smoothed(levels: Levels, method: Galerkin, given: PiecewisePolynomial, solver: SolverLike) -> CriticalPoint:
-    """Begin with the cubic polynomial nearest to a guess, which has none of the guess's corners and noise.
+def _smoothed(guess: PiecewisePolynomial) -> np.ndarray:
+    """Node values of the cubic polynomial nearest to a guess, which has none of the guess's corners and noise."""
+    times, (first, last) = guess.times(guess.nodes[:-1]), guess.mesh[[0, -1]]
+    parts = (2 * times - first - last) / (last - first)
+    return np.asarray(legval(parts, legfit(parts, guess.values.T, 3)))
 
-    It keeps little of the guess's shape either.  So a path far from the guess is refused: another one was meant.
-    """
-    parts = 2 * DiscreteCalculus(method, given.mesh).node_parts - 1
-    cubic = legval(parts, legfit(parts, given.values.T, 3))
-    point = levels.solve(method, given.mesh, cubic, solver)
-    distance = apart(point.polynomial.values, given.values)
+
+def _near(guess: PiecewisePolynomial, find: Callable[[], CriticalPoint]) -> CriticalPoint:
+    """Refuse a path far from the guess: another one was meant."""
+    point = find()
+    distance = apart(point.polynomial.values, guess.values)
     if distance > FAR:
-        found = f"a path up to {distance:.2g} of the guess's size away from the guess"
-        raise ConvergenceError(f"the guess smoothed leads to {found}", Path(point.polynomial))
+        away = f"the path found is up to {distance:.2g} of the guess's size away from the guess"
+        raise ConvergenceError(away, Path(point.polynomial))
     return point
 
 
@@ -85,23 +86,24 @@ def first_path_strategies(
 ) -> Iterator[Strategy]:
     """Ways to a first path, in the order in which they are tried.
 
-    They are Newton's method on the coarse mesh, with a guess from that smoothed, and on a finer one, which resolves the
-    guess; a descent of the action with moving joints, or growing shares of a force, its paths found `roughly`;
-    and whatever `solver` tries.
+    They are Newton's method on the coarse mesh, with a guess from that smoothed, and its rescues there, whose path must
+    be near a guess; a descent of the action with moving joints, or growing shares of a force, its paths found
+    `roughly`; and whatever `solver` tries.
     """
     given = on_its_joints(levels, method, guess, mesh, ROUGHLY)
-    mesh, solved, name = given.mesh, partial(levels.solve, method), repr(solver)
+    mesh, name = given.mesh, repr(solver)
+    solved = partial(levels.solve, method, mesh)
     if is_newton(solver):
         plain, brief = partial(damped_newton, **solver.options), following(solver)
-        yield Strategy("Newton's method", partial(solved, mesh, given.values, plain))
+        yield Strategy("Newton's method", partial(solved, given.values, plain))
+        stationarity = levels.transcription(method, mesh).stationarity
+        finds = {name: partial(solved, given.values, rescue) for name, rescue in rescues(stationarity).items()}
         if guess is not None:
-            found = partial(_from_smoothed, levels, method, given, brief)
-            yield Strategy("Newton's method from the guess smoothed", found)
+            finds = {"Newton's method from the guess smoothed": partial(solved, _smoothed(given), brief), **finds}
+            finds = {name: partial(_near, given, find) for name, find in finds.items()}
+        yield from (Strategy(name, find) for name, find in finds.items())
         fine = _with_more(levels, on_its_joints(levels, method, guess, mesh, WELL).mesh, MORE * (len(mesh) - 1))
-        found = partial(solved, fine, guess, brief)
-        yield Strategy(f"Newton's method on {len(fine) - 1} intervals", found)
-        graph = levels.transcription(method, mesh)
-        if graph.stationarity.variational and not graph.numbering.multipliers:
+        if stationarity.variational and not stationarity.functional.numbering.multipliers:
             joints = _with_more(levels, fine, DESCENT_INTERVALS)
             found = partial(_by_descent, levels, method, joints, guess, brief)
             yield Strategy("descent of the action", found)
@@ -109,7 +111,7 @@ def first_path_strategies(
             found = partial(under_growing_force, levels, fine, guess, roughly)
             yield Strategy("Newton's method under a growing force", found)
         name = "Newton's method with its rescues"
-    yield Strategy(name, partial(solved, mesh, guess, solver))
+    yield Strategy(name, partial(solved, guess, solver))
 
 
 def _with_more(levels: Levels, mesh: np.ndarray, intervals: int) -> np.ndarray:

@@ -49,6 +49,7 @@ from casadi_galerkin.solution.refinement import HINT, Estimate, Refinement
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solution.witness import witnesses
 from casadi_galerkin.solvers.deadline import until
+from casadi_galerkin.solvers.newton import NEWTON
 from casadi_galerkin.solvers.solver import SolverLike
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 
@@ -276,8 +277,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                     spent = f"{self.iterations - before} iterations, {time.perf_counter() - began:.3f} s"
                     print(f"{strategy.name}: no path, {spent}")
             else:
-                name = strategy.name if first.solution.report == path.solver else first.solution.report
-                return replace(path, solver=f"{path.solver}; first path by {name}") if failures else path
+                way = strategy.name if first.solution.report == NEWTON else first.solution.report
+                told = not failures or way == path.solver
+                return path if told else replace(path, solver=f"{path.solver}; first path by {way}")
         raise failures[-1]
 
     def roughly(self, levels: Levels, mesh: np.ndarray, guess: Guess | None) -> CriticalPoint:

@@ -20,6 +20,7 @@ from casadi_galerkin.solvers.linear_solver import LOCAL
 from casadi_galerkin.solvers.second_variation import SINGULAR, softest
 from casadi_galerkin.solvers.stationarity import ACCEPTED, SIGNS, Iterate, Linearization, Stationarity
 
+NEWTON = "Newton"  # its report
 NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
 SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if the next one is so much shorter
 STRONG_CONTRACTION = 0.1  # the same for a long first step: from a straight line, all steps are long
@@ -99,7 +100,7 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
         end = _end(linear, at, last, data)
         if end is not None:
             drift = DRIFT * (at.norm + min(1.0, at.norm / max(last, TINY)) ** 2)
-            solution = verified(linear, end, data, iteration, "Newton", drift)
+            solution = verified(linear, end, data, iteration, NEWTON, drift)
             if solution is not None:
                 _report(iteration, at.norm, damping, verbose)
                 return solution
@@ -146,7 +147,7 @@ def _without_rounding(linear: Linearization, x: np.ndarray, data: Data, iteratio
             action, momentum, _, regularity = linear.verification(x, data)
             gradient, floor = linear.stationarity.gradient_and_floor(x, data)
             residual = float(np.max(np.abs(gradient) / np.where(nothing, np.fmax(floor, least), floor)))
-            solution = Solution(x, data, iterations, residual, "Newton", action, momentum, regularity)
+            solution = Solution(x, data, iterations, residual, NEWTON, action, momentum, regularity)
             return solution if residual <= ACCEPTED else None
         at = linear.newton_step(x, data)
     return None

@@ -10,7 +10,7 @@ action, so it finds minima only.  `fatrop` is for control problems.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeAlias
@@ -104,13 +104,14 @@ class Solver:
         return f"cg.{self.name}" + (f".with_options({given})" if given else "")
 
 
-def _rescues(stationarity: Stationarity) -> Iterator[SolverLike]:
-    """What is tried where Newton's method finds nothing from a guess."""
+def rescues(stationarity: Stationarity) -> dict[str, SolverLike]:
+    """What is tried where Newton's method finds nothing from a guess, by name, in this order."""
+    ways: dict[str, SolverLike] = {}
     if stationarity.variational:
-        yield partial(interior_point.rescue, minimize=True)
+        ways["IPOPT on the action"] = partial(interior_point.rescue, minimize=True)
     if stationarity.unforced is not None:
-        yield partial(_from_unforced, stationarity.unforced)
-    yield partial(interior_point.rescue, minimize=False)
+        ways["Newton's method from the path without the force"] = partial(_from_unforced, stationarity.unforced)
+    return {**ways, "IPOPT": partial(interior_point.rescue, minimize=False)}
 
 
 def _from_unforced(
@@ -135,7 +136,7 @@ def _newton(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: 
         if failure.iterations == 0:
             raise
         reasons, iterations = [f"Newton's method: {failure}"], failure.iterations
-        for rescue in _rescues(stationarity):
+        for rescue in rescues(stationarity).values():
             if seconds_left() < 0:
                 break
             try:
