@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.embedding import embedding
 from casadi_galerkin.functional.functional import Functional
@@ -18,9 +17,12 @@ from casadi_galerkin.solvers.stationarity import Stationarity, joined
 
 
 def not_finite(functional: Functional, unknowns: np.ndarray, data: Data) -> str:
-    """Say at which time the Lagrangian, or a derivative of it or of the force, first is not finite."""
+    """Say when the Lagrangian, or a derivative of it or of the force, first is not finite; or that no time is left."""
     pointwise, numbering, parameters = functional.pointwise, functional.numbering, functional.parameters_of(data)
     joints, points = joints_of(numbering, unknowns, data), numbering.method.element.points
+    if not np.all(joints[:-1] < joints[1:]):
+        change = "shrunk" if unknowns[-1] < 0 else "grown"
+        return f"the duration, which is free, has {change} by a factor of e^{abs(unknowns[-1]):.0f}"
     steps = np.tile(np.diff(joints), len(points))
     times = np.tile(joints[:-1], len(points)) + np.repeat(points, len(joints) - 1) * steps
     x, slope = (np.array(a) for a in embedding(numbering)(joined(unknowns, data)))
@@ -67,10 +69,9 @@ def explained(
 ) -> ConvergenceError:
     """Report what a solver failed at; `path` is its last iterate."""
     unknowns, numbering = failure.unknowns, stationarity.functional.numbering
-    times = DiscreteCalculus(numbering.method, joints_of(numbering, unknowns, data)).node_times
     g, floor = stationarity.gradient_and_floor(unknowns, data)
-    with np.errstate(invalid="ignore"):  # where both are infinite
-        residual = np.abs(g) / floor
+    with np.errstate(invalid="ignore"):  # where both are infinite, or a free duration is
+        residual, times = np.abs(g) / floor, path.times(path.nodes[:-1])
     worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
     when = times[np.argmax((numbering.of_nodes == worst).any(axis=1))]
     place = f"the largest residual is at t = {when:.6g}"

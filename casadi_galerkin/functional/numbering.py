@@ -123,4 +123,7 @@ def kept(numbering: Numbering) -> Numbering:
 def joints_of(numbering: Numbering, unknowns: np.ndarray, data: Data) -> np.ndarray:
     """Joints of a path, (N + 1,): those of its mesh, stretched where the duration is free."""
     mesh = data[2]
-    return np.asarray(mesh[0] + np.exp(unknowns[-1]) * (mesh - mesh[0])) if numbering.stretched else mesh
+    if not numbering.stretched:
+        return mesh
+    with np.errstate(over="ignore", invalid="ignore"):  # a solver that fails may leave any number
+        return np.asarray(mesh[0] + np.exp(unknowns[-1]) * (mesh - mesh[0]))

@@ -83,3 +83,32 @@ def test_terms_beyond_all_numbers_are_reported_without_a_warning():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.exp(ca.exp(x[0])), (0, 1), [2.4], [13.4])
     with pytest.raises(cg.ConvergenceError, match="no path was found"):
         cg.solve(problem, tol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("rate", "start", "end", "energy", "change"),
+    [
+        (1.0, 0.4, 0.3, 0.05, "shrunk"),
+        (0.82, 0.38, 0.28, 0.058, "grown"),
+    ],
+)
+def test_a_free_duration_that_left_the_doubles_is_named(rate, start, end, energy, change, recwarn):
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - rate * x[0] ** 2 / 2, (0, 1), [start], [end], energy=energy
+    )
+    with pytest.raises(cg.ConvergenceError, match=rf"the duration, which is free, has {change} by a factor of e\^\d+"):
+        cg.solve(problem, cg.Galerkin(4), intervals=4, solver=cg.rootfinder)
+    assert not recwarn.list
+
+
+def test_a_first_path_whose_duration_shrinks_to_nothing_does_not_keep_others_from_being_found():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2,
+        (-1.3, 0.27),
+        [None],
+        [-0.41],
+        start_velocity=[-0.55],
+        energy=13252.0,
+    )
+    path = cg.solve(problem, tol=1e-8)
+    assert path.energy == pytest.approx(13252.0, rel=1e-9)
