@@ -38,10 +38,11 @@ def softest(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.nda
     for _ in range(3):
         (solved,) = at.solve(rhs)
         (other,) = (solved,) if symmetric else at.solve(weights * solved, transposed=True)
-        if not (np.isfinite(solved).all() and np.isfinite(other).all()):
+        with np.errstate(over="ignore", invalid="ignore"):
+            largest, most = (np.max(np.abs(a / sizes)) for a in (solved, other))
+        if not np.isfinite(largest + most):
             return y, 0.0  # singular to the last digit
-        largest = np.max(np.abs(solved / sizes))
-        y, z, force = solved / largest, other / np.max(np.abs(other / sizes)), rhs / largest  # ∇²S y = -force
+        y, z, force = solved / largest, other / most, rhs / largest  # ∇²S y = -force
         rhs = weights * z
     signed, positive = (float(value[0]) for value in at.evaluate("curvature", unknowns, data, z, y))
     assembled = abs(z @ force)

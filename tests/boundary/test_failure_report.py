@@ -112,3 +112,16 @@ def test_a_first_path_whose_duration_shrinks_to_nothing_does_not_keep_others_fro
     )
     path = cg.solve(problem, tol=1e-8)
     assert path.energy == pytest.approx(13252.0, rel=1e-9)
+
+
+def test_a_path_that_runs_away_along_a_singular_direction_is_refused_without_warnings(recwarn):
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 * (1 + 0.25 * ca.sin(x[0]) ** 2) - x[2],  # nothing holds x[2]
+        (0.0, 2 * ca.pi),
+        [0.7624525767212539, None, None],
+        periodic=True,
+        force=lambda t, x, v: -0.2 * v + ca.vertcat(0.4 * ca.cos(t), 0, 0),
+    )
+    with pytest.raises(cg.ConjugatePointError, match="the Hessian of the action is singular"):
+        cg.solve(problem, cg.Galerkin(8), intervals=16, solver=cg.rootfinder)
+    assert not recwarn.list
