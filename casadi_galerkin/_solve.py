@@ -15,10 +15,10 @@ from casadi_galerkin.boundary.sensitivity import boundary_function
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import degree_for, of_degree
+from casadi_galerkin.calculus.mesh_adaptation import method_for
 from casadi_galerkin.calculus.numbers import check_verbose
 from casadi_galerkin.control.control_function import control_function
-from casadi_galerkin.control.refinement import ControlRefinement, first_control_mesh
+from casadi_galerkin.control.refinement import ControlRefinement, control_method_for, first_control_mesh
 from casadi_galerkin.control.several_starts import best_of
 from casadi_galerkin.control.transcription import ControlTranscription, check_solver, transcribed_control
 from casadi_galerkin.functional.mapping import by_rows, one_by_one
@@ -154,11 +154,12 @@ def solve(
     path: Trajectory
     if isinstance(problem, ControlProblem):
         check_solver(solver or ipopt)
-        joints = first_control_mesh(problem, tolerance, method, intervals, mesh)
+        method = control_method_for(tolerance) if method is None else method
+        joints = first_control_mesh(problem, method, intervals, mesh)
         refinement = ControlRefinement(problem, tolerance, of_cost, method, limits, solver or ipopt, verbose)
         path = refinement.run(joints, guess, starts)
     else:
-        method = of_degree(degree_for(tolerance)) if method is None else method
+        method = method_for(tolerance) if method is None else method
         joints = first_mesh(problem, method, intervals, mesh)
         levels, solver = Levels(problem, verbose=verbose), solver or newton
         path = BoundaryRefinement(levels, tolerance, method, solver, limits).run(joints, guess)

@@ -22,7 +22,7 @@ from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_mesh
 from casadi_galerkin.boundary.transcription import check_given
 from casadi_galerkin.boundary.variations import between, ends_replaced, same_statement
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import degree_for, of_degree
+from casadi_galerkin.calculus.mesh_adaptation import method_for
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -73,7 +73,7 @@ class AdaptiveTranscription:
         limits: Limits | None,
     ) -> None:
         self.problem, self.tol, self.limits = problem, check_tolerance(tol), limits or Limits()
-        self.method = of_degree(degree_for(self.tol)) if method is None else method
+        self.method = method_for(self.tol) if method is None else method
         self._coarse = first_mesh(problem, self.method, intervals, mesh)
         self._levels = Levels(problem, by_rows)
         self.first: Trajectory | None = None

@@ -43,9 +43,9 @@ def of_higher_degree(degree: int) -> Galerkin:
     return of_degree(degree + (4 if degree < LOW else 2))
 
 
-def degree_for(tol: float) -> int:
-    """Degree for a tolerance, from low for a loose to high for a tight one."""
-    return int(np.clip(np.ceil(2 - np.log10(tol)), 4, 14))
+def method_for(tol: float) -> Galerkin:
+    """The default method for a tolerance: of low degree for a loose one, of high degree for a tight one."""
+    return of_degree(int(np.clip(np.ceil(2 - np.log10(tol)), 4, 14)))
 
 
 @lru_cache(maxsize=64)

@@ -70,9 +70,9 @@ PATIENCE = 10  # levels in a row that came no nearer, after which the mesh is ha
 HIGHER = 2  # degrees added for the error estimate; two, because of parity
 
 
-def degree_of_optimum(tol: float) -> int:
-    """Degree for a tolerance: smooth scenes then need 8 to 20 intervals."""
-    return int(np.clip(np.ceil(1 - np.log10(tol)), 4, 10))
+def control_method_for(tol: float) -> Galerkin:
+    """The default method for a tolerance: with its degree smooth scenes need 8 to 20 intervals."""
+    return Galerkin(int(np.clip(np.ceil(1 - np.log10(tol)), 4, 10)))
 
 
 def raised(method: Galerkin) -> Galerkin:
@@ -113,7 +113,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         problem: ControlProblem,
         tol: float,
         of_cost: bool,
-        method: Galerkin | None,
+        method: Galerkin,
         limits: Limits,
         solver: Solver,
         verbose: int,
@@ -124,7 +124,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         self.following = solver.with_options(**{"mu_init": FOLLOWING_BARRIER, **solver.options})
         sharp = float(np.clip(SHARP / tol**2, 10, SHARPEST))
         self.beside_switches = self.following.with_options(**{"barrier_tol_factor": sharp, **solver.options})
-        self.method = Galerkin(degree_of_optimum(tol)) if method is None else method
+        self.method = method
         self.build_seconds = 0.0
         self.known: HigherDegree | None = None
         self.cost_known = np.inf  # smallest error of the cost of the path under way
@@ -276,14 +276,14 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
 
 def first_control_mesh(
-    problem: ControlProblem, tol: float, method: Galerkin | None, intervals: int | None, mesh: ArrayLike | None
+    problem: ControlProblem, method: Galerkin, intervals: int | None, mesh: ArrayLike | None
 ) -> np.ndarray:
     """Joints where a refinement begins; refuses what does not fit, see `solve` for the arguments."""
-    check_types(problem, Galerkin(degree_of_optimum(tol)) if method is None else method, ControlProblem)
+    check_types(problem, method, ControlProblem)
     if problem.hold:
         raise ValueError(
             "with hold every interval has one value of the controls, so the mesh is part of the problem and "
-            f"not to be refined: give a method and intervals, got a tolerance of {tol:g}"
+            "not to be refined: give a method and intervals in place of a tolerance"
         )
     count = FIRST_INTERVALS + len(problem.breakpoints) if intervals is None and mesh is None else intervals
     return mesh_of(problem.t_span, count, mesh, problem.breakpoints)
