@@ -7,10 +7,10 @@ to an optimum that is one, and stays away where many paths cost the same.  Estim
 duration, and the largest error of x at the joints and between them, relative to the size of its component.  Neither
 the control is judged, nor whether the optimum is the global one.
 
-Where the solver finds no answer the mesh is halved, twice at most, and the last good path tried there; where it finds
-none of degree m + 2, the level is not judged, and the next one has the mesh halved.  So has the one after many levels
-that came no nearer, which may otherwise go round in circles where controls switch often.  IPOPT's own tolerance does
-not follow `tol`: a looser one was hardly faster, and sometimes failed.
+Where the solver finds no answer every interval is halved, and the same is tried there; where it finds none of degree
+m + 2, the level is not judged, and the next one has the intervals halved.  So has the one after many levels that came
+no nearer, which may otherwise go round in circles where controls switch often.  IPOPT's own tolerance does not follow
+`tol`: a looser one was hardly faster, and sometimes failed.
 
 On smooth paths the estimate is near the true error.  With bang-bang controls it is only a bound, because it holds for
 the switching times, and where a position touches its bound it is many times the error.  How often it bounds the error
@@ -64,7 +64,6 @@ FOLLOWING_BARRIER = 1e-4  # first one from an earlier level: with 1e-2 a robot a
 # controls between their bounds on the short intervals beside a switch: with IPOPT's own ratio of 10 a mass that burns
 # was known to 3e-7.
 SHARP, SHARPEST = 3e-11, 1e4
-DOUBLINGS = 2  # of a mesh, while the solver finds nothing on it
 FOR_STARTS = 0.5  # of the time: no further start begins after it
 PATIENCE = 10  # levels in a row that came no nearer, after which the mesh is halved: two may lead to one another
 HIGHER = 2  # degrees added for the error estimate; two, because of parity
@@ -161,15 +160,14 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         return path
 
     def solve_finer(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
-        """The path on a mesh; on one twice as fine, and on one four times as fine, where there is none."""
-        for _ in range(DOUBLINGS):
-            try:
-                return self.solve(self.method, mesh, guess)
-            except ConvergenceError:
-                mesh = halved(mesh)
-                if self.out_of_time() or len(mesh) - 1 > self.limits.intervals or not fits_any_mesh(guess):
-                    raise
-        return self.solve(self.method, mesh, guess)
+        """The path on a mesh; where there is none, on one twice as fine."""
+        try:
+            return self.solve(self.method, mesh, guess)
+        except ConvergenceError:
+            finer = halved(mesh)
+            if self.out_of_time() or len(finer) - 1 > self.limits.intervals or not fits_any_mesh(guess):
+                raise
+        return self.solve(self.method, finer, guess)
 
     def estimate(self, level: ControlTrajectory) -> Estimate[HigherDegree | None]:
         """The error from the same mesh with a higher degree, where that is solved."""
@@ -199,7 +197,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         if len(mesh) - 1 > self.limits.intervals:
             raise self.stopped(f"the mesh would need {len(mesh) - 1} intervals", *self.best)
         joints = self.scaled(mesh, known)
-        if np.min(np.diff(joints)) < SHORTEST * 2**DOUBLINGS * np.ptp(joints):
+        if np.min(np.diff(joints)) < 2 * SHORTEST * np.ptp(joints):
             reason = f"the mesh would need an interval near {SHORTEST:g} of the duration"
             raise self.stopped(reason, *self.best)
         try:
@@ -237,7 +235,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         LimitReached
             with the best path attached
         ConvergenceError
-            where the solver finds no path on the first mesh, nor on the same mesh twice and four times as fine
+            where the solver finds no path on the first mesh, nor on one twice as fine
         """
         if isinstance(guess, ControlTrajectory):
             guess = replace(guess, problem=with_joined_phases(guess.problem))
