@@ -11,7 +11,7 @@ from casadi_galerkin.control.time_witness import integrand
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 AT_BOUND = 0.05  # of the bounds' distance: a switch is from one bound to the other within this
-ZOOMS, PARTS = 4, 32  # of a bracket, in search of a zero: 1e-6 of it, then linear
+PARTS = 32  # of a bracket, between which the switching function is taken for a line
 
 
 @dataclass(frozen=True)
@@ -65,14 +65,12 @@ def switch(path: ControlTrajectory, i: int, first: int, last: int, before: float
 
 def zero(path: ControlTrajectory, i: int, first: float, last: float) -> float:
     """Where the switching function of control i changes its sign; NaN if it does not."""
-    slopes = integrand(path).map(PARTS + 1)
-    for _ in range(ZOOMS):
-        times = np.linspace(first, last, PARTS + 1)
-        state = path(times), path(times, 1), path.control(times), path.costate(times)
-        values = np.array(slopes(times[None, :], *state, 0, 0)[2])[i]
-        changes = np.flatnonzero(values[1:] * values[:-1] <= 0)
-        if len(changes) == 0:
-            return np.nan
-        first, last = times[changes[0]], times[changes[0] + 1]
-        before, after = values[changes[0]], values[changes[0] + 1]
-    return float(first + (last - first) * before / (before - after)) if before != after else float(first)
+    times = np.linspace(first, last, PARTS + 1)
+    state = path(times), path(times, 1), path.control(times), path.costate(times)
+    values = np.array(integrand(path).map(len(times))(times[None, :], *state, 0, 0)[2])[i]
+    changes = np.flatnonzero(values[1:] * values[:-1] <= 0)
+    if len(changes) == 0:
+        return np.nan
+    k = int(changes[0])
+    change = values[k] - values[k + 1]
+    return float(times[k] + (times[k + 1] - times[k]) * (values[k] / change if change else 0.0))
