@@ -77,23 +77,18 @@ def unmet(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndarray:
 
     Nothing holds the path where no point meets a bound, as next to the end of a path where a control is largest.  Both
     degrees then pass it by ε of the size of what is bounded, and hardly differ on the interval; where a control jumps
-    they do.  A control, or a constraint that controls have a say in, then moves the cost by the mean of ε² over time;
-    another constraint, such as that of a velocity, moves the path by the largest ε.
+    they do.  The path is then moved by at most about ε.
     """
     low, high = path.problem.control_bounds
-    governed = np.full(len(low), True)
     if path.problem.path_constraint is not None:
-        g, least, most = path.problem.path_constraint
+        _, least, most = path.problem.path_constraint
         low, high = low + least, high + most
-        governed = np.append(governed, np.isin(range(len(least)), g.sparsity_jac(3, 0).row()))
     both = np.stack([bounded_values(p, parts_of(path.method.degree)) for p in (path, higher)])
-    sizes = component_sizes(both[0].reshape(len(governed), -1))
+    sizes = component_sizes(both[0].reshape(len(low), -1))
     lowest, highest, size = (np.reshape(a, (-1, 1, 1)) for a in (low, high, sizes))
     passed = np.min(beyond(both, lowest, highest), axis=0)
     apart, farthest = (np.max(a, axis=-1, keepdims=True) for a in (np.ptp(both, axis=0), passed))
-    alike = np.where(apart < ALIKE * farthest, passed, 0.0) / size
-    in_time = np.sqrt(np.diff(path.t) / np.ptp(path.t) * np.mean(alike**2, axis=-1))
-    return np.asarray(np.max(np.where(governed[:, None], in_time, np.max(alike, axis=-1)), axis=0))
+    return np.asarray(np.max(np.where(apart < ALIKE * farthest, passed, 0.0) / size, axis=(0, 2)))
 
 
 def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
