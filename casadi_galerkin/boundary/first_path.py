@@ -12,7 +12,7 @@ from numpy.polynomial.legendre import legfit, legval
 
 from casadi_galerkin.boundary.action_descent import descend
 from casadi_galerkin.boundary.graph import CriticalPoint
-from casadi_galerkin.boundary.growing_force import under_growing_force
+from casadi_galerkin.boundary.growing_share import of_force, of_time, under_growing_share
 from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import graded_alike, of_degree, resolved
@@ -26,9 +26,9 @@ from casadi_galerkin.solvers.solver import Solver, SolverLike, newton, rescues
 
 ITERATIONS = 40  # of Newton's method from an earlier path; where it took more it was measured to wander
 DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
+MORE = 4  # intervals of a descent over those of the coarse mesh, at least
 GUESS_INTERVALS = 200  # from which a guess is left as it is
 ROUGHLY, WELL = 0.1, 1e-4  # part of a guess that a first mesh may leave out: a corner or noise may, a layer may not
-MORE = 4  # times as many intervals as the coarse mesh has: where that is too coarse for any path, this was enough
 
 
 @dataclass(frozen=True)
@@ -67,12 +67,14 @@ def _smoothed(guess: PiecewisePolynomial) -> np.ndarray:
 
 
 def _near(guess: PiecewisePolynomial, find: Callable[[], CriticalPoint]) -> CriticalPoint:
-    """Refuse a path far from the guess: another one was meant."""
+    """Refuse a path far from the guess, at the same parts of its duration: another one was meant."""
     point = find()
-    distance = apart(point.polynomial.values, guess.values)
+    path = point.polynomial
+    times = np.interp(guess.times(guess.nodes[:-1]), guess.mesh[[0, -1]], path.mesh[[0, -1]])
+    distance = apart(path(times), guess.values)
     if distance > FAR:
         away = f"the path found is up to {distance:.2g} of the guess's size away from the guess"
-        raise ConvergenceError(away, Path(point.polynomial))
+        raise ConvergenceError(away, Path(path))
     return point
 
 
@@ -86,9 +88,9 @@ def first_path_strategies(
 ) -> Iterator[Strategy]:
     """Ways to a first path, in the order in which they are tried.
 
-    They are Newton's method on the coarse mesh, with a guess from that smoothed, and its rescues there, whose path must
-    be near a guess; a descent of the action with moving joints, or growing shares of a force, its paths found
-    `roughly`; and whatever `solver` tries.
+    They are Newton's method on the coarse mesh, with a guess also from that smoothed; its rescues there, whose path
+    must be near a guess; growing shares of a force or, without a force and a guess, of the time, their paths found
+    `roughly`; a descent of the action with moving joints; and whatever `solver` tries.
     """
     given = on_its_joints(levels, method, guess, mesh, ROUGHLY)
     mesh, name = given.mesh, repr(solver)
@@ -102,21 +104,20 @@ def first_path_strategies(
             finds = {"Newton's method from the guess smoothed": partial(solved, _smoothed(given), brief), **finds}
             finds = {name: partial(_near, given, find) for name, find in finds.items()}
         yield from (Strategy(name, find) for name, find in finds.items())
-        fine = _with_more(levels, on_its_joints(levels, method, guess, mesh, WELL).mesh, MORE * (len(mesh) - 1))
-        if stationarity.variational and not stationarity.functional.numbering.multipliers:
-            joints = _with_more(levels, fine, DESCENT_INTERVALS)
-            found = partial(_by_descent, levels, method, joints, guess, brief)
-            yield Strategy("descent of the action", found)
-        if levels.problem.force is not None:
-            found = partial(under_growing_force, levels, fine, guess, roughly)
+        problem, fine = levels.problem, on_its_joints(levels, method, guess, mesh, WELL).mesh
+        fine = graded_alike(fine, max(MORE * (len(mesh) - 1), len(fine) - 1), problem.breakpoints)
+        start = levels.transcription(method, fine).guess_on_mesh(guess, fine)
+        if problem.force is not None:
+            found = partial(under_growing_share, levels, of_force, start, roughly)
             yield Strategy("Newton's method under a growing force", found)
+        elif guess is None and problem.energy is None and problem.constraint is None and not problem.breakpoints:
+            found = partial(under_growing_share, levels, of_time, start, roughly)
+            yield Strategy("Newton's method over a growing time", found)
+        if stationarity.variational and not stationarity.functional.numbering.multipliers:
+            joints = graded_alike(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
+            yield Strategy("descent of the action", partial(_by_descent, levels, method, joints, guess, brief))
         name = "Newton's method with its rescues"
     yield Strategy(name, partial(solved, guess, solver))
-
-
-def _with_more(levels: Levels, mesh: np.ndarray, intervals: int) -> np.ndarray:
-    """Joints that are graded as those of a mesh, with so many intervals if it has fewer."""
-    return graded_alike(mesh, max(intervals, len(mesh) - 1), levels.problem.breakpoints)
 
 
 def _by_descent(

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from motions import kepler, on_ellipse
+from scipy.integrate import solve_ivp
 
 import casadi_galerkin as cg
 from casadi_galerkin.boundary.action_descent import retimed
@@ -89,6 +90,40 @@ def test_a_descent_whose_times_cannot_be_told_goes_on():
     )
     path = cg.solve(ball, tol=TOL, guess=lambda t: [0.914 - 2 * (0.5 - 0.5 * np.tanh((t - 15) / 2))])
     assert path.error_estimate <= TOL
+
+
+def pendulums(count):
+    """A row of pendulums, each joined to the next by a spring, that hang at first and swing to places in a line."""
+
+    def lagrangian(t, x, v):
+        stretched = ca.diff(x)
+        return ca.dot(v, v) / 2 + ca.sum1(ca.cos(x)) - ca.dot(stretched, stretched) / 2
+
+    return cg.BoundaryProblem(lagrangian, (0.0, 3.0), [0.0] * count, np.linspace(0.2, 1.0, count).tolist())
+
+
+@pytest.mark.parametrize("count", [12, 20])
+def test_a_row_of_pendulums_swings_from_the_straight_line(count):
+    """Conjugate points lie between the ends: the action has no minimum that a descent could find."""
+    path = cg.solve(pendulums(count), tol=TOL)
+    assert "descent" not in path.solver
+    assert path.morse_index >= count // 2
+
+    def rates(t, y):
+        x, v = np.split(y, 2)
+        pulled = np.diff(x, prepend=x[0], append=x[-1])
+        return np.concatenate((v, np.diff(pulled) - np.sin(x)))
+
+    swing = solve_ivp(rates, (0, 3), np.concatenate((path.x[:, 0], path.momentum[:, 0])), rtol=1e-11, atol=1e-11)
+    assert np.max(np.abs(swing.y[:count, -1] - path.x[:, -1])) < 1e-4
+
+
+def test_a_layer_is_found_over_a_growing_time():
+    troesch = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cosh(50 * x[0]), (0, 1), [0.0], [1.0])
+    path = cg.solve(troesch, tol=TOL)
+    assert path.solver == "Newton; first path by Newton's method over a growing time"
+    energy = path.momentum[0] ** 2 / 2 - np.cosh(50 * path.x[0])
+    np.testing.assert_allclose(energy, energy[0], rtol=0, atol=TOL * np.cosh(50))
 
 
 def test_a_layer_thinner_than_doubles_tell_is_no_bad_mesh(capsys):
