@@ -280,7 +280,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                 way = strategy.name if first.solution.report == NEWTON else first.solution.report
                 told = not failures or way == path.solver
                 return path if told else replace(path, solver=f"{path.solver}; first path by {way}")
-        raise failures[-1]
+        conjugate = [failure for failure in failures if isinstance(failure, ConjugatePointError)]
+        raise (conjugate or failures)[-1]  # a singular Hessian tells more than that another way found nothing
 
     def roughly(self, levels: Levels, mesh: np.ndarray, guess: Guess | None) -> CriticalPoint:
         """Find a path on the way to the one that is looked for, on a mesh that resolves it."""
