@@ -15,7 +15,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.functional.mapping import one_by_one
 
-ALIKE = 0.99  # agreement below which a mesh does not resolve the variations; at 0.83 some 3 % of untied kinks passed
+ROUGHLY_ALIKE = 0.95  # agreement below which a given mesh does not resolve the variations
 SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
 FORCES = 3  # by which two degrees are compared: in one of them alone they may agree by chance
 HARDLY = 1e-6  # part of the largest mean variation below which one is compared with that
@@ -119,4 +119,4 @@ def error_between_ends(graph: BoundaryGraph, path: PiecewisePolynomial) -> float
     higher = BoundaryGraph(graph.problem, of_higher_degree(graph.method.degree), path.mesh, one_by_one)
     error, varied = discretization_error(higher, path)
     agreed = agreement(graph, path, varied)
-    return error if agreed >= ALIKE else max(error, 1 - agreed)
+    return error if agreed >= ROUGHLY_ALIKE else max(error, 1 - agreed)
