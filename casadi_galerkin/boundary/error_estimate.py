@@ -19,7 +19,7 @@ ROUGHLY_ALIKE = 0.95  # agreement below which a given mesh does not resolve the 
 SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
 FORCES = 3  # by which two degrees are compared: in one of them alone they may agree by chance
 HARDLY = 1e-6  # part of the largest mean variation below which one is compared with that
-NEAREST = 0.2  # of eps: what rounding to the nearest double changes in the root mean square
+ROUNDING = 0.2  # of eps: what rounding to the nearest double changes in the root mean square
 
 
 def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial) -> tuple[float, PiecewisePolynomial]:
@@ -102,11 +102,11 @@ def roundoff_error(graph: BoundaryGraph, point: CriticalPoint) -> float:
     """Estimate what rounding does to a path, relative to the size of its components.
 
     It is the root mean square, over a few choices of random signs, of the largest |∇²S⁻¹ r|, where every r_i is
-    `NEAREST` times eps and the terms that the i-th equation sums.  The true error was measured at 0.1 to 5 times
+    `ROUNDING` times eps and the terms that the i-th equation sums.  The true error was measured at 0.1 to 5 times
     that, or less by luck and symmetry.
     """
     unknowns, data = point.solution.unknowns, point.solution.data
-    terms = NEAREST * EPS * np.array(graph.functional.function("summary")(unknowns, *data)[3]).ravel()
+    terms = ROUNDING * EPS * np.array(graph.functional.function("summary")(unknowns, *data)[3]).ravel()
     with graph.stationarity.linearization() as at:
         at.relinearize(unknowns, data)
         moved = at.blurs(terms) / graph.stationarity.sizes(unknowns, data)

@@ -26,7 +26,7 @@ from casadi_galerkin.solvers.solver import Solver, SolverLike, newton, rescues
 
 ITERATIONS = 40  # of Newton's method from an earlier path; where it took more it was measured to wander
 DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
-MORE = 4  # intervals of a descent over those of the coarse mesh, at least
+MORE = 4  # times as many intervals as the coarse mesh has: where that is too coarse for any path, this was enough
 GUESS_INTERVALS = 200  # from which a guess is left as it is
 ROUGHLY, WELL = 0.1, 1e-4  # part of a guess that a first mesh may leave out: a corner or noise may, a layer may not
 
@@ -106,13 +106,12 @@ def first_path_strategies(
         yield from (Strategy(name, find) for name, find in finds.items())
         problem, fine = levels.problem, on_its_joints(levels, method, guess, mesh, WELL).mesh
         fine = graded_alike(fine, max(MORE * (len(mesh) - 1), len(fine) - 1), problem.breakpoints)
-        start = levels.transcription(method, fine).guess_on_mesh(guess, fine)
-        if problem.force is not None:
-            found = partial(under_growing_share, levels, of_force, start, roughly)
-            yield Strategy("Newton's method under a growing force", found)
-        elif guess is None and problem.energy is None and problem.constraint is None and not problem.breakpoints:
-            found = partial(under_growing_share, levels, of_time, start, roughly)
-            yield Strategy("Newton's method over a growing time", found)
+        forced = problem.force is not None
+        free = guess is None and problem.energy is None and problem.constraint is None and not problem.breakpoints
+        if forced or free:
+            under, words = (of_force, "under a growing force") if forced else (of_time, "over a growing time")
+            start = levels.transcription(method, fine).guess_on_mesh(guess, fine)
+            yield Strategy(f"Newton's method {words}", partial(under_growing_share, levels, under, start, roughly))
         if stationarity.variational and not stationarity.functional.numbering.multipliers:
             joints = graded_alike(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
             yield Strategy("descent of the action", partial(_by_descent, levels, method, joints, guess, brief))

@@ -62,7 +62,7 @@ def under_growing_share(
             if part is not levels:
                 levels.iterations += part.iterations
     words = f"the path under a growing share was lost at a share of {share:.2g}: {lost}"
-    raise ConvergenceError(words, lost.path, lost.residual, lost.iterations) from None
+    raise ConvergenceError(words, lost.path, lost.residual, lost.iterations)
 
 
 def of_force(levels: Levels, share: float) -> Levels:

@@ -23,7 +23,7 @@ from casadi_galerkin.solvers.stationarity import Linearization
 FIRST_STEP, SMALLEST_STEP, FARTHEST = 0.1, 1e-4, 1e3  # of the arc length, in sizes of the path it begins at
 POINTS = 300  # of one curve, both those that were met and those that were missed
 BEND = 0.7  # cosine of the largest angle between two tangents; with any, some searches took 3 times as long
-ROUGHLY = 0.02  # last Newton step over the arc step: the curve is only a way to what is solved to roundoff
+LOOSELY = 0.02  # last Newton step over the arc step: the curve is only a way to what is solved to roundoff
 
 
 class LoadedCurve(Curve[bool]):
@@ -68,7 +68,7 @@ class LoadedCurve(Curve[bool]):
 
     def accepted(self, z: np.ndarray, length: float, iteration: int) -> bool | None:  # noqa: ARG002
         """Whether the last step was short."""
-        return length < ROUGHLY * self.step or None
+        return length < LOOSELY * self.step or None
 
     def crossings(self, side: float) -> Iterator[np.ndarray]:
         """Approximate paths without load, in the order in which they are met; `side` is the load's first sign, ±1.0."""
