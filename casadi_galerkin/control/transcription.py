@@ -115,6 +115,7 @@ class ControlTranscription:
         self,
         start: Sequence[float | None] | None = None,
         end: Sequence[float | None] | None = None,
+        *,
         start_velocity: Sequence[float | None] | None = None,
         end_velocity: Sequence[float | None] | None = None,
         parameters: Sequence[float] | None = None,
