@@ -13,6 +13,7 @@ from casadi_galerkin.problems.bounds import beyond
 NOTHING = 1e-20  # terms that are what rounding leaves of a component that is zero; the solvers' tolerances are absolute
 FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
 UNSEEN = 1e-6  # part of the cost that it may change by without a word; optima near one were measured below 1e-9
+UNTOLD = 1e-10  # part of momenta below which what changes them is not told from nothing; the solvers leave some 1e-12
 UNITS = "The solver's tolerances are absolute: take units in which cost, lengths, times and masses are near one"
 VANISHED = 1e-13  # part of its terms along the guess below which a component's are taken for their roundoff
 

@@ -32,6 +32,7 @@ from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, tr
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.control.constraint_violation import UNTOLD
 from casadi_galerkin.control.switching import Switch, switches
 from casadi_galerkin.control.time_witness import jumps_in_time
 from casadi_galerkin.problems.bounds import beyond
@@ -49,7 +50,6 @@ AROUND = 0.05  # of sqrt(tol), over the duration: a switch between two joints mo
 APART = 1e-4  # of the duration: where what is said of a switch differs by less, it has one joint
 DISTINCT = 1e-8  # of the duration: nearer switches are one, such as those of two controls at a breakpoint
 POSITION_ROUNDOFF = 1e-15  # of positions relative to their size
-ROUNDED = 1e-13  # part of momenta that rounding leaves
 ALIKE = 0.1  # of what two degrees pass a bound by: they differ by less where no point sees it
 
 
@@ -99,11 +99,11 @@ def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
     return np.asarray(np.max(np.abs(change) / component_sizes(path.polynomial.values)[:, None, None], axis=(0, 2)))
 
 
-def cost_of_rounding(path: ControlTrajectory) -> float:
-    """What forces cost that change momenta, or rates that change what follows them, by their rounding."""
+def untold_cost(path: ControlTrajectory) -> float:
+    """What forces cost that change momenta, or rates that change what follows them, by no more than is told."""
     mechanical = path.problem.mechanical
     states = np.vstack((path.momentum[:mechanical], path.x[mechanical:]))
-    return ROUNDED * float(np.max(np.abs(path.costate.values), axis=1) @ np.max(np.abs(states), axis=1))
+    return UNTOLD * float(np.max(np.abs(path.costate.values), axis=1) @ np.max(np.abs(states), axis=1))
 
 
 @dataclass(frozen=True)
@@ -124,10 +124,10 @@ class HigherDegree:
         return switches(self.higher)
 
     def of_cost(self, change: float) -> float:
-        """A change of the cost relative to it; zero where the cost is zero but for the rounding of momenta."""
+        """A change of the cost relative to it; zero where the cost is not told from zero."""
         both = self.path, self.higher
         cost = max(abs(path.cost) for path in both)
-        return change / cost if cost > max(map(cost_of_rounding, both)) else 0.0
+        return change / cost if cost > max(map(untold_cost, both)) else 0.0
 
     @lazy
     def cost_change(self) -> float:

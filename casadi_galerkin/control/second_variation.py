@@ -14,6 +14,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.control.constraint_violation import UNTOLD
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.control.program_bounds import bounds_of
@@ -51,11 +52,13 @@ class CostVariation:
         """
         chain, at = Chain(self.problem, self.method, self.mesh), self.optimum
         graph, bounds = ControlGraph(self.problem, chain, one_by_one), bounds_of(self.problem, chain)
-        by_cost = np.any(np.array(graph.gradient(at.unknowns, self.data)[1]))
-        multipliers = at.multipliers if by_cost else 0 * at.multipliers  # which then are rounding alone
-        hessian = graph.whole_hessian(at.unknowns, self.data, 1.0, multipliers)[1]
         values, gradients = graph.jacobian(at.unknowns, self.data)
         sizes, rows = _sizes(chain, at.unknowns), np.array(values).ravel()
+        slope = np.abs(np.array(graph.gradient(at.unknowns, self.data)[1]).ravel())
+        terms = np.array(ca.mtimes(ca.fabs(gradients), sizes)).ravel()
+        costs = slope @ sizes > UNTOLD * (np.abs(at.multipliers) @ terms)
+        multipliers = at.multipliers if costs else 0 * at.multipliers  # which then are what the solver leaves
+        hessian = graph.whole_hessian(at.unknowns, self.data, 1.0, multipliers)[1]
         low, high, least, most = bounds.sides
         free = np.flatnonzero(~_met(at.unknowns, low, high, at.bound_multipliers, sizes)).tolist()
         held = np.flatnonzero(_met(rows, least, most, at.multipliers, np.abs(rows))).tolist()

@@ -229,8 +229,17 @@ def test_a_limit_of_the_speed_that_no_point_meets_is_seen():
 
 
 COASTING = {"start_velocity": [1.5], "end_velocity": [0.5], "lagrangian": lambda t, x, v: v[0] ** 2 / 2 - x[0]}
+SWUNG = cg.solve(cg.InitialProblem(pendulum(2.0).lagrangian, (0, 2), [1.0], velocity=[0.0]), cg.Galerkin(8), 10).x[
+    0, -1
+]
 FREE = {
     "a swing": lambda: pendulum(3.0, start=[1.0], end=[None], end_velocity=[None]),
+    "a swing to where it goes": lambda: pendulum(
+        2.0, start=[1.0], end=[SWUNG], end_velocity=[None], control_bounds=(-1, 1)
+    ),
+    "a swing in its own time": lambda: pendulum(
+        1.2, start=[1.0], end=[-0.5], end_velocity=[None], duration_bounds=(0.3, 6.0)
+    ),
     "a fall": lambda: double_integrator(**COASTING),
     "nothing counts": lambda: double_integrator(running_cost=lambda t, x, v, u: 0),
     "terms that cancel": lambda: double_integrator(running_cost=lambda t, x, v, u: u[0] ** 2 / 2 - 6),
@@ -240,11 +249,15 @@ FREE = {
 @pytest.mark.parametrize("tol", [1e-3, 1e-7])
 @pytest.mark.parametrize("name", FREE)
 def test_a_cost_that_is_zero_is_told_at_once(name, tol):
-    """Two costs of 1e-29 and 1e-34 were far apart, relative to themselves, on all of 80 meshes."""
+    """Two costs of 1e-29 and 1e-34 were far apart, relative to themselves, on all of 80 meshes.
+
+    Multipliers that are all but zero, over a cost that is so, bent it down along dozens of directions.
+    """
     path = cg.solve(FREE[name](), cost_tol=tol)
     assert abs(path.cost) < 1e-12
     assert path.cost_error == 0
     assert len(path.t) == 9
+    assert path.morse_index == 0
 
 
 def test_costs_of_two_different_paths_tell_nothing(monkeypatch):
