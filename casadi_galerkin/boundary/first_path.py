@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeGuard
+from typing import TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.polynomial.legendre import legfit, legval
@@ -28,7 +29,10 @@ ITERATIONS = 40  # of Newton's method from an earlier path; where it took more i
 DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
 MORE = 4  # times as many intervals as the coarse mesh has: where that is too coarse for any path, this was enough
 GUESS_INTERVALS = 200  # from which a guess is left as it is
-ROUGHLY, WELL = 0.1, 1e-4  # part of a guess that a first mesh may leave out: a corner or noise may, a layer may not
+ROUGHLY, WELL = 0.1, 1e-6  # part of a guess that a first mesh may leave out: a corner or noise may, a layer may not
+
+
+Find: TypeAlias = Callable[[], CriticalPoint]
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,7 @@ class Strategy:
     """A way to a first path."""
 
     name: str
-    find: Callable[[], CriticalPoint]
+    find: Find
 
 
 def is_newton(solver: SolverLike) -> TypeGuard[Solver]:
@@ -59,22 +63,37 @@ def on_its_joints(
     return resolved(interpolated, mesh, tol, GUESS_INTERVALS, levels.problem.breakpoints)
 
 
-def _smoothed(guess: PiecewisePolynomial) -> np.ndarray:
-    """Node values of the cubic polynomial nearest to a guess, which has none of the guess's corners and noise."""
+def _smoothed(guess: PiecewisePolynomial) -> PiecewisePolynomial:
+    """The cubic polynomial nearest to a guess, which has none of the guess's corners and noise."""
     times, (first, last) = guess.times(guess.nodes[:-1]), guess.mesh[[0, -1]]
     parts = (2 * times - first - last) / (last - first)
-    return np.asarray(legval(parts, legfit(parts, guess.values.T, 3)))
+    return PiecewisePolynomial(guess.mesh, guess.nodes, legval(parts, legfit(parts, guess.values.T, 3)))
 
 
-def _near(guess: PiecewisePolynomial, find: Callable[[], CriticalPoint]) -> CriticalPoint:
-    """Refuse a path far from the guess, at the same parts of its duration: another one was meant."""
-    point = find()
+def _distance(guess: PiecewisePolynomial, point: CriticalPoint) -> float:
+    """How far a path is from the guess, over the guess's size, at the same parts of its duration."""
     path = point.polynomial
     times = np.interp(guess.times(guess.nodes[:-1]), guess.mesh[[0, -1]], path.mesh[[0, -1]])
-    distance = apart(path(times), guess.values)
+    return apart(path(times), guess.values)
+
+
+def _near(guess: PiecewisePolynomial, find: Find) -> CriticalPoint:
+    """Refuse a path far from the guess: another one was meant."""
+    point = find()
+    distance = _distance(guess, point)
     if distance > FAR:
         away = f"the path found is up to {distance:.2g} of the guess's size away from the guess"
-        raise ConvergenceError(away, Path(path))
+        raise ConvergenceError(away, Path(point.polynomial))
+    return point
+
+
+def _nearest(guess: PiecewisePolynomial, first: Find, others: Iterable[Find]) -> CriticalPoint:
+    """The path of the first way; where that is far from the guess, of another one that leads near it, if any does."""
+    point = first()
+    if _distance(guess, point) > FAR:
+        for find in others:
+            with suppress(ConvergenceError):
+                return find()
     return point
 
 
@@ -88,24 +107,33 @@ def first_path_strategies(
 ) -> Iterator[Strategy]:
     """Ways to a first path, in the order in which they are tried.
 
-    They are Newton's method on the coarse mesh, with a guess also from that smoothed; its rescues there, whose path
-    must be near a guess; growing shares of a force or, without a force and a guess, of the time, their paths found
-    `roughly`; a descent of the action with moving joints; and whatever `solver` tries.
+    They are Newton's method on the coarse mesh, with a guess also from that smoothed, and on a mesh that resolves it;
+    its rescues on the coarse mesh; growing shares of a force or, without a force and a guess, of the time, their paths
+    found `roughly`; a descent of the action with moving joints; and whatever `solver` tries.  With a guess, a path near
+    it is taken before one that is far from it, which is another one.
     """
-    given = on_its_joints(levels, method, guess, mesh, ROUGHLY)
-    mesh, name = given.mesh, repr(solver)
-    solved = partial(levels.solve, method, mesh)
+    given, name, problem = on_its_joints(levels, method, guess, mesh, ROUGHLY), repr(solver), levels.problem
+
+    def finer() -> PiecewisePolynomial:
+        return on_its_joints(levels, method, guess, mesh, WELL)
+
+    def solved(begun: PiecewisePolynomial, by: SolverLike) -> CriticalPoint:
+        return levels.solve(method, begun.mesh, begun.values, by)
+
     if is_newton(solver):
         plain, brief = partial(damped_newton, **solver.options), following(solver)
-        yield Strategy("Newton's method", partial(solved, given.values, plain))
-        stationarity = levels.transcription(method, mesh).stationarity
-        finds = {name: partial(solved, given.values, rescue) for name, rescue in rescues(stationarity).items()}
+        first, ways = partial(solved, given, plain), dict[str, Find]()
         if guess is not None:
-            finds = {"Newton's method from the guess smoothed": partial(solved, _smoothed(given), brief), **finds}
-            finds = {name: partial(_near, given, find) for name, find in finds.items()}
-        yield from (Strategy(name, find) for name, find in finds.items())
-        problem, fine = levels.problem, on_its_joints(levels, method, guess, mesh, WELL).mesh
-        fine = graded_alike(fine, max(MORE * (len(mesh) - 1), len(fine) - 1), problem.breakpoints)
+            ways["Newton's method from the guess smoothed"] = lambda: solved(_smoothed(given), brief)
+            ways["Newton's method on a finer mesh"] = lambda: solved(finer(), brief)
+            first = partial(_nearest, given, first, [partial(_near, given, find) for find in ways.values()])
+        yield Strategy("Newton's method", first)
+        stationarity = levels.transcription(method, given.mesh).stationarity
+        ways |= {name: partial(solved, given, rescue) for name, rescue in rescues(stationarity).items()}
+        for name, find in ways.items():
+            yield Strategy(name, find if guess is None else partial(_near, given, find))
+        fine = finer().mesh
+        fine = graded_alike(fine, max(MORE * (len(given.mesh) - 1), len(fine) - 1), problem.breakpoints)
         forced = problem.force is not None
         free = guess is None and problem.energy is None and problem.constraint is None and not problem.breakpoints
         if forced or free:
@@ -116,7 +144,7 @@ def first_path_strategies(
             joints = graded_alike(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
             yield Strategy("descent of the action", partial(_by_descent, levels, method, joints, guess, brief))
         name = "Newton's method with its rescues"
-    yield Strategy(name, partial(solved, guess, solver))
+    yield Strategy(name, partial(solved, given, solver))
 
 
 def _by_descent(

@@ -42,7 +42,7 @@ from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError, LimitReached
-from casadi_galerkin.solution.guess import Guess
+from casadi_galerkin.solution.guess import Guess, joined_by_lines
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.refinement import HINT, Estimate, Refinement
@@ -294,7 +294,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     def on_any_mesh(self, guess: Guess | None, mesh: np.ndarray) -> Guess | None:
         """A guess that other meshes take, too: values at the joints or nodes of this mesh become a path."""
-        if guess is None or callable(guess) or (isinstance(guess, tuple) and len(guess) == 2):
+        if isinstance(guess, tuple) and len(guess) == 2:
+            return joined_by_lines(*guess, self.levels.problem.dimension)
+        if guess is None or callable(guess):
             return guess
         return self.levels.transcription(self.method, mesh).guess_on_mesh(guess, mesh)
 

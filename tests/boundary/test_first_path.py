@@ -209,3 +209,12 @@ def test_ends_that_are_nearly_conjugate_are_named():
     )
     with pytest.raises(cg.ConvergenceError, match="nearly conjugate"):
         cg.solve(problem, tol=1e-3)
+
+
+def test_a_guess_that_is_a_path_is_kept_where_a_coarse_mesh_would_lose_it():
+    """A comet passes the sun twice; from lines between 2,000 of its places Newton's method led to another path."""
+    start = cg.InitialProblem(kepler, (0.0, 7.0), [1.0, 0.0], velocity=[0.0, 0.55])
+    known = cg.solve(start, cg.Galerkin(6), intervals=2000)
+    problem = cg.BoundaryProblem(kepler, (0.0, 7.0), [1.0, 0.0], known.x[:, -1])
+    path = cg.solve(problem, tol=TOL, guess=(known.t, known.x))
+    np.testing.assert_allclose(path(known.t), known.x, rtol=0, atol=1e-4)
