@@ -1,13 +1,14 @@
-"""From one stationary path to others, along paths under a load.
+"""From one path to stationary ones, along paths under a load.
 
 The paths that a load r holds in place, s times its size, obey
 
     ∇S(ξ) = s r.
 
-They form a curve (ξ, s) through a stationary path, where s = 0 (E. L. Allgower, K. Georg, "Numerical Continuation
-Methods", 1990).  Wherever it returns to s = 0, it has met another one.  Between paths of different Morse index the
-Hessian is singular somewhere, which is a wall for Newton's method; the curve passes there in a fold.  Nobody knows how
-long the curve is, or whether it comes back, so its points are counted.
+They form a curve (ξ, s) (E. L. Allgower, K. Georg, "Numerical Continuation Methods", 1990).  Wherever it meets s = 0
+the path is stationary.  One way to begin is at a stationary path, s = 0, with any load.  Another is at any path, s = 1,
+with the load that holds it in place, its own residual r = ∇S(ξ).  Between paths of different Morse index the Hessian is
+singular somewhere, which is a wall for Newton's method; the curve passes there in a fold.  Nobody knows how long the
+curve is, or whether it comes back, so its points are counted.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 
 from casadi_galerkin.boundary.arc_length import LONGER, SHORTER, Curve
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.stationarity import Linearization
 
 FIRST_STEP, SMALLEST_STEP, FARTHEST = 0.1, 1e-4, 1e3  # of the arc length, in sizes of the path it begins at
@@ -27,12 +29,12 @@ LOOSELY = 0.02  # last Newton step over the arc step: the curve is only a way to
 
 
 class LoadedCurve(Curve[bool]):
-    """The curve of loaded paths through one stationary path.
+    """The curve of loaded paths through one path.
 
     Parameters
     ----------
     at : Linearization
-    unknowns, data : the stationary path
+    unknowns, share, data : the path ξ, and its s: zero of a stationary path
     load : r, as many as there are unknowns
     sizes : what the unknowns are measured by
     stiffest : largest entry of the Hessian up to which the curve is followed; beyond, roundoff rules
@@ -46,13 +48,14 @@ class LoadedCurve(Curve[bool]):
         self,
         at: Linearization,
         unknowns: np.ndarray,
+        share: float,
         data: Data,
         load: np.ndarray,
         sizes: np.ndarray,
         stiffest: float,
     ) -> None:
         self.at, self.data, self.load, self.iterations = at, data, load, 0
-        self.start, self.stiffest = np.append(unknowns, 0.0), stiffest
+        self.start, self.stiffest = np.append(unknowns, share), stiffest
         self.weights = np.append(1 / (len(sizes) * sizes**2), 0.0)
         follow = np.append(self.directions(self.start)[1], 1.0)
         self.weights[-1] = self.length(follow) ** 2  # path and load count the same at the start
@@ -75,6 +78,8 @@ class LoadedCurve(Curve[bool]):
         z, self.step = self.start, FIRST_STEP
         tangent = self.tangent(z, np.append(np.zeros(len(z) - 1), side))
         for _ in range(POINTS):
+            if seconds_left() < 0:
+                return
             found = self.corrected(z + self.step * tangent, tangent, self.step)
             following = tangent if found is None else self.tangent(found[0], tangent)
             if found is None or not (following * tangent) @ self.weights > BEND:

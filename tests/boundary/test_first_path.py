@@ -52,6 +52,27 @@ def test_noise_does_not_hide_a_great_circle(seed):
     assert "first path by Newton's method from the guess smoothed" in path.solver
 
 
+@pytest.mark.parametrize(
+    ("potential", "duration", "start", "end"),
+    [
+        (lambda x: x**4 / 4, 4.0, 0.0, 2.0),
+        (lambda x: x**4 / 4, 10.0, 1.0, -2.0),
+        (lambda x: x**2 / 2 + x**4 / 4, 8.0, -1.5, 0.5),
+        (lambda x: x**4 / 4 - x**2 / 2, 2.0, 0.0, 2.0),
+    ],
+)
+def test_a_stiffening_spring_swings_between_its_ends(potential, duration, start, end):
+    """Newton's method and IPOPT fail from the straight line; the load that holds it leads to a swing."""
+    spring = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - potential(x[0]), (0, duration), [start], [end])
+    path = cg.solve(spring, tol=1e-8)
+    assert path.solver == "Newton; first path by taking away the load of the guess"
+    x = ca.SX.sym("x")
+    force = ca.Function("force", [x], [-ca.gradient(potential(x), x)])
+    state = [start, path.velocity[0, 0]]
+    swing = solve_ivp(lambda t, y: [y[1], float(force(y[0]))], (0, duration), state, rtol=1e-11, atol=1e-12)
+    assert abs(swing.y[0, -1] - end) < 1e-6
+
+
 def test_a_guess_is_put_on_the_first_mesh_once():
     calls = []
 

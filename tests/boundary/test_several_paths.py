@@ -163,6 +163,20 @@ def test_zigzags_of_a_coarse_mesh_are_dropped(swings):
         assert min(np.max(np.abs(path.x - swing(path.t))) for swing in swings) < 0.3
 
 
+@pytest.mark.parametrize("duration", [4.0, 8.0])
+def test_where_the_straight_line_leads_to_nothing_its_load_does(duration):
+    """A spring that pulls with the cube of its length; every path is a swing from its own velocity at the start."""
+    spring = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 4 / 4, (0, duration), [0.0], [2.0])
+    found = cg.paths(spring, cg.Galerkin(8), int(3 * duration), count=4)
+    assert len({path.morse_index for path in found}) > 1
+    assert any(path.solver == "Newton, along the load of a guess" for path in found)
+    for path in found:
+        state = [0.0, path.velocity[0, 0]]
+        swing = solve_ivp(lambda t, y: [y[1], -(y[0] ** 3)], (0, duration), state, rtol=1e-10, atol=1e-12)
+        growth = abs(state[1]) * duration  # of a change of the velocity, at most so many lengths of the path
+        assert abs(swing.y[0, -1] - 2.0) < 10 * growth * path.error_estimate * np.max(np.abs(path.x)) + 1e-6
+
+
 def test_where_the_mesh_resolves_nothing_that_is_said():
     with pytest.raises(cg.ConvergenceError, match=r"solves found no path, but \d+ critical points of the discrete"):
         cg.paths(LONG, cg.Galerkin(1), 3)
@@ -230,7 +244,7 @@ def test_a_load_leads_from_one_catenoid_to_the_other_and_back(load):
     narrow = transcription.critical_point(guess=lambda t: [0.235 * np.cosh(t / 0.235)])
     unknowns, data = wide.solution.unknowns, wide.solution.data
     with transcription.stationarity.linearization() as at:
-        curve = LoadedCurve(at, unknowns, data, load * np.ones(len(unknowns)), np.ones(len(unknowns)), 1e8)
+        curve = LoadedCurve(at, unknowns, 0.0, data, load * np.ones(len(unknowns)), np.ones(len(unknowns)), 1e8)
         ends = [list(curve.crossings(side)) for side in (1.0, -1.0)]
     met = [guess for crossings in ends for guess in crossings[:1]]
     assert min(np.max(np.abs(guess - narrow.solution.unknowns)) for guess in met) < 0.1
