@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.arc_length import LONGER, MANY, SHORTER, Curve
 from casadi_galerkin.boundary.graph import CriticalPoint
+from casadi_galerkin.boundary.mass import check_mass
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import finite, numbers, place
@@ -178,6 +179,7 @@ def continuation(
         raise ValueError(f"the target must differ from the problem's parameters, got {target!r} for both")
     transcription = transcribed(problem, method, intervals, mesh)
     refuse_free_phase("continuation", problem)
+    check_mass(problem.varied({"parameters": aim.tolist()}))
     return Walk(transcription, aim).run(guess)
 
 

@@ -134,6 +134,8 @@ class PiecewisePolynomial:
         if order is None or order < 0:
             raise ValueError(f"nu must be a whole number from 0 on, got {nu!r}")
         times = times_within(self.mesh, t)
+        if order > self.degree:
+            return np.zeros((len(self.values), *times.shape))
         flat = times.ravel()
         steps = np.diff(self.mesh)
         i = np.clip(np.searchsorted(self.mesh, flat, side=side) - 1, 0, len(steps) - 1)

@@ -91,7 +91,7 @@ def geometry(path: Trajectory, symmetry: Traceable | None = None) -> Geometry:
     Raises
     ------
     TypeError, ValueError
-        for a symmetry that does not return d components, or a path of another problem
+        for a symmetry that does not return d finite components, or a path of another problem
 
     Examples
     --------
@@ -116,7 +116,12 @@ def geometry(path: Trajectory, symmetry: Traceable | None = None) -> Geometry:
     momentum = None
     if symmetry is not None:
         generator = trace("symmetry", symmetry, {"x": len(path.x)}, len(path.x))
-        momentum = np.sum(path.momentum * np.array(generator.map(len(path.t))(path.x)), axis=0)
+        directions = np.array(generator.map(len(path.t))(path.x))
+        finite = np.isfinite(directions).all(axis=0)
+        if not finite.all():
+            i = int(np.argmin(finite))
+            raise ValueError(f"what symmetry returns must be finite, got {directions[:, i]} at x = {path.x[:, i]}")
+        momentum = np.sum(path.momentum * directions, axis=0)
     steps, motion = jacobians(path), motion_of(path.problem)
     if motion is not None:
         bases = [np.kron(np.eye(2), tangents(motion, *at)) for at in zip(path.t, path.x.T, strict=True)]

@@ -107,6 +107,11 @@ def test_bad_input_is_refused():
         cg.continuation(plain, [1.0], intervals=4)
     with pytest.raises(ValueError, match="the target must differ"):
         cg.continuation(problem, [1.0], intervals=4)
+    massless = cg.BoundaryProblem(
+        lambda t, x, v, p: (p[0] * v[0] ** 2 + x[0] ** 2) / 2, (0, 1), [1.0], [1.0], parameters=[1.0]
+    )
+    with pytest.raises(ValueError, match="the lagrangian is degenerate: its mass matrix"):
+        cg.continuation(massless, [0.0], intervals=4)
     with pytest.raises(ValueError, match=r"target must have 1 component, got 2"):
         cg.continuation(problem, [1.0, 2.0], intervals=4)
     with pytest.raises(ValueError, match="give either intervals or mesh"):

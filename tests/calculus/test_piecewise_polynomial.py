@@ -23,6 +23,14 @@ def test_derivatives_of_higher_order_and_shapes():
     np.testing.assert_allclose(path(0.7, 5), [0, 0], rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize("nu", [5, 9, 10**6])
+def test_derivatives_beyond_the_degree_are_zero(nu):
+    nodes = cg.Galerkin(4).element.nodes
+    path = PiecewisePolynomial(np.array([0.0, 1e-3, 1.0]), nodes, np.sin(np.arange(18.0)).reshape(2, 9))
+    np.testing.assert_array_equal(path(np.array([[0.0, 0.5, 1.0]]), nu), np.zeros((2, 1, 3)))
+    assert path(0.5, 4).all()
+
+
 def test_derivatives_lose_no_digits_to_an_offset():
     calculus, parts = cg.DiscreteCalculus(cg.Galerkin(4), [0.0, 1.0, 3.0]), np.array([0.1, 0.7])
     values = np.arange(9.0)[None, :] ** 2
