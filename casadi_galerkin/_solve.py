@@ -21,11 +21,11 @@ from casadi_galerkin.control.control_function import control_function
 from casadi_galerkin.control.refinement import ControlRefinement, control_method_for, first_control_mesh
 from casadi_galerkin.control.several_starts import best_of
 from casadi_galerkin.control.transcription import ControlTranscription, check_solver, transcribed_control
-from casadi_galerkin.functional.mapping import by_rows, one_by_one
+from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import check_kind, check_types
+from casadi_galerkin.problems.problem import check_kind
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits, check_tolerance
@@ -149,7 +149,10 @@ def solve(
     tolerance = cost_tol if of_cost else tol
     _check_limits(limits, tolerance)
     if tolerance is None:
-        return _on_a_mesh(problem, method, intervals, mesh, guess, solver, starts, verbose)
+        graph = _graph(problem, method, intervals, mesh, one_by_one if starts == 1 else by_rows)
+        if isinstance(graph, ControlTranscription):
+            return best_of(starts, graph.problem, guess, partial(graph.solve, solver=solver or ipopt, verbose=verbose))
+        return graph.solve(guess=guess, solver=solver or newton, verbose=verbose)
     tolerance, limits = check_tolerance(tolerance, "cost_tol" if of_cost else "tol"), limits or Limits()
     path: Trajectory
     if isinstance(problem, ControlProblem):
@@ -168,24 +171,20 @@ def solve(
     return path
 
 
-def _on_a_mesh(
+def _graph(
     problem: BoundaryProblem | ControlProblem,
     method: Galerkin | None,
     intervals: int | None,
     mesh: ArrayLike | None,
-    guess: Guess | None,
-    solver: Solver | None,
-    starts: int,
-    verbose: int,
-) -> Trajectory:
+    mapping: PointMap = by_rows,
+) -> Transcription | ControlTranscription:
+    """Build the graph of a fixed discretization; `mapping` is how terms are evaluated at many points."""
     if method is None:
         raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
+    check_kind(problem, BoundaryProblem, ControlProblem)
     if isinstance(problem, ControlProblem):
-        mapping = one_by_one if starts == 1 else by_rows
-        program = transcribed_control(problem, method, intervals, mesh, mapping)
-        return best_of(starts, problem, guess, partial(program.solve, solver=solver or ipopt, verbose=verbose))
-    transcription = transcribed(problem, method, intervals, mesh, one_by_one)
-    return transcription.solve(guess=guess, solver=solver or newton, verbose=verbose)
+        return transcribed_control(problem, method, intervals, mesh, mapping)
+    return transcribed(problem, method, intervals, mesh, mapping)
 
 
 def _check_limits(limits: Limits | None, tol: float | None) -> None:
@@ -265,12 +264,7 @@ def transcribe(
         if not isinstance(problem, BoundaryProblem):
             raise TypeError(f"only a BoundaryProblem is transcribed with tol, got {type(problem).__name__}")
         return AdaptiveTranscription(problem, tol, method, intervals, mesh, limits)
-    if method is None:
-        raise TypeError("method must be a Galerkin, such as Galerkin(degree=4), got None; or give tol instead")
-    check_types(problem, method, BoundaryProblem, ControlProblem)
-    if isinstance(problem, ControlProblem):
-        return transcribed_control(problem, method, intervals, mesh)
-    return transcribed(problem, method, intervals, mesh)
+    return _graph(problem, method, intervals, mesh)
 
 
 def solution_function(
@@ -337,7 +331,7 @@ def solution_function(
     >>> float(f(start=[0], end=[2], parameters=[1], guess=path.polynomial.values)["x"][0, 5].full()[0, 0].round(6))
     1.139494
     """
-    check_types(problem, method, BoundaryProblem, ControlProblem)
+    check_kind(problem, BoundaryProblem, ControlProblem)
     if isinstance(problem, ControlProblem):
         return control_function(problem, method, intervals, mesh, guess, solver or ipopt)
     if solver is not None:
