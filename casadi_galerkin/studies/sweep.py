@@ -23,7 +23,7 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table, by_component
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.studies.distribution import Answer, Batch, CutShort, Variation, in_words, solver_of
+from casadi_galerkin.studies.distribution import Answer, Batch, CutShort, Variation, in_words, solver_of, varied
 
 FIELDS = (*VARIED, "t_span", "guess")
 
@@ -237,7 +237,7 @@ def _checked(problem: BoundaryProblem | ControlProblem, number: int, variation: 
         raise ValueError(f"variation {number} has {unknown[0]!r}; what can be varied is {told}")
     checked = dict(variation)
     try:
-        other = problem.varied({name: checked[name] for name in VARIED if name in checked}, checked.get("t_span"))
+        other = varied(problem, variation)
         checked |= {name: getattr(other, name) for name in checked if name != "guess"}
     except (TypeError, ValueError) as error:
         raise type(error)(f"variation {number}: {error}") from None
