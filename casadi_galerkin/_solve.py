@@ -135,25 +135,20 @@ def solve(
     if not isinstance(problem, ControlProblem) and starts != 1:
         several = "`paths` finds several paths of a BoundaryProblem"
         raise ValueError(f"starts is for a ControlProblem, got {starts!r}; {several}")
-    if cost_tol is not None and not isinstance(problem, ControlProblem):
-        raise ValueError(f"cost_tol is for a ControlProblem, the only one with a cost, got {cost_tol!r}")
-    if cost_tol is not None and tol is not None:
-        raise ValueError(f"tol bounds the error of the cost, too: give tol={tol!r} or cost_tol={cost_tol!r}")
+    tolerance = _tolerance(problem, tol, cost_tol)
     if isinstance(problem, InitialProblem):
         if guess is not None or tol is not None or limits is not None or solver is not None:
             raise ValueError("an initial problem takes no tol, limits, guess or solver: it is solved step by step")
         if method is None:
             raise ValueError("give a method and intervals, got no method")
         return integrate(problem, method, mesh_of(problem.t_span, intervals, mesh), verbose)
-    of_cost = cost_tol is not None
-    tolerance = cost_tol if of_cost else tol
     _check_limits(limits, tolerance)
     if tolerance is None:
         graph = _graph(problem, method, intervals, mesh, one_by_one if starts == 1 else by_rows)
         if isinstance(graph, ControlTranscription):
             return best_of(starts, graph.problem, guess, partial(graph.solve, solver=solver or ipopt, verbose=verbose))
         return graph.solve(guess=guess, solver=solver or newton, verbose=verbose)
-    tolerance, limits = check_tolerance(tolerance, "cost_tol" if of_cost else "tol"), limits or Limits()
+    limits, of_cost = limits or Limits(), cost_tol is not None
     path: Trajectory
     if isinstance(problem, ControlProblem):
         check_solver(solver or ipopt)
@@ -169,6 +164,16 @@ def solve(
     if verbose:
         print(path)
     return path
+
+
+def _tolerance(problem: object, tol: float | None, cost_tol: float | None) -> float | None:
+    if cost_tol is None:
+        return None if tol is None else check_tolerance(tol)
+    if not isinstance(problem, ControlProblem):
+        raise ValueError(f"cost_tol is for a ControlProblem, the only one with a cost, got {cost_tol!r}")
+    if tol is not None:
+        raise ValueError(f"tol bounds the error of the cost, too: give tol={tol!r} or cost_tol={cost_tol!r}")
+    return check_tolerance(cost_tol, "cost_tol")
 
 
 def _graph(

@@ -44,7 +44,7 @@ Known = tuple[np.ndarray, Trajectory]  # the given values of a problem, and its 
 Chunk = tuple[Sequence[int], Sequence[Known]]  # variations to solve one after the other, and paths to start from
 Solve = Callable[[Variation, Sequence[Known]], Trajectory]  # of a variation, from paths that are known
 Solved = Callable[[Sequence[Variation], Sequence[Known]], list[Answer]]
-Stated = TypeVar("Stated", BoundaryProblem, ControlProblem)
+Stated = TypeVar("Stated", BoundaryProblem, ControlProblem, BoundaryProblem | ControlProblem)
 
 
 class CutShort(ConvergenceError):
