@@ -19,8 +19,6 @@ p_λ,N = -T̄ E.  Below, x and p have λ and p_λ as their last components, and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import casadi as ca
 import numpy as np
 
@@ -30,24 +28,12 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 
 
-@dataclass(frozen=True)
-class EndEquations:
-    """As many equations between the ends (x_0, p_0, η, x_N, p_N), (4d + k,), as the start (x_0, p_0, η) has entries.
+def end_equations(problem: BoundaryProblem, method: Galerkin, plane: np.ndarray | None) -> ca.Function:
+    """(ends) -> as many equations between the ends as the start has entries, and their dense Jacobian.
 
-    Attributes
-    ----------
-    function : Function (ends) -> values (2d + k,), jacobian (2d + k, 4d + k), dense
-    explicit : numbers of those that do no more than give one entry of the start
-    given_start : (2d + k,), the entries of the start that are given so; NaN for the others
+    The ends are (x_0, p_0, η, x_N, p_N), (4d + k,), of which the start is (x_0, p_0, η); `plane` fixes the phase where
+    it is free.  The module tells the equations.
     """
-
-    function: ca.Function
-    explicit: list[int]
-    given_start: np.ndarray
-
-
-def end_equations(problem: BoundaryProblem, method: Galerkin, plane: np.ndarray | None) -> EndEquations:
-    """Write the equations of a problem (see the module); `plane` fixes the phase where it is free."""
     d, times = problem.dimension, problem.t_span
     constraint = with_parameters(problem.constraint, problem.parameters)
     rows, pinned = rows_of_ends(problem, method, plane)
@@ -78,19 +64,5 @@ def end_equations(problem: BoundaryProblem, method: Galerkin, plane: np.ndarray 
     if problem.energy is not None:
         x, p = ([ca.vertcat(a, ca.SX.sym("stretch")) for a in ends] for ends in (x, p))
         equations += [p[0][d], p[1][d] + problem.energy * (times[1] - times[0])]
-    return _with_explicit(ca.vertcat(*equations, further), ca.vertcat(x[0], p[0], *own), ca.vertcat(x[1], p[1]))
-
-
-def _with_explicit(values: ca.SX, start: ca.SX, end: ca.SX) -> EndEquations:
-    """Find those equations that have one entry of the start alone, times a number."""
-    ends = ca.vertcat(start, end)
-    jacobian = ca.jacobian(values, ends)
-    function = ca.Function("end_equations", [ends], [ca.densify(values), ca.densify(jacobian)])
-    at_zero, given, explicit = function(0)[0], np.full(start.numel(), np.nan), []
-    for i in range(values.numel()):
-        row = jacobian[i, :]
-        entry = row.sparsity().get_col()
-        if len(entry) == 1 and entry[0] < len(given) and row.nz[0].is_constant() and np.isnan(given[entry[0]]):
-            given[entry[0]] = -float(at_zero[i]) / float(row.nz[0])
-            explicit.append(i)
-    return EndEquations(function, explicit, given)
+    values, ends = ca.vertcat(*equations, further), ca.vertcat(x[0], p[0], *own, x[1], p[1])
+    return ca.Function("end_equations", [ends], [ca.densify(values), ca.densify(ca.jacobian(values, ends))])

@@ -1,10 +1,10 @@
 """Boundary problems solved stepwise: single shooting, Newton's method on the start of the path.
 
-What a start z leads to is a `shot`.  Newton's method has the line search of the global solve, the natural monotonicity
+What a start leads to is a `shot`.  Newton's method has the line search of the global solve, the natural monotonicity
 test.
 
-Shooting can be no better than the product of the steps' Jacobians: it magnifies the rounding of z.  Where the growth
-comes near 1/eps, no z that a computer holds meets the end, and `shoot` says so.
+Shooting can be no better than the product of the steps' Jacobians: it magnifies the rounding of the start.  Where
+the growth comes near 1/eps, no start that a computer holds meets the end, and `shoot` says so.
 """
 
 from __future__ import annotations
@@ -161,9 +161,9 @@ def _line(problem: BoundaryProblem) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def _newton(shooting: Shooting, state: np.ndarray, own: np.ndarray, velocity: np.ndarray) -> tuple[Shot, int]:
     """Newton's method with natural monotonicity line search: the shot that meets the end, and its iterations."""
-    multipliers = np.zeros(len(shooting.given_start) - len(state) - len(own))
-    z = np.concatenate((state, multipliers, own))[shooting.free]
-    shot = shooting.shoot(z, velocity)
+    multipliers = np.zeros(shooting.unknowns - len(state) - len(own))
+    start = np.concatenate((state, multipliers, own))
+    shot = shooting.shoot(start, velocity)
     if shot is None:
         remedy = "Give a guess with a better start, or solve it globally, with `solve`"
         raise ConvergenceError(f"shooting failed: a step of the first path failed. {remedy}")
@@ -174,20 +174,20 @@ def _newton(shooting: Shooting, state: np.ndarray, own: np.ndarray, velocity: np
                 _refuse_conjugate(shot, iteration)
             return met, iteration
         step = _direction(shot, shot.miss, iteration)
-        trial, damping = _line_search(shooting, shot, z, step)
+        trial, damping = _line_search(shooting, shot, start, step)
         if trial is None:
             return _met(shot, iteration), iteration
-        z, shot = z + damping * step, trial
+        start, shot = start + damping * step, trial
     raise _failure(f"no convergence in {ITERATIONS} iterations", shot, ITERATIONS)
 
 
-def _line_search(shooting: Shooting, shot: Shot, z: np.ndarray, step: np.ndarray) -> tuple[Shot | None, float]:
-    """Halve the step until the next one, with the same derivative, is shorter in the sizes of z; no shot if none is."""
-    scale = np.maximum(shot.scale, np.abs(step)) + TINY
+def _line_search(shooting: Shooting, shot: Shot, start: np.ndarray, step: np.ndarray) -> tuple[Shot | None, float]:
+    """Halve the step until the next one, with the same derivative, is shorter in the sizes of the start; or no shot."""
+    scale = np.maximum(shot.sizes[: len(start)], np.abs(step)) + TINY
     velocity, damping = shooting.velocity(shot.roll), 1.0
     smallest = 1.0 if np.all(np.abs(shot.miss) <= ACCEPTED * shot.floor) else SMALLEST_DAMPING
     while damping >= smallest:
-        trial = shooting.shoot(z + damping * step, velocity)
+        trial = shooting.shoot(start + damping * step, velocity)
         if trial is not None:
             shorter = np.max(np.abs(_direction(shot, trial.miss)) / scale)
             if shorter <= (1 - damping / 4) * np.max(np.abs(step) / scale):
@@ -197,7 +197,7 @@ def _line_search(shooting: Shooting, shot: Shot, z: np.ndarray, step: np.ndarray
 
 
 def _direction(shot: Shot, miss: np.ndarray, iteration: int = 0) -> np.ndarray:
-    """Newton step by z."""
+    """Newton step of the start."""
     scaled, rows, columns = _scaled(shot)
     if _singular(scaled):
         _refuse_conjugate(shot, iteration)
@@ -206,12 +206,13 @@ def _direction(shot: Shot, miss: np.ndarray, iteration: int = 0) -> np.ndarray:
 
 
 def _scaled(shot: Shot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The derivative by z with its rows and columns scaled, as their units differ; the scales (n, 1) and (n,)."""
-    scale = np.where(shot.scale > 0, shot.scale, 1.0)
+    """The derivative by the start, its rows and columns scaled as their units differ; the scales (n, 1) and (n,)."""
+    sizes = shot.sizes[: len(shot.miss)]
+    scale = np.where(sizes > 0, sizes, 1.0)
     rows = np.max(shot.terms * (scale / np.max(scale)), axis=1, keepdims=True)  # which would overflow with the growth
     rows[rows == 0] = 1.0
     columns = np.max(shot.terms / rows, axis=0)
-    return shot.by_z / rows / np.where(columns > 0, columns, 1.0), rows, columns
+    return shot.by_start / rows / np.where(columns > 0, columns, 1.0), rows, columns
 
 
 def _singular(scaled: np.ndarray) -> bool:

@@ -1,9 +1,9 @@
 """One shot: a path from a start, by how much it misses what holds between the ends, and how that depends on the start.
 
-The unknown z holds those entries of the start (x_0, p_0, η) that the problem does not give: momenta at the start or,
-where the start is free, positions, and multipliers.  The equations are those that remain between the ends
-(`end_equations`).  For a given energy the stretch of the steps is one more component of x.
-The derivative of the joint values by z is the product of the steps' Jacobians, exact by the implicit function theorem.
+The unknowns are the start (x_0, p_0, η): the first state, and multipliers and velocities of what is said of the ends.
+The equations hold between the ends (`end_equations`).  For a given energy the stretch of the steps is one more
+component of x.  The derivative of the joint values by the start is the product of the steps' Jacobians, exact by the
+implicit function theorem.
 """
 
 from __future__ import annotations
@@ -28,32 +28,30 @@ from casadi_galerkin.stepping.stepper import Roll, Stepper
 
 @dataclass(frozen=True)
 class Shot:
-    """One path from a start z.
+    """One path from a start.
 
     Attributes
     ----------
     roll : Roll
-    sizes : (4d + k,), of the ends as `EndEquations` has them
-    scale : (n,), sizes of z
+    sizes : (4d + k,), of the ends as `end_equations` has them, the n = 2d + k of the start first
     miss : (n,), by how much the equations between the ends are missed
     floor : (n,), what the rounding of the start and of the end do to it; Newton's method may stop below it
     stepper : Stepper that made the steps
     steps : (N, 2d, 2d), Jacobians of the steps
     by_ends : (n, 4d + k), derivatives of the miss by the ends
-    by_z : (n, n), its derivative
+    by_start : (n, n), its derivative by the start
     terms : (n, n), sizes of the terms that the derivative sums
     growth : (N + 1, 2d, 2d), derivatives of (x_i, p_i) by (x_0, p_0)
     """
 
     roll: Roll
     sizes: np.ndarray
-    scale: np.ndarray
     miss: np.ndarray
     floor: np.ndarray
     stepper: Stepper
     steps: np.ndarray
     by_ends: np.ndarray
-    by_z: np.ndarray
+    by_start: np.ndarray
     terms: np.ndarray
     growth: np.ndarray
 
@@ -78,14 +76,11 @@ class Shot:
 
 
 class Shooting:
-    """The boundary problem as equations in the start.
-
-    The unknowns are those entries of (x_0, p_0, η) that no equation gives by itself.  The other equations are solved.
+    """The boundary problem as equations in the start (x_0, p_0, η).
 
     Attributes
     ----------
-    given_start : (2d + k,), as of `EndEquations`
-    free : (n,), which entries of (x_0, p_0, η) are z
+    unknowns : number of entries of the start
     plane : (2d,), normal and point of the plane that fixes the phase, or None
     """
 
@@ -101,24 +96,16 @@ class Shooting:
             self.plane = phase_plane(calculus.emb(guessed))
         self.stepper = Stepper(problem, method, problem.energy is not None)
         equations = end_equations(problem, method, self.plane)
-        self._equations, self.given_start = Evaluator(equations.function), equations.given_start
-        self.free = np.flatnonzero(np.isnan(self.given_start))
-        self._open = np.delete(np.arange(len(self.given_start)), equations.explicit)
-
-    def start(self, z: np.ndarray) -> np.ndarray:
-        """(x_0, p_0, η), (2d + k,)."""
-        start = self.given_start.copy()
-        start[self.free] = z
-        return start
+        self.unknowns, self._equations = equations.size1_out(0), Evaluator(equations)
 
     def velocity(self, roll: Roll) -> np.ndarray:
         """Velocity of a path at its start, (d,)."""
         first = roll.slopes[:, 0] @ self.stepper.basis.slopes(np.zeros(1)).T
         return np.asarray(first.ravel() / (roll.mesh[1] - roll.mesh[0]))
 
-    def shoot(self, z: np.ndarray, velocity: np.ndarray) -> Shot | None:
-        """The path from z, or None if one of its steps fails; `velocity` predicts the first step."""
-        d, start = self.stepper.dimension, self.start(z)
+    def shoot(self, start: np.ndarray, velocity: np.ndarray) -> Shot | None:
+        """The path from a start, or None if one of its steps fails; `velocity` predicts the first step."""
+        d = self.stepper.dimension
         roll = self.stepper.roll(start[:d], start[d : 2 * d], velocity, self.mesh)
         if roll.solved_steps < len(roll.mesh) - 1 or not self.stepper.unstretched(roll).mesh[-1] > roll.mesh[0]:
             return None
@@ -126,19 +113,19 @@ class Shooting:
         growth = accumulated(steps)
         ends = np.concatenate((start, roll.x[:, -1], roll.p[:, -1]))
         miss, by_ends = self._equations(ends)
-        miss, by_ends = miss[self._open], by_ends.reshape(len(ends), -1).T[self._open]
+        by_ends = by_ends.reshape(len(ends), -1).T
         with np.errstate(over="ignore", invalid="ignore"):
             sizes = self._sizes(roll, steps, start[2 * d :], np.abs(by_ends))
             moved = np.append(np.zeros(len(start)), np.abs(growth[-1]) @ np.abs(start[: 2 * d]))
             floor = EPS * (np.abs(by_ends) @ (sizes + moved))
-            by_z = by_ends @ self._by_z(growth[-1])
-            terms = np.abs(by_ends) @ self._by_z(np.abs(steps[-1]) @ np.abs(growth[-2]))
-        return Shot(roll, sizes, sizes[self.free], miss, floor, self.stepper, steps, by_ends, by_z, terms, growth)
+            by_start = by_ends @ self._ends_by_start(growth[-1])
+            terms = np.abs(by_ends) @ self._ends_by_start(np.abs(steps[-1]) @ np.abs(growth[-2]))
+        return Shot(roll, sizes, miss, floor, self.stepper, steps, by_ends, by_start, terms, growth)
 
-    def _by_z(self, growth: np.ndarray) -> np.ndarray:
-        """Derivatives of the ends by z, (4d + k, n), where `growth` is that of (x_N, p_N) by (x_0, p_0)."""
-        start = np.eye(len(self.given_start))
-        return np.concatenate((start, growth @ start[: len(growth)]))[:, self.free]
+    def _ends_by_start(self, growth: np.ndarray) -> np.ndarray:
+        """Derivatives of the ends by the start, (4d + k, n), where `growth` is that of (x_N, p_N) by (x_0, p_0)."""
+        start = np.eye(self.unknowns)
+        return np.concatenate((start, growth @ start[: len(growth)]))
 
     def _sizes(self, roll: Roll, steps: np.ndarray, own: np.ndarray, by_ends: np.ndarray) -> np.ndarray:
         """Sizes of the ends, (4d + k,): of (x, p) the largest at the joints, of η what is as large in an equation.

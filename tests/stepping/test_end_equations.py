@@ -227,10 +227,10 @@ def test_a_multiplier_that_is_off_is_a_miss():
     shooting = Shooting(problem, METHOD, np.linspace(0, 1, INTERVALS + 1))
     path = cg.shoot(problem, METHOD, INTERVALS)
     multiplier = -path.momentum[0, -1] / (2 * (path.x[0, -1] - 3))
-    z = np.append(path.momentum[:, 0], multiplier)
-    assert _met(shooting.shoot(z, path.velocity[:, 0]), 3).residual < 50
+    start = np.concatenate((path.x[:, 0], path.momentum[:, 0], [multiplier]))
+    assert _met(shooting.shoot(start, path.velocity[:, 0]), 3).residual < 50
     with pytest.raises(cg.ConvergenceError, match="the end is missed by"):
-        _met(shooting.shoot(z + 1e-9 * np.eye(3)[2], path.velocity[:, 0]), 3)
+        _met(shooting.shoot(start + 1e-9 * np.eye(5)[4], path.velocity[:, 0]), 3)
 
 
 def test_growth_fails_any_ends():
