@@ -12,8 +12,7 @@ from casadi_galerkin.calculus.roundoff import EPS
 
 ITERATIONS = 100
 FOUND = 1e-9  # relative step below which a velocity that roundoff keeps from settling counts as found
-UNDETERMINED = 1e-14  # part of the largest singular value of ∂²L/∂v² below which a direction of v has no momentum
-DEGENERATE = 1e-13  # reciprocal condition of the scaled mass matrix below which no velocity belongs to a momentum
+DEGENERATE = 1e-13  # part of the largest singular value of ∂²L/∂v² below which a direction of v has no momentum
 
 
 @lru_cache(8)
@@ -35,12 +34,17 @@ def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.nd
     return at
 
 
+def _scaled(masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mass matrices (..., d, d) whatever the units of the components, and the scales that they were divided by."""
+    rows = np.sqrt(np.max(np.abs(masses), axis=-1))
+    rows = np.where(rows > 0, rows, 1.0)
+    scales = rows[..., :, None] * rows[..., None, :]
+    return masses / scales, scales
+
+
 def degenerate(mass: np.ndarray) -> bool:
     """Whether a mass matrix (d, d) is singular, whatever the units of the components."""
-    rows = np.sqrt(np.max(np.abs(mass), axis=1))
-    if not np.all(rows > 0):
-        return True
-    singular = np.linalg.svd(mass / rows[:, None] / rows, compute_uv=False)
+    singular = np.linalg.svd(_scaled(mass)[0], compute_uv=False)
     return bool(singular[-1] <= DEGENERATE * singular[0])
 
 
@@ -57,8 +61,8 @@ def refuse_degenerate(mass: np.ndarray, where: str) -> None:
 
 def convex(transform: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> bool:
     """Whether ∂²L/∂v² has no negative eigenvalue at any of many points; arguments as for `velocities`."""
-    eigenvalues = np.linalg.eigvalsh(_at(transform, t, x)(v)[1])
-    return bool(np.all(eigenvalues[:, 0] >= -UNDETERMINED * np.abs(eigenvalues).max(axis=1)))
+    eigenvalues = np.linalg.eigvalsh(_scaled(_at(transform, t, x)(v)[1])[0])
+    return bool(np.all(eigenvalues[:, 0] >= -DEGENERATE * np.abs(eigenvalues).max(axis=1)))
 
 
 def velocities(
@@ -111,7 +115,8 @@ def velocities(
 
 def _inverse(masses: np.ndarray) -> np.ndarray:
     """Pseudo-inverses of mass matrices (K, d, d)."""
-    return np.linalg.pinv(_defined(masses), rcond=UNDETERMINED, hermitian=True)
+    scaled, scales = _scaled(_defined(masses))
+    return np.asarray(np.linalg.pinv(scaled, rcond=DEGENERATE, hermitian=True) / scales)
 
 
 def _defined(masses: np.ndarray) -> np.ndarray:

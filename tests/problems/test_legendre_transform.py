@@ -2,9 +2,10 @@
 
 import casadi as ca
 import numpy as np
+import pytest
 
 import casadi_galerkin as cg
-from casadi_galerkin.problems.legendre_transform import legendre_transform
+from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
 from casadi_galerkin.problems.legendre_transform import velocities as velocities_of_momenta
 
 
@@ -86,3 +87,17 @@ def test_a_component_at_rest_is_found_beside_a_momentum_larger_than_its_velocity
     place, momentum, guess = (np.array([a]).T for a in ([0.8, 0.0], [1.00e-14, 1.02], [1.07e-14, 0.22]))
     found = velocities_of_momenta(legendre_transform(turning), np.zeros(1), place, momentum, guess)
     np.testing.assert_allclose(found.ravel(), [1e-14, 0.22], rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e8, 1e12])
+def test_velocities_are_found_in_any_units(unit):
+    """A velocity that is counted in larger units has a mass as many times smaller, squared: no direction is lost."""
+    t, x, v = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("v", 2)
+    scaled = v * ca.DM([1.0, unit])
+    transform = legendre_transform(ca.Function("L", [t, x, v], [ca.sumsqr(scaled) / 2 + scaled[0] * scaled[1] / 2]))
+    expected = np.array([[0.7], [-1.3 / unit]])
+    zero = np.zeros((2, 1))
+    momentum = np.array(transform(0, zero, expected)[0])
+    found = velocities_of_momenta(transform, zero[0], zero, momentum, zero)
+    np.testing.assert_allclose(found, expected, rtol=1e-14)
+    assert convex(transform, zero[0], zero, zero)
