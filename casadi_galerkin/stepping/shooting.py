@@ -99,7 +99,7 @@ def shoot(
     shot, iterations = _newton(shooting, *_guess(problem, guess))
     build = equations + shooting.stepper.build_seconds
     seconds = time.perf_counter() - began - build
-    solver = f"single shooting, misses the end by {np.max(np.abs(shot.miss), initial=0.0):.1e}"
+    solver = f"single shooting, misses the end by {np.max(np.abs(shot.miss)):.1e}"
     roll = shooting.stepper.unstretched(shot.roll)
     action = float(roll.action.sum())
     if problem.end_action is not None:
@@ -231,7 +231,7 @@ def _met(shot: Shot, iteration: int) -> Shot:
     """Return the shot, one that cannot be bettered, if it meets the end to its roundoff and in half of the digits."""
     sizes = np.abs(shot.by_ends) @ shot.sizes
     sizes = np.where(sizes > 0, sizes, 1.0)
-    missed, moved = (float(np.max(np.abs(a) / sizes, initial=0.0)) for a in (shot.miss, shot.floor))
+    missed, moved = (float(np.max(np.abs(a) / sizes)) for a in (shot.miss, shot.floor))
     if missed <= MISS and shot.residual <= ACCEPTED:
         values = shot.path.values
         if shot.stepper.stretched and np.all(np.ptp(values, axis=1) <= MISS * np.max(np.abs(values), axis=1)):

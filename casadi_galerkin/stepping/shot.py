@@ -72,7 +72,7 @@ class Shot:
             floor = self.sizes.copy()
             floor[-len(states) :] = np.einsum("iab,bi->a", np.abs(onward), states)
             ratios = np.abs(self.miss) / (np.abs(self.by_ends) @ (EPS * floor + TINY))
-        return float(max(np.max(self.roll.residual), np.max(ratios, initial=0.0)))
+        return float(max(np.max(self.roll.residual), np.max(ratios)))
 
 
 class Shooting:

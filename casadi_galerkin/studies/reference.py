@@ -19,7 +19,7 @@ from casadi_galerkin._solve import solve
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import resolved, truncation
-from casadi_galerkin.calculus.numbers import counted, number
+from casadi_galerkin.calculus.numbers import APART, counted, number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -29,12 +29,11 @@ from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import between_marks, marks
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.guess import Guess, sampled
+from casadi_galerkin.solution.guess import Guess, check_finite, sampled
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 
 SAMPLES = 2000  # times at which errors are taken, and at least 4 on every interval
-LOOKS, SLACK = 5, 1e-12  # times at which a callable is tried; part of the time span by which ends may differ
 FINER_DEGREE, LEAST_DEGREE = 4, 8  # degrees that a reference has more than the methods, and its least one
 RESOLVED = 1e-11  # part that the values of a callable may leave out, else its velocities are not told
 FINER, LEAST_ERROR, DOUBLINGS = 1e-2, 1e-14, 4  # part of the least error that a reference's own may be; its floor
@@ -48,21 +47,18 @@ def _check(problem: AnyProblem, given: Reference) -> None:
     """Refuse a reference that is no path of the problem."""
     d, span = problem.dimension, problem.t_span
     free = any(getattr(problem, name, None) is not None for name in ("duration_bounds", "energy"))
-    if not isinstance(given, Trajectory) and callable(given):
+    if not isinstance(given, Trajectory):
+        if not callable(given):
+            raise TypeError(f"the reference must be a Trajectory or a callable t -> ({d},), got {given!r}")
         if free:
             raise TypeError(f"where the duration is free, the reference must be a Trajectory, got {given!r}")
-        values = sampled("the reference", given, np.linspace(*span, LOOKS), d)
-        if not np.all(np.isfinite(values)):
-            raise ValueError(f"the reference must be finite on {span}, got {values.tolist()}")
         return
-    if not isinstance(given, Trajectory):
-        raise TypeError(f"the reference must be a Trajectory or a callable t -> ({d},), got {given!r}")
     if len(given.x) != d:
         raise ValueError(f"the reference must be a path of {counted(d, 'component')}, got {len(given.x)}")
     wanted, got = (len(parameters or ()) for parameters in (problem.parameters, given.parameters))
     if wanted != got:
         raise ValueError(f"the reference must have {counted(wanted, 'parameter')}, got {got}")
-    if not free and not np.allclose(given.t[[0, -1]], span, rtol=0, atol=SLACK * (span[1] - span[0])):
+    if not free and not np.allclose(given.t[[0, -1]], span, rtol=0, atol=APART * (span[1] - span[0])):
         raise ValueError(f"the reference must run from {span[0]} to {span[1]}, got {given.t[0]} to {given.t[-1]}")
 
 
@@ -71,10 +67,16 @@ class ReferenceSolution:
 
     Parts, and those between breakpoints, because a control problem may leave the durations free, and its path may jump
     at breakpoints.  A quantity that the user names is measured, too.
+
+    Attributes
+    ----------
+    name : what it is, in words
+    error : its own estimated relative error, 0 where none is known
     """
 
-    def __init__(self, problem: AnyProblem, given: Reference, measure: Measure | None) -> None:
+    def __init__(self, problem: AnyProblem, given: Reference, measure: Measure | None, name: str = "given") -> None:
         _check(problem, given)
+        self.name, self.error = name, getattr(given, "error_estimate", None) or 0.0
         self._path: Path
         self._at: Callable[[np.ndarray], np.ndarray]
         if isinstance(given, Trajectory):
@@ -147,7 +149,9 @@ def _interpolated(problem: AnyProblem, at: Callable[[np.ndarray], np.ndarray]) -
 
     def on(mesh: np.ndarray) -> PiecewisePolynomial:
         calculus = DiscreteCalculus(method, mesh)
-        return calculus.emb(at(calculus.node_times))
+        values = at(calculus.node_times)
+        check_finite("the reference", values, calculus.node_times)
+        return calculus.emb(values)
 
     breakpoints = problem.breakpoints
     mesh = mesh_of(problem.t_span, SAMPLES // 30 + 2 * len(breakpoints), None, breakpoints)
@@ -165,25 +169,27 @@ def quantity(measure: Measure, path: Path) -> float:
 
 def finer(
     problem: AnyProblem, paths: Sequence[Trajectory], guess: Guess | None, measure: Measure | None
-) -> tuple[Trajectory, float]:
+) -> ReferenceSolution:
     """A path several digits finer than the given ones, and its own error from a second one of another degree."""
     degree = max(LEAST_DEGREE, FINER_DEGREE + max(path.method.degree for path in paths))
     intervals = max(4, max((len(path.t) - 1) * path.method.degree for path in paths) // degree)
-    best, estimate = paths[0], np.inf
+    best: ReferenceSolution | None = None
     for _ in range(DOUBLINGS):
         try:
             other = solve(problem, Galerkin(degree), 5 * intervals // 4, guess=guess)
             fine = solve(problem, Galerkin(degree + 1), 2 * intervals, guess=guess)
         except ConvergenceError:
-            if estimate == np.inf:
+            if best is None:
                 raise
             break
-        truth = ReferenceSolution(problem, fine, measure)
-        difference = truth.errors(other)["error"]
-        if difference >= estimate:
+        name = f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}"
+        truth = ReferenceSolution(problem, fine, measure, name)
+        truth.error = truth.errors(other)["error"]
+        if best is not None and truth.error >= best.error:
             break
-        best, estimate = fine, difference
-        if estimate <= max(LEAST_ERROR, FINER * min(truth.errors(path)["error"] for path in paths)):
+        best = truth
+        if truth.error <= max(LEAST_ERROR, FINER * min(truth.errors(path)["error"] for path in paths)):
             break
         intervals *= 2
-    return best, estimate
+    assert best is not None
+    return best

@@ -20,7 +20,7 @@ import numpy as np
 from casadi_galerkin._solve import transcribe
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import counted, flag
+from casadi_galerkin.calculus.numbers import flag
 from casadi_galerkin.control.transcription import check_solver
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -261,15 +261,11 @@ def trade(
     paths = [cell.path for cell in cells if cell.path is not None]
     if not paths:
         raise ConvergenceError(f"no way led to a path; the first failure: {cells[0].row.failure}")
-    described, own = "given", getattr(reference, "error_estimate", None) or 0.0
-    if own:
-        described = f"given, own error {own:.1e}"
     if truth is None:
-        fine, own = finer(problem, paths, guess, measure)
-        described = f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}, own error {own:.1e}"
-        truth = ReferenceSolution(problem, fine, measure)
+        truth = finer(problem, paths, guess, measure)
     rows = [cell.row if cell.path is None else replace(cell.row, **truth.errors(cell.path)) for cell in cells]
-    return Trade(tuple(rows), described, own, None if measure is None else _name(measure))
+    told = f"{truth.name}, own error {truth.error:.1e}" if truth.error else truth.name
+    return Trade(tuple(rows), told, truth.error, None if measure is None else _name(measure))
 
 
 def _name(measure: Measure) -> str:
