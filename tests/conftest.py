@@ -7,11 +7,11 @@ import pytest
 
 @pytest.fixture(scope="session", autouse=True)
 def brief_trades():
-    """Every way of a trade is solved once for the first time, and repeated twice: nothing here tests seconds."""
+    """Every way of a trade is solved once for the first time, and repeated once: nothing here tests seconds."""
     with pytest.MonkeyPatch.context() as patch:
         module = import_module("casadi_galerkin.studies.trade")
         patch.setattr(module, "LONG", 0.0)
-        patch.setattr(module, "SLOW", 1e-9)
+        patch.setattr(module, "FIRST_CALLS", 1)
         yield
 
 

@@ -13,7 +13,7 @@ from casadi_galerkin.control.embedding import ChainEmbedding
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import between_marks, marks
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
-from casadi_galerkin.solution.guess import Guess, Values, guess_values, meeting_ends, sampled
+from casadi_galerkin.solution.guess import Guess, Values, check_finite_values, guess_values, meeting_ends, sampled
 
 SAME_FRACTION = 1e-12  # of the duration: rounding of joints that were stretched
 
@@ -153,10 +153,7 @@ def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus,
     if values.shape != shape:
         where = "in the intervals" if problem.hold else "at the quadrature points"
         raise ValueError(f"{name} must have the shape {shape} for values {where}, got {values.shape}")
-    wrong = ~np.isfinite(values).all(axis=0)
-    if np.any(wrong):
-        i = int(np.argmax(wrong))
-        raise ValueError(f"{name} must be finite, got {values[:, i]} at t = {times[i]:.6g}")
+    check_finite_values(name, values, times)
     return np.asarray(np.clip(values.T, *problem.control_bounds)).reshape(chain.intervals, -1, chain.controls)
 
 

@@ -75,16 +75,16 @@ def apart(values: np.ndarray, guessed: np.ndarray) -> float:
 def guess_values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:
     """Values (d, N m + 1) of a guess as it was given; refuses what does not fit or is not finite."""
     values = _values(guess, calculus, dimension)
-    check_finite("the guess", values, calculus.node_times)
+    check_finite_values("the guess", values, calculus.node_times)
     return values
 
 
-def check_finite(name: str, values: np.ndarray, times: np.ndarray) -> None:
+def check_finite_values(name: str, values: np.ndarray, times: np.ndarray) -> None:
     """Refuse values (d, K) of a path that are not finite."""
     finite = np.isfinite(values).all(axis=0)
     if not finite.all():
         i = int(np.argmin(finite))
-        raise ValueError(f"{name} must be finite, got {values[:, i]} at t = {times[i]}")
+        raise ValueError(f"{name} must be finite, got {values[:, i]} at t = {times[i]:.6g}")
 
 
 def waves(random: np.random.Generator, sizes: np.ndarray, period: float = 2.0) -> Callable[[ArrayLike], np.ndarray]:

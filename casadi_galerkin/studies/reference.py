@@ -29,7 +29,7 @@ from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import between_marks, marks
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.guess import Guess, check_finite, sampled
+from casadi_galerkin.solution.guess import Guess, check_finite_values, sampled
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 
@@ -150,7 +150,7 @@ def _interpolated(problem: AnyProblem, at: Callable[[np.ndarray], np.ndarray]) -
     def on(mesh: np.ndarray) -> PiecewisePolynomial:
         calculus = DiscreteCalculus(method, mesh)
         values = at(calculus.node_times)
-        check_finite("the reference", values, calculus.node_times)
+        check_finite_values("the reference", values, calculus.node_times)
         return calculus.emb(values)
 
     breakpoints = problem.breakpoints

@@ -42,8 +42,7 @@ from casadi_galerkin.studies.reference import (
 )
 from casadi_galerkin.studies.trade_table import Row, Trade
 
-REPEATS, LEAST, LONG = 15, 2, 0.03  # repeated calls; the least of them, where they take so many seconds
-FIRST, SLOW = 2, 1.0  # first calls; one where it takes so many seconds
+FIRST_CALLS, REPEATS, LONG = 2, 15, 0.03  # how often a way is solved; no repeats after so many seconds of them
 
 
 @dataclass
@@ -57,7 +56,7 @@ class _Cell:
 
     def repeat(self) -> None:
         """Solve again; noise only adds to the seconds, so the least count."""
-        if self.again is None or (len(self.calls) >= LEAST and sum(self.calls) > LONG):
+        if self.again is None or sum(self.calls) > LONG:
             return
         began = time.perf_counter()
         path = self.again()
@@ -67,13 +66,13 @@ class _Cell:
 
 
 def _cell(problem: AnyProblem, row: Row, guess: Guess | None, measure: Measure | None) -> _Cell:
-    """Solve in one way for the first time, twice where that does not take long, and build what its repeats need.
+    """Solve in one way for the first time, more than once, and build what its repeats need.
 
     The second time finds CasADi's plugins loaded.
     """
     seconds: list[float] = []
     try:
-        while len(seconds) < FIRST and sum(seconds) < SLOW:
+        for _ in range(FIRST_CALLS):
             fresh = pickle.loads(pickle.dumps(problem))  # a deep copy would share its Functions
             began = time.perf_counter()
             path = row.solve(fresh, guess)

@@ -30,7 +30,7 @@ sine = ca.Function("sine", [TIME], [ca.sin(TIME)])
         (3.0, ValueError, r"the guess must have the shape .* got \(\)"),
         ("line", TypeError, "the guess must be real numbers, got 'line'"),
         (np.zeros((1, 5)) * 1j, TypeError, "the guess must be real numbers"),
-        (np.full((1, 5), np.nan), ValueError, "the guess must be finite, got .nan. at t = 0.0"),
+        (np.full((1, 5), np.nan), ValueError, "the guess must be finite, got .nan. at t = 0$"),
         (lambda t: t, ValueError, r"the guess must return an array of shape \(1,\), got \(\)"),
         (lambda t: [t, t], ValueError, r"the guess must return an array of shape \(1,\), got \(2,\)"),
         (lambda t: [np.nan if t > 0.6 else t], ValueError, r"the guess must be finite, got \[nan\] at t = 0.625"),

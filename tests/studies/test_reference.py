@@ -53,7 +53,7 @@ def free(t, x, v):
         ),
         (lambda t: t, ValueError, r"the reference must return an array of shape \(2,\), got \(\)"),
         (lambda t: [t], ValueError, r"the reference must return an array of shape \(2,\), got \(1,\)"),
-        (lambda t: [t, np.nan], ValueError, r"the reference must be finite, got \[ 0\. nan\] at t = 0\.0"),
+        (lambda t: [t, np.nan], ValueError, r"the reference must be finite, got \[ 0\. nan\] at t = 0"),
         (lambda t: ["a", "b"], TypeError, "values of the reference must be real numbers, got"),
         ("x", TypeError, r"the reference must be a Trajectory or a callable t -> \(2,\), got 'x'"),
     ],
