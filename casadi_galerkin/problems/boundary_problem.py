@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from reprlib import repr as shown
 from typing import Any
 
 import casadi as ca
@@ -17,7 +18,7 @@ import casadi as ca
 from casadi_galerkin.calculus.numbers import components, counted, finite, flag, numbers, time_span, times_inside
 from casadi_galerkin.problems.callables import Traceable, arguments, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint
-from casadi_galerkin.problems.problem import END_MOTIONS, shown, with_changes
+from casadi_galerkin.problems.problem import END_MOTIONS, with_changes
 
 Given = tuple[float | None, ...]
 ENDS = ("start", "end")

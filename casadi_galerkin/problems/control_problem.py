@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from reprlib import repr as shown
 from typing import Any
 
 import casadi as ca
@@ -40,7 +41,7 @@ from casadi_galerkin.problems.crossings import (
     waypoints_of,
 )
 from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
-from casadi_galerkin.problems.problem import marks, shown, with_changes, with_values
+from casadi_galerkin.problems.problem import marks, with_changes, with_values
 
 MET = 1e-8  # of a condition that the ends given meet, as much as a solve may leave
 

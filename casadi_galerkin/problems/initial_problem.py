@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from reprlib import repr as shown
 from typing import ClassVar
 
 import casadi as ca
@@ -11,7 +12,6 @@ import casadi as ca
 from casadi_galerkin.calculus.numbers import counted, numbers, time_span
 from casadi_galerkin.problems.callables import Traceable, arguments, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
-from casadi_galerkin.problems.problem import shown
 
 
 @dataclass(frozen=True, repr=False)

@@ -104,13 +104,3 @@ def with_changes(problem: Stated, changes: Mapping[str, Any], t_span: Sequence[f
             if [a is None for a in values[name]] != [a is None for a in before]:
                 raise ValueError(f"{name} must have None where the problem has it, {before}, got {values[name]}")
     return with_values(problem, **values)
-
-
-MOST_SHOWN = 6  # numbers of a repr
-
-
-def shown(values: Sequence[object] | None) -> str:
-    """Numbers in a repr: all of a few, the first of many."""
-    if values is None or len(values) <= MOST_SHOWN:
-        return repr(values)
-    return f"({', '.join(map(repr, values[:MOST_SHOWN]))}, ... {len(values)} in all)"
