@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field, fields, replace
+from textwrap import shorten
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -262,8 +263,7 @@ def _words(row: Row, best: bool) -> tuple[str, ...]:
 def _numbers(row: Row, named: bool) -> str:
     """What a row has measured, or why it has not, in a table."""
     if row.failure is not None:
-        reason = row.failure.partition(". ")[0]
-        return f"  failed: {reason if len(reason) <= REASON else reason[: REASON - 1] + '…'}"
+        return f"  failed: {shorten(row.failure.partition('. ')[0], REASON, placeholder='…')}"
     seconds = "".join(f"{1e3 * value:12.3f}" for value in (row.first_seconds, row.solve_seconds))
     errors = [row.path_error, row.joint_error, row.functional_error, row.energy_error]
     shown = "".join(f"{value:12.1e}" for value in ([row.error] if named else []) + errors)
