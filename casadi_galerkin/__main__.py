@@ -70,11 +70,11 @@ def main() -> int:
     print(f"casadi_galerkin {installed()}, Python {platform.python_version()}, {platform.platform()}")
     print(f"CasADi {ca.__version__}, NumPy {np.__version__}, Matplotlib {matplotlib.__version__}")
     for kind, (has, names) in PLUGINS.items():
-        print(f"{kind + ':':15} " + ", ".join(name if has(name) else f"no {name}" for name in names))
+        print(f"{kind + ':':16} " + ", ".join(name if has(name) else f"no {name}" for name in names))
     began = time.perf_counter()
     errors = swing() | {"optimal control": move()}
     for name, error in errors.items():
-        print(f"{name + ':':15} {'passed' if error <= KNOWN else 'FAILED'}, relative error {error:.0e}")
+        print(f"{name + ':':16} {'passed' if error <= KNOWN else 'FAILED'}, relative error {error:.0e}")
     print(f"{len(errors)} tests in {time.perf_counter() - began:.2f} s")
     return int(not all(error <= KNOWN for error in errors.values()))
 
