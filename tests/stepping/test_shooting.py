@@ -154,6 +154,27 @@ def test_a_miss_above_its_roundoff_floor_is_refused():
     assert caught.value.residual == shot.residual > 1e4
 
 
+def test_rates_of_growth_that_rounding_parts_are_no_conjugate_ends():
+    """Both ends of the path then depend on the faster direction alone, as far as doubles tell."""
+
+    def two_rates(t, x, v):
+        return ca.sumsqr(v) / 2 + 9 * (x[0] + x[1] / 3) ** 2 / 2 + (x[1] - x[0] / 3) ** 2 / 2
+
+    problem = cg.BoundaryProblem(two_rates, (0, 18), [1.0, 1.0], [1.0, 0.5])
+    with pytest.raises(cg.ConvergenceError, match="rounding hides how the end depends on the start") as caught:
+        cg.shoot(problem, cg.Galerkin(4), 80)
+    assert not isinstance(caught.value, cg.ConjugatePointError)
+
+
+@pytest.mark.parametrize("degree", [4, 8])
+def test_newtons_method_goes_on_to_the_rounding_of_start_and_end(degree):
+    """Up to the rounding of all joints a path is accepted, but it can be ten times better."""
+    problem = cg.BoundaryProblem(pendulum, (0, 10), [0.0], [1.0])
+    coarse = cg.solve(problem, cg.Galerkin(3), 12, guess=lambda t: [t / 10 + 3 * np.sin(np.pi * t / 10)])
+    whole, shot = (way(problem, cg.Galerkin(degree), 80, guess=coarse) for way in (cg.solve, cg.shoot))
+    np.testing.assert_allclose(shot.x, whole.x, rtol=0, atol=2e-12)
+
+
 @pytest.mark.parametrize("horizon", [30, 200, 700])
 def test_a_failure_tells_the_growth_and_holds_the_last_path_and_its_residual(horizon):
     problem = cg.BoundaryProblem(saddle, (0, horizon), [1.0], [1.0])
