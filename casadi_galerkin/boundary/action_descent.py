@@ -62,7 +62,9 @@ def descend(
         if len(mesh) - 1 > MOST_INTERVALS:
             mesh = graded_alike(mesh, MOST_INTERVALS)
         if np.any(too_near(mesh)):
-            raise ConvergenceError("joints came too near to one another", Path(path))
+            raise ConvergenceError(
+                "no path was found: as the action fell, joints came too near to one another", Path(path)
+            )
         path = transcribed(mesh).guess_on_mesh(path, mesh)
     return path
 
@@ -109,7 +111,7 @@ def lowered(
                     derivatives = at.evaluate("joint_time_derivatives", unknowns + step, data)
                     return min(trial, retimed(trial, *derivatives), key=action), inertia / 3
             inertia *= 3
-    raise ConvergenceError("no step lowers the action", Path(path))
+    raise ConvergenceError("no path was found: no step lowers the action further", Path(path))
 
 
 def retimed(

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.arc_length import LONGER, MANY, SHORTER, Curve
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.mass import check_mass
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
@@ -32,6 +31,7 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import plot_branch
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory, index_in_words
+from casadi_galerkin.solvers.arc_length import LONGER, MANY, SHORTER, Curve
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton, verified
 
 if TYPE_CHECKING:

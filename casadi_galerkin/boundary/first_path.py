@@ -15,7 +15,6 @@ from casadi_galerkin.boundary.action_descent import descend
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.growing_share import of_force, of_time, under_growing_share
 from casadi_galerkin.boundary.levels import Levels
-from casadi_galerkin.boundary.loaded_curve import LoadedCurve
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import graded_alike, of_degree, resolved
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -109,9 +108,9 @@ def first_path_strategies(
     """Ways to a first path, in the order in which they are tried.
 
     They are Newton's method on the coarse mesh, with a guess also from that smoothed, and on a mesh that resolves it;
-    its rescues on the coarse mesh; the load of the guess taken away; growing shares of a force or, without a force and
-    a guess, of the time; a descent of the action with moving joints; and whatever `solver` tries.  Paths on the way are
-    found `roughly`.  With a guess, a path near it is taken before one that is far from it, which is another one.
+    its rescues on the coarse mesh; growing shares of a force or, without a force and a guess, of the time, their paths
+    found `roughly`; a descent of the action with moving joints; and whatever `solver` tries.  With a guess, a path near
+    it is taken before one that is far from it, which is another one.
     """
     given, name, problem = on_its_joints(levels, method, guess, mesh, ROUGHLY), repr(solver), levels.problem
 
@@ -135,38 +134,17 @@ def first_path_strategies(
             yield Strategy(name, find if guess is None else partial(_near, given, find))
         fine = finer().mesh
         fine = graded_alike(fine, max(MORE * (len(given.mesh) - 1), len(fine) - 1), problem.breakpoints)
-        start = levels.transcription(method, fine).guess_on_mesh(guess, fine)
-        unloaded = partial(_unloaded, levels, method, start, roughly)
-        unloaded = unloaded if guess is None else partial(_near, start, unloaded)
-        yield Strategy("taking away the load of the guess", unloaded)
         forced = problem.force is not None
         free = guess is None and problem.energy is None and problem.constraint is None and not problem.breakpoints
         if forced or free:
             under, words = (of_force, "under a growing force") if forced else (of_time, "over a growing time")
+            start = levels.transcription(method, fine).guess_on_mesh(guess, fine)
             yield Strategy(f"Newton's method {words}", partial(under_growing_share, levels, under, start, roughly))
         if stationarity.variational and not stationarity.functional.numbering.multipliers:
             joints = graded_alike(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
             yield Strategy("descent of the action", partial(_by_descent, levels, method, joints, guess, brief))
         name = "Newton's method with its rescues"
     yield Strategy(name, partial(solved, given, solver))
-
-
-def _unloaded(
-    levels: Levels,
-    method: Galerkin,
-    guess: PiecewisePolynomial,
-    roughly: Callable[[Levels, np.ndarray, Guess | None], CriticalPoint],
-) -> CriticalPoint:
-    """Follow a guess while the load that holds it in place is taken away, to the first path that is met."""
-    graph = levels.transcription(method, guess.mesh)
-    unknowns, data = graph.on_path(guess)
-    with graph.stationarity.linearization() as at:
-        load = at.relinearize(unknowns, data).copy()
-        sizes = graph.stationarity.sizes(unknowns, data)
-        for crossing in LoadedCurve(at, unknowns, 1.0, data, load, sizes, np.inf).crossings(-1.0):
-            with suppress(ConvergenceError):
-                return roughly(levels, guess.mesh, graph.emb(crossing, data))
-    raise ConvergenceError("no path was met while the load that holds the guess was taken away", Path(guess))
 
 
 def _by_descent(

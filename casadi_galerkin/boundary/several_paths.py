@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.graph import CriticalPoint
-from casadi_galerkin.boundary.loaded_curve import LoadedCurve
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
@@ -35,6 +34,7 @@ from casadi_galerkin.solution.guess import waves
 from casadi_galerkin.solution.plotting import Pictured, plot_family
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory, index_in_words
+from casadi_galerkin.solvers.loaded_curve import LoadedCurve, of_own_load
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import smallest_second_variation
 
@@ -48,7 +48,6 @@ SEED = 0  # of the random guesses and loads: a search that is repeated gives the
 SAME = 1e-6  # largest distance of two node values of one path found twice, in sizes of the component
 RESOLVED = 0.05  # largest estimated error of a path, in sizes of the component; of zigzags it is about one
 SOFT, ERRORS = 1e-3, 10.0  # relative second variation that is zero up to so many errors; regular ones are 1e-2 and more
-POLISHING = 20  # iterations of Newton's method from where a curve meets a path; more wander, for 4 times as long
 SMALLEST, LARGEST = -2.0, 5.0  # powers of two between which the amplitude of a random guess lies
 STIFFEST = 1e8  # largest entry of the Hessian over that at the paths; from there on roundoff rules
 SHOWN = 6  # paths in a repr
@@ -280,14 +279,10 @@ class Search:
         return replace(solution, report="Newton, from a random guess")
 
     def from_its_own_load(self) -> Iterator[Solution]:
-        """All that is met while the load is taken away that holds a guess: the straight line, then random ones."""
-        line = self.transcription.guess_on_mesh(None, self.transcription.mesh).values
-        guess = self.unknowns(line) if self.solves == 2 else self.guess()
+        """All that is met while the load is taken away that holds a random guess."""
         with self.stationarity.linearization() as at:
-            load = at.relinearize(guess, self.data).copy()
-            if np.any(load):  # without it the guess is stationary by itself
-                curve = LoadedCurve(at, guess, 1.0, self.data, load, self.sizes, self.stiffest)
-                yield from self.met(curve, -1.0, "Newton, along the load of a guess")
+            curve = of_own_load(at, self.guess(), self.data, self.stiffest)
+            yield from curve.met(-1.0, "Newton, along the load of a random guess")
 
     def along_a_load(self) -> Iterator[Solution]:
         """All that a curve of loaded paths meets: first to one side of a path, in the next solve to the other."""
@@ -299,17 +294,10 @@ class Search:
         values, report = self.start.polynomial.values, f"Newton, along a load from action {self.start.action:.6g}"
         with self.stationarity.linearization() as at:
             curve = LoadedCurve(at, self.begun, 0.0, self.data, self.load, self.sizes, self.stiffest)
-            for solution in self.met(curve, -1.0 if again else 1.0, report):
+            for solution in curve.met(-1.0 if again else 1.0, report):
                 if self.same(self.values(solution.unknowns), values):
                     return  # the curve is closed
                 yield solution
-
-    def met(self, curve: LoadedCurve, side: float, report: str) -> Iterator[Solution]:
-        """The stationary paths that a curve meets."""
-        for guess in curve.crossings(side):
-            with suppress(SolveFailure):
-                solution = damped_newton(self.stationarity, guess, self.data, max_iter=POLISHING)
-                yield replace(solution, iterations=curve.iterations + solution.iterations, report=report)
 
     def values(self, unknowns: np.ndarray) -> np.ndarray:
         """Node values (d, N m + 1) of unknowns."""

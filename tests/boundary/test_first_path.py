@@ -65,7 +65,7 @@ def test_a_stiffening_spring_swings_between_its_ends(potential, duration, start,
     """Newton's method and IPOPT fail from the straight line; the load that holds it leads to a swing."""
     spring = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - potential(x[0]), (0, duration), [start], [end])
     path = cg.solve(spring, tol=1e-8)
-    assert path.solver == "Newton; first path by taking away the load of the guess"
+    assert "the load of the guess taken away" in path.solver
     x = ca.SX.sym("x")
     force = ca.Function("force", [x], [-ca.gradient(potential(x), x)])
     state = [start, path.velocity[0, 0]]
@@ -123,7 +123,7 @@ def pendulums(count):
     return cg.BoundaryProblem(lagrangian, (0.0, 3.0), [0.0] * count, np.linspace(0.2, 1.0, count).tolist())
 
 
-@pytest.mark.parametrize("count", [12, 20])
+@pytest.mark.parametrize("count", [12, 16, 20])
 def test_a_row_of_pendulums_swings_from_the_straight_line(count):
     """Conjugate points lie between the ends: the action has no minimum that a descent could find."""
     path = cg.solve(pendulums(count), tol=TOL)
@@ -139,10 +139,9 @@ def test_a_row_of_pendulums_swings_from_the_straight_line(count):
     assert np.max(np.abs(swing.y[:count, -1] - path.x[:, -1])) < 1e-4
 
 
-def test_a_layer_is_found_over_a_growing_time():
+def test_a_layer_is_found_from_the_straight_line():
     troesch = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cosh(50 * x[0]), (0, 1), [0.0], [1.0])
     path = cg.solve(troesch, tol=TOL)
-    assert path.solver == "Newton; first path by Newton's method over a growing time"
     energy = path.momentum[0] ** 2 / 2 - np.cosh(50 * path.x[0])
     np.testing.assert_allclose(energy, energy[0], rtol=0, atol=TOL * np.cosh(50))
 

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 import casadi_galerkin as cg
 from casadi_galerkin.boundary import several_paths
-from casadi_galerkin.boundary.loaded_curve import LoadedCurve
+from casadi_galerkin.solvers.loaded_curve import LoadedCurve
 
 SOLVES = 100  # within which every path has to be found
 LONG = cg.BoundaryProblem(pendulum, (0.0, 10.0), [0.0], [1.0])
@@ -169,7 +169,7 @@ def test_where_the_straight_line_leads_to_nothing_its_load_does(duration):
     spring = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 4 / 4, (0, duration), [0.0], [2.0])
     found = cg.paths(spring, cg.Galerkin(8), int(3 * duration), count=4)
     assert len({path.morse_index for path in found}) > 1
-    assert any(path.solver == "Newton, along the load of a guess" for path in found)
+    assert any(path.solver == "Newton, the load of the guess taken away" for path in found)
     for path in found:
         state = [0.0, path.velocity[0, 0]]
         swing = solve_ivp(lambda t, y: [y[1], -(y[0] ** 3)], (0, duration), state, rtol=1e-10, atol=1e-12)

@@ -14,17 +14,21 @@ curve is, or whether it comes back, so its points are counted.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
-from casadi_galerkin.boundary.arc_length import LONGER, SHORTER, Curve
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.solvers.arc_length import LONGER, SHORTER, Curve
 from casadi_galerkin.solvers.deadline import seconds_left
-from casadi_galerkin.solvers.stationarity import Linearization
+from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
+from casadi_galerkin.solvers.stationarity import Linearization, Stationarity
 
 FIRST_STEP, SMALLEST_STEP, FARTHEST = 0.1, 1e-4, 1e3  # of the arc length, in sizes of the path it begins at
 POINTS = 300  # of one curve, both those that were met and those that were missed
 BEND = 0.7  # cosine of the largest angle between two tangents; with any, some searches took 3 times as long
+POLISHING = 20  # iterations of Newton's method from where a curve meets a path; more wander, for 4 times as long
 LOOSELY = 0.02  # last Newton step over the arc step: the curve is only a way to what is solved to roundoff
 
 
@@ -95,3 +99,25 @@ class LoadedCurve(Curve[bool]):
             if self.length(z - self.start) > FARTHEST:
                 return
             self.step *= LONGER
+
+    def met(self, side: float, report: str) -> Iterator[Solution]:
+        """The stationary paths that Newton's method leads to from where the load is zero."""
+        for guess in self.crossings(side):
+            with suppress(SolveFailure):
+                found = damped_newton(self.at.stationarity, guess, self.data, max_iter=POLISHING)
+                yield replace(found, iterations=self.iterations + found.iterations, report=report)
+
+
+def of_own_load(at: Linearization, unknowns: np.ndarray, data: Data, stiffest: float = np.inf) -> LoadedCurve:
+    """The curve through a path under the load that holds it in place."""
+    load = at.relinearize(unknowns, data).copy()
+    return LoadedCurve(at, unknowns, 1.0, data, load, at.stationarity.sizes(unknowns, data), stiffest)
+
+
+def unloaded(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0) -> Solution:  # noqa: ARG001
+    """Take the load away that holds a guess in place, up to the first stationary path that is met."""
+    with stationarity.linearization() as at:
+        curve = of_own_load(at, guess, data)
+        for found in curve.met(-1.0, "Newton, the load of the guess taken away"):
+            return found
+    raise SolveFailure("no path was met while the load of the guess was taken away", guess, curve.iterations)

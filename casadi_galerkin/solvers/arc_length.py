@@ -52,7 +52,8 @@ class Curve(ABC, Generic[Accepted]):
     def tangent(self, z: np.ndarray, forward: np.ndarray) -> np.ndarray:
         """Unit tangent at a point of the curve, on the side of `forward`."""
         direction = np.append(self.directions(z)[1], 1.0)
-        return self.unit(np.copysign(1.0, (direction * forward) @ self.weights) * direction)
+        with np.errstate(invalid="ignore"):  # it is not finite where the matrix is singular
+            return self.unit(np.copysign(1.0, (direction * forward) @ self.weights) * direction)
 
     def corrected(self, z: np.ndarray, normal: np.ndarray, longest: float) -> tuple[np.ndarray, Accepted] | None:
         """Newton's method within the plane through z across `normal`; None if a step is longer than `longest`."""
