@@ -258,7 +258,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:
         """Refine the first path found that can be followed; values of a guess are those on this mesh."""
         guess = self.on_any_mesh(guess, mesh)
-        failures, unfound = list[ConvergenceError](), list[ConvergenceError]()
+        failures: list[ConvergenceError] = []
         for strategy in first_path_strategies(self.levels, self.method, mesh, guess, self.solver, self.roughly):
             began, before, first = time.perf_counter(), self.iterations, None
             try:
@@ -270,9 +270,10 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             except ConvergenceError as failure:
                 if isinstance(failure, ConjugatePointError) and failure.residual <= ACCEPTED:
                     raise  # a path was found: another mesh may only hide that it is not the only one
+                if isinstance(failure, ConjugatePointError) and first is not None:
+                    words = f"no path was found: that of a coarse mesh is lost on a finer one, where {failure}"
+                    failure = ConvergenceError(words, failure.path, failure.residual, failure.iterations)
                 failures.append(failure)
-                if first is None:
-                    unfound.append(failure)
                 if self.out_of_time():
                     late = f"{self.limits.seconds:g} seconds have passed before there was a path"
                     raise LimitReached(f"{late}: {failure}", failure.path, failure.residual, self.iterations) from None
@@ -283,9 +284,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                 way = strategy.name if first.solution.report == NEWTON else first.solution.report
                 told = not failures or way == path.solver
                 return path if told else replace(path, solver=f"{path.solver}; first path by {way}")
-        conjugate = [failure for failure in unfound if isinstance(failure, ConjugatePointError)]
-        # that the Hessian is singular tells most, how a path of a coarse mesh was lost least
-        raise (conjugate or unfound or failures)[-1]
+        conjugate = [failure for failure in failures if isinstance(failure, ConjugatePointError)]
+        raise (conjugate or failures)[-1]  # a singular Hessian tells more than that another way found nothing
 
     def roughly(self, levels: Levels, mesh: np.ndarray, guess: Guess | None) -> CriticalPoint:
         """Find a path on the way to the one that is looked for, on a mesh that resolves it."""
