@@ -50,6 +50,7 @@ from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import between_marks, check_types, marks
+from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess, waves
@@ -92,12 +93,23 @@ def fits_any_mesh(guess: Guess | None) -> bool:
 
 
 def disturbed(path: ControlTrajectory, by: float) -> ControlTrajectory:
-    """A path moved by a random smooth one of this part of its size."""
-    before = path.polynomial
+    """A path moved by a random smooth one of this part of its size, and with free durations longer by this part."""
+    before, problem, start = path.polynomial, path.problem, path.t[0]
+    factor = 1.0 if problem.duration_bounds is None else 1 + by
+
+    def later(times: ArrayLike) -> np.ndarray:
+        return np.asarray(start + factor * (np.asarray(times) - start))
+
     sizes = by * np.max(np.abs(before.values), axis=1)
-    parts = (before.times(before.nodes[:-1]) - path.t[0]) / np.ptp(path.t)
+    parts = (before.times(before.nodes[:-1]) - start) / np.ptp(path.t)
     values = before.values + waves(np.random.default_rng(0), sizes)(parts)
-    return replace(path, polynomial=PiecewisePolynomial(path.t, before.nodes, values, before.arrivals))
+    first, *breakpoints, last = later(marks(problem)).tolist()
+    return replace(
+        path,
+        polynomial=PiecewisePolynomial(later(path.t), before.nodes, values, before.arrivals),
+        control=ControlPath(later(path.t), path.control.points, path.control.values, path.control.rule),
+        problem=problem.found((first, last), path.parameters, tuple(breakpoints)),
+    )
 
 
 class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):

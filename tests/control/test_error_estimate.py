@@ -76,3 +76,19 @@ def test_a_path_that_the_cost_leaves_open_is_refused_and_its_cost_is_known():
         cg.solve(task, tol=1e-5, limits=cg.Limits(intervals=20))
     cost = ((2**2 + 0.5**2) * np.cosh(1) - 2 * 2 * 0.5) / np.sinh(1) / 2
     assert abs(cg.solve(task, cost_tol=1e-5).cost / cost - 1) < 1e-12
+
+
+def test_a_duration_that_the_cost_hardly_knows_is_not_called_known():
+    """It is 2 up to a fourth power; solved from where it had come to, a higher degree came to the same one."""
+    task = double_integrator(
+        t_span=(0.0, 1.5),
+        end=[None],
+        end_velocity=[None],
+        running_cost=lambda t, x, v, u: (u[0] - 1) ** 2 + 1,
+        terminal_cost=lambda t, x, v: (x[0] - 2) ** 4 - t + 1,
+        duration_bounds=(0.5, 6.0),
+    )
+    path = cg.solve(task, tol=1e-4)
+    assert abs(path.t[-1] / 2 - 1) <= path.error_estimate
+    with pytest.raises(cg.LimitReached, match=r"only the path changes: the cost is known to \de-\d+, .* cost_tol"):
+        cg.solve(task, tol=1e-6, limits=cg.Limits(intervals=20))
