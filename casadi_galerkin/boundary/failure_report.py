@@ -83,8 +83,8 @@ def explained(
     where = f"after {failure.iterations} iterations; {place}"
     kind: type[ConvergenceError] = ConvergenceError
     words = (
-        f"no path was found: {failure} ({where}). Try a guess nearer to the path, more intervals, "
-        "or a shorter time span; there may be no path between these ends"
+        f"no path was found: {failure} ({where}). Try a guess nearer to the path, more intervals, a shorter time span, "
+        "or cg.paths, which begins from many guesses; there may be no path between these ends"
     )
     if failure.singular:
         kind = ConjugatePointError
