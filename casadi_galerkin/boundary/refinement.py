@@ -270,7 +270,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             except ConvergenceError as failure:
                 if isinstance(failure, ConjugatePointError) and failure.residual <= ACCEPTED:
                     raise  # a path was found: another mesh may only hide that it is not the only one
-                if isinstance(failure, ConjugatePointError) and first is not None:
+                if isinstance(failure, ConjugatePointError) and failures and first is not None:
                     words = f"no path was found: that of a coarse mesh is lost on a finer one, where {failure}"
                     failure = ConvergenceError(words, failure.path, failure.residual, failure.iterations)
                 failures.append(failure)
