@@ -58,6 +58,9 @@ BLURRED = 1e-14  # part left out that rounding of the node values alone looks li
 FAR = 0.1  # part of the tolerance below which rounding need not be looked at: it moves a path by eps / regularity
 ILL = 1e4  # roundoff floor over eps from which it is the problem's conditioning that is named
 ALIKE = 0.99  # agreement below which a mesh is halved; at 0.83 some 3 % of untied kinks passed, at 0.95 still some
+ROUNDED = (
+    3e3  # times the roundoff floor: by so much rounding makes forces move a path unlike; with 5e3 two kinks passed
+)
 HALVED = 8  # meshes on which variations may disagree; on finer ones only rounding was seen to differ
 LASTING, STEADY = 3, 1.02  # meshes, factor: an agreement that keeps within is not theirs: a mass may vanish at an end
 NOISE = 10.0  # an error that is not so many times what rounding does no longer falls with the mesh
@@ -136,7 +139,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             self.check_stubborn(level, source, missed, STUBBORN)
             return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed))
         error = max(error, float(np.max(said["force"])))
-        if error <= self.tol and not self.agreed(level, varied):
+        if error <= self.tol and not self.agreed(level, varied, floor):
             halved = np.full(len(left_out), TARGET * self.tol * 2.0 ** (self.method.degree + 1))
             return Estimate(1 - self.agreements[-1], False, "responses to forces", halved)
         left_out *= error / max(np.max(left_out), 1e-300)
@@ -177,12 +180,15 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """The graph on the mesh of a path."""
         return self.levels.transcription(self.method, path.mesh)
 
-    def agreed(self, level: CriticalPoint, varied: PiecewisePolynomial) -> bool:
-        """Whether forces move the path alike in its own degree, or, on any mesh, unlike; refuses a path of a family."""
+    def agreed(self, level: CriticalPoint, varied: PiecewisePolynomial, floor: float) -> bool:
+        """Whether forces move the path alike in its own degree, but for rounding, or, on any mesh, unlike.
+
+        Refuses a path of a family.
+        """
         graph = self.graph(level.polynomial)
         self.agreements.append(agreement(graph, level.polynomial, varied))
         last = self.agreements[-LASTING:]
-        if last[-1] >= ALIKE or (len(last) == LASTING and max(last) < STEADY * min(last)):
+        if last[-1] >= min(ALIKE, 1 - ROUNDED * floor) or (len(last) == LASTING and max(last) < STEADY * min(last)):
             return True
         graph.check_second_variation(level)
         if len(self.agreements) == HALVED:
