@@ -189,14 +189,12 @@ def interval(
     terms = ca.vec(terms)
     if constraint is not None:
         held = _held(lagrangian, constraint, method, unknowns, x, end, t, h)
-        residual = ca.vertcat(residual + held.work, held.equations)
-        own = by_s @ ca.jacobian(ca.vec(s), ca.vec(unknowns))
-        by_s = ca.vertcat(own, ca.SX(held.equations.numel(), own.shape[1])) + ca.jacobian(
-            ca.vertcat(held.work, held.equations), ca.vec(unknowns)
-        )
+        own = ca.jacobian(ca.vec(s), ca.vec(unknowns))
+        residual = own.T @ residual + held.equations
+        by_s = own.T @ by_s @ own + ca.jacobian(held.equations, ca.vec(unknowns))
         largest = ca.mmax(ca.fabs(ca.horzcat(x, unknowns[:d, :])))
         noise = RESTING * largest * ca.sum2(ca.fabs(by_s)[:, _moving(unknowns.shape, d)])
-        terms, end = ca.vertcat(terms + held.work_terms, held.equation_terms) + noise, held.momentum
+        terms, end = own.T @ terms + held.terms + noise, held.momentum
 
     def function(name: str, *outputs: ca.SX) -> ca.Function:
         return ca.Function(name, [unknowns, x, p, t, h], [ca.densify(output) for output in outputs])
@@ -212,18 +210,19 @@ def interval(
 class _Held:
     """What a constraint adds to the equations of one interval.
 
+    The equations have the shape of s: R_j and the constraint at a node in one column, and the momentum and the tangent
+    velocity of the end in the last.  So QR mixes no components that do not depend on each other, and a component that
+    rests among moving ones stays exactly at rest.
+
     Attributes
     ----------
-    work : (d m,), added to R
-    equations : (k m + d + k,), the constraint at the nodes, the momentum and the tangent velocity at the end
-    work_terms, equation_terms : sizes of what these sum
+    equations : ((d + k) (m + 1),), column by column
+    terms : sizes of what these sum
     momentum : (d,), p_1
     """
 
-    work: ca.SX
     equations: ca.SX
-    work_terms: ca.SX
-    equation_terms: ca.SX
+    terms: ca.SX
     momentum: ca.SX
 
 
@@ -258,15 +257,17 @@ def _held(
     mass = ca.fabs(ca.jacobian(momentum, last)) @ fastest
     normal = slopes[m].T @ mu
     sizes = ca.repmat(ca.fabs(x), 1, m + 1) + ca.fabs(s) @ ca.DM(abs(values)).T  # x may pass through zero, too
+    at_nodes = ca.horzcat(*(value for value, _, _ in held[1:]))
+    at_end = ca.vertcat(momentum - before - normal, slopes[m] @ v + held[m][2])
+    work_terms = pushed @ ca.fabs(by_node)
+    node_terms = ca.horzcat(*(ca.fabs(slope) @ sizes[:, a] for a, slope in enumerate(slopes) if a))
+    end_terms = ca.vertcat(
+        mass + ca.fabs(momentum) + ca.fabs(unheld) + ca.sum2(pushed) + ca.fabs(slopes[m]).T @ ca.fabs(mu),
+        ca.fabs(slopes[m]) @ fastest / h + ca.fabs(held[m][2]),
+    )
     return _Held(
-        ca.vec(pushes @ by_node),
-        ca.vertcat(*(value for value, _, _ in held[1:]), momentum - before - normal, slopes[m] @ v + held[m][2]),
-        ca.vec(pushed @ ca.fabs(by_node)),
-        ca.vertcat(
-            *(ca.fabs(slope) @ sizes[:, a] for a, slope in enumerate(slopes) if a),
-            mass + ca.fabs(momentum) + ca.fabs(unheld) + ca.sum2(pushed) + ca.fabs(slopes[m]).T @ ca.fabs(mu),
-            ca.fabs(slopes[m]) @ fastest / h + ca.fabs(held[m][2]),
-        ),
+        ca.vec(ca.horzcat(ca.vertcat(pushes @ by_node, at_nodes), at_end)),
+        ca.vec(ca.horzcat(ca.vertcat(work_terms, node_terms), end_terms)),
         momentum,
     )
 
