@@ -110,7 +110,7 @@ class Interval:
     Attributes
     ----------
     system : -> R, ∂R/∂s
-    check : -> |R| over its roundoff floor, action of the interval
+    check : -> |R| over its roundoff floor, action of the interval, sizes of the terms that p_1 sums (d,)
     end : -> x_1, p_1, Taylor coefficients of the velocity at the end (d, terms)
     """
 
@@ -144,12 +144,13 @@ class Interval:
         numbers = np.arange(s.numel()).reshape(columns, rows + 1)
         others = np.delete(numbers, d, axis=1).ravel().tolist()
         inputs = [ca.reshape(s[others], rows, columns), x[:d], p[:d], t, stretch * h]
-        (path, by_path), (ratio, action), (end, momentum, velocity) = (
+        (path, by_path), (ratio, action, summed), (end, momentum, velocity) = (
             part(*inputs) for part in (self.system, self.check, self.end)
         )
         residual, by_s = ca.vec(s), ca.SX.eye(s.numel())  # whose rows are in the order of the columns, for QR
         residual[others], by_s[others, others] = path, by_path
-        momentum = ca.vertcat(momentum, p[d] + ca.gradient(action, stretch))
+        gained = ca.gradient(action, stretch)
+        momentum, summed = ca.vertcat(momentum, p[d] + gained), ca.vertcat(summed, ca.fabs(p[d]) + ca.fabs(gained))
         powers = ca.DM(range(1, velocity.shape[1] + 1)).T
         velocity = ca.vertcat(velocity * ca.repmat(stretch**powers, d, 1), ca.SX(1, velocity.shape[1]))
 
@@ -158,7 +159,7 @@ class Interval:
 
         return Interval(
             function("system", residual, by_s),
-            function("check", ratio, action),
+            function("check", ratio, action, summed),
             function("end", ca.vertcat(end, stretch), momentum, velocity),
         )
 
@@ -183,7 +184,8 @@ def interval(
     points = ca.diagcat(*ca.horzsplit(jacobian, 2 * d))
     by_s = _spread(w * (b - values), -w * slopes, d).T @ points @ _spread(values, slopes, d)
     f_size, g_size = ca.vertsplit(sizes * ca.repmat(ca.DM(w).T, 2 * d, 1), d)
-    terms = (ca.fabs(p) + ca.sum2(f_size)) @ ca.DM(b).T + f_size @ ca.DM(abs(values)) + g_size @ ca.DM(abs(slopes))
+    end_terms = ca.fabs(p) + ca.sum2(f_size)
+    terms = end_terms @ ca.DM(b).T + f_size @ ca.DM(abs(values)) + g_size @ ca.DM(abs(slopes))
     taylor = basis.taylor(TAYLOR)
     velocity = (s @ ca.DM(taylor).T) / ca.repmat(h ** ca.DM(range(1, len(taylor) + 1)).T, d, 1)
     terms = ca.vec(terms)
@@ -194,14 +196,14 @@ def interval(
         by_s = own.T @ by_s @ own + ca.jacobian(held.equations, ca.vec(unknowns))
         largest = ca.mmax(ca.fabs(ca.horzcat(x, unknowns[:d, :])))
         noise = RESTING * largest * ca.sum2(ca.fabs(by_s)[:, _moving(unknowns.shape, d)])
-        terms, end = own.T @ terms + held.terms + noise, held.momentum
+        terms, end, end_terms = own.T @ terms + held.terms + noise, held.momentum, held.momentum_terms
 
     def function(name: str, *outputs: ca.SX) -> ca.Function:
         return ca.Function(name, [unknowns, x, p, t, h], [ca.densify(output) for output in outputs])
 
     return Interval(
         function("system", residual, by_s),
-        function("check", ca.fabs(residual) / (EPS * terms + TINY), action @ ca.DM(w)),
+        function("check", ca.fabs(residual) / (EPS * terms + TINY), action @ ca.DM(w), end_terms),
         function("end", x + s @ ca.DM(b), end, velocity),
     )
 
@@ -218,12 +220,13 @@ class _Held:
     ----------
     equations : ((d + k) (m + 1),), column by column
     terms : sizes of what these sum
-    momentum : (d,), p_1
+    momentum, momentum_terms : (d,), p_1 and the sizes of what it sums
     """
 
     equations: ca.SX
     terms: ca.SX
     momentum: ca.SX
+    momentum_terms: ca.SX
 
 
 def _held(
@@ -261,14 +264,13 @@ def _held(
     at_end = ca.vertcat(momentum - before - normal, slopes[m] @ v + held[m][2])
     work_terms = pushed @ ca.fabs(by_node)
     node_terms = ca.horzcat(*(ca.fabs(slope) @ sizes[:, a] for a, slope in enumerate(slopes) if a))
-    end_terms = ca.vertcat(
-        mass + ca.fabs(momentum) + ca.fabs(unheld) + ca.sum2(pushed) + ca.fabs(slopes[m]).T @ ca.fabs(mu),
-        ca.fabs(slopes[m]) @ fastest / h + ca.fabs(held[m][2]),
-    )
+    momentum_terms = mass + ca.fabs(momentum) + ca.fabs(unheld) + ca.sum2(pushed) + ca.fabs(slopes[m]).T @ ca.fabs(mu)
+    end_terms = ca.vertcat(momentum_terms, ca.fabs(slopes[m]) @ fastest / h + ca.fabs(held[m][2]))
     return _Held(
         ca.vec(ca.horzcat(ca.vertcat(pushes @ by_node, at_nodes), at_end)),
         ca.vec(ca.horzcat(ca.vertcat(work_terms, node_terms), end_terms)),
         momentum,
+        momentum_terms,
     )
 
 

@@ -64,13 +64,15 @@ class Shot:
     def residual(self) -> float:
         """Largest residual of a step, or miss of the end, over its roundoff floor.
 
-        The floor of the miss is the rounding of the states at all joints, carried on to the end.
+        The floor of the miss is the rounding of the states at all joints, carried on to the end; for the momentum of
+        the end it is at least that of the terms that it sums.
         """
-        states = np.abs(np.concatenate((self.roll.x, self.roll.p)))
+        d, states = len(self.roll.x), np.abs(np.concatenate((self.roll.x, self.roll.p)))
         onward = accumulated(self.steps[::-1].transpose(0, 2, 1))[::-1].transpose(0, 2, 1)  # ∂(x_N, p_N)/∂(x_i, p_i)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             floor = self.sizes.copy()
-            floor[-len(states) :] = np.einsum("iab,bi->a", np.abs(onward), states)
+            floor[-2 * d :] = np.einsum("iab,bi->a", np.abs(onward), states)
+            floor[-d:] = np.maximum(floor[-d:], self.roll.p_terms[:, -1])
             ratios = np.abs(self.miss) / (np.abs(self.by_ends) @ (EPS * floor + TINY))
         return float(max(np.max(self.roll.residual), np.max(ratios)))
 
@@ -130,9 +132,10 @@ class Shooting:
     def _sizes(self, roll: Roll, steps: np.ndarray, own: np.ndarray, by_ends: np.ndarray) -> np.ndarray:
         """Sizes of the ends, (4d + k,): of (x, p) the largest at the joints, of η what is as large in an equation.
 
-        The momentum of a stretch sums terms that cancel where the energy is near zero; it is as large as they are.
+        A momentum is as large as the terms that it sums: they cancel at an equilibrium, and those of the momentum of a
+        stretch where the energy is near zero.
         """
-        states = np.max(np.abs(np.concatenate((roll.x, roll.p))), axis=1)
+        states = np.max(np.concatenate((np.abs(roll.x), roll.p_terms)), axis=1)
         if self.stepper.stretched:
             states[-1] = max(states[-1], np.sum(np.abs(steps[:, -1, :-1]), axis=0) @ states[:-1])
         sizes = np.concatenate((states, np.zeros(len(own)), states))

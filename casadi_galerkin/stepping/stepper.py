@@ -32,6 +32,7 @@ class Roll:
     ----------
     mesh : (N + 1,), joints
     x, p : (d, N + 1), at the joints
+    p_terms : (d, N + 1), sizes of the terms that p sums, which may cancel; the first is that of p itself
     unknowns : (N, rows, columns), s of every interval as `Interval` has it
     iterations : (N,), of Newton's method
     residual : (N,), largest residual of each step over its roundoff floor; not finite where a step failed, or left the
@@ -42,6 +43,7 @@ class Roll:
     mesh: np.ndarray
     x: np.ndarray
     p: np.ndarray
+    p_terms: np.ndarray
     unknowns: np.ndarray
     iterations: np.ndarray
     residual: np.ndarray
@@ -103,9 +105,9 @@ class Stepper:
         inputs = [ca.MX.sym(f"in{i}", *rolled.size_in(i)) for i in range(5)]
         x, p, velocity, s, iterations = rolled(*inputs)
         before = [ca.horzcat(first, later[:, :-1]) for first, later in zip(inputs[:2], (x, p), strict=True)]
-        ratio, action = self.interval.check.map(count)(s, *before, *inputs[3:])
+        ratio, action, terms = self.interval.check.map(count)(s, *before, *inputs[3:])
         last = velocity[:, velocity.shape[1] - self._step.size2_in(2) :]
-        return ca.Function("piece", inputs, [x, p, last, s, iterations, ratio, action])
+        return ca.Function("piece", inputs, [x, p, last, s, iterations, ratio, action, terms])
 
     def _evaluator(self, name: str, count: int) -> Evaluator:
         """Of the roll through so many intervals, or of their Jacobians."""
@@ -128,16 +130,17 @@ class Stepper:
         taylor[:d] = velocity
         state, found = (x, p, taylor), []
         for i in range(0, len(h), size):
-            *outputs, action = piece(*state, t[i : i + size], h[i : i + size])
+            *outputs, action, terms = piece(*state, t[i : i + size], h[i : i + size])
             rolled_x, rolled_p, taylor = outputs[:3]
             state = (rolled_x[-d:], rolled_p[-d:], taylor)
-            found.append((rolled_x, rolled_p, *outputs[3:], action))
-        xs, ps, s, iterations, ratio, action = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+            found.append((rolled_x, rolled_p, terms, *outputs[3:], action))
+        xs, ps, terms, s, iterations, ratio, action = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
         rows, columns = self._shape
         return Roll(
             mesh,
             np.column_stack((x, xs.reshape(-1, d).T[:, :n])),
             np.column_stack((p, ps.reshape(-1, d).T[:, :n])),
+            np.column_stack((np.abs(p), terms.reshape(-1, d).T[:, :n])),
             s.reshape(-1, columns, rows).transpose(0, 2, 1)[:n],
             iterations[:n],
             np.where(np.isnan(action), np.nan, ratio.reshape(len(action), -1).max(axis=1))[:n],
@@ -150,7 +153,8 @@ class Stepper:
             return roll
         d = self.dimension - 1
         mesh = roll.mesh[0] + roll.x[d, 0] * (roll.mesh - roll.mesh[0])
-        return replace(roll, mesh=mesh, x=roll.x[:d], p=roll.p[:d], unknowns=np.delete(roll.unknowns, d, axis=1))
+        parts = {name: getattr(roll, name)[:d] for name in ("x", "p", "p_terms")}
+        return replace(roll, mesh=mesh, unknowns=np.delete(roll.unknowns, d, axis=1), **parts)
 
     def unknowns(self, mesh: np.ndarray, x: np.ndarray, p: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Unknowns of every interval, as in `Roll`, from slopes (N, d, m) that are theirs or near: with impulses."""

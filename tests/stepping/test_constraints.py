@@ -235,6 +235,16 @@ def test_a_component_held_at_zero_stays_zero(degree):
         assert path.estimate_error() < 1e-14
 
 
+@pytest.mark.parametrize("degree", [2, 4, 8])
+@pytest.mark.parametrize("side", [-1.0, 1.0], ids=["hanging", "upright"])
+def test_a_pendulum_at_rest_with_a_free_end_is_shot(side, degree):
+    """The momentum of the end is rounding of the impulses that hold the weight."""
+    problem = cg.BoundaryProblem(planar, (0, 1), [0.0, side], [None, None], constraint=unit_length)
+    path = cg.shoot(problem, cg.Galerkin(degree), 8)
+    np.testing.assert_allclose(path.x, [[0.0] * 9, [side] * 9], rtol=1e-14)
+    assert path.action == pytest.approx(cg.solve(problem, cg.Galerkin(degree), 8).action, rel=1e-14)
+
+
 def chain_of_two(t, x):
     return [ca.sumsqr(x[:3]) - 1, ca.sumsqr(x[3:] - x[:3]) - 1]
 

@@ -198,6 +198,18 @@ def test_one_of_a_family_of_paths_is_refused_though_the_first_meets_the_end(dura
             way(problem, cg.Galerkin(8), 20)
 
 
+@pytest.mark.parametrize("intervals", [3, 8])
+@pytest.mark.parametrize("degree", [2, 4, 5, 8])
+def test_a_weight_on_a_spring_with_free_ends_hangs_at_rest(degree, intervals):
+    """Spring and weight cancel, and the momentum that the end is judged by is their rounding."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - 30 * (x[0] - 0.3) ** 2 - 9.81 * x[0], (0, 1), [None], [None]
+    )
+    path = cg.shoot(problem, cg.Galerkin(degree), intervals)
+    np.testing.assert_allclose(path.x, 0.3 - 9.81 / 60, rtol=1e-14)
+    assert np.max(np.abs(path.momentum)) < 1e-14
+
+
 def test_a_conjugate_point_is_named():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, np.pi), [0.0], [1.0])
     with pytest.raises(cg.ConjugatePointError, match="conjugate points") as caught:
