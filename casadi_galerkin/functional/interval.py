@@ -112,11 +112,13 @@ class Interval:
     system : -> R, ∂R/∂s
     check : -> |R| over its roundoff floor, action of the interval, sizes of the terms that p_1 sums (d,)
     end : -> x_1, p_1, Taylor coefficients of the velocity at the end (d, terms)
+    settled : -> s, with zeros for slopes that are only rounding of what a constraint holds
     """
 
     system: ca.Function
     check: ca.Function
     end: ca.Function
+    settled: ca.Function
 
     def jacobian(self) -> ca.Function:
         """∂(x_1, p_1)/∂(x_0, p_0) of the step, (2d, 2d), by the implicit function theorem on R = 0."""
@@ -147,6 +149,8 @@ class Interval:
         (path, by_path), (ratio, action, summed), (end, momentum, velocity) = (
             part(*inputs) for part in (self.system, self.check, self.end)
         )
+        settled = ca.SX(s)
+        settled[others] = ca.vec(self.settled(*inputs))
         residual, by_s = ca.vec(s), ca.SX.eye(s.numel())  # whose rows are in the order of the columns, for QR
         residual[others], by_s[others, others] = path, by_path
         gained = ca.gradient(action, stretch)
@@ -161,6 +165,7 @@ class Interval:
             function("system", residual, by_s),
             function("check", ratio, action, summed),
             function("end", ca.vertcat(end, stretch), momentum, velocity),
+            function("settled", settled),
         )
 
 
@@ -188,7 +193,7 @@ def interval(
     terms = end_terms @ ca.DM(b).T + f_size @ ca.DM(abs(values)) + g_size @ ca.DM(abs(slopes))
     taylor = basis.taylor(TAYLOR)
     velocity = (s @ ca.DM(taylor).T) / ca.repmat(h ** ca.DM(range(1, len(taylor) + 1)).T, d, 1)
-    terms = ca.vec(terms)
+    terms, settled = ca.vec(terms), unknowns
     if constraint is not None:
         held = _held(lagrangian, constraint, method, unknowns, x, end, t, h)
         own = ca.jacobian(ca.vec(s), ca.vec(unknowns))
@@ -197,6 +202,7 @@ def interval(
         largest = ca.mmax(ca.fabs(ca.horzcat(x, unknowns[:d, :])))
         noise = RESTING * largest * ca.sum2(ca.fabs(by_s)[:, _moving(unknowns.shape, d)])
         terms, end, end_terms = own.T @ terms + held.terms + noise, held.momentum, held.momentum_terms
+        settled = held.settled
 
     def function(name: str, *outputs: ca.SX) -> ca.Function:
         return ca.Function(name, [unknowns, x, p, t, h], [ca.densify(output) for output in outputs])
@@ -205,6 +211,7 @@ def interval(
         function("system", residual, by_s),
         function("check", ca.fabs(residual) / (EPS * terms + TINY), action @ ca.DM(w), end_terms),
         function("end", x + s @ ca.DM(b), end, velocity),
+        function("settled", settled),
     )
 
 
@@ -221,12 +228,14 @@ class _Held:
     equations : ((d + k) (m + 1),), column by column
     terms : sizes of what these sum
     momentum, momentum_terms : (d,), p_1 and the sizes of what it sums
+    settled : the unknowns, with zeros for slopes whose part of every momentum is lost in the rounding of its terms
     """
 
     equations: ca.SX
     terms: ca.SX
     momentum: ca.SX
     momentum_terms: ca.SX
+    settled: ca.SX
 
 
 def _held(
@@ -257,7 +266,8 @@ def _held(
     rate = ca.SX.sym("v", d)
     momentum = ca.substitute(ca.gradient(lagrangian(t + h, x_at[:, m], rate), rate), rate, v)
     fastest = ca.vertcat(*(ca.mmax(ca.fabs(unknowns[i, :])) for i in range(d)))  # h v may pass through zero
-    mass = ca.fabs(ca.jacobian(momentum, last)) @ fastest
+    masses = ca.fabs(ca.jacobian(momentum, last))
+    mass = masses @ fastest
     normal = slopes[m].T @ mu
     sizes = ca.repmat(ca.fabs(x), 1, m + 1) + ca.fabs(s) @ ca.DM(abs(values)).T  # x may pass through zero, too
     at_nodes = ca.horzcat(*(value for value, _, _ in held[1:]))
@@ -265,12 +275,16 @@ def _held(
     work_terms = pushed @ ca.fabs(by_node)
     node_terms = ca.horzcat(*(ca.fabs(slope) @ sizes[:, a] for a, slope in enumerate(slopes) if a))
     momentum_terms = mass + ca.fabs(momentum) + ca.fabs(unheld) + ca.sum2(pushed) + ca.fabs(slopes[m]).T @ ca.fabs(mu)
+    parts = masses / ca.repmat(EPS * RESTING * momentum_terms + TINY, 1, d)
+    largest = ca.vertcat(*(ca.mmax(parts_of_one) for parts_of_one in ca.horzsplit(parts)))
+    moving = ca.fabs(unknowns[:d, :]) * ca.repmat(largest, 1, m + 1) > 1
     end_terms = ca.vertcat(momentum_terms, ca.fabs(slopes[m]) @ fastest / h + ca.fabs(held[m][2]))
     return _Held(
         ca.vec(ca.horzcat(ca.vertcat(pushes @ by_node, at_nodes), at_end)),
         ca.vec(ca.horzcat(ca.vertcat(work_terms, node_terms), end_terms)),
         momentum,
         momentum_terms,
+        ca.vertcat(unknowns[:d, :] * moving, unknowns[d:, :]),
     )
 
 

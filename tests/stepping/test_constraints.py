@@ -235,6 +235,40 @@ def test_a_component_held_at_zero_stays_zero(degree):
         assert path.estimate_error() < 1e-14
 
 
+def coupled(t, x, v):
+    return ca.sumsqr(v) + v[0] * v[1] - ca.cos(x[0] - x[1]) - 3 * x[1]
+
+
+@pytest.mark.parametrize("degree", [3, 6])
+@pytest.mark.parametrize(("lagrangian", "speed"), [(planar, 0.0), (planar, 1e-12), (planar, 1.0), (coupled, 1.0)])
+def test_forces_do_not_move_what_is_held_at_zero(lagrangian, speed, degree):
+    """A mass slides on the line x_1 = 0, which holds its weight."""
+    problem = cg.InitialProblem(lagrangian, (0, 1), [0, 0], velocity=[speed, 0], constraint=lambda t, x: x[1])
+    path = cg.solve(problem, cg.Galerkin(degree), 8)
+    assert not np.any(path.polynomial.values[1])
+    assert path.x[0, -1] == pytest.approx(speed, rel=0.2, abs=0)
+    assert path.estimate_error() < 1e-6
+
+
+@pytest.mark.parametrize("degree", [3, 6, 8])
+@pytest.mark.parametrize("side", [-1.0, 1.0], ids=["hanging", "upright"])
+def test_the_steps_of_a_pendulum_at_rest_are_symplectic(side, degree):
+    problem = cg.InitialProblem(planar, (0, 2), [0.0, side], velocity=[0.0, 0.0], constraint=unit_length)
+    path = cg.solve(problem, cg.Galerkin(degree), 8)
+    assert not np.any(path.momentum)
+    assert np.max(cg.geometry(path).symplecticity_defects) < 1e-14
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-9, 1e-18])
+def test_a_component_that_leaves_its_rest_is_not_taken_for_rounding(step):
+    """A pendulum falls from its side, however short the steps are."""
+    problem = cg.InitialProblem(planar, (0, 8 * step), [1.0, 0.0], velocity=[0.0, 0.0], constraint=unit_length)
+    path = cg.solve(problem, cg.Galerkin(4), 8)
+    force = float(planar(0.0, ca.DM([0, 1]), ca.DM([0, 0])))
+    assert path.momentum[1, -1] == pytest.approx(force * 8 * step, rel=1e-3)
+    assert path.x[1, -1] == pytest.approx(force * (8 * step) ** 2 / 2, rel=1e-3, abs=0)
+
+
 @pytest.mark.parametrize("degree", [2, 4, 8])
 @pytest.mark.parametrize("side", [-1.0, 1.0], ids=["hanging", "upright"])
 def test_a_pendulum_at_rest_with_a_free_end_is_shot(side, degree):
