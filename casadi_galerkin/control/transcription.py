@@ -26,7 +26,7 @@ from casadi_galerkin.control.constraint_violation import FEASIBLE, UNSEEN, unsee
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
-from casadi_galerkin.control.optimizer import RELAXED, optimize, with_fatrop, with_ipopt
+from casadi_galerkin.control.optimizer import RELAXED, TOLERANCE, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, with_ends
 from casadi_galerkin.control.second_variation import CostVariation
 from casadi_galerkin.functional.buffers import Evaluator, Lender
@@ -45,6 +45,7 @@ from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 
 WILD = 10.0  # terms along a guess over those on the straight line; noise has more, a way round has less
+UNMOVED = 1e-5  # part of the largest terms on the straight line below which it tells nothing of a component's motion
 SHORTEST = 1e-10  # interval over the duration; at 1e-9 to 1e-12 IPOPT was seen to fail, and at 1e-13 to be wrong
 NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
 
@@ -261,7 +262,9 @@ class ControlTranscription:
 
         The equations of motion are measured by their terms along the guess, but by no more than `WILD` times those on
         the straight line between the ends, so that the solver's tolerance, which is absolute, does not depend on units.
-        The terms of a wild guess are far too large.  With momenta of zero the equations of the joints are the momenta.
+        The terms of a wild guess are far too large.  Where the line hardly moves a component, as between ends that
+        differ by rounding, its terms there are far too small, and do not count.  With momenta of zero the equations of
+        the joints are the momenta.
         """
         chain, near = self.chain, near_answer(guess, self.chain, calculus)
         longer, share = beginning.longer, beginning.share
@@ -276,9 +279,10 @@ class ControlTranscription:
         largest = report.sizes.copy()
         if wild:
             line = self.graph.report(*chain.pack(straight)).sizes
-            largest = np.where((line > 0) & np.isfinite(line), np.fmin(WILD * line, largest), largest)
-        sizes = largest[chain.motions]
-        values["sizes"] = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
+            line[chain.motions] = _telling(line[chain.motions], UNMOVED)
+            largest = np.where((line > TOLERANCE) & np.isfinite(line), np.fmin(WILD * line, largest), largest)
+        sizes = _telling(largest[chain.motions], TOLERANCE)
+        values["sizes"] = np.where(sizes > 0, sizes, 1.0)
         largest[chain.motions] /= values["sizes"]
         rows = report.equations[np.vstack((chain.rows["motion"][:, 0], chain.rows["momentum"][-1:]))]
         momentum = -rows if near is None else near.momentum[: chain.mechanical].T
@@ -336,6 +340,12 @@ class ControlTranscription:
             f"{counted(len(self.mesh) - 1, 'interval')}: {counted(self.chain.unknowns, 'unknown')}, built in "
             f"{self.build_seconds:.4f} s"
         )
+
+
+def _telling(sizes: np.ndarray, part: float) -> np.ndarray:
+    """The sizes of terms of all components; zero where they are not finite, or below this part of the largest."""
+    finite = np.where(np.isfinite(sizes), sizes, 0.0)
+    return np.where(finite > part * np.max(finite, initial=0.0), finite, 0.0)
 
 
 def _check_steps(mesh: np.ndarray) -> None:

@@ -32,6 +32,16 @@ def test_cartesian_swing_up_is_that_in_angles(solver):
     assert np.max(path.dynamics_defect) < 1e-6
 
 
+@pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=str)
+@pytest.mark.parametrize("rounding", [np.sin(np.pi), -1e-17, 1e-30, 1e-12, 1e-8])
+def test_an_end_beside_the_vertical_by_rounding_costs_what_the_vertical_does(rounding, solver):
+    """The straight line moves x[0] by rounding alone, and fatrop never returned from equations measured by that."""
+    path = cg.solve(cartesian_pendulum(end=[rounding, 1.0]), cg.Galerkin(4), 20, guess=guess, solver=solver)
+    there = cg.solve(cartesian_pendulum(end=[0.0, 1.0]), cg.Galerkin(4), 20, guess=guess)
+    assert path.cost == pytest.approx(there.cost, abs=abs(4 * rounding) + ROUNDOFF)
+    assert path.solver == f"{'IPOPT' if solver is cg.ipopt else 'fatrop'} (Solve Succeeded)"
+
+
 @pytest.mark.parametrize("degree", [1, 2, 4])
 @pytest.mark.parametrize("rule", [cg.gauss, lambda m: cg.lobatto(m + 1)], ids=["gauss", "lobatto"])
 def test_order_is_twice_the_degree(degree, rule):

@@ -186,3 +186,35 @@ def test_a_wild_guess_neither_scales_nor_measures_the_equations(size, solver):
     for guess in (lambda t: [t + size * np.sin(37 * t)], (lambda t: [t], lambda t: [size * np.cos(9 * t)])):
         path = cg.solve(double_integrator(), cg.Galerkin(3), 8, guess=guess, solver=solver)
         assert path.cost == pytest.approx(6, rel=1e-7)  # what fatrop leaves
+
+
+@pytest.mark.parametrize("guess", [None, lambda t: [np.sin(np.pi * t), t]], ids=["line", "guess"])
+@pytest.mark.parametrize("rounding", [1.2e-16, -1e-30])
+def test_a_component_that_the_straight_line_moves_by_rounding_is_not_measured_by_that(rounding, guess):
+    def problem(end):
+        return double_integrator(
+            lagrangian=lambda t, x, v: ca.dot(v, v) / 2 - ca.cos(x[0]),
+            start=[0.0, 0.0],
+            end=[end, 1.0],
+            start_velocity=[0.0, 0.0],
+            end_velocity=[0.0, 0.0],
+            force=lambda t, x, v, u: [u[0] * ca.cos(x[0]), u[1]],
+            running_cost=lambda t, x, v, u: ca.dot(u, u) / 2 + 100 * (x[0] - ca.sin(np.pi * t)) ** 2,
+            controls=2,
+        )
+
+    path, there = (cg.solve(problem(end), cg.Galerkin(4), 10, guess=guess) for end in (rounding, 0.0))
+    assert path.cost == pytest.approx(there.cost, rel=SOLVED)
+    assert path.solver == "IPOPT (Solve Succeeded)"
+
+
+def test_a_single_component_that_comes_back_but_for_rounding_is_measured_along_its_guess():
+    def there_and_back(end):
+        cost = {"running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + 100 * (x[0] - ca.sin(np.pi * t)) ** 2}
+        return double_integrator(lagrangian=lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), end=[end], **cost)
+
+    path, there = (
+        cg.solve(there_and_back(end), cg.Galerkin(4), 10, guess=lambda t: [np.sin(np.pi * t)]) for end in (1e-16, 0.0)
+    )
+    assert path.cost == pytest.approx(there.cost, rel=SOLVED)
+    assert path.solver == "IPOPT (Solve Succeeded)"
