@@ -226,16 +226,23 @@ def over_terms(value: ca.SX, symbols: Sequence[ca.SX], further: Sequence[ca.SX] 
 
 
 def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v: tuple[float, ...]) -> None:
-    """Refuse a velocity of this name, given at a position, that leaves the constraint: G v + ∂g/∂t must be zero."""
+    """Refuse a velocity of this name, given at a position, that leaves the constraint: G v + ∂g/∂t must be zero.
+
+    Velocities round by their own sizes, or by those of the positions over the duration: what is left of the velocity
+    where a position is rounding alone moves the path by no more.
+    """
     if problem.constraint is None:
         return
     function = with_parameters(problem.constraint, problem.parameters)
     time, place = function.sx_in()
     velocity, value = ca.SX.sym("v", place.numel()), function(time, place)
     rate = ca.jtimes(value, place, velocity) + ca.jacobian(value, time)
-    rates, missed, _ = (np.array(a) for a in over_terms(rate, [time, place, velocity])(t, x, v))
-    if np.any(missed > 1):
-        i = int(np.argmax(missed))
+    rates, _, slopes = (np.array(a) for a in over_terms(rate, [time, place, velocity])(t, x, v))
+    lengths = np.abs(x)
+    sizes = np.concatenate(([abs(t)], lengths, np.fmax(np.abs(v), lengths / np.ptp(problem.t_span))))
+    excess = np.abs(rates[:, 0]) - HELD * np.abs(slopes) @ sizes
+    if np.any(excess > 0):
+        i = int(np.argmax(excess))
         raise ValueError(
             f"{name} must be tangent to the constraint at x = {list(x)}, got {list(v)}: the rate of constraint[{i}] is "
             f"{rates[i, 0]:g}"

@@ -164,6 +164,22 @@ def test_a_moving_constraint_is_met_up_to_the_rounding_of_the_time(constraint, d
 
 
 @pytest.mark.parametrize(
+    ("position", "velocity"),
+    [([np.sin(np.pi), 1.0], [0.7, 0.0]), ([1.0, 0.0], [1e-16, 0.7]), ([0.0, -1.0], [1e-16, -1e-16])],
+    ids=["of the position", "of a velocity", "at rest"],
+)
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_a_velocity_is_tangent_up_to_rounding(position, velocity, unit):
+    def given(rounding):
+        x, v = (np.where(np.abs(a) < 1e-15, rounding * np.array(a), a) * unit for a in (position, velocity))
+        return cg.InitialProblem(planar, (0, 1), x, velocity=v, constraint=lambda t, x: ca.sumsqr(x) - unit**2)
+
+    assert given(1.0).velocity == tuple(unit * np.array(velocity))
+    with pytest.raises(ValueError, match="velocity must be tangent"):
+        given(1e6)
+
+
+@pytest.mark.parametrize(
     ("changes", "message"),
     [
         (
