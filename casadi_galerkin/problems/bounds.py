@@ -7,13 +7,17 @@ from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.numbers import real_array
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.callables import Traceable, trace
 
 Limit: TypeAlias = float | Sequence[float]
 Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
 Limited: TypeAlias = tuple[ca.Function, tuple[float, ...], tuple[float, ...]]  # g, lo, hi
+
+ROUNDED = 4 * EPS  # part of its size by which a given value may leave its bound
 
 
 def bounds(name: str, value: Any, size: int) -> Bounds:
@@ -46,6 +50,17 @@ def bounds(name: str, value: Any, size: int) -> Bounds:
 def beyond(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """By how much values leave their bounds; zero within."""
     return np.asarray(np.maximum(np.maximum(low - values, values - high), 0.0))
+
+
+def within_rounding(values: np.ndarray, low: ArrayLike, high: ArrayLike, sizes: ArrayLike = 0.0) -> np.ndarray:
+    """The values, on the bounds that they leave by rounding alone.
+
+    Rounding is that of the bound or of the sizes, with any signs; of one where all of these are zero.
+    """
+    nearest = np.clip(values, low, high)
+    largest = np.fmax(np.abs(nearest), np.abs(sizes))
+    rounded = ROUNDED * np.where((largest > 0) & np.isfinite(largest), largest, 1.0)
+    return np.where((nearest - rounded <= values) & (values <= nearest + rounded), nearest, values)
 
 
 def duration_bounds_of(given: tuple[Limit, Limit] | None, phases: int) -> Bounds | None:

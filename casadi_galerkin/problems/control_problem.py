@@ -29,6 +29,7 @@ from casadi_galerkin.problems.bounds import (
     duration_bounds_of,
     limited_values,
     parameter_bounds_of,
+    within_rounding,
 )
 from casadi_galerkin.problems.callables import Traceable, arguments, trace, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
@@ -61,7 +62,8 @@ class ControlProblem:
     controls : number of controls, the length of u
     terminal_cost : callable (t, x, v) -> scalar, added to the cost with the values at the end
     control_bounds : (lo, hi), each a scalar or one number per control; held at the quadrature points
-    position_bounds : (lo, hi), each a scalar or one number per component; held at joints and control points
+    position_bounds : (lo, hi), each a scalar or one number per component; held at joints and control points.  An
+        end beyond them by rounding is put on them
     path_constraint : (g, lo, hi) with g(t, x, v, u) -> scalar or vector; held at the quadrature points
     duration_bounds : (lo, hi) with 0 < lo, each a scalar or one number per phase; frees the duration of every phase
     constraint : callable (t, x) -> k values that are zero all along the path (holonomic), as for `BoundaryProblem`; for
@@ -193,6 +195,7 @@ class ControlProblem:
         }
         self.__dict__.update(values)  # the class is frozen
         self._check_dependence()
+        self._meet_bounds()
         self._check_ends()
         self._check_guesses()
 
@@ -252,6 +255,7 @@ class ControlProblem:
     def varied(self, changes: Mapping[str, Any], t_span: Sequence[float] | None = None) -> ControlProblem:
         """Copy with other ends, velocities or parameters, by name, and other times; see `BoundaryProblem.varied`."""
         other = with_changes(self, changes, t_span)
+        other._meet_bounds()
         other._check_ends()
         other._check_guesses()
         return other
@@ -280,17 +284,24 @@ class ControlProblem:
         functions = [function for _, function, _ in of_velocities]
         check_parameters([*self._along, *functions, self.lagrangian, self.constraint], self.parameter_bounds)
 
+    def _meet_bounds(self) -> None:
+        """Put given ends that leave their bounds by rounding alone, of either end, on these."""
+        ends = np.array([self.start, self.end], dtype=float)  # NaN for None
+        met = within_rounding(ends, *self.position_bounds, ends[::-1])
+        for name, values in zip(("start", "end"), met, strict=True):
+            self.__dict__[name] = tuple(None if np.isnan(x) else x for x in values.tolist())
+
     def _check_ends(self) -> None:
         low, high = self.position_bounds
-        for name, direction in (("start", 1), ("end", -1)):
-            velocities = getattr(self, f"{name}_velocity")
-            for i, (value, velocity) in enumerate(zip(getattr(self, name), velocities, strict=True)):
-                if value is None:
-                    continue
-                if not low[i] <= value <= high[i]:
+        ends = np.array([self.start, self.end], dtype=float)
+        velocities = np.array([self.start_velocity, self.end_velocity], dtype=float) * [[1], [-1]]
+        beside = within_rounding(ends + np.ptp(self.t_span) * velocities, low, high, ends[::-1])
+        for name, values, inside in zip(("start", "end"), ends.tolist(), beside.tolist(), strict=True):
+            for i, (value, other) in enumerate(zip(values, inside, strict=True)):
+                if value < low[i] or value > high[i]:
                     raise ValueError(f"{name}[{i}] = {value} lies outside its position_bounds [{low[i]}, {high[i]}]")
-                moving = 0.0 if velocity is None else direction * velocity
-                if (value == low[i] and moving < 0) or (value == high[i] and moving > 0):
+                if (value == low[i] and other < low[i]) or (value == high[i] and other > high[i]):
+                    velocity = getattr(self, f"{name}_velocity")[i]
                     raise ValueError(
                         f"{name}[{i}] = {value} lies on its position_bounds [{low[i]}, {high[i]}], and "
                         f"{name}_velocity[{i}] = {velocity} puts the path outside beside it"
@@ -314,7 +325,7 @@ class ControlProblem:
         given = [] if self.parameters is None else [self.parameters]
         values = np.array(g(t, x, v, np.zeros(self.controls), *given)).ravel()
         for i in set(range(len(low))) - set(g.sparsity_jac(3, 0).row()):
-            if not low[i] <= values[i] <= high[i]:
+            if not low[i] <= within_rounding(values[i], low[i], high[i]) <= high[i]:
                 raise ValueError(
                     f"path constraint {i} is {values[i]} at the {name} whatever the controls, outside its bounds "
                     f"[{low[i]}, {high[i]}]"

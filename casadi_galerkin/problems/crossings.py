@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.numbers import counted, finite, number
-from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, limited_values
+from casadi_galerkin.problems.bounds import Bounds, Limit, Limited, bounds, limited_values, within_rounding
 from casadi_galerkin.problems.callables import Traceable, trace
 
 Positions: TypeAlias = Sequence[float | tuple[float, float] | None]
@@ -95,14 +95,15 @@ def _positions(positions: Any, within: Bounds) -> Pairs:
             f"got {positions!r}"
         )
     pairs = [x if number(x) is None else (x, x) for x in positions]
-    sides = [bounds(f"the bounds of x[{i}]", pair, 1) for i, pair in enumerate(pairs)]
-    for i, ((least,), (most,)) in enumerate(sides):
+    stated = np.array([bounds(f"the bounds of x[{i}]", pair, 1) for i, pair in enumerate(pairs)])[:, :, 0]
+    sides = within_rounding(stated.T, *within).T.tolist()
+    for i, (least, most) in enumerate(sides):
         low, high = (side[i] for side in within)
         if least > high or most < low:
             raise ValueError(
                 f"waypoint bounds x[{i}] by [{least}, {most}], outside its position_bounds [{low}, {high}]"
             )
-    return tuple((least, most) for (least,), (most,) in sides)
+    return tuple((least, most) for least, most in sides)
 
 
 def jumps_of(

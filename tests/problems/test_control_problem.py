@@ -297,3 +297,28 @@ def test_fields_of_problems_with_and_without_rates_are_replaced():
     assert longer.t_span == (0.0, 3.0)
     assert longer.mechanical == 0
     assert "1 of which follow rates, and 1 held control on (0.0, 3.0)" in str(replace(longer, hold=True))
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_ends_that_leave_their_bounds_by_rounding_are_put_on_them(unit):
+    def between(low, high, **given):
+        return double_integrator(position_bounds=(low * unit, high * unit), **given)
+
+    beyond = between(0.0, 0.3, start=[-3e-17 * unit], end=[0.1 * 3 * unit], start_velocity=[-1e-17 * unit])
+    assert (beyond.start, beyond.end) == ((0.0,), (0.3 * unit,))
+    assert beyond.varied({"end": [0.1 * 3 * unit]}).end == (0.3 * unit,)
+    passed = between(0.0, 0.3, end=[0.2 * unit], waypoints=[(0.5, [0.1 * 3 * unit])])
+    assert passed.waypoints == ((0.5, ((0.3 * unit, 0.3 * unit),)),)
+    for given in ({"end": [0.3 * (1 + 1e-14) * unit]}, {"start": [-1e-14 * unit], "end": [0.2 * unit]}):
+        with pytest.raises(ValueError, match="lies outside its position_bounds"):
+            between(0.0, 0.3, **given)
+    with pytest.raises(ValueError, match="puts the path outside beside it"):
+        between(0.0, 0.3, end=[0.2 * unit], start_velocity=[-1e-14 * unit])
+
+
+def test_an_end_meets_a_path_constraint_up_to_rounding():
+    limited = (lambda t, x, v, u: x[0], 0, 0.3)
+    beyond = double_integrator(start=[-3e-17], end=[0.1 * 3], path_constraint=limited)
+    assert (beyond.start, beyond.end) == ((-3e-17,), (0.1 * 3,))
+    with pytest.raises(ValueError, match="path constraint 0 is"):
+        double_integrator(start=[-1e-14], end=[0.3], path_constraint=limited)
