@@ -58,9 +58,7 @@ BLURRED = 1e-14  # part left out that rounding of the node values alone looks li
 FAR = 0.1  # part of the tolerance below which rounding need not be looked at: it moves a path by eps / regularity
 ILL = 1e4  # roundoff floor over eps from which it is the problem's conditioning that is named
 ALIKE = 0.99  # agreement below which a mesh is halved; at 0.83 some 3 % of untied kinks passed, at 0.95 still some
-ROUNDED = (
-    3e3  # times the roundoff floor: by so much rounding makes forces move a path unlike; with 5e3 two kinks passed
-)
+ROUNDED = 3e3  # times the roundoff floor: by so much rounding moves paths unlike; at 5e3 two of 325 untied kinks passed
 HALVED = 8  # meshes on which variations may disagree; on finer ones only rounding was seen to differ
 LASTING, STEADY = 3, 1.02  # meshes, factor: an agreement that keeps within is not theirs: a mass may vanish at an end
 NOISE = 10.0  # an error that is not so many times what rounding does no longer falls with the mesh
