@@ -31,7 +31,6 @@ MORE = 4  # times as many intervals as the coarse mesh has: where that is too co
 GUESS_INTERVALS = 200  # from which a guess is left as it is
 ROUGHLY, WELL = 0.1, 1e-6  # part of a guess that a first mesh may leave out: a corner or noise may, a layer may not
 
-
 Find: TypeAlias = Callable[[], CriticalPoint]
 
 
