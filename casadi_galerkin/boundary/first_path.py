@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import TypeAlias, TypeGuard
 
 import numpy as np
@@ -19,6 +19,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import graded_alike, of_degree, resolved
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import by_rows
+from casadi_galerkin.problems.problem import between_marks
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import FAR, Guess, apart
 from casadi_galerkin.solution.path import Path
@@ -72,7 +73,7 @@ def _smoothed(guess: PiecewisePolynomial) -> PiecewisePolynomial:
 def _distance(guess: PiecewisePolynomial, point: CriticalPoint) -> float:
     """How far a path is from the guess, over the guess's size, at the same parts of its duration."""
     path = point.polynomial
-    times = np.interp(guess.times(guess.nodes[:-1]), guess.mesh[[0, -1]], path.mesh[[0, -1]])
+    times = between_marks(guess.times(guess.nodes[:-1]), guess.mesh[[0, -1]], path.mesh[[0, -1]])
     return apart(path(times), guess.values)
 
 
@@ -113,6 +114,7 @@ def first_path_strategies(
     """
     given, name, problem = on_its_joints(levels, method, guess, mesh, ROUGHLY), repr(solver), levels.problem
 
+    @cache
     def finer() -> PiecewisePolynomial:
         return on_its_joints(levels, method, guess, mesh, WELL)
 

@@ -18,7 +18,7 @@ import numpy as np
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.levels import Levels
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.problems.problem import with_values
+from casadi_galerkin.problems.problem import between_marks, with_values
 from casadi_galerkin.solution.errors import ConvergenceError
 
 GROWTH, SLOWEST = 10.0, 1.02  # factor by which a share first grows, and below which the path is lost
@@ -81,5 +81,4 @@ def of_time(levels: Levels, share: float) -> Levels:
 
 def _over(span: tuple[float, float], path: PiecewisePolynomial) -> PiecewisePolynomial:
     """The same path over other times."""
-    mesh = np.interp(path.mesh, path.mesh[[0, -1]], span)
-    return PiecewisePolynomial(mesh, path.nodes, path.values)
+    return PiecewisePolynomial(between_marks(path.mesh, path.mesh[[0, -1]], span), path.nodes, path.values)

@@ -94,20 +94,17 @@ def fits_any_mesh(guess: Guess | None) -> bool:
 
 def disturbed(path: ControlTrajectory, by: float) -> ControlTrajectory:
     """A path moved by a random smooth one of this part of its size, and with free durations longer by this part."""
-    before, problem, start = path.polynomial, path.problem, path.t[0]
-    factor = 1.0 if problem.duration_bounds is None else 1 + by
-
-    def later(times: ArrayLike) -> np.ndarray:
-        return np.asarray(start + factor * (np.asarray(times) - start))
-
+    before, problem, ends = path.polynomial, path.problem, path.t[[0, -1]]
+    longer = ends + np.array([0.0, 0.0 if problem.duration_bounds is None else by]) * np.ptp(ends)
+    mesh, times = (between_marks(own, ends, longer) for own in (path.t, np.array(marks(problem))))
     sizes = by * np.max(np.abs(before.values), axis=1)
-    parts = (before.times(before.nodes[:-1]) - start) / np.ptp(path.t)
+    parts = (before.times(before.nodes[:-1]) - ends[0]) / np.ptp(ends)
     values = before.values + waves(np.random.default_rng(0), sizes)(parts)
-    first, *breakpoints, last = later(marks(problem)).tolist()
+    first, *breakpoints, last = times.tolist()
     return replace(
         path,
-        polynomial=PiecewisePolynomial(later(path.t), before.nodes, values, before.arrivals),
-        control=ControlPath(later(path.t), path.control.points, path.control.values, path.control.rule),
+        polynomial=PiecewisePolynomial(mesh, before.nodes, values, before.arrivals),
+        control=ControlPath(mesh, path.control.points, path.control.values, path.control.rule),
         problem=problem.found((first, last), path.parameters, tuple(breakpoints)),
     )
 

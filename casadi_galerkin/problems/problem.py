@@ -52,7 +52,9 @@ def marks(problem: Problem) -> list[float]:
     return [problem.t_span[0], *problem.breakpoints, problem.t_span[1]]
 
 
-def between_marks(times: np.ndarray, own: Sequence[float] | np.ndarray, other: Sequence[float]) -> np.ndarray:
+def between_marks(
+    times: np.ndarray, own: Sequence[float] | np.ndarray, other: Sequence[float] | np.ndarray
+) -> np.ndarray:
     """Times at the same parts of the durations between other marks; where these are not as many, of the whole."""
     if len(own) != len(other):
         own, other = [own[0], own[-1]], [other[0], other[-1]]

@@ -115,7 +115,8 @@ def rescues(stationarity: Stationarity) -> dict[str, SolverLike]:
     if stationarity.unforced is not None:
         ways["Newton's method from the path without the force"] = partial(_from_unforced, stationarity.unforced)
     ways["IPOPT"] = partial(interior_point.rescue, minimize=False)
-    return {**ways, "taking away the load of the guess": unloaded}
+    ways["taking away the load of the guess"] = unloaded
+    return ways
 
 
 def _from_unforced(
