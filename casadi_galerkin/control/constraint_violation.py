@@ -7,7 +7,7 @@ import numpy as np
 from casadi_galerkin.control.chain import Chain, largest_of
 from casadi_galerkin.control.graph import Report
 from casadi_galerkin.control.optimizer import Optimum
-from casadi_galerkin.control.program_bounds import ProgramBounds
+from casadi_galerkin.control.program_bounds import ProgramBounds, distances
 from casadi_galerkin.problems.bounds import beyond
 
 NOTHING = 1e-20  # terms that are what rounding leaves of a component that is zero; the solvers' tolerances are absolute
@@ -78,7 +78,7 @@ def unseen_change(chain: Chain, bounds: ProgramBounds, optimum: Optimum, report:
 
 def _gap(values: np.ndarray, multipliers: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Multipliers times the distance to the bounds that they are of."""
-    distance = np.where(multipliers > 0, high - values, values - low)
+    distance = distances(values, multipliers, low, high)
     return np.asarray(np.abs(multipliers * np.where(np.isfinite(distance), distance, 0.0)))
 
 

@@ -12,7 +12,8 @@ point between the two that shows it.  Bounds of positions hold at nodes only: a 
 is moved by about √ε.  Those of controls and path constraints hold at quadrature points only: see `unmet`.  And where
 nothing depends on time the Hamiltonian is constant: what it varies by, times time over cost, was measured to be of the
 order of D where both degrees put a switch at the wrong place.  The error of the cost is at least the square of each.
-Both errors are at least what jumps in time change (`time_witness`), and what the solver leaves of the cost.
+Both errors are at least what jumps in time change (`time_witness`), and what the solver leaves of the cost.  What it
+leaves of the path, both degrees may share, too: `solver_error` tells.
 
 The new mesh spreads what the finer path has beyond degree m evenly.  Where a higher degree does not help the path has
 a kink, and intervals are split as for order 2.  Where a control switches inside an interval its impulse ∫ u dt tells

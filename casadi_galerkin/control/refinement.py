@@ -17,7 +17,8 @@ the switching times, and where a position touches its bound it is many times the
 of the cost, `examples/benchmark/literature.py` counts on nineteen problems of the literature.
 
 What the solver itself leaves of the cost (`unseen_change`) is part of the error of the cost.  No mesh makes it less:
-where it is above the tolerance the refinement ends at once.
+where it is above the tolerance the refinement ends at once.  So it does where a path would be accepted, but the solver
+may have left it further from the optimum than the tolerance (`solver_error`).
 
 Out of reach is a path to 1e-8 with a path constraint touched in one point and a Gauss rule.  So is a path with a
 singular arc, where controls differ from mesh to mesh and cost the same: the cost is then known long before the path.
@@ -191,7 +192,11 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         self.known, self.cost_known = detail, min(self.cost_known, detail.cost_error)
         i = int(np.argmax(detail.jumps))
         self.jump = float(np.mean(level.t[i : i + 2])) if np.sum(detail.jumps) > self.tol else None
-        return Estimate(detail.cost_error if self.of_cost else detail.error, True, f"degree {method.degree}", detail)
+        error = detail.cost_error if self.of_cost else detail.error
+        if error <= self.tol and not self.of_cost and level.solver_error > self.tol:
+            reason = f"the solver leaves the path open by {level.solver_error:.0e} of its size, on any mesh"
+            raise self.stopped(reason, level, level.solver_error)
+        return Estimate(error, True, f"degree {method.degree}", detail)
 
     def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:
         """Solve on the better mesh, from the path of higher degree; without that, on a mesh twice as fine."""
@@ -279,7 +284,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         path, _ = self.refine(level)
         assert self.known is not None, "a path is accepted for what is known of it"
         path = with_parted_phases(path, self.stated)
-        return replace(path, error_estimate=self.known.error, cost_error=self.known.cost_error)
+        error = max(self.known.error, self.known.path.solver_error)
+        return replace(path, error_estimate=error, cost_error=self.known.cost_error)
 
 
 def first_control_mesh(

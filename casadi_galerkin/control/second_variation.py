@@ -17,7 +17,8 @@ from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import UNTOLD
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
-from casadi_galerkin.control.program_bounds import bounds_of
+from casadi_galerkin.control.program_bounds import ProgramBounds
+from casadi_galerkin.control.solver_error import solver_error
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
@@ -29,29 +30,36 @@ SOFTENED = 1e-7, 1e-9  # values of δ; what one of them counts alone is made by 
 
 @dataclass(frozen=True)
 class CostVariation:
-    """How the cost varies about an optimum, on a graph that is built when this is asked for.
+    """How the cost varies about an optimum; pickled without the graph, which is built again.
 
     Attributes
     ----------
     problem, method, mesh : what was solved
+    bounds : ProgramBounds of its program
     optimum, data : where the solver stopped, with its multipliers, and what it was given
     cost : its value
+    graph : ControlGraph, or None where it is to be built
     """
 
     problem: ControlProblem
     method: Galerkin
     mesh: np.ndarray
+    bounds: ProgramBounds
     optimum: Optimum
     data: np.ndarray
     cost: float
+    graph: ControlGraph | None
+
+    def _graph(self) -> ControlGraph:
+        return self.graph or ControlGraph(self.problem, Chain(self.problem, self.method, self.mesh), one_by_one)
 
     def negative(self) -> int | None:
         """Number of independent directions that lower the cost; None where rounding hides it.
 
         By more than `FLAT` of it, for moves as large as the path.
         """
-        chain, at = Chain(self.problem, self.method, self.mesh), self.optimum
-        graph, bounds = ControlGraph(self.problem, chain, one_by_one), bounds_of(self.problem, chain)
+        graph, at, bounds = self._graph(), self.optimum, self.bounds
+        chain = graph.chain
         values, gradients = graph.jacobian(at.unknowns, self.data)
         sizes, rows = _sizes(chain, at.unknowns), np.array(values).ravel()
         slope = np.abs(np.array(graph.gradient(at.unknowns, self.data)[1]).ravel())
@@ -74,6 +82,13 @@ class CostVariation:
 
     def smallest(self) -> None:
         """Nothing: curvatures of a cost have no common scale."""
+
+    def solver_error(self) -> float:
+        """How far the solver may have left the path from where it should be; see the function of this name."""
+        return solver_error(self._graph(), self.bounds, self.optimum, self.data)
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "graph": None}
 
 
 def _sizes(chain: Chain, unknowns: np.ndarray) -> np.ndarray:

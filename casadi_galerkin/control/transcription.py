@@ -237,7 +237,7 @@ class ControlTranscription:
             solve_seconds=time.perf_counter() - began - self.build_seconds,
             method=self.method,
             problem=found,
-            second_variation=CostVariation(problem, self.method, mesh, optimum, data, report.cost),
+            second_variation=CostVariation(problem, self.method, mesh, bounds, optimum, data, report.cost, self.graph),
             cost=report.cost,
             control=self._over_time(joints, chain.control_times, values["controls"]),
             costate=chain.costate(multipliers, optimum.bound_multipliers, report.arriving, joints),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import casadi as ca
 import numpy as np
@@ -22,7 +22,7 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_path
-from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solution.trajectory import SecondVariation, Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,6 +32,13 @@ SHOWN_OVERSHOOT = 1e-3  # of the bounds' width; less is no reason for another me
 SHOWN_EXCESS = 1e-8  # of the constraints' size; at the points as much is accepted
 ALONG = np.linspace(0.0, 1.0, 40)  # parts of an interval at which a line is drawn
 DOT = 3.0  # size of the dots of quadrature points, which are many
+
+
+class CostVariation(SecondVariation, Protocol):
+    """How the cost varies about an optimum, found when it is asked for."""
+
+    def solver_error(self) -> float:
+        """Relative error of the path that the solver has left."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -101,6 +108,17 @@ class ControlTrajectory(Trajectory):
     end_velocity: np.ndarray
     arrival_velocity: np.ndarray
     cost_error: float | None = None
+    second_variation: CostVariation | None = None
+
+    @lazy
+    def solver_error(self) -> float:
+        """Relative error of x and of free durations that the solver has left, from its next Newton steps.
+
+        Found when first asked for.  It is large where the cost hardly depends on the path, and none of `error_estimate`
+        where that was not asked for.
+        """
+        assert self.second_variation is not None, "an optimum has one"
+        return self.second_variation.solver_error()
 
     def replay(self) -> ca.Function:
         """Return the force (t, x, v[, p]) -> (d,) of the optimized controls, for an `InitialProblem`.

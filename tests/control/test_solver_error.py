@@ -1,0 +1,73 @@
+"""What the solver leaves of a path is known where the cost hardly knows the path, and where it is all but nothing."""
+
+import pickle
+
+import casadi as ca
+import numpy as np
+import pytest
+from control_problems import cart_pole, double_integrator, minimum_time
+
+import casadi_galerkin as cg
+
+
+def decaying(power):
+    """x = exp(-3 t), of whose force the cost knows a high power only."""
+    return double_integrator(
+        start=[1.0],
+        end=[np.exp(-3.0)],
+        start_velocity=[-3.0],
+        end_velocity=[-3 * np.exp(-3.0)],
+        running_cost=lambda t, x, v, u: (u[0] - 9 * ca.exp(-3 * t)) ** power + 1,
+    )
+
+
+def error_of(path):
+    t = np.linspace(0, 1, 1001)
+    return np.max(np.abs(path(t)[0] - np.exp(-3 * t)))
+
+
+@pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=lambda solver: solver.name)
+def test_it_is_sharp_where_the_cost_knows_a_fourth_power(solver):
+    """Steps leave two thirds each, so that the first alone is a third of the error."""
+    path = cg.solve(decaying(4), cg.Galerkin(8), 12, solver=solver)
+    error = error_of(path)
+    assert error > 1e-7  # of which the mesh makes less than 1e-12
+    assert 0.8 < path.solver_error / error < 2
+
+
+@pytest.mark.parametrize("power", [4, 6])
+@pytest.mark.parametrize("tol", [1e-3, 1e-4, 1e-6])
+def test_no_path_is_called_known_that_the_cost_hardly_knows(power, tol):
+    """Both degrees may stop at the same place, as far as 1e-5 from the path with an estimate of 4e-7."""
+    try:
+        path = cg.solve(decaying(power), tol=tol, limits=cg.Limits(seconds=5))
+    except cg.LimitReached as reached:
+        path = reached.path
+    error = error_of(path)
+    assert path.error_estimate > tol or error <= tol
+    assert abs(path.cost - 1) < 1e-10
+
+
+@pytest.mark.parametrize("problem", [cart_pole(), minimum_time()], ids=["swing-up", "bang-bang"])
+def test_it_is_rounding_where_the_cost_knows_the_path(problem):
+    path = cg.solve(problem, tol=1e-4)
+    assert path.solver_error < 1e-9
+    assert path.error_estimate >= path.solver_error
+
+
+def test_controls_that_share_the_work_anyhow_leave_no_doubt_of_the_path():
+    problem = double_integrator(
+        controls=2,
+        force=lambda t, x, v, u: u[0] + u[1],
+        running_cost=lambda t, x, v, u: (u[0] + u[1]) ** 2 / 2,
+    )
+    path = cg.solve(problem, tol=1e-8)
+    assert path.solver_error < 1e-10
+    np.testing.assert_allclose(path.cost, 6, rtol=1e-10)
+
+
+def test_a_pickled_path_still_tells():
+    path = cg.solve(decaying(4), cg.Galerkin(4), 6)
+    again = pickle.loads(pickle.dumps(path))
+    assert path.solver_error > 0
+    np.testing.assert_allclose(again.solver_error, path.solver_error, rtol=1e-6)
