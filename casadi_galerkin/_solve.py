@@ -89,8 +89,8 @@ def solve(
 
     An `InitialProblem` is solved step by step, with `method` and `intervals` or `mesh`; a `ControlProblem`, whose
     answer is a ControlTrajectory, by IPOPT or fatrop, with these or a tolerance, and a `guess`.  Its `tol` bounds the
-    relative errors of cost and duration as well.  `cost_tol` bounds that of the cost alone, which is known long before
-    the path, and even where many paths cost the same.
+    relative errors of cost and duration as well, but not those of controls and free parameters.  `cost_tol` bounds that
+    of the cost alone, which is known long before the path, and even where many paths cost the same.
 
     Parameters
     ----------
