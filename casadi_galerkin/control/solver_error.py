@@ -7,7 +7,8 @@ where the equations hold, all slopes vanish, and every multiplier or its distanc
 
 with the slopes ∇f̄ of the Lagrangian but for the multipliers μ of bounds, and d in place of -G, and D, for inequalities
 only.  Where the cost hardly knows the path, steps are long at slopes far below any tolerance.  The second step tells
-how far to trust the first: both are summed as a geometric series.  Along a fourth power each leaves two thirds.
+how far to trust the first: both are summed as a geometric series.  Along a fourth power each leaves two thirds.  Where
+nothing determines the path all slopes may vanish; what rounding of the equations does to it then tells.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.roundoff import EPS, TINY
-from casadi_galerkin.control.chain import Chain, largest_of
+from casadi_galerkin.control.chain import largest_of
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.control.program_bounds import ProgramBounds, distances
@@ -30,28 +31,39 @@ SLOWEST = 0.9  # largest ratio of two steps that their series is summed with
 def solver_error(graph: ControlGraph, bounds: ProgramBounds, optimum: Optimum, data: np.ndarray) -> float:
     """How far the solver may have left the path, and free durations, from where they should be.
 
-    Relative to their sizes; infinity where the steps are not finite.
+    Relative to their sizes; no less than what rounding does to them, and infinity where the steps are not finite.
     """
-    at, lengths = (optimum.unknowns, optimum.multipliers, optimum.bound_multipliers), list[float]()
-    for _ in range(2):
-        after = newton_step(graph, bounds, data, *at)
-        if not np.isfinite(np.concatenate(after)).all():
-            return math.inf
-        lengths.append(_length(graph.chain, at[0], after[0]))
-        at = after
-    first, second = lengths
-    return max(first, second) / (1 - min(SLOWEST, second / first)) if first > 0 else 0.0
+    chain, f, kinds = graph.chain, graph.chain.fields, graph.chain.unknown_kinds
+    durations = f["durations"][-1] if chain.is_free("durations") else []
+    judged = np.concatenate((f["x"].ravel(), f["nodes"].ravel(), durations)).astype(int)
+    sizes = largest_of(np.abs(optimum.unknowns), kinds)
+    sizes = np.where(sizes > 0, sizes, 1.0)[kinds]
+
+    def length(step: np.ndarray) -> float:
+        return float(np.max(np.abs(step / sizes)[judged]))
+
+    at = optimum.unknowns, optimum.multipliers, optimum.bound_multipliers
+    first, blur, *after = newton_step(graph, bounds, data, sizes, *at)
+    if not np.isfinite(np.concatenate((blur, *after))).all():
+        return math.inf
+    lengths = length(first), length(newton_step(graph, bounds, data, sizes, *after)[0])
+    ratio = lengths[1] / lengths[0] if lengths[0] > 0 else 0.0
+    return max(max(lengths) / (1 - min(SLOWEST, ratio)), length(blur))
 
 
 def newton_step(
     graph: ControlGraph,
     bounds: ProgramBounds,
     data: np.ndarray,
+    sizes: np.ndarray,
     unknowns: np.ndarray,
     of_equations: np.ndarray,
     of_bounds: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Unknowns, and multipliers of the equations and of the bounds, after one step; not finite where there is none."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The step δ, what rounding of its equations does to it, and unknowns and multipliers after the step.
+
+    `sizes` are those of the unknowns.  The rounding is that of the terms that the equations sum, with random signs.
+    """
     low, high, least, most = bounds.sides
     report, gradients = graph.report(unknowns, data, of_equations), graph.jacobian(unknowns, data)[1]
     hessian, rows = ca.triu2symm(graph.hessian(unknowns, data, 1.0, of_equations)), report.equations
@@ -60,38 +72,32 @@ def newton_step(
     stiffness = np.abs(of_bounds[free]) / to_bounds[free]
     softness = to_limits[held] / np.maximum(np.abs(of_equations[held]), TINY)
     moved, kept = free.tolist(), held.tolist()
-    curved, across = hessian[moved, moved] + ca.diag(ca.DM(stiffness)), gradients[kept, moved]
-    matrix = ca.blockcat([[curved, across.T], [across, -ca.diag(ca.DM(softness))]])
+    curved, across = hessian[moved, moved], gradients[kept, moved]
+    matrix = ca.blockcat([[curved, across.T], [across, ca.DM(len(held), len(held))]])
     missed = np.where(least == most, most - rows, np.copysign(to_limits, of_equations))
     rhs = np.concatenate((-report.slope[free], missed[held]))
-    step, of_held = np.split(_solution(matrix, rhs), [len(free)])
-    after = unknowns.copy(), of_equations.copy(), of_bounds.copy()
-    after[0][free] += step
-    after[1][held] += of_held
+    pushes = largest_of(np.abs(of_equations), graph.chain.kinds)[graph.chain.kinds]
+    terms = ca.mtimes(ca.fabs(matrix), ca.DM(np.concatenate((sizes[free], pushes[held])))).full().ravel()
+    rounding = np.random.default_rng(len(rhs)).choice((-EPS, EPS), len(rhs)) * terms
+    matrix += ca.diag(ca.DM(np.concatenate((stiffness, -softness))))
+    found = _solutions(matrix, np.stack((rhs, rounding), axis=1))
+    step, blur, after = np.zeros(len(unknowns)), np.zeros(len(unknowns)), of_bounds.copy()
+    step[free], blur[free] = found[: len(free)].T
+    multipliers = of_equations.copy()
+    multipliers[held] += found[len(free) :, 0]
     with np.errstate(invalid="ignore"):  # where the step is infinite
-        after[2][free] = stiffness * step
-    return after
+        after[free] = stiffness * step[free]
+    return step, blur, unknowns + step, multipliers, after
 
 
-def _solution(matrix: ca.DM, rhs: np.ndarray) -> np.ndarray:
-    """Solution of symmetric equations in any units: rows and columns are first divided alike.
+def _solutions(matrix: ca.DM, rhs: np.ndarray) -> np.ndarray:
+    """Solutions of symmetric equations in any units, for right-hand sides (n, K): rows and columns are divided alike.
 
     A part of `EPS` on the diagonal keeps apart what nothing determines, such as which of two controls does the work.
     """
-    rows, count = np.array(matrix.sparsity().row(), dtype=int), len(rhs)
-    largest = np.zeros(count)
-    np.maximum.at(largest, rows, np.abs(matrix.nonzeros()))
-    scale = 1 / np.sqrt(np.where(largest > 0, largest, 1.0))
+    largest = np.zeros(len(rhs))
+    np.maximum.at(largest, np.array(matrix.sparsity().row(), dtype=int), np.abs(matrix.nonzeros()))
+    scale = 1 / np.sqrt(np.where(largest > 0, largest, 1.0))[:, None]
     scaling = ca.diag(ca.DM(scale))
-    scaled = ca.mtimes(ca.mtimes(scaling, matrix), scaling) + EPS * ca.DM.eye(count)
-    return np.asarray(scale * ca.solve(scaled, ca.DM(scale * rhs), "qr", NO_CUTOFF).full().ravel())
-
-
-def _length(chain: Chain, before: np.ndarray, after: np.ndarray) -> float:
-    """Largest part of its size by which a step changes a component or a duration."""
-    kinds, f = chain.unknown_kinds, chain.fields
-    sizes = largest_of(np.abs(before), kinds)
-    durations = f["durations"][-1] if chain.is_free("durations") else []
-    moved = np.concatenate((f["x"].ravel(), f["nodes"].ravel(), durations)).astype(int)
-    change = np.abs(after - before) / np.where(sizes > 0, sizes, 1.0)[kinds]
-    return float(np.max(change[moved]))
+    scaled = ca.mtimes(ca.mtimes(scaling, matrix), scaling) + EPS * ca.DM.eye(len(rhs))
+    return np.asarray(scale * ca.solve(scaled, ca.DM(scale * rhs), "qr", NO_CUTOFF).full())

@@ -22,7 +22,7 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_path
-from casadi_galerkin.solution.trajectory import SecondVariation, Trajectory
+from casadi_galerkin.solution.trajectory import UNRESOLVED, SecondVariation, Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -349,7 +349,12 @@ class ControlTrajectory(Trajectory):
         """A line on the errors of cost and path as far as they are known, or if this mesh does not resolve the path."""
         known = [(self.cost_error, "of the cost"), (self.error_estimate, "of the path")]
         told = ", ".join(f"{error:.1e} {whose}" for error, whose in known if error is not None)
-        return [f"  error       {told}, estimated"] if told else self._unresolved()
+        return [f"  error       {told}, estimated"] if told else self._undetermined() or self._unresolved()
+
+    def _undetermined(self) -> list[str]:
+        """A line on a path that the solver plainly has left somewhere, because the cost hardly depends on it."""
+        words = f"the solver leaves x open by {self.solver_error:.0e} of its size; the cost hardly depends on it"
+        return [f"  NOT DETERMINED: {words}"] if self.solver_error > UNRESOLVED else []
 
     @property
     def _left_out(self) -> np.ndarray:

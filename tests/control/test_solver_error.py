@@ -66,6 +66,40 @@ def test_controls_that_share_the_work_anyhow_leave_no_doubt_of_the_path():
     np.testing.assert_allclose(path.cost, 6, rtol=1e-10)
 
 
+def test_a_component_that_a_symmetry_keeps_at_zero_leaves_no_doubt_of_the_path():
+    """Straight over a hill of cost; what rounding made of the second component was compared with itself."""
+    ends = {"start": [-1.0, 0.0], "end": [1.0, 0.0], "start_velocity": [0.0] * 2, "end_velocity": [0.0] * 2}
+    problem = double_integrator(
+        **ends,
+        lagrangian=lambda t, x, v: ca.sumsqr(v) / 2,
+        controls=2,
+        running_cost=lambda t, x, v, u: ca.sumsqr(u) / 2 + 100 * ca.exp(-8 * ca.sumsqr(x)),
+    )
+    path = cg.solve(problem, tol=1e-4)
+    assert path.solver_error < 1e-9
+    np.testing.assert_array_equal(path.x[1], 0)
+
+
+@pytest.mark.parametrize("method", [cg.Galerkin(3), cg.Galerkin(6)], ids=str)
+def test_a_path_that_the_cost_leaves_open_is_said_to_be_not_determined(method):
+    """The cost knows the sum of two components alone; where it knows both, nothing is said."""
+
+    def summary(price):
+        problem = double_integrator(
+            start=[0.0, 0.0],
+            end=[1.0, 0.5],
+            start_velocity=[0.0, 0.0],
+            end_velocity=[0.0, 0.0],
+            lagrangian=lambda t, x, v: ca.sumsqr(v) / 2,
+            controls=2,
+            running_cost=lambda t, x, v, u: (u[0] + u[1]) ** 2 / 2 + price * u[1] ** 2,
+        )
+        return repr(cg.solve(problem, method, 6))
+
+    assert "NOT DETERMINED: the solver leaves x open by" in summary(0.0)
+    assert "NOT DETERMINED" not in summary(1.0)
+
+
 def test_a_pickled_path_still_tells():
     path = cg.solve(decaying(4), cg.Galerkin(4), 6)
     again = pickle.loads(pickle.dumps(path))
