@@ -88,7 +88,6 @@ def forget():
         embedding.embedded,
         embedding.variation,
         embedding.integration,
-        embedding.summation,
         embedding.assembly,
         embedding.hessian_pattern,
         linear_solver.of_pattern,
