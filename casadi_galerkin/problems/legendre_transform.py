@@ -35,11 +35,18 @@ def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.nd
 
 
 def _scaled(masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mass matrices (..., d, d) whatever the units of the components, and the scales that they were divided by."""
-    rows = np.sqrt(np.max(np.abs(masses), axis=-1))
-    rows = np.where(rows > 0, rows, 1.0)
-    scales = rows[..., :, None] * rows[..., None, :]
-    return masses / scales, scales
+    """Mass matrices (..., d, d) whatever the units of the components, and the scales that they were divided by.
+
+    Rows and columns are divided by the roots of their largest entries until all of these are near one: each time, what
+    is left of the units is the root of what was.
+    """
+    scales = np.ones_like(masses)
+    while True:
+        largest = np.max(np.abs(masses / scales), axis=-1)
+        rows = np.sqrt(np.where(largest > 0, largest, 1.0))
+        scales = scales * rows[..., :, None] * rows[..., None, :]
+        if not np.any(np.abs(np.log2(rows)) > 1):
+            return masses / scales, scales
 
 
 def degenerate(mass: np.ndarray) -> bool:
