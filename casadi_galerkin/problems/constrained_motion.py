@@ -63,7 +63,7 @@ def _solver(motion: ca.Function) -> ca.Function:
     symbols = motion.mx_in()
     matrix, rhs, *_ = motion.call(symbols)
     rhs = ca.MX.sym("rhs", rhs.numel())
-    return ca.Function("solve", [*symbols, rhs], [solve_scaled(matrix, rhs, slice(motion.size1_in(1)))])
+    return ca.Function("solve", [*symbols, rhs], [solve_scaled(matrix, rhs, range(motion.size1_in(1)))])
 
 
 def motion_of(problem: Problem, force: ca.Function | None = None) -> ca.Function | None:

@@ -10,13 +10,21 @@ import casadi as ca
 NO_CUTOFF = {"eps": 0.0}
 
 
-def solve_scaled(matrix: ca.MX, rhs: ca.MX, moving: Sequence[int] | slice, method: str = "qr") -> ca.MX:
+def solve_scaled(matrix: ca.MX, rhs: ca.MX, moving: Sequence[int], method: str = "qr") -> ca.MX:
     """Solution Y of A Y = B.  Rows are first divided by the sums of their sizes, since QR rounds small rows away.
 
-    Where a row has entries for unknowns that move a path, only these count in its sum.  Multipliers have other units:
-    with them in the sums, the entries that move a path could become too small.  QR needs no scales of columns.
+    The unknowns that move a path have equations of motion, the rows of the same numbers.  Multipliers and velocities of
+    ends have other units: they are measured by what they do to equations of motion beside what moves the path does.
+    QR needs no scales of columns.
     """
-    sizes = ca.fabs(matrix)
-    rows = ca.sum2(sizes[:, moving])
-    scale = ca.diag(1 / (rows + (rows == 0) * ca.sum2(sizes)))
+    sizes, chosen = ca.fabs(matrix), list(moving)
+    further = sizes[:, sorted(set(range(matrix.size2())).difference(chosen))]
+    rows = ca.sum2(sizes[:, chosen])
+    units = ca.mtimes(_inverse(rows[chosen]).T, further[chosen, :])
+    scale = ca.diag(_inverse(ca.fmax(rows, ca.mtimes(further, _inverse(units.T)))))
     return ca.solve(ca.mtimes(scale, matrix), ca.mtimes(scale, rhs), method, NO_CUTOFF if method == "qr" else {})
+
+
+def _inverse(sums: ca.MX) -> ca.MX:
+    """One over each of some sums, one where it is zero."""
+    return 1 / (sums + (sums == 0))

@@ -73,12 +73,12 @@ class LinearSolver:
         """Solution of ∇²S Y = -B; with softened conditions, it is refined once."""
         if method != "ldl":
             solve = self._bordered if self.numbering.stretched else solve_scaled
-            return -self._reached(matrix, rhs) * solve(matrix, rhs, slice(self.numbering.positions), method)
+            return -self._reached(matrix, rhs) * solve(matrix, rhs, range(self.numbering.positions), method)
         softened = self._softened(matrix)
         y = -self._ldl.solve(softened, rhs)
         return y - self._ldl.solve(softened, ca.mac(matrix, y, rhs)) if self.numbering.multipliers else y
 
-    def _bordered(self, matrix: ca.MX, rhs: ca.MX, moving: slice, method: str) -> ca.MX:
+    def _bordered(self, matrix: ca.MX, rhs: ca.MX, moving: range, method: str) -> ca.MX:
         """Solution of ∇²S Y = B by elimination of a free duration, whose full row would make all factors of QR full."""
         n = self.numbering.free - 1
         column, row = ca.densify(matrix[:n, n]), matrix[n, :n]

@@ -432,3 +432,23 @@ def test_a_given_velocity_reaches_all_that_its_momentum_depends_on():
     )
     path = cg.solve(coupled, cg.Galerkin(2), 3)
     np.testing.assert_allclose(path.x, [0.3 + 0.7 * path.t, 2 * path.t, -path.t], rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("start", [[1.0, None, None], [None, None, None]])
+def test_a_natural_condition_beside_a_given_velocity_is_met_where_a_mass_depends_on_the_place(start):
+    """Its momentum is zero, and so is the derivative of that by the place: rounding, which tells no size of a row."""
+    coupled = cg.BoundaryProblem(
+        lambda t, x, v: (
+            (1 + 0.3 * ca.sin(ca.sum1(x))) * (ca.sumsqr(v) + v[0] * v[1] + v[1] * v[2]) / 2 - ca.sumsqr(x) / 2
+        ),
+        (0.0, 1.0),
+        start,
+        [None, 0.5, None],
+        start_velocity=[None, None, 0.7],
+        end_velocity=[0.3, None, None],
+    )
+    path = cg.solve(coupled, tol=1e-9)
+    between = cg.solve(cg.BoundaryProblem(coupled.lagrangian, (0, 1), path.x[:, 0], path.x[:, -1]), tol=1e-12)
+    np.testing.assert_allclose(path.momentum[1, 0], 0, atol=1e-12)
+    np.testing.assert_allclose(between.velocity[[2, 0], [0, -1]], [0.7, 0.3], rtol=1e-12)
+    np.testing.assert_allclose(between.momentum[[1, 2], [0, -1]], 0, atol=1e-12)
