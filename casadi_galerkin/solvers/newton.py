@@ -136,14 +136,20 @@ def _without_rounding(linear: Linearization, x: np.ndarray, data: Data, iteratio
 
     Where terms of others cancel in the equations of a component that is zero, rounding keeps it from being zero, and
     its steps are never small relative to itself.  So do given ends like sin(π), which then are zero, too.
+
+    All that must be so where the steps lead, too: an iterate that went far has more rounding than given ends are large.
     """
     at = linear.newton_step(x, data)
     if not math.isfinite(at.norm):
         return None
-    nothing, data, least = _rounding_alone(linear, at, data)
+    ends = data[:2]
+    nothing, data, _ = _rounding_alone(linear, at, data, ends)
     for _ in range(LAST_STEPS if np.any(nothing) else 0):
         x = np.where(nothing, 0.0, x + at.step)
         if np.max((np.abs(at.step) / at.sizes)[~nothing], initial=0.0) ** 2 <= EPS:
+            still, _, least = _rounding_alone(linear, linear.newton_step(x, data), data, ends)
+            if not np.all(still[nothing]):
+                return None
             action, momentum, _, regularity = linear.verification(x, data)
             gradient, floor = linear.stationarity.gradient_and_floor(x, data)
             residual = float(np.max(np.abs(gradient) / np.where(nothing, np.fmax(floor, least), floor)))
@@ -153,10 +159,13 @@ def _without_rounding(linear: Linearization, x: np.ndarray, data: Data, iteratio
     return None
 
 
-def _rounding_alone(linear: Linearization, at: Iterate, data: Data) -> tuple[np.ndarray, Data, np.ndarray]:
+def _rounding_alone(
+    linear: Linearization, at: Iterate, data: Data, given_ends: Data
+) -> tuple[np.ndarray, Data, np.ndarray]:
     """Which unknowns belong to a component that is rounding alone, (n,); the data with its ends zero; roundoff floors.
 
-    Its equations are solved up to rounding, and it is no larger than what rounding of them does to it.
+    Its equations are solved up to rounding, and it is no larger than what rounding of them does to it; nor are the
+    given ends, of which some may be zero in the data already.
 
     Terms that cancel within the derivatives of L tell of their sizes only by what the equations change by where the
     unknowns are rounded otherwise.  That is measured, and the largest of a component's is taken.
@@ -171,7 +180,7 @@ def _rounding_alone(linear: Linearization, at: Iterate, data: Data) -> tuple[np.
     for own in unknowns_of:
         least[own] = np.max(least[own], initial=0.0)
     blurred, moving = np.abs(linear.blurs(least)).max(axis=0), np.fmax(np.abs(x), np.abs(at.step))
-    ends = [end.copy() for end in data[:2]]
+    ends = [end.copy() for end in given_ends]
     for i, own in enumerate(unknowns_of):
         solved = np.all(np.abs(gradient[own]) <= ACCEPTED * least[own])
         given = [np.array(fixed) == i for fixed in (numbering.fixed_start, numbering.fixed_end)]

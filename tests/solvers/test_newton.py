@@ -7,6 +7,7 @@ from scenes import BY_NAME, catenoid
 
 import casadi_galerkin as cg
 from casadi_galerkin.calculus.roundoff import ZERO
+from casadi_galerkin.solvers.newton import SolveFailure, damped_newton
 
 
 @pytest.mark.parametrize("degree", [1, 4, 8])
@@ -222,3 +223,22 @@ def test_a_path_along_an_axis_of_symmetry_is_found(unit, rest, friction, tol):
     times = np.linspace(0, 2, 50)
     assert np.max(np.abs(path(times)[0] - exact(times)[0])) <= tol * np.max(exact.x)
     assert np.max(np.abs(path(times)[1])) <= 1e-14 * unit
+
+
+@pytest.mark.parametrize("coupling", [0.0, 1.0])
+def test_given_ends_are_not_taken_for_the_rounding_of_an_iterate_that_went_far(coupling):
+    """Where the equations are hardly stiff, its rounding is larger than the ends; of a path that meets them it is not.
+
+    All of it was taken for zero, with the ends.
+    """
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: (ca.sumsqr(v) + coupling * v[0] * v[1]) / 2 + 1e-12 * ca.cos(x[0] + x[1]),
+        (0, 1),
+        [1.0, None],
+        [2.0, None],
+    )
+    transcription = cg.transcribe(problem, cg.Galerkin(4), 2)
+    data = transcription.data(transcription.mesh)
+    far = transcription.unknowns(np.tile([1.5, 1e22], (9, 1)), data)
+    with pytest.raises(SolveFailure):
+        damped_newton(transcription.stationarity, far, data, max_iter=1)
