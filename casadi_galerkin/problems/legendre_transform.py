@@ -34,7 +34,7 @@ def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.nd
     return at
 
 
-def _scaled(masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def scaled_masses(masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mass matrices (..., d, d) whatever the units of the components, and the scales that they were divided by.
 
     Rows and columns are divided by the roots of their largest entries until all of these are near one: each time, what
@@ -51,7 +51,7 @@ def _scaled(masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def degenerate(mass: np.ndarray) -> bool:
     """Whether a mass matrix (d, d) is singular, whatever the units of the components."""
-    singular = np.linalg.svd(_scaled(mass)[0], compute_uv=False)
+    singular = np.linalg.svd(scaled_masses(mass)[0], compute_uv=False)
     return bool(singular[-1] <= DEGENERATE * singular[0])
 
 
@@ -68,7 +68,7 @@ def refuse_degenerate(mass: np.ndarray, where: str) -> None:
 
 def convex(transform: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> bool:
     """Whether ∂²L/∂v² has no negative eigenvalue at any of many points; arguments as for `velocities`."""
-    eigenvalues = np.linalg.eigvalsh(_scaled(_at(transform, t, x)(v)[1])[0])
+    eigenvalues = np.linalg.eigvalsh(scaled_masses(_at(transform, t, x)(v)[1])[0])
     return bool(np.all(eigenvalues[:, 0] >= -DEGENERATE * np.abs(eigenvalues).max(axis=1)))
 
 
@@ -122,7 +122,7 @@ def velocities(
 
 def _inverse(masses: np.ndarray) -> np.ndarray:
     """Pseudo-inverses of mass matrices (K, d, d)."""
-    scaled, scales = _scaled(_defined(masses))
+    scaled, scales = scaled_masses(_defined(masses))
     return np.asarray(np.linalg.pinv(scaled, rcond=DEGENERATE, hermitian=True) / scales)
 
 

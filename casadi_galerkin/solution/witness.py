@@ -33,6 +33,7 @@ from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import work_of_constraint
+from casadi_galerkin.problems.legendre_transform import scaled_masses
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solution.shares_of_time import SharesOfTime
 
@@ -231,8 +232,10 @@ def _correction(mass: np.ndarray, missing: np.ndarray) -> np.ndarray:
     mass : (K, d, d), ∂²L/∂v²
     missing : (d, K), δ = p - ∂L/∂v at the path's own slope v
     """
-    values, vectors = np.linalg.eigh(mass)
+    scaled, scales = scaled_masses(mass)
+    values, vectors = np.linalg.eigh(scaled)
     regular = np.abs(values) > EPS * np.max(np.abs(values), axis=1, keepdims=True) + TINY
     inverse = np.divide(1.0, values, out=np.zeros_like(values), where=regular)
-    roots = np.einsum("it,tij->tj", missing, vectors) * np.sqrt(np.abs(inverse))  # squares of momenta may overflow
+    measured = missing.T / np.sqrt(np.diagonal(scales, axis1=1, axis2=2))  # squares of momenta may overflow
+    roots = np.einsum("ti,tij->tj", measured, vectors) * np.sqrt(np.abs(inverse))
     return np.asarray(np.sum(np.sign(values) * roots**2, axis=1) / 2)

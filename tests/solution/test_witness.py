@@ -296,3 +296,16 @@ def test_dry_friction_is_resolved_where_the_motion_turns(tol):
     path, times = cg.solve(problem, tol=tol, guess=lambda t: [float(exact(t))]), np.linspace(0.0, duration, 1001)
     error = np.max(np.abs(path(times)[0] - exact(times))) / np.max(exact(times))
     assert error <= min(tol, 3 * path.error_estimate)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e10])
+def test_a_coarse_path_keeps_the_balance_of_energy_in_any_unit_of_one_component(unit):
+    """Counted in a large unit, a component has a mass that is small beside that of another, and energy all the same."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: (v[0] ** 2 + (unit * v[1]) ** 2 - x[0] ** 2 - 9 * (unit * x[1]) ** 2) / 2,
+        (0, 2),
+        [0.1, 0.0],
+        [0.2, 1 / unit],
+    )
+    path = cg.solve(problem, cg.Galerkin(3), 6)
+    assert np.max(doubts(problem, path.polynomial, path.momentum)[0]) < 1e-12
