@@ -54,15 +54,15 @@ def _to_legendre(nodes: tuple[float, ...]) -> np.ndarray:
     return np.linalg.inv(legendre.legvander(2 * np.array(nodes) - 1, len(nodes) - 1))
 
 
-def truncation(path: PiecewisePolynomial) -> np.ndarray:
-    """Estimate what a path of its degree leaves out on each interval, relative to the size of the components; (N,).
+def truncation(path: PiecewisePolynomial, sizes: np.ndarray | None = None) -> np.ndarray:
+    """Estimate what a path of its degree leaves out on each interval, relative to the sizes of the components; (N,).
 
     The Legendre coefficients of an analytic function fall geometrically.  Their rate is taken from the last four,
     in pairs because of parity, and the first coefficient left out follows from the last two with it.  Below degree 3
     there are no four: the first coefficient left out then follows from the last one's change between neighbors.
     """
     m = len(path.nodes) - 1
-    local = path.local / component_sizes(path.values)[:, None, None]
+    local = path.local / (component_sizes(path.values) if sizes is None else sizes)[:, None, None]
     signed = local @ _to_legendre(tuple(path.nodes.tolist())).T  # (d, N, m + 1)
     coefficients = np.abs(signed)
     if m < 3:

@@ -63,7 +63,7 @@ def position_excess(path: ControlTrajectory) -> np.ndarray:
     """By how much positions leave their bounds between the nodes, relative to the components' sizes; (N,)."""
     low, high = (np.array(side)[:, None, None] for side in path.problem.position_bounds)
     positions = path.polynomial.at_parts(parts_of(path.method.degree))[0]
-    outside = beyond(positions, low, high) / component_sizes(path.polynomial.values)[:, None, None]
+    outside = beyond(positions, low, high) / path.sizes[:, None, None]
     return np.asarray(np.max(np.where(outside > POSITION_ROUNDOFF, outside, 0.0), axis=(0, 2)))
 
 
@@ -97,7 +97,7 @@ def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
     nodes = Galerkin(degree).element.nodes
     lower = path.polynomial.at_parts(nodes)[0] @ lagrange_values(nodes, parts_of(degree)).T
     change = path.polynomial.at_parts(parts_of(degree))[0] - lower
-    return np.asarray(np.max(np.abs(change) / component_sizes(path.polynomial.values)[:, None, None], axis=(0, 2)))
+    return np.asarray(np.max(np.abs(change) / path.sizes[:, None, None], axis=(0, 2)))
 
 
 def untold_cost(path: ControlTrajectory) -> float:
@@ -142,8 +142,8 @@ class HigherDegree:
         (before, slope), (after, _) = (p.polynomial.at_parts(parts) for p in (path, higher))
         own, other = (times_at((p.t - p.t[0]) / np.ptp(p.t), parts).reshape(-1, len(parts)) for p in (path, higher))
         change = np.abs(after - before - slope * np.ptp(path.t) * (other - own))
-        change /= component_sizes(path.polynomial.values)[:, None, None]
-        coarse, fine = (float(np.max(truncation(p.polynomial))) for p in (path, higher))
+        change /= path.sizes[:, None, None]
+        coarse, fine = (float(np.max(truncation(p.polynomial, path.sizes))) for p in (path, higher))
         at_points = path.problem.path_constraint is not None or len(self.found) > 0
         ratio = SLOWEST if at_points else min(fine / max(coarse, fine, 1e-300), SLOWEST)
         duration = abs(np.ptp(higher.t) / np.ptp(path.t) - 1)
@@ -202,7 +202,8 @@ class HigherDegree:
         order, target = path.method.degree + 1, TARGET * tol
         error = beyond_degree(higher, path.method.degree)
         error *= self.change / max(np.max(error), 1e-300)
-        kinked = (truncation(higher.polynomial) > STUBBORN * truncation(path.polynomial)) & (error > target)
+        coarse, fine = (truncation(p.polynomial, path.sizes) for p in (path, higher))
+        kinked = (fine > STUBBORN * coarse) & (error > target)
         error[kinked] = target * (error[kinked] / target) ** (order / KINK_ORDER)
         first = np.maximum(self.outside / tol, self.jumps / cost_tol) / TARGET  # of the order of a distance
         error = np.maximum(error, target * first**order)

@@ -18,7 +18,7 @@ from casadi_galerkin.control.constraint_violation import UNTOLD
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.control.program_bounds import ProgramBounds
-from casadi_galerkin.control.solver_error import solver_error
+from casadi_galerkin.control.solver_error import what_is_left
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
@@ -83,9 +83,9 @@ class CostVariation:
     def smallest(self) -> None:
         """Nothing: curvatures of a cost have no common scale."""
 
-    def solver_error(self) -> float:
-        """How far the solver may have left the path from where it should be; see the function of this name."""
-        return solver_error(self._graph(), self.bounds, self.optimum, self.data)
+    def left(self) -> tuple[np.ndarray, float]:
+        """How far the solver may have left the path from where it should be; see `what_is_left`."""
+        return what_is_left(self._graph(), self.bounds, self.optimum, self.data)
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "graph": None}

@@ -13,8 +13,6 @@ nothing determines the path all slopes may vanish; what rounding of the equation
 
 from __future__ import annotations
 
-import math
-
 import casadi as ca
 import numpy as np
 
@@ -28,27 +26,25 @@ from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 SLOWEST = 0.9  # largest ratio of two steps that their series is summed with
 
 
-def solver_error(graph: ControlGraph, bounds: ProgramBounds, optimum: Optimum, data: np.ndarray) -> float:
-    """How far the solver may have left the path, and free durations, from where they should be.
+def what_is_left(
+    graph: ControlGraph, bounds: ProgramBounds, optimum: Optimum, data: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """How far the solver may have left each component of the path, (d,), and free durations, relative to these.
 
-    Relative to their sizes; no less than what rounding does to them, and infinity where the steps are not finite.
+    It is no less than what rounding does to them, and infinite where the steps are not finite.
     """
-    chain, f, kinds = graph.chain, graph.chain.fields, graph.chain.unknown_kinds
-    durations = f["durations"][-1] if chain.is_free("durations") else []
-    judged = np.concatenate((f["x"].ravel(), f["nodes"].ravel(), durations)).astype(int)
+    chain, kinds = graph.chain, graph.chain.unknown_kinds
     sizes = largest_of(np.abs(optimum.unknowns), kinds)
-    sizes = np.where(sizes > 0, sizes, 1.0)[kinds]
-
-    def length(step: np.ndarray) -> float:
-        return float(np.max(np.abs(step / sizes)[judged]))
-
     at = optimum.unknowns, optimum.multipliers, optimum.bound_multipliers
-    first, blur, *after = newton_step(graph, bounds, data, sizes, *at)
-    if not np.isfinite(np.concatenate((blur, *after))).all():
-        return math.inf
-    lengths = length(first), length(newton_step(graph, bounds, data, sizes, *after)[0])
-    ratio = lengths[1] / lengths[0] if lengths[0] > 0 else 0.0
-    return max(max(lengths) / (1 - min(SLOWEST, ratio)), length(blur))
+    first, blur, *after = newton_step(graph, bounds, data, sizes[kinds], *at)
+    second = newton_step(graph, bounds, data, sizes[kinds], *after)[0]
+    steps = (largest_of(np.where(np.isfinite(a), np.abs(a), np.inf), kinds) for a in (first, second, blur))
+    lengths, then, rounding = steps
+    with np.errstate(invalid="ignore"):  # of two that are infinite
+        ratio = np.fmin(SLOWEST, then / np.where(lengths > 0, lengths, 1.0))
+    left = np.fmax(np.fmax(lengths, then) / (1 - ratio), rounding)
+    durations = kinds[chain.fields["durations"][-1]] if chain.is_free("durations") else kinds[:0]
+    return left[: chain.dimension], float(np.max(left[durations] / sizes[durations], initial=0.0))
 
 
 def newton_step(

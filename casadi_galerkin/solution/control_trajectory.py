@@ -27,6 +27,8 @@ from casadi_galerkin.solution.trajectory import UNRESOLVED, SecondVariation, Tra
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+SMALL = 1e-6  # of the largest component: a smaller one may be what the solver leaves of none
+TOLD = 10.0  # times what the solver leaves of it: a smaller one is that
 CONTINUOUS = 1e-8  # of the largest control: what the solver leaves between two values that should agree
 SHOWN_OVERSHOOT = 1e-3  # of the bounds' width; less is no reason for another mesh
 SHOWN_EXCESS = 1e-8  # of the constraints' size; at the points as much is accepted
@@ -37,8 +39,8 @@ DOT = 3.0  # size of the dots of quadrature points, which are many
 class CostVariation(SecondVariation, Protocol):
     """How the cost varies about an optimum, found when it is asked for."""
 
-    def solver_error(self) -> float:
-        """Relative error of the path that the solver has left."""
+    def left(self) -> tuple[np.ndarray, float]:
+        """How far the solver may have left each component of the path, (d,), and free durations, relative to these."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -111,14 +113,30 @@ class ControlTrajectory(Trajectory):
     second_variation: CostVariation | None = None
 
     @lazy
+    def _left(self) -> tuple[np.ndarray, float]:
+        """How far the solver may have left each component, (d,), and free durations, relative to these."""
+        assert self.second_variation is not None, "an optimum has one"
+        return self.second_variation.left()
+
+    @lazy
     def solver_error(self) -> float:
         """Relative error of x and of free durations that the solver has left, from its next Newton steps.
 
-        Found when first asked for.  It is large where the cost hardly depends on the path, and none of `error_estimate`
-        where that was not asked for.
+        Found when first asked for.  It is large where the cost hardly depends on the path.
         """
-        assert self.second_variation is not None, "an optimum has one"
-        return self.second_variation.solver_error()
+        components, durations = self._left
+        return max(float(np.max(components / self.sizes)), durations)
+
+    @lazy
+    def sizes(self) -> np.ndarray:
+        """What errors of the components are relative to, (d,): their largest values; one where these are zero.
+
+        It is one, too, where a component that should be zero has only what the solver leaves of it.
+        """
+        sizes = component_sizes(self.polynomial.values)
+        if np.min(sizes) >= SMALL * np.max(sizes):
+            return sizes
+        return np.where((sizes >= SMALL * np.max(sizes)) | (sizes > TOLD * self._left[0]), sizes, 1.0)
 
     def replay(self) -> ca.Function:
         """Return the force (t, x, v[, p]) -> (d,) of the optimized controls, for an `InitialProblem`.

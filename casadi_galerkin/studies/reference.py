@@ -21,7 +21,6 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import resolved, truncation
 from casadi_galerkin.calculus.numbers import APART, counted, number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
-from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -88,7 +87,7 @@ class ReferenceSolution:
         calculus = DiscreteCalculus(Galerkin(LEAST_DEGREE), self._path.t)
         self._lagrangian = with_parameters(problem.lagrangian, parameters)
         values, kinetic = self._terms(calculus.quadrature_times)
-        self._sizes = component_sizes(self._path.polynomial.values)[:, None]
+        self._sizes = self._path.sizes[:, None]
         self._energy_size = float(np.max(np.abs(values) + np.abs(kinetic))) or 1.0  # zero at rest
         self._functional_size = float(calculus.weights @ np.abs(values)) or 1.0
         if isinstance(problem, ControlProblem):  # a callable has no controls, so no cost

@@ -80,6 +80,43 @@ def test_a_component_that_a_symmetry_keeps_at_zero_leaves_no_doubt_of_the_path()
     np.testing.assert_array_equal(path.x[1], 0)
 
 
+@pytest.mark.parametrize("end", [0.0, np.sin(np.pi)], ids=["zero", "sin(pi)"])
+@pytest.mark.parametrize("tol", [1e-3, 1e-8])
+def test_a_component_that_is_only_what_the_solver_leaves_of_it_is_not_compared_with_itself(tol, end):
+    """It is at rest, but pushed by the other's inertia: refused as long as there was time, with errors near one."""
+    mass = ca.DM([[2.0, 0.7], [0.7, 1.0]])
+    inverse = ca.inv(mass)
+    problem = double_integrator(
+        start=[0.0, 0.0],
+        end=[1.0, end],
+        start_velocity=[0.0, 0.0],
+        end_velocity=[0.0, 0.0],
+        lagrangian=lambda t, x, v: ca.bilin(mass, v, v) / 2,
+        controls=2,
+        running_cost=lambda t, x, v, u: ca.sumsqr(inverse @ u) / 2,
+    )
+    path = cg.solve(problem, tol=tol, limits=cg.Limits(levels=5))
+    assert np.max(np.abs(path.x[1])) < 1e-12
+    np.testing.assert_allclose(path.cost, 6, rtol=1e-10)
+    np.testing.assert_array_equal(path.sizes, [1, 1])
+    assert path.error_estimate <= tol
+
+
+def test_a_component_that_is_small_but_told_from_zero_is_compared_with_itself():
+    size = 1e-8
+    problem = double_integrator(
+        start=[0.0, 0.0],
+        end=[1.0, size],
+        start_velocity=[0.0, 0.0],
+        end_velocity=[0.0, 0.0],
+        lagrangian=lambda t, x, v: (v[0] ** 2 + (v[1] / size) ** 2) / 2 + ca.cos(x[0] - 2 * x[1] / size),
+        force=lambda t, x, v, u: ca.vertcat(u[0], u[1] / size),
+        controls=2,
+        running_cost=lambda t, x, v, u: ca.sumsqr(u) / 2,
+    )
+    np.testing.assert_allclose(cg.solve(problem, tol=1e-6).sizes, [1, size], rtol=1e-6)
+
+
 @pytest.mark.parametrize("method", [cg.Galerkin(3), cg.Galerkin(6)], ids=str)
 def test_a_path_that_the_cost_leaves_open_is_said_to_be_not_determined(method):
     """The cost knows the sum of two components alone; where it knows both, nothing is said."""
