@@ -1,4 +1,4 @@
-"""The check of the point where the solver stopped: how far each constraint is violated, and what the cost may hide."""
+"""The check of the point where the solver stopped: how far each constraint is violated."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ import numpy as np
 
 from casadi_galerkin.control.chain import Chain, largest_of
 from casadi_galerkin.control.graph import Report
-from casadi_galerkin.control.optimizer import Optimum
-from casadi_galerkin.control.program_bounds import ProgramBounds, distances
+from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.problems.bounds import beyond
 
 NOTHING = 1e-20  # terms that are what rounding leaves of a component that is zero; the solvers' tolerances are absolute
 FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
-UNSEEN = 1e-6  # part of the cost that it may change by without a word; optima near one were measured below 1e-9
 UNTOLD = 1e-10  # part of momenta below which what changes them is not told from nothing; the solvers leave some 1e-12
 UNITS = "The solver's tolerances are absolute: take units in which cost, lengths, times and masses are near one"
 VANISHED = 1e-13  # part of its terms along the guess below which a component's are taken for their roundoff
@@ -51,35 +49,6 @@ def violations(
 def _stated(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Sizes of the bounds that are finite."""
     return np.fmax(*(np.where(np.isfinite(side), np.abs(side), 0.0) for side in (low, high)))
-
-
-def unseen_change(chain: Chain, bounds: ProgramBounds, optimum: Optimum, report: Report, times: np.ndarray) -> float:
-    """How much the cost may still change by, to first order.
-
-    These are the derivatives that are left by unknowns that are not given, times the largest sizes of such unknowns,
-    and multipliers of bounds that are not met, times the distance to these.  The path as a whole may move by its size,
-    and vary by it over its duration: what rounding leaves of derivatives by nodes of short intervals, which cancel, is
-    no change of the cost.  `times` (N m + 1,) are those of the nodes.
-    """
-    x, of_bounds, kinds, fields = optimum.unknowns, optimum.bound_multipliers, chain.unknown_kinds, chain.fields
-    low, high, least, most = bounds.sides
-    left, sizes = np.where(low < high, report.slope + of_bounds, 0.0), largest_of(np.abs(x), kinds)
-    of_nodes = np.zeros((chain.intervals * chain.method.degree + 1, chain.dimension))
-    of_nodes[:: chain.method.degree] += left[fields["x"]]
-    of_nodes[1:] += left[fields["nodes"]].reshape(-1, chain.dimension)
-    sums = np.abs(np.cumsum(of_nodes, axis=0))
-    moved = (sums[-1] + np.diff(times) @ sums[:-1] / np.ptp(times)) @ sizes[: chain.dimension]
-    others = kinds >= chain.dimension
-    changed = np.abs(left[others]) @ sizes[kinds[others]]
-    rows = _gap(report.equations, optimum.multipliers, least, most)
-    unmet = _gap(x, of_bounds, low, high)
-    return float(moved + changed + np.sum(rows[least < most]) + np.sum(unmet[low < high]))
-
-
-def _gap(values: np.ndarray, multipliers: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Multipliers times the distance to the bounds that they are of."""
-    distance = distances(values, multipliers, low, high)
-    return np.asarray(np.abs(multipliers * np.where(np.isfinite(distance), distance, 0.0)))
 
 
 def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -12,8 +12,8 @@ point between the two that shows it.  Bounds of positions hold at nodes only: a 
 is moved by about √ε.  Those of controls and path constraints hold at quadrature points only: see `unmet`.  And where
 nothing depends on time the Hamiltonian is constant: what it varies by, times time over cost, was measured to be of the
 order of D where both degrees put a switch at the wrong place.  The error of the cost is at least the square of each.
-Both errors are at least what jumps in time change (`time_witness`), and what the solver leaves of the cost.  What it
-leaves of the path, both degrees may share, too: `solver_error` tells.
+Both errors are at least what jumps in time change (`time_witness`).  What the solver leaves of cost and path, both
+degrees may share, too: `solver_error` tells.
 
 The new mesh spreads what the finer path has beyond degree m evenly.  Where a higher degree does not help the path has
 a kink, and intervals are split as for order 2.  Where a control switches inside an interval its impulse ∫ u dt tells
@@ -176,10 +176,9 @@ class HigherDegree:
             return np.zeros(len(self.path.t) - 1)
         return np.array([self.of_cost(change) for change in jumps_in_time(self.path)])
 
-    @property
-    def unseen(self) -> float:
-        """What the solver leaves of the cost with either degree, relative to it; no mesh makes it less."""
-        return self.of_cost(min(self.path.unseen_change, self.higher.unseen_change))
+    def left(self, path: ControlTrajectory) -> tuple[float, float]:
+        """What the solver leaves of the cost and of the path with one of the degrees, relative to these."""
+        return self.of_cost(path.unseen_change), path.solver_error
 
     @property
     def error(self) -> float:
@@ -193,8 +192,8 @@ class HigherDegree:
         The costs of two different paths tell nothing: their distance is the error.
         """
         apart = self.change if self.change > FAR else 0.0
-        left, jumped = self.of_cost(self.path.unseen_change), float(np.sum(self.jumps))
-        return max(self.cost_change / (1 - SLOWEST), self.shared**2, self.unbalanced**2, apart, left, jumped)
+        jumped = float(np.sum(self.jumps))
+        return max(self.cost_change / (1 - SLOWEST), self.shared**2, self.unbalanced**2, apart, jumped)
 
     def better_mesh(self, tol: float, cost_tol: float) -> np.ndarray:
         """Joints, in the time of the higher path, on which the errors of path and cost should be below tolerances."""

@@ -39,12 +39,6 @@ def _narrowed(low: np.ndarray, high: np.ndarray, relaxed: float) -> tuple[np.nda
     return low + move[0], high - move[1]
 
 
-def distances(values: np.ndarray, multipliers: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Distances of values to the bounds that their multipliers are of; infinite where these are of none."""
-    to_bound = np.where(multipliers > 0, high - values, values - low)
-    return np.where(low == high, 0.0, np.where(multipliers == 0, np.inf, np.maximum(to_bound, 0.0)))
-
-
 def bounds_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> ProgramBounds:
     """Bounds of the unknowns and of the equations; what is given is a bound on both sides.
 

@@ -16,9 +16,8 @@ On smooth paths the estimate is near the true error.  With bang-bang controls it
 the switching times, and where a position touches its bound it is many times the error.  How often it bounds the error
 of the cost, `examples/benchmark/literature.py` counts on nineteen problems of the literature.
 
-What the solver itself leaves of the cost (`unseen_change`) is part of the error of the cost.  No mesh makes it less:
-where it is above the tolerance the refinement ends at once.  So it does where a path would be accepted, but the solver
-may have left it further from the optimum than the tolerance (`solver_error`).
+Where a path would be accepted, what the solver itself leaves of cost and path (`solver_error`) is part of their errors.
+No mesh makes it less: where it is above the tolerance with both degrees, the refinement ends at once.
 
 Out of reach is a path to 1e-8 with a path constraint touched in one point and a Gauss rule.  So is a path with a
 singular arc, where controls differ from mesh to mesh and cost the same: the cost is then known long before the path.
@@ -43,7 +42,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import graded_alike
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
-from casadi_galerkin.control.constraint_violation import UNITS, UNSEEN
+from casadi_galerkin.control.constraint_violation import UNITS
 from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.phases import with_joined_phases, with_parted_phases
 from casadi_galerkin.control.several_starts import different, optima_of
@@ -135,7 +134,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         self.beside_switches = self.following.with_options(**{"barrier_tol_factor": sharp, **solver.options})
         self.method = method
         self.build_seconds = 0.0
-        self.known: HigherDegree | None = None
+        self.known: HigherDegree | None = None  # of the last mesh
+        self.first = True  # whether that is the first
         self.cost_known = np.inf  # smallest error of the cost of the path under way
         self.jump: float | None = None  # time near which callables jump by more than is tolerated
 
@@ -189,20 +189,37 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             self.check_time()
             return Estimate(np.inf, False, f"no answer of degree {method.degree}", None)
         detail = HigherDegree(level, higher)
-        self.known, self.cost_known = detail, min(self.cost_known, detail.cost_error)
         i = int(np.argmax(detail.jumps))
         self.jump = float(np.mean(level.t[i : i + 2])) if np.sum(detail.jumps) > self.tol else None
-        error = detail.cost_error if self.of_cost else detail.error
-        if error <= self.tol and not self.of_cost and level.solver_error > self.tol:
-            reason = f"the solver leaves the path open by {level.solver_error:.0e} of its size, on any mesh"
-            raise self.stopped(reason, level, level.solver_error)
-        return Estimate(error, True, f"degree {method.degree}", detail)
+        cost, path = detail.cost_error, detail.error
+        if cost <= self.tol:
+            left, open_by = detail.left(level)
+            cost, path = max(cost, left), max(path, left, open_by)
+        self.first, self.known, self.cost_known = self.known is None, detail, min(self.cost_known, cost)
+        return Estimate(cost if self.of_cost else path, True, f"degree {method.degree}", detail)
+
+    def check_solver(self, detail: HigherDegree) -> None:
+        """Stop where the path would be accepted but for what the solver leaves with both degrees.
+
+        What it leaves of the cost is looked at on the first mesh, too, and where the last one came no nearer.
+        """
+        accepted = (detail.cost_error if self.of_cost else detail.error) <= self.tol
+        if not (accepted or self.fruitless or self.first):
+            return
+        judged = 1 if self.of_cost or not accepted else 2
+        if max(detail.left(detail.path)[:judged]) <= self.tol:
+            return
+        left, open_by = map(min, detail.left(detail.path), detail.left(detail.higher))
+        if left > self.tol:
+            raise self.stopped(f"the solver may have left {left:.0e} of the cost", *self.best, UNITS)
+        if judged == 2 and open_by > self.tol:
+            raise self.stopped(f"the solver leaves the path open by {open_by:.0e} of its size", *self.best)
 
     def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:
         """Solve on the better mesh, from the path of higher degree; without that, on a mesh twice as fine."""
         detail = estimate.detail
-        if detail is not None and detail.unseen > self.tol and self.cost_known > self.tol:
-            raise self.stopped(f"the solver may have left {detail.unseen:.0e} of the cost", *self.best, UNITS)
+        if detail is not None:
+            self.check_solver(detail)
         known = level if detail is None else detail.higher
         if detail is None or self.fruitless == PATIENCE:
             mesh = halved(known.t)
@@ -230,7 +247,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         if self.jump is not None:
             hint = f"A callable is not smooth in time near t = {self.jump:.6g}, or changes there too fast for this mesh"
             hint += ": name that time in the breakpoints"
-        elif level.unseen_change > UNSEEN * abs(level.cost):
+        elif level.unseen_change > self.tol * abs(level.cost):
             hint = UNITS
         if self.cost_known <= self.tol:
             known = f"the cost is known to {self.cost_known:.0e}, which is all that cost_tol asks for"
@@ -284,8 +301,9 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         path, _ = self.refine(level)
         assert self.known is not None, "a path is accepted for what is known of it"
         path = with_parted_phases(path, self.stated)
-        error = max(self.known.error, self.known.path.solver_error)
-        return replace(path, error_estimate=error, cost_error=self.known.cost_error)
+        left, open_by = self.known.left(self.known.path)
+        cost = max(self.known.cost_error, left)
+        return replace(path, error_estimate=max(self.known.error, cost, open_by), cost_error=cost)
 
 
 def first_control_mesh(

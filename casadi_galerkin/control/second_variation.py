@@ -83,7 +83,7 @@ class CostVariation:
     def smallest(self) -> None:
         """Nothing: curvatures of a cost have no common scale."""
 
-    def left(self) -> tuple[np.ndarray, float]:
+    def left(self) -> tuple[np.ndarray, float, float]:
         """How far the solver may have left the path from where it should be; see `what_is_left`."""
         return what_is_left(self._graph(), self.bounds, self.optimum, self.data)
 

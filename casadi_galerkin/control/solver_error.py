@@ -8,7 +8,8 @@ where the equations hold, all slopes vanish, and every multiplier or its distanc
 with the slopes ∇f̄ of the Lagrangian but for the multipliers μ of bounds, and d in place of -G, and D, for inequalities
 only.  Where the cost hardly knows the path, steps are long at slopes far below any tolerance.  The second step tells
 how far to trust the first: both are summed as a geometric series.  Along a fourth power each leaves two thirds.  Where
-nothing determines the path all slopes may vanish; what rounding of the equations does to it then tells.
+nothing determines the path all slopes may vanish; what rounding of the equations does to it then tells.  A part of
+`EPS` on the diagonal keeps apart what nothing determines, such as which of two controls does the work.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ import numpy as np
 
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.control.chain import largest_of
+from casadi_galerkin.control.embedding import sparse
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
-from casadi_galerkin.control.program_bounds import ProgramBounds, distances
+from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 
 SLOWEST = 0.9  # largest ratio of two steps that their series is summed with
@@ -28,23 +30,27 @@ SLOWEST = 0.9  # largest ratio of two steps that their series is summed with
 
 def what_is_left(
     graph: ControlGraph, bounds: ProgramBounds, optimum: Optimum, data: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """How far the solver may have left each component of the path, (d,), and free durations, relative to these.
+) -> tuple[np.ndarray, float, float]:
+    """How far the solver may have left each component of the path, (d,), free durations, relative to these, and cost.
 
     It is no less than what rounding does to them, and infinite where the steps are not finite.
     """
     chain, kinds = graph.chain, graph.chain.unknown_kinds
     sizes = largest_of(np.abs(optimum.unknowns), kinds)
-    at = optimum.unknowns, optimum.multipliers, optimum.bound_multipliers
-    first, blur, *after = newton_step(graph, bounds, data, sizes[kinds], *at)
-    second = newton_step(graph, bounds, data, sizes[kinds], *after)[0]
-    steps = (largest_of(np.where(np.isfinite(a), np.abs(a), np.inf), kinds) for a in (first, second, blur))
-    lengths, then, rounding = steps
+    at, steps, change = (optimum.unknowns, optimum.multipliers, optimum.bound_multipliers), list[np.ndarray](), 0.0
+    for _ in range(2):
+        step, blur, *after = newton_step(graph, bounds, data, sizes[kinds], *at)
+        slope = graph.gradient(at[0], data)[1]
+        change += abs(float(ca.dot(slope, step)))
+        steps += [step, blur]
+        at = after[0], after[1], after[2]
+    first, rounding, second, _ = (largest_of(np.where(np.isfinite(a), np.abs(a), np.inf), kinds) for a in steps)
     with np.errstate(invalid="ignore"):  # of two that are infinite
-        ratio = np.fmin(SLOWEST, then / np.where(lengths > 0, lengths, 1.0))
-    left = np.fmax(np.fmax(lengths, then) / (1 - ratio), rounding)
+        ratio = np.fmin(SLOWEST, second / np.where(first > 0, first, 1.0))
+    left = np.fmax(np.fmax(first, second) / (1 - ratio), rounding)
     durations = kinds[chain.fields["durations"][-1]] if chain.is_free("durations") else kinds[:0]
-    return left[: chain.dimension], float(np.max(left[durations] / sizes[durations], initial=0.0))
+    longer = float(np.max(left[durations] / sizes[durations], initial=0.0))
+    return left[: chain.dimension], longer, change if np.isfinite(change) else np.inf
 
 
 def newton_step(
@@ -61,39 +67,66 @@ def newton_step(
     `sizes` are those of the unknowns.  The rounding is that of the terms that the equations sum, with random signs.
     """
     low, high, least, most = bounds.sides
-    report, gradients = graph.report(unknowns, data, of_equations), graph.jacobian(unknowns, data)[1]
-    hessian, rows = ca.triu2symm(graph.hessian(unknowns, data, 1.0, of_equations)), report.equations
-    to_bounds, to_limits = distances(unknowns, of_bounds, low, high), distances(rows, of_equations, least, most)
-    free, held = np.flatnonzero((low < high) & (to_bounds > 0)), np.flatnonzero(np.isfinite(to_limits))
+    report, kinds = graph.report(unknowns, data, of_equations), graph.chain.kinds
+    to_bounds = _distances(unknowns, of_bounds, low, high)
+    to_limits = _distances(report.equations, of_equations, least, most)
+    free, held = (low < high) & (to_bounds > 0), np.isfinite(to_limits)
+    i, j, curved = _entries(graph.hessian(unknowns, data, 1.0, of_equations), free, free)  # its upper half
+    k, moved, across = _entries(graph.jacobian(unknowns, data)[1], held, free)
     stiffness = np.abs(of_bounds[free]) / to_bounds[free]
     softness = to_limits[held] / np.maximum(np.abs(of_equations[held]), TINY)
-    moved, kept = free.tolist(), held.tolist()
-    curved, across = hessian[moved, moved], gradients[kept, moved]
-    matrix = ca.blockcat([[curved, across.T], [across, ca.DM(len(held), len(held))]])
-    missed = np.where(least == most, most - rows, np.copysign(to_limits, of_equations))
-    rhs = np.concatenate((-report.slope[free], missed[held]))
-    pushes = largest_of(np.abs(of_equations), graph.chain.kinds)[graph.chain.kinds]
-    terms = ca.mtimes(ca.fabs(matrix), ca.DM(np.concatenate((sizes[free], pushes[held])))).full().ravel()
-    rounding = np.random.default_rng(len(rhs)).choice((-EPS, EPS), len(rhs)) * terms
-    matrix += ca.diag(ca.DM(np.concatenate((stiffness, -softness))))
-    found = _solutions(matrix, np.stack((rhs, rounding), axis=1))
+    missed = np.where(least == most, most - report.equations, np.copysign(to_limits, of_equations))[held]
+    # in units in which one is the largest entry of every unknown in equations, of every equation, and of the curvature
+    own, pushed = 1 / _largest(moved, across, len(stiffness)), largest_of(np.abs(of_equations), kinds)[kinds][held]
+    across, curved = across * own[moved], own[i] * curved * own[j]
+    rowwise, unit = 1 / _largest(k, across, len(missed)), np.max(np.abs(curved), initial=0.0) or 1.0
+    curved, across, k, apart = curved / unit, rowwise[k] * across, k + len(own), i != j
+    rows, columns = (np.concatenate(each) for each in ((i[apart], j[apart], k, moved), (j[apart], i[apart], moved, k)))
+    values, diagonal = np.concatenate((curved[apart], curved[apart], across, across)), np.zeros(len(own) + len(missed))
+    diagonal[i[~apart]] = curved[~apart]
+    amounts = np.append(sizes[free] / own, pushed / (unit * rowwise))
+    terms = np.abs(diagonal) * amounts
+    np.add.at(terms, rows, np.abs(values) * amounts[columns])
+    rounding = np.random.default_rng(len(terms)).choice((-EPS, EPS), len(terms)) * terms
+    diagonal += np.append(own**2 * stiffness / unit + EPS, -unit * rowwise**2 * softness - EPS)
+    rhs = np.stack((np.append(-own * report.slope[free] / unit, rowwise * missed), rounding), axis=1)
+    found = _solutions(rows, columns, values, diagonal, rhs)
     step, blur, after = np.zeros(len(unknowns)), np.zeros(len(unknowns)), of_bounds.copy()
-    step[free], blur[free] = found[: len(free)].T
+    step[free], blur[free] = own * found[: len(own)].T
     multipliers = of_equations.copy()
-    multipliers[held] += found[len(free) :, 0]
+    multipliers[held] += unit * rowwise * found[len(own) :, 0]
     with np.errstate(invalid="ignore"):  # where the step is infinite
         after[free] = stiffness * step[free]
     return step, blur, unknowns + step, multipliers, after
 
 
-def _solutions(matrix: ca.DM, rhs: np.ndarray) -> np.ndarray:
-    """Solutions of symmetric equations in any units, for right-hand sides (n, K): rows and columns are divided alike.
+def _entries(matrix: ca.DM, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows, columns and values of the entries in chosen rows and columns, numbered among these."""
+    row, column = (np.array(index, dtype=int) for index in matrix.sparsity().get_triplet())
+    chosen = rows[row] & columns[column]
+    numbers = (np.cumsum(which)[index[chosen]] - 1 for which, index in ((rows, row), (columns, column)))
+    return *numbers, np.array(matrix.nonzeros())[chosen]
 
-    A part of `EPS` on the diagonal keeps apart what nothing determines, such as which of two controls does the work.
-    """
-    largest = np.zeros(len(rhs))
-    np.maximum.at(largest, np.array(matrix.sparsity().row(), dtype=int), np.abs(matrix.nonzeros()))
-    scale = 1 / np.sqrt(np.where(largest > 0, largest, 1.0))[:, None]
-    scaling = ca.diag(ca.DM(scale))
-    scaled = ca.mtimes(ca.mtimes(scaling, matrix), scaling) + EPS * ca.DM.eye(len(rhs))
-    return np.asarray(scale * ca.solve(scaled, ca.DM(scale * rhs), "qr", NO_CUTOFF).full())
+
+def _largest(index: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    """Largest size of the values of every index, or one where all are zero; (count,)."""
+    largest = np.zeros(count)
+    np.maximum.at(largest, index, np.abs(values))
+    return np.where(largest > 0, largest, 1.0)
+
+
+def _distances(values: np.ndarray, multipliers: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Distances of values to the bounds that their multipliers are of; infinite where these are of none."""
+    to_bound = np.where(multipliers > 0, high - values, values - low)
+    return np.where(low == high, 0.0, np.where(multipliers == 0, np.inf, np.maximum(to_bound, 0.0)))
+
+
+def _solutions(
+    rows: np.ndarray, columns: np.ndarray, values: np.ndarray, diagonal: np.ndarray, rhs: np.ndarray
+) -> np.ndarray:
+    """Solutions of symmetric equations, for right-hand sides (n, K): rows and columns are first divided alike."""
+    own = np.arange(len(diagonal))
+    rows, columns, values = np.append(rows, own), np.append(columns, own), np.append(values, diagonal)
+    scale = 1 / np.sqrt(_largest(rows, values, len(own)))
+    matrix = sparse([(rows, columns, scale[rows] * values * scale[columns])], (len(own), len(own)))
+    return np.asarray(scale[:, None] * ca.solve(matrix, ca.DM(scale[:, None] * rhs), "qr", NO_CUTOFF).full())

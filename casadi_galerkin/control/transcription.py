@@ -22,7 +22,7 @@ from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.attempts import AS_GUESSED, Beginning, or_from_other_beginnings, or_with_ipopt
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.constraint_violation import FEASIBLE, UNSEEN, unseen_change, violations
+from casadi_galerkin.control.constraint_violation import FEASIBLE, violations
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
@@ -215,9 +215,6 @@ class ControlTranscription:
         off = off_constraint(problem, path)
         if off is not None:
             raise ConvergenceError(f"no path was found: {off}", Path(path), violation / EPS, optimum.iterations)
-        change = unseen_change(chain, bounds, optimum, report, path.times(path.nodes[:-1]))
-        hidden = f"; its tolerances are absolute, and may hide a change of the cost by {change:.1e}"
-        hidden = hidden if change > UNSEEN * abs(report.cost) else ""
         multipliers = optimum.multipliers / chain.units(values["sizes"])
         joints, mechanical = path.mesh, chain.mechanical
         parameters = None if problem.parameters is None else tuple(values["parameters"].tolist())
@@ -232,7 +229,7 @@ class ControlTranscription:
             action=report.action,
             iterations=optimum.iterations,
             residual=violation / EPS,
-            solver=f"{NAMES[solver.name]} ({optimum.status}{hidden})",
+            solver=f"{NAMES[solver.name]} ({optimum.status})",
             build_seconds=self.build_seconds,
             solve_seconds=time.perf_counter() - began - self.build_seconds,
             method=self.method,
@@ -244,7 +241,6 @@ class ControlTranscription:
             path_multipliers=self._path_multipliers(multipliers, joints),
             duals=(multipliers, optimum.bound_multipliers),
             hamiltonian=report.hamiltonian,
-            unseen_change=change,
             violation=violation,
             start_velocity=np.append(values["start_velocity"], rates[0]),
             end_velocity=np.append(values["end_velocity"], rates[1]),

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SMALL = 1e-6  # of the largest component: a smaller one may be what the solver leaves of none
+UNSEEN = 1e-6  # part of the cost that it may change by without a word; optima near one were measured below 1e-9
 TOLD = 10.0  # times what the solver leaves of it: a smaller one is that
 CONTINUOUS = 1e-8  # of the largest control: what the solver leaves between two values that should agree
 SHOWN_OVERSHOOT = 1e-3  # of the bounds' width; less is no reason for another mesh
@@ -39,8 +40,8 @@ DOT = 3.0  # size of the dots of quadrature points, which are many
 class CostVariation(SecondVariation, Protocol):
     """How the cost varies about an optimum, found when it is asked for."""
 
-    def left(self) -> tuple[np.ndarray, float]:
-        """How far the solver may have left each component of the path, (d,), and free durations, relative to these."""
+    def left(self) -> tuple[np.ndarray, float, float]:
+        """How far the solver may have left each component, (d,), free durations, relative to these, and the cost."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -65,8 +66,6 @@ class ControlTrajectory(Trajectory):
         no waypoint or jump has a given time; zero as well where the duration is free, was found strictly inside
         `duration_bounds`, and no terminal cost depends on t.  With `hold` neither is true of single intervals, but
         the second is of the mean over a phase of free duration
-    unseen_change : how much the cost may still change by, to first order, from the derivatives and the distances to
-        bounds that the solver has left
     violation : largest violation of an equation or bound, relative to the sizes of the terms it compares; at most 1e-8
     residual : the same in units of the relative precision of a double, 2.2e-16; at most 4.5e7
     start_velocity, end_velocity : (d,), the velocities given or found at the ends; of a component that follows a rate,
@@ -104,7 +103,6 @@ class ControlTrajectory(Trajectory):
     path_multipliers: ControlPath | None
     duals: tuple[np.ndarray, np.ndarray]
     hamiltonian: np.ndarray
-    unseen_change: float
     violation: float
     start_velocity: np.ndarray
     end_velocity: np.ndarray
@@ -113,10 +111,15 @@ class ControlTrajectory(Trajectory):
     second_variation: CostVariation | None = None
 
     @lazy
-    def _left(self) -> tuple[np.ndarray, float]:
-        """How far the solver may have left each component, (d,), and free durations, relative to these."""
+    def _left(self) -> tuple[np.ndarray, float, float]:
+        """How far the solver may have left each component, (d,), free durations, relative to these, and the cost."""
         assert self.second_variation is not None, "an optimum has one"
         return self.second_variation.left()
+
+    @property
+    def unseen_change(self) -> float:
+        """How much the cost may still change by, to first order along the Newton steps that the solver has left."""
+        return self._left[2]
 
     @lazy
     def solver_error(self) -> float:
@@ -124,7 +127,7 @@ class ControlTrajectory(Trajectory):
 
         Found when first asked for.  It is large where the cost hardly depends on the path.
         """
-        components, durations = self._left
+        components, durations, _ = self._left
         return max(float(np.max(components / self.sizes)), durations)
 
     @lazy
@@ -370,9 +373,15 @@ class ControlTrajectory(Trajectory):
         return [f"  error       {told}, estimated"] if told else self._undetermined() or self._unresolved()
 
     def _undetermined(self) -> list[str]:
-        """A line on a path that the solver plainly has left somewhere, because the cost hardly depends on it."""
-        words = f"the solver leaves x open by {self.solver_error:.0e} of its size; the cost hardly depends on it"
-        return [f"  NOT DETERMINED: {words}"] if self.solver_error > UNRESOLVED else []
+        """Lines on what the solver plainly has left of the cost, or of a path on which that hardly depends."""
+        lines = []
+        if self.unseen_change > UNSEEN * abs(self.cost):
+            words = f"the solver may have left {self.unseen_change:.1e} of the cost; its tolerances are absolute"
+            lines.append(f"  NOT DETERMINED: {words}")
+        if self.solver_error > UNRESOLVED:
+            words = f"the solver leaves x open by {self.solver_error:.0e} of its size; the cost hardly depends on it"
+            lines.append(f"  NOT DETERMINED: {words}")
+        return lines
 
     @property
     def _left_out(self) -> np.ndarray:
