@@ -14,6 +14,9 @@ nothing determines the path all slopes may vanish; what rounding of the equation
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import TypeAlias
+
 import casadi as ca
 import numpy as np
 
@@ -24,6 +27,8 @@ from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
+
+Entries: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]  # rows, columns and values
 
 SLOWEST = 0.9  # largest ratio of two steps that their series is summed with
 
@@ -71,41 +76,71 @@ def newton_step(
     to_bounds = _distances(unknowns, of_bounds, low, high)
     to_limits = _distances(report.equations, of_equations, least, most)
     free, held = (low < high) & (to_bounds > 0), np.isfinite(to_limits)
-    i, j, curved = _entries(graph.hessian(unknowns, data, 1.0, of_equations), free, free)  # its upper half
-    k, moved, across = _entries(graph.jacobian(unknowns, data)[1], held, free)
     stiffness = np.abs(of_bounds[free]) / to_bounds[free]
-    softness = to_limits[held] / np.maximum(np.abs(of_equations[held]), TINY)
-    missed = np.where(least == most, most - report.equations, np.copysign(to_limits, of_equations))[held]
-    # in units in which one is the largest entry of every unknown in equations, of every equation, and of the curvature
-    own, pushed = 1 / _largest(moved, across, len(stiffness)), largest_of(np.abs(of_equations), kinds)[kinds][held]
-    across, curved = across * own[moved], own[i] * curved * own[j]
-    rowwise, unit = 1 / _largest(k, across, len(missed)), np.max(np.abs(curved), initial=0.0) or 1.0
-    curved, across, k, apart = curved / unit, rowwise[k] * across, k + len(own), i != j
-    rows, columns = (np.concatenate(each) for each in ((i[apart], j[apart], k, moved), (j[apart], i[apart], moved, k)))
-    values, diagonal = np.concatenate((curved[apart], curved[apart], across, across)), np.zeros(len(own) + len(missed))
-    diagonal[i[~apart]] = curved[~apart]
-    amounts = np.append(sizes[free] / own, pushed / (unit * rowwise))
-    terms = np.abs(diagonal) * amounts
-    np.add.at(terms, rows, np.abs(values) * amounts[columns])
-    rounding = np.random.default_rng(len(terms)).choice((-EPS, EPS), len(terms)) * terms
-    diagonal += np.append(own**2 * stiffness / unit + EPS, -unit * rowwise**2 * softness - EPS)
-    rhs = np.stack((np.append(-own * report.slope[free] / unit, rowwise * missed), rounding), axis=1)
-    found = _solutions(rows, columns, values, diagonal, rhs)
-    step, blur, after = np.zeros(len(unknowns)), np.zeros(len(unknowns)), of_bounds.copy()
-    step[free], blur[free] = own * found[: len(own)].T
-    multipliers = of_equations.copy()
-    multipliers[held] += unit * rowwise * found[len(own) :, 0]
+    linear = _Equations(
+        _entries(graph.hessian(unknowns, data, 1.0, of_equations), free, free),
+        _entries(graph.jacobian(unknowns, data)[1], held, free),
+        stiffness,
+        to_limits[held] / np.maximum(np.abs(of_equations[held]), TINY),
+    )
+    missed = np.where(least == most, most - report.equations, np.copysign(to_limits, of_equations))
+    pushes = largest_of(np.abs(of_equations), kinds)[kinds]
+    moved, blurred, changed = linear.solved(-report.slope[free], missed[held], sizes[free], pushes[held])
+    step, blur = np.zeros((2, len(unknowns)))
+    step[free], blur[free] = moved, blurred
+    equations_after, bounds_after = of_equations.copy(), of_bounds.copy()
+    equations_after[held] += changed
     with np.errstate(invalid="ignore"):  # where the step is infinite
-        after[free] = stiffness * step[free]
-    return step, blur, unknowns + step, multipliers, after
+        bounds_after[free] = stiffness * moved
+    return step, blur, unknowns + step, equations_after, bounds_after
 
 
-def _entries(matrix: ca.DM, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, columns and values of the entries in chosen rows and columns, numbered among these."""
+@dataclass(frozen=True)
+class _Equations:
+    """The symmetric equations (H + Σ) δ + Aᵀδλ = a, A δ - D δλ = b.
+
+    Attributes
+    ----------
+    curved, across : entries of the upper half of H, and of A
+    stiffness, softness : diagonals Σ and D
+    """
+
+    curved: Entries
+    across: Entries
+    stiffness: np.ndarray
+    softness: np.ndarray
+
+    def solved(
+        self, a: np.ndarray, b: np.ndarray, sizes: np.ndarray, pushes: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """δ, what rounding of terms with δ and λ of some sizes does to it, and δλ.
+
+        Units are those in which one is the largest entry of every unknown in A, of every row of A, and of H.
+        """
+        (i, j, curved), (k, column, across), n = self.curved, self.across, len(a)
+        own = 1 / _largest(column, across, n)
+        across, curved = across * own[column], own[i] * curved * own[j]
+        row, unit = 1 / _largest(k, across, len(b)), np.max(np.abs(curved), initial=0.0) or 1.0
+        units, apart = np.append(own, unit * row), i != j
+        rows = np.concatenate((i[apart], j[apart], n + k, column))
+        columns = np.concatenate((j[apart], i[apart], column, n + k))
+        values = np.concatenate((np.tile(curved[apart] / unit, 2), np.tile(row[k] * across, 2)))
+        diagonal, amounts = np.zeros(len(units)), np.append(sizes, pushes) / units
+        diagonal[i[~apart]] = curved[~apart] / unit
+        terms = np.abs(diagonal) * amounts
+        np.add.at(terms, rows, np.abs(values) * amounts[columns])
+        rounding = np.random.default_rng(len(terms)).choice((-EPS, EPS), len(terms)) * terms
+        diagonal += np.append(own**2 * self.stiffness / unit + EPS, -unit * row**2 * self.softness - EPS)
+        rhs = np.stack((np.append(own * a / unit, row * b), rounding), axis=1)
+        found = units[:, None] * _solutions((rows, columns, values), diagonal, rhs)
+        return found[:n, 0], found[:n, 1], found[n:, 0]
+
+
+def _entries(matrix: ca.DM, rows: np.ndarray, columns: np.ndarray) -> Entries:
+    """Entries in chosen rows and columns, numbered among these."""
     row, column = (np.array(index, dtype=int) for index in matrix.sparsity().get_triplet())
-    chosen = rows[row] & columns[column]
-    numbers = (np.cumsum(which)[index[chosen]] - 1 for which, index in ((rows, row), (columns, column)))
-    return *numbers, np.array(matrix.nonzeros())[chosen]
+    chosen, first, second = rows[row] & columns[column], np.cumsum(rows) - 1, np.cumsum(columns) - 1
+    return first[row[chosen]], second[column[chosen]], np.array(matrix.nonzeros())[chosen]
 
 
 def _largest(index: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
@@ -121,12 +156,10 @@ def _distances(values: np.ndarray, multipliers: np.ndarray, low: np.ndarray, hig
     return np.where(low == high, 0.0, np.where(multipliers == 0, np.inf, np.maximum(to_bound, 0.0)))
 
 
-def _solutions(
-    rows: np.ndarray, columns: np.ndarray, values: np.ndarray, diagonal: np.ndarray, rhs: np.ndarray
-) -> np.ndarray:
+def _solutions(beside: Entries, diagonal: np.ndarray, rhs: np.ndarray) -> np.ndarray:
     """Solutions of symmetric equations, for right-hand sides (n, K): rows and columns are first divided alike."""
     own = np.arange(len(diagonal))
-    rows, columns, values = np.append(rows, own), np.append(columns, own), np.append(values, diagonal)
+    rows, columns, values = (np.append(*pair) for pair in zip(beside, (own, own, diagonal), strict=True))
     scale = 1 / np.sqrt(_largest(rows, values, len(own)))
     matrix = sparse([(rows, columns, scale[rows] * values * scale[columns])], (len(own), len(own)))
     return np.asarray(scale[:, None] * ca.solve(matrix, ca.DM(scale[:, None] * rhs), "qr", NO_CUTOFF).full())
