@@ -10,10 +10,9 @@ import math
 import numpy as np
 
 from casadi_galerkin.boundary.graph import BoundaryGraph, CriticalPoint
-from casadi_galerkin.calculus.mesh_adaptation import largest_change, of_higher_degree
+from casadi_galerkin.calculus.mesh_adaptation import largest_change
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
-from casadi_galerkin.functional.mapping import one_by_one
 
 ROUGHLY_ALIKE = 0.95  # agreement below which a given mesh does not resolve the variations
 SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
@@ -116,7 +115,6 @@ def roundoff_error(graph: BoundaryGraph, point: CriticalPoint) -> float:
 
 def error_between_ends(graph: BoundaryGraph, path: PiecewisePolynomial) -> float:
     """Estimate the error of a path of the graph's degree; no less than 1 less its `agreement`, where that is poor."""
-    higher = BoundaryGraph(graph.problem, of_higher_degree(graph.method.degree), path.mesh, one_by_one)
-    error, varied = discretization_error(higher, path)
+    error, varied = discretization_error(graph.higher, path)
     agreed = agreement(graph, path, varied)
     return error if agreed >= ROUGHLY_ALIKE else max(error, 1 - agreed)

@@ -14,6 +14,7 @@ from casadi_galerkin.boundary.failure_report import conjugate, explained
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.mesh_adaptation import of_higher_degree
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.end_velocities import end_velocities
 from casadi_galerkin.functional.mapping import PointMap
@@ -57,6 +58,7 @@ class BoundaryGraph:
         self.functional = functional_of(problem, method, len(mesh) - 1, mapping)
         self.numbering = self.functional.numbering
         self.stationarity = Stationarity(self.functional)
+        self._mapping, self._higher = mapping, dict[str, BoundaryGraph]()
         self._end_velocities = end_velocities(problem)
 
     def of(self: Graph, problem: BoundaryProblem) -> Graph:
@@ -68,9 +70,17 @@ class BoundaryGraph:
         return other
 
     @property
+    def higher(self) -> BoundaryGraph:
+        """The graph of the degree that tells what this one misses; built once for all problems varied from one."""
+        if not self._higher:
+            method = of_higher_degree(self.method.degree)
+            self._higher["graph"] = BoundaryGraph(self.problem, method, self.mesh, self._mapping)
+        return self._higher["graph"].of(self.problem)
+
+    @property
     def build_seconds(self) -> float:
-        """Seconds spent on building the graph so far."""
-        return self.functional.build_seconds
+        """Seconds spent on building the graph so far, and that of the higher degree."""
+        return self.functional.build_seconds + sum(built.build_seconds for built in self._higher.values())
 
     @lazy
     def _calculus(self) -> DiscreteCalculus:

@@ -34,7 +34,6 @@ from casadi_galerkin.calculus.mesh_adaptation import (
     FEWEST,
     TARGET,
     equidistributed,
-    of_higher_degree,
     truncation,
 )
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -124,8 +123,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             self.check_stubborn(level, "Legendre coefficients", left_out, WANDERING)
             return Estimate(largest, False, "Legendre coefficients", left_out)
         floor = self.floor(level)
-        higher = of_higher_degree(self.method.degree)
-        error, varied = discretization_error(self.levels.transcription(higher, path.mesh), path)
+        higher = self.graph(path).higher
+        error, varied = discretization_error(higher, path)
         error = math.hypot(error, floor)
         mesh, stretched = path.mesh, self.levels.problem.energy is not None
         self.roundoff_level = NOISE * max(
@@ -141,7 +140,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             halved = np.full(len(left_out), TARGET * self.tol * 2.0 ** (self.method.degree + 1))
             return Estimate(1 - self.agreements[-1], False, "responses to forces", halved)
         left_out *= error / max(np.max(left_out), 1e-300)
-        return Estimate(error, True, f"degree {higher.degree}", left_out)
+        return Estimate(error, True, f"degree {higher.method.degree}", left_out)
 
     def stopped(self, reason: str, level: CriticalPoint, error: float, hint: str = HINT) -> LimitReached:
         """Say how far it got; where times are so far from zero that their rounding may be why, that."""

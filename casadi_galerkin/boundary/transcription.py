@@ -204,9 +204,8 @@ class SecondVariation:
         built = self._transcription or transcribed(self._problem, self._method, None, self._path.mesh, one_by_one)
         return built.of(self._problem)
 
-    def _at_path(self) -> tuple[Stationarity, np.ndarray, Data]:
-        """The graph's conditions, unknowns and data at the path."""
-        graph = self._graph()
+    def _at_path(self, graph: BoundaryGraph) -> tuple[Stationarity, np.ndarray, Data]:
+        """A graph's conditions, unknowns and data at the path."""
         return graph.stationarity, *graph.on_path(self._path)
 
     def difference(self) -> float:
@@ -215,13 +214,16 @@ class SecondVariation:
 
     def smallest(self) -> float:
         """Smallest second variation relative to the sizes of its terms; see `softest`."""
-        return smallest_second_variation(*self._at_path())
+        return smallest_second_variation(*self._at_path(self._graph()))
 
     def negative(self) -> int | None:
-        """Number of negative eigenvalues, or None where there is no finite one."""
-        problem, path = self._problem, self._path
-        index = negative_eigenvalues(*self._at_path())
-        if index is None:
+        """Number of negative eigenvalues, or None where there is no finite one, or where a higher degree has another.
+
+        Variations that are too short for the mesh are counted by degrees of freedom, of which a higher degree has more.
+        """
+        problem, path, graph = self._problem, self._path, self._graph()
+        index = negative_eigenvalues(*self._at_path(graph))
+        if index is None or index != negative_eigenvalues(*self._at_path(graph.higher)):
             return None
         transform = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
         ends = np.array([0.0, 1.0])  # of every interval

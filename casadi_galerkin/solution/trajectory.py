@@ -128,9 +128,10 @@ class Trajectory(Path):
         """Number of negative eigenvalues of the action's Hessian, 0 for a local minimum; found when first asked for.
 
         It is None for a path that was found step by step; under a force, and where the momentum of a given velocity
-        depends on more than that, because the path is then a critical point of no action; and where ∂²L/∂v² has a
-        negative eigenvalue at a joint, because the index then grows without bound as the mesh is refined.  Of an
-        optimization it is that of the cost; see `ControlTrajectory`.
+        depends on more than that, because the path is then a critical point of no action; where ∂²L/∂v² has a
+        negative eigenvalue at a joint, because the index then grows without bound as the mesh is refined; and where a
+        higher degree on the same mesh counts another number, because the mesh does not resolve the variations, or none
+        does.  Of an optimization it is that of the cost; see `ControlTrajectory`.
         """
         return None if self.second_variation is None else self.second_variation.negative()
 

@@ -32,7 +32,7 @@ def softest(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.nda
     linear, symmetric = at.stationarity.linear_solver, at.stationarity.functional.symmetric
     sizes, rhs = (np.array(a).ravel() for a in linear.sizes(joined(unknowns, data)))
     measured = np.where(np.isfinite(sizes), sizes, 0.0)  # not the multipliers
-    entries = ca.fabs(ca.DM(linear.sparsity, at.matrix))
+    entries = ca.fabs(ca.DM(linear.sparsity, at.matrix.tolist()))
     weights = np.array(ca.mtimes(entries, measured)).ravel() / sizes
     y = z = force = np.zeros(len(unknowns))
     for _ in range(3):
@@ -74,4 +74,4 @@ def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data:
         return 0
     with stationarity.linearization() as at:
         at.relinearize(unknowns, data)
-        return linear.negative_eigenvalues(ca.DM(linear.sparsity, at.matrix), at.keep)
+        return linear.negative_eigenvalues(ca.DM(linear.sparsity, at.matrix.tolist()), at.keep)

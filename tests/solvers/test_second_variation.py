@@ -54,6 +54,31 @@ def test_kinetic_energy_indefinite_by_its_values_has_no_morse_index(coupling, se
     assert "no Morse index" in str(path)
 
 
+@pytest.mark.parametrize(
+    ("lagrangian", "duration"),
+    [
+        (lambda t, x, v: v[0] ** 2 / 2 - 1e12 * x[0] ** 2 / 2, 1.0),  # 318309 half waves
+        (lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), 1e4),  # 3183 half waves
+        (lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, 60.0),  # 19 half waves, where the mesh has room for 15
+        (lambda t, x, v: v[0] ** 4 / 4 - x[0] ** 2, 1.0),  # without mass: every variation lowers the action
+    ],
+)
+def test_variations_that_the_mesh_does_not_resolve_are_not_counted(lagrangian, duration):
+    problem = cg.BoundaryProblem(lagrangian, (0, duration), [0.0], [0.0])
+    assert cg.solve(problem, cg.Galerkin(4), 4).morse_index is None
+
+
+def test_the_index_of_a_path_that_says_nothing_of_its_variations_is_not_guessed():
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - 1e12 * x[0] ** 2 / 2, (0, 1), [0.0], [0.0])
+    assert cg.solve(problem, tol=1e-6).morse_index is None
+
+
+def test_a_single_line_does_not_pass_for_a_minimum():
+    """Nothing can vary in degree 1 on one interval, and half an oscillation more than fits to its ends."""
+    problem = cg.BoundaryProblem(oscillator, (0, 4), [0.0], [1.0])
+    assert cg.solve(problem, cg.Galerkin(1), 1).morse_index is None
+
+
 @pytest.mark.parametrize(("degree", "intervals"), [(6, 5), (8, 20), (12, 5)])
 def test_conjugate_ends_are_named(degree, intervals):
     """At T = π, to within a discretization error that is at roundoff."""
