@@ -295,8 +295,8 @@ def _spread(by_x: np.ndarray, by_slope: np.ndarray, d: int) -> ca.DM:
 
 
 def _solved(matrix: ca.MX, rhs: ca.MX, shape: tuple[int, int], dimension: int) -> ca.MX:
-    """Solution of the linear equations of an interval; without a constraint its rows are alike."""
-    if shape[0] == dimension:
+    """Solution of the linear equations of an interval; those of one component alone are alike."""
+    if shape[0] == 1:
         return ca.solve(matrix, rhs, "qr", NO_CUTOFF)
     return solve_scaled(matrix, rhs, _moving(shape, dimension))
 

@@ -21,8 +21,9 @@ def solve_scaled(matrix: ca.MX, rhs: ca.MX, moving: Sequence[int], method: str =
     further = sizes[:, sorted(set(range(matrix.size2())).difference(chosen))]
     rows = ca.sum2(sizes[:, chosen])
     units = ca.mtimes(_inverse(rows[chosen]).T, further[chosen, :])
-    scale = ca.diag(_inverse(ca.fmax(rows, ca.mtimes(further, _inverse(units.T)))))
-    return ca.solve(ca.mtimes(scale, matrix), ca.mtimes(scale, rhs), method, NO_CUTOFF if method == "qr" else {})
+    scale = _inverse(ca.fmax(rows, ca.mtimes(further, _inverse(units.T))) if further.numel() else rows)
+    scaled = (ca.MX(a.sparsity(), a.nz[:] * scale[a.sparsity().row()]) for a in (matrix, rhs))
+    return ca.solve(*scaled, method, NO_CUTOFF if method == "qr" else {})
 
 
 def _inverse(sums: ca.MX) -> ca.MX:

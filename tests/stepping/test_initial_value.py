@@ -55,6 +55,26 @@ def test_double_pendulum_reaches_its_reference_with_its_action():
     assert path.action == pytest.approx(11.748350447614505, rel=1e-14)
 
 
+@pytest.mark.parametrize("units", [(4e-8, 6e2), (1e8, 1e-8), (1e-6, 1e6)])
+def test_steps_and_their_jacobians_are_the_same_whatever_the_units_of_the_components(units):
+    """Rows of the equations are then of sizes as unlike as the units."""
+
+    def orbit(units):
+        sizes = ca.DM(units)
+
+        def gravity(t, x, v):
+            return ca.sumsqr(v / sizes) / 2 + 1 / ca.norm_2(x / sizes)
+
+        start = cg.InitialProblem(gravity, (0, 2), [units[0], 0], velocity=[-0.3 * units[0], 0.9 * units[1]])
+        return cg.solve(start, cg.Galerkin(12), intervals=10)
+
+    path, other = orbit((1.0, 1.0)), orbit(units)
+    np.testing.assert_allclose(other.x.T / units, path.x.T, rtol=0, atol=1e-13)
+    of_states = np.concatenate((units, 1 / np.array(units)))
+    jacobians = cg.geometry(other).jacobians / of_states[:, None] * of_states
+    np.testing.assert_allclose(jacobians, cg.geometry(path).jacobians, rtol=0, atol=1e-12)
+
+
 # degree, rule, order, intervals that show it above roundoff
 ORDERS = [
     (1, cg.gauss(1), 2, [64, 128, 256]),
