@@ -188,7 +188,7 @@ def interval(
     residual = ca.vec(end @ ca.DM(b).T - f @ ca.DM(values) - g @ ca.DM(slopes))
     points = ca.diagcat(*ca.horzsplit(jacobian, 2 * d))
     by_s = _spread(w * (b - values), -w * slopes, d).T @ points @ _spread(values, slopes, d)
-    f_size, g_size = ca.vertsplit(sizes * ca.repmat(ca.DM(w).T, 2 * d, 1), d)
+    f_size, g_size = ca.vertsplit(sizes * ca.repmat(ca.DM(abs(w)).T, 2 * d, 1), d)
     end_terms = ca.fabs(p) + ca.sum2(f_size)
     terms = end_terms @ ca.DM(b).T + f_size @ ca.DM(abs(values)) + g_size @ ca.DM(abs(slopes))
     taylor = basis.taylor(TAYLOR)

@@ -75,6 +75,18 @@ def test_steps_and_their_jacobians_are_the_same_whatever_the_units_of_the_compon
     np.testing.assert_allclose(jacobians, cg.geometry(path).jacobians, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("degree", [3, 5, 7])
+def test_steps_are_solved_by_rules_with_negative_weights(degree):
+    """The rule of 19 equal steps by Newton and Cotes: terms cancel, and are rounded by their sizes."""
+    points = np.linspace(0, 1, 19)
+    weights = np.linalg.solve(np.polynomial.legendre.legvander(2 * points - 1, 18).T, np.eye(19)[0])
+    assert np.min(weights) < -10
+    method = cg.Galerkin(degree, quadrature=cg.Quadrature(points, weights))
+    for position in (0.1, 0.3, 0.5, 0.8):
+        problem = cg.InitialProblem(oscillator, (0, 10), [position], velocity=[0.3])
+        assert cg.solve(problem, method, intervals=40).residual < 5
+
+
 # degree, rule, order, intervals that show it above roundoff
 ORDERS = [
     (1, cg.gauss(1), 2, [64, 128, 256]),
