@@ -376,7 +376,7 @@ class ControlTrajectory(Trajectory):
         """Lines on what the solver plainly has left of the cost, or of a path on which that hardly depends."""
         lines = []
         if self.unseen_change > UNSEEN * abs(self.cost):
-            words = f"the solver may have left {self.unseen_change:.1e} of the cost; its tolerances are absolute"
+            words = f"the cost may still change by {self.unseen_change:.1e}; the solver's tolerances are absolute"
             lines.append(f"  NOT DETERMINED: {words}")
         if self.solver_error > UNRESOLVED:
             words = f"the solver leaves x open by {self.solver_error:.0e} of its size; the cost hardly depends on it"
