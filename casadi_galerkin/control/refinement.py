@@ -134,8 +134,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         self.beside_switches = self.following.with_options(**{"barrier_tol_factor": sharp, **solver.options})
         self.method = method
         self.build_seconds = 0.0
-        self.known: HigherDegree | None = None  # of the last mesh
-        self.first = True  # whether that is the first
+        self.known: HigherDegree | None = None
         self.cost_known = np.inf  # smallest error of the cost of the path under way
         self.jump: float | None = None  # time near which callables jump by more than is tolerated
 
@@ -195,18 +194,12 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         if cost <= self.tol:
             left, open_by = detail.left(level)
             cost, path = max(cost, left), max(path, left, open_by)
-        self.first, self.known, self.cost_known = self.known is None, detail, min(self.cost_known, cost)
+        self.known, self.cost_known = detail, min(self.cost_known, cost)
         return Estimate(cost if self.of_cost else path, True, f"degree {method.degree}", detail)
 
     def check_solver(self, detail: HigherDegree) -> None:
-        """Stop where the path would be accepted but for what the solver leaves with both degrees.
-
-        What it leaves of the cost is looked at on the first mesh, too, and where the last one came no nearer.
-        """
-        accepted = (detail.cost_error if self.of_cost else detail.error) <= self.tol
-        if not (accepted or self.fruitless or self.first):
-            return
-        judged = 1 if self.of_cost or not accepted else 2
+        """Stop where the solver leaves too much of the cost with both degrees, or of a path that else is accepted."""
+        judged = 1 if self.of_cost or detail.error > self.tol else 2
         if max(detail.left(detail.path)[:judged]) <= self.tol:
             return
         left, open_by = map(min, detail.left(detail.path), detail.left(detail.higher))
