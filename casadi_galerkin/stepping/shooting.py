@@ -202,33 +202,26 @@ def _direction(shot: Shot, miss: np.ndarray, iteration: int = 0) -> np.ndarray:
     if _singular(scaled):
         _refuse_conjugate(shot, iteration)
         raise _failure("rounding hides how the end depends on the start", shot, iteration)
-    return np.asarray(np.linalg.solve(scaled, -miss / rows) / columns)
+    return np.asarray(np.linalg.solve(scaled, -miss / rows[:, 0]) / columns)
 
 
 def _scaled(shot: Shot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The derivative by the start whatever the units of its rows and columns; their scales (n,) each.
-
-    The logarithms of its terms are fitted by sums of one number for each row and one for each column.
-    """
-    n = len(shot.terms)
-    found = np.nonzero((shot.terms > 0) & np.isfinite(shot.terms))  # the growth may leave the range of doubles
-    which = np.hstack([np.eye(n)[index] for index in found])
-    rows, columns = np.split(np.exp(np.linalg.lstsq(which, np.log(shot.terms[found]), rcond=None)[0]), [n])
-    return shot.by_start / rows[:, None] / columns, rows, columns
+    """The derivative by the start, its rows and columns scaled as their units differ; the scales (n, 1) and (n,)."""
+    sizes = shot.sizes[: len(shot.miss)]
+    scale = np.where(sizes > 0, sizes, 1.0)
+    rows = np.max(shot.terms * (scale / np.max(scale)), axis=1, keepdims=True)  # which would overflow with the growth
+    rows[rows == 0] = 1.0
+    columns = np.max(shot.terms / rows, axis=0)
+    return shot.by_start / rows / np.where(columns > 0, columns, 1.0), rows, columns
 
 
 def _singular(scaled: np.ndarray) -> bool:
     return not np.all(np.isfinite(scaled)) or bool(np.linalg.svd(scaled, compute_uv=False)[-1] <= SINGULAR)
 
 
-def _growth(shot: Shot) -> float:
-    """How many times a change of the start grows along the path, of each component itself: whatever the units."""
-    return float(np.max(np.abs(np.diagonal(shot.growth, axis1=1, axis2=2))))
-
-
 def _refuse_conjugate(shot: Shot, iteration: int) -> None:
     """Raise a ConjugatePointError for a singular derivative, unless only rounding may have made it so."""
-    if _growth(shot) < 1 / MISS:
+    if np.max(np.abs(shot.growth)) < 1 / MISS:
         reason = "the end does not depend on the start: the ends are conjugate points, or a family of paths joins them"
         reason += ", or the guess rests at its start: give one that moves" if shot.stepper.stretched else ""
         raise ConjugatePointError(reason, Path(shot.path), shot.residual, iteration)
@@ -251,7 +244,7 @@ def _met(shot: Shot, iteration: int) -> Shot:
 
 
 def _failure(reason: str, shot: Shot, iteration: int) -> ConvergenceError:
-    growth = _growth(shot)
+    growth = float(np.max(np.abs(shot.growth)))
     energy = "; there may be no path of this energy" if shot.stepper.stretched else ""
     return ConvergenceError(
         f"shooting failed: {reason} (iteration {iteration}). A change of the start grows up to {growth:.1e} times "

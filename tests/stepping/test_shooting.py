@@ -255,29 +255,3 @@ def test_an_unknown_velocity_at_an_end_begins_as_that_of_the_guess():
     shot = cg.shoot(problem, cg.Galerkin(6), 8, guess=path)
     assert shot.iterations <= 1
     np.testing.assert_allclose(shot.x, path.x, rtol=0, atol=1e-13)
-
-
-@pytest.mark.parametrize(("unit", "action"), [(1e-7, 6e-8), (1e-8, 1.0), (1e8, 1.0), (1.0, 1e12)])
-def test_shots_are_judged_alike_whatever_the_units(unit, action):
-    """The first shot rests, so that no momentum tells its size."""
-
-    def found(unit, action):
-        problem = cg.BoundaryProblem(
-            lambda t, x, v: action * (ca.sumsqr(v / ca.DM([unit, 1 / unit])) - (x[0] / unit) ** 2) / 2,
-            (0, 1),
-            [0.3 * unit, 0.1 / unit],
-            [None, None],
-            end_conditions=lambda first, last: last[0] / unit + 2 * last[1] * unit - 1,
-            end_action=lambda first, last: -0.3 * action * (last[1] * unit - 1) ** 2,
-        )
-        return cg.shoot(problem, cg.Galerkin(6), intervals=8)
-
-    path, other = found(1.0, 1.0), found(unit, action)
-    np.testing.assert_allclose(other.x.T / [unit, 1 / unit], path.x.T, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("action", [1e-12, 1e12])
-def test_the_growth_that_a_failure_names_does_not_depend_on_the_unit_of_the_action(action):
-    problem = cg.BoundaryProblem(lambda t, x, v: action * (v[0] ** 2 + x[0] ** 2) / 2, (0, 40), [1.0], [1.0])
-    with pytest.raises(cg.ConvergenceError, match=r"grows up to 1\.2e\+17 times"):
-        cg.shoot(problem, cg.Galerkin(4), intervals=80)
