@@ -1,7 +1,7 @@
 """E, Eᵀ and Eᵀ blockdiag(·) E as CasADi Functions of the `Numbering` alone: embed, integrate, assemble.
 
-They use E as its two factors: first each interval's first value and the others' differences to it, then the dense
-matrices of the reference `Element`.  Because the step is an input of the pulled-back Lagrangian, nothing in them
+They use E as its two factors: a sparse matrix to each interval's first value and the others' differences to it, and the
+dense matrices of the reference `Element`.  Because the step is an input of the pulled-back Lagrangian, nothing in them
 depends on the mesh, and they are kept for the next Lagrangian.
 
 Because of the differences (the columns of l_j' sum to zero), roundoff stays near 1e-14 at 1e5 intervals instead of
@@ -41,29 +41,33 @@ def _contributions(target: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]
         yield order[rank == turn], ordered[rank == turn]
 
 
-def _selection(numbering: Numbering, entries: np.ndarray) -> ca.DM:
-    """Sparse matrix that sums by unknown what stands, one after the other, for these entries of u."""
-    unknown = np.flatnonzero(entries < numbering.free)
-    rows, columns = entries.ravel()[unknown].tolist(), unknown.tolist()
-    return ca.DM(ca.Sparsity.triplet(numbering.free, entries.size, rows, columns), 1.0)
+def _selection(entries: np.ndarray, size: int) -> ca.DM:
+    """Sparse matrix (size, K) that sums K values by the entries of a vector that they stand for, if it has these."""
+    inside = np.flatnonzero(entries < size)
+    return ca.DM(ca.Sparsity.triplet(size, entries.size, entries[inside].tolist(), inside.tolist()), 1.0)
+
+
+def _differences(local: np.ndarray, size: int) -> ca.DM:
+    """Transpose of the sparse matrix from a vector to every interval's first value and the others' differences to it.
+
+    `local` (m + 1, N, d) says which entries of the vector are the values of every interval.
+    """
+    first = np.where(np.arange(len(local))[:, None, None] > 0, local[0], size)
+    return _selection(local.ravel(), size) - _selection(first.ravel(), size)
 
 
 def _basis(element: Element) -> np.ndarray:
-    """What first values and differences to them are multiplied by: to have values, below that slopes, (2 r, m + 1)."""
+    """What first values and differences are multiplied by to have values, and below them slopes, (2 r, m + 1)."""
     basis = np.vstack((element.values, element.slopes))
     basis[:, 0] = np.repeat([1.0, 0.0], len(element.points))
     return basis
 
 
 def _at_points(vector: ca.MX, local: np.ndarray, basis: np.ndarray) -> tuple[ca.MX, ca.MX]:
-    """Values and slopes (d, N r) at the points of a piecewise polynomial.
-
-    `local` (m + 1, N, d) says which entries of a vector are the values at the nodes of every interval.
-    """
-    first, others = (vector.get_nz(False, entries.ravel().tolist()) for entries in (local[0], local[1:]))
-    differences = ca.reshape(ca.vertcat(first, others - ca.repmat(first, len(local) - 1)), -1, len(local))
-    both = ca.reshape(_times(differences, basis.T), local.shape[2], -1)
-    values, slopes = ca.horzsplit(both, both.shape[1] // 2)
+    """Values and slopes (d, N r) at the points of a piecewise polynomial; `local` as for `_differences`."""
+    differences = ca.mtimes(ca.MX(_differences(local, vector.numel()).T), vector, BLAS)
+    both = _times(ca.reshape(differences, -1, len(local)), basis.T)
+    values, slopes = ca.horzsplit(ca.reshape(both, local.shape[2], -1), local.shape[1] * len(basis) // 2)
     return values, slopes
 
 
@@ -119,7 +123,7 @@ def _side_by_side(numbering: Numbering, *values: ca.MX) -> ca.MX:
 
 def gathered(numbering: Numbering, entries: np.ndarray, values: ca.MX) -> ca.MX:
     """Sums by unknown of values that stand, column by column, for these entries of u."""
-    return ca.mtimes(ca.MX(_selection(numbering, entries)), ca.vec(values), BLAS)
+    return ca.mtimes(ca.MX(_selection(entries, numbering.free)), ca.vec(values), BLAS)
 
 
 def _slopes(numbering: Numbering) -> list[ca.MX]:
@@ -130,11 +134,9 @@ def _slopes(numbering: Numbering) -> list[ca.MX]:
 @lru_cache(KEPT)
 def integration(numbering: Numbering) -> ca.Function:
     """Eᵀ: values fx, fv (d, N r) that multiply x and x' -> their sum by unknown."""
-    element, slopes, local = numbering.method.element, _slopes(numbering), numbering.local
-    products = _times(_side_by_side(numbering, *slopes), np.tile(element.weights, 2)[:, None] * _basis(element))
-    subtracted = np.where(np.arange(len(local))[:, None, None] > 0, local[0], numbering.size)
-    sums = _selection(numbering, local) - _selection(numbering, subtracted)
-    gradient = ca.mtimes(ca.MX(sums), ca.vec(products), BLAS)
+    element, slopes = numbering.method.element, _slopes(numbering)
+    local = _times(_side_by_side(numbering, *slopes), np.tile(element.weights, 2)[:, None] * _basis(element))
+    gradient = ca.mtimes(ca.MX(_differences(numbering.local, numbering.free)), ca.vec(local), BLAS)
     return ca.Function("integration", slopes, [gradient], ["fx", "fv"], ["gradient"])
 
 
@@ -155,7 +157,7 @@ def variation(numbering: Numbering) -> ca.Function:
     both, basis = _side_by_side(numbering, fx, fv), np.vstack((w * element.values, w * element.slopes))
     ends = _times(both, basis[:, [0, -1]])
     momenta = ca.horzcat(-ends[:d, 0], ca.reshape(ends[:, 1], d, -1))
-    terms = gathered(numbering, numbering.local, _times(ca.fabs(both), np.abs(basis)))
+    terms = gathered(numbering, numbering.local.ravel(), _times(ca.fabs(both), np.abs(basis)))
     outputs = [summation(numbering, f), momenta, integration(numbering)(fx, fv), terms]
     return ca.Function(
         "variation", [f, fx, fv], outputs, ["f", "fx", "fv"], ["action", "momentum", "gradient", "terms"]
