@@ -28,7 +28,7 @@ BLAS = "classic" if ca.has_blas("classic") else "reference"  # measured: 3 to 5 
 
 def _times(left: ca.MX, right: np.ndarray | ca.DM) -> ca.MX:
     """Dense product with a constant."""
-    return ca.mtimes(left, ca.MX(right), BLAS)
+    return ca.mtimes(left, ca.MX(ca.DM(right)), BLAS)
 
 
 def _contributions(target: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -100,20 +100,19 @@ class Embedded:
 @lru_cache(KEPT)
 def embedded(numbering: Numbering) -> Embedded:
     """Embed the symbols of a numbering, and time, a path of degree 1 whose slope is the step."""
-    n, element = numbering.intervals, numbering.method.element
+    n, parts = numbering.intervals, numbering.method.element.points
     sizes = (numbering.free, len(numbering.fixed_start), len(numbering.fixed_end), n + 1)
     symbols = {
         name: ca.MX.sym(name, size) for name, size in zip(("unknowns", "start", "end", "mesh"), sizes, strict=True)
     }
     *values, mesh = symbols.values()
     u, joints, ends = ca.vertcat(*values), mesh, np.array([np.arange(n), np.arange(n) + 1])
-    line = np.array([(1.0, part) for part in element.points] + [(0.0, 1.0)] * len(element.points))
-    t, h = _at_points(mesh, ends[:, :, None], line)
+    t, h = _at_points(mesh, ends[:, :, None], np.array([(1.0, part) for part in parts] + [(0.0, 1.0)] * len(parts)))
     if numbering.stretched:  # what the steps are does not depend on when they are
         stretch = ca.exp(symbols["unknowns"][-1])
         joints, t = (mesh[0] + stretch * (times - mesh[0]) for times in (mesh, t))
         h = stretch * h
-    return Embedded(symbols, u, joints, [t, h, *_at_points(u, numbering.local, _basis(element))])
+    return Embedded(symbols, u, joints, [t, h, *embedding(numbering).call([u])])
 
 
 def _side_by_side(numbering: Numbering, *values: ca.MX) -> ca.MX:
@@ -140,9 +139,12 @@ def integration(numbering: Numbering) -> ca.Function:
     return ca.Function("integration", slopes, [gradient], ["fx", "fv"], ["gradient"])
 
 
-def summation(numbering: Numbering, f: ca.MX) -> ca.MX:
+@lru_cache(KEPT)
+def summation(numbering: Numbering) -> ca.Function:
     """∫ f Δ_w t on the reference interval, summed: values (1, N r), step included -> scalar."""
-    return _times(f, np.repeat(numbering.method.element.weights, numbering.intervals)[:, None])
+    f = ca.MX.sym("f", 1, numbering.points)
+    weights = np.repeat(numbering.method.element.weights, numbering.intervals)[:, None]
+    return ca.Function("summation", [f], [_times(f, weights)], ["f"], ["action"])
 
 
 @lru_cache(KEPT)
@@ -158,7 +160,7 @@ def variation(numbering: Numbering) -> ca.Function:
     ends = _times(both, basis[:, [0, -1]])
     momenta = ca.horzcat(-ends[:d, 0], ca.reshape(ends[:, 1], d, -1))
     terms = gathered(numbering, numbering.local.ravel(), _times(ca.fabs(both), np.abs(basis)))
-    outputs = [summation(numbering, f), momenta, integration(numbering)(fx, fv), terms]
+    outputs = [summation(numbering)(f), momenta, integration(numbering)(fx, fv), terms]
     return ca.Function(
         "variation", [f, fx, fv], outputs, ["f", "fx", "fv"], ["action", "momentum", "gradient", "terms"]
     )
@@ -250,8 +252,10 @@ def hessian_pattern(numbering: Numbering, colind: tuple[int, ...], row: tuple[in
 
 def _node_pairs(nodes: int, symmetric: bool) -> tuple[np.ndarray, np.ndarray]:
     """The pairs (a, b) of local nodes whose cells are computed, in their order."""
-    a, b = np.indices((nodes, nodes)).reshape(2, -1)
-    return (a[a >= b], b[a >= b]) if symmetric else (a, b)
+    if symmetric:
+        return np.tril_indices(nodes)
+    a, b = np.indices((nodes, nodes))
+    return a.ravel(), b.ravel()
 
 
 def _hessian_entries(

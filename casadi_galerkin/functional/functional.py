@@ -166,8 +166,8 @@ class Functional:
     def _stretch(self) -> tuple[ca.MX, ca.MX]:
         """The duration's own row, ∂S/∂τ + E T with τ = log T, and the derivatives of all rows by τ."""
         by_stretch = ca.MX(ca.Sparsity.unit(self.numbering.free, self.numbering.free - 1))
-        action, energy = summation(self.numbering, self._first[0]), self._given[0][-1]
-        duration = summation(self.numbering, self._at[1])
+        action, energy = summation(self.numbering)(self._first[0]), self._given[0][-1]
+        duration = summation(self.numbering)(self._at[1])
         row = ca.jtimes(action, self.symbols["unknowns"], by_stretch) + energy * duration
         rows = integration(self.numbering)(*self._first[1:])[: self.numbering.free - 1, :]
         return row, ca.densify(ca.jtimes(ca.vertcat(rows, row), self.symbols["unknowns"], by_stretch))
@@ -183,7 +183,7 @@ class Functional:
     @lazy
     def action(self) -> ca.MX:
         """S̄ but for its multipliers and the energy: scalar."""
-        return sum((ca.sum1(ca.sum2(added)) for added, _, _ in self._terms), summation(self.numbering, self._first[0]))
+        return sum((ca.sum1(ca.sum2(added)) for added, _, _ in self._terms), summation(self.numbering)(self._first[0]))
 
     @lazy
     def gradient(self) -> ca.MX:
@@ -262,7 +262,7 @@ class Functional:
         fixed = ca.MX.zeros(self.numbering.size - self.numbering.free, 1)
         along = [ca.vertcat(*embedding(self.numbering).call([ca.vertcat(way, fixed)])) for way in (left, right)]
         at_points = one_by_one(self.pointwise.curvature, self.numbering.points, self._shared)
-        signed, positive = (summation(self.numbering, value) for value in at_points.call([*self._at, *along]))
+        signed, positive = (summation(self.numbering)(value) for value in at_points.call([*self._at, *along]))
         if self._further is not None:
             signed += ca.bilin(self._further, left, right)
             positive += ca.bilin(ca.fabs(self._further), ca.fabs(left), ca.fabs(right))

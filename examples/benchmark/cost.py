@@ -88,6 +88,7 @@ def forget():
         embedding.embedded,
         embedding.variation,
         embedding.integration,
+        embedding.summation,
         embedding.assembly,
         embedding.hessian_pattern,
         linear_solver.of_pattern,
