@@ -49,7 +49,7 @@ class LinearSolver:
         return {name: ca.MX.sym(name, *shapes.get(name, (self.numbering.free,))) for name in names}
 
     def _function(self, name: str, inputs: dict[str, ca.MX], outputs: dict[str, ca.MX]) -> ca.Function:
-        return ca.Function(name, inputs | outputs, list(inputs), list(outputs))
+        return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))
 
     def _softened(self, matrix: Matrix) -> Matrix:
         """∇²S with small negative numbers on the diagonal of the multipliers, where it has zeros.
@@ -102,7 +102,7 @@ class LinearSolver:
 
     def _defect(self, matrix: ca.MX, y: ca.MX, rhs: ca.MX) -> ca.MX:
         """‖∇²S y + b‖₁ - LOCAL ‖b‖₁: the linear system is solved where this is at most zero."""
-        return ca.norm_1(ca.mac(matrix, y, rhs)) - LOCAL * ca.norm_1(rhs)  # sums keep a NaN
+        return ca.norm_1(ca.vec(ca.mac(matrix, y, rhs))) - LOCAL * ca.norm_1(ca.vec(rhs))  # sums keep a NaN
 
     def solutions(self, method: str, columns: int, transposed: bool) -> ca.Function:
         """(matrix, rhs) -> (y, defect): solutions of ∇²S y = -b, or (∇²S)ᵀ y = -b, for several b at once."""
@@ -127,10 +127,11 @@ class LinearSolver:
         if key not in self._kept:
             inputs = self.symbols("matrix", "gradient", "u")
             matrix, gradient, u = inputs.values()
-            scale = self._largest(u)
+            scale = self.largest(u)
             scaled_rhs = self._generic_rhs / self._measure(scale)
             step, softest = ca.horzsplit(self._solution(method, matrix, ca.horzcat(gradient, scaled_rhs)))
-            sizes = self._measure(ca.fmax(scale, self._largest(step)))
+            whole = ca.vertcat(step, ca.MX.zeros(self.numbering.size - self.numbering.free))
+            sizes = self._measure(ca.fmax(scale, self.largest(whole)))
             outputs = {"step": step, "softest_direction": softest, "sizes": sizes, "norm": ca.norm_inf(step / sizes)}
             outputs["defect"] = self._defect(matrix, step, gradient)
             self._kept[key] = self._function("newton_step", inputs, outputs)
@@ -153,15 +154,18 @@ class LinearSolver:
             self._kept[key] = self._function("simplified_step", inputs, outputs)
         return self._kept[key]
 
-    def _largest(self, vector: ca.MX) -> ca.MX:
-        """Largest size of each component along a path, (d,), from its vector u or, without given ends, its unknowns."""
-        entries = [own[own < vector.numel()].tolist() for own in self.numbering.of_nodes.T]
-        return ca.vertcat(*(ca.norm_inf(vector.get_nz(False, own)) for own in entries))
+    @lazy
+    def largest(self) -> ca.Function:
+        """Largest size of each component along a path, from its vector u; (d,)."""
+        inputs = self.symbols("u")
+        of_nodes = self.numbering.of_nodes[: self.numbering.distinct]
+        values = ca.reshape(inputs["u"].get_nz(False, of_nodes.T.ravel().tolist()), of_nodes.shape)
+        return self._function("largest", inputs, {"scale": ca.vertcat(*map(ca.norm_inf, ca.horzsplit(values)))})
 
-    def _expanded(self, scale: ca.MX, further: ca.MX | ca.DM) -> ca.MX:
+    def _expanded(self, scale: ca.MX, further: ca.MX) -> ca.MX:
         """One value per unknown, from one per component of the path and those of the further unknowns."""
-        along = scale[self.numbering.component[: self.numbering.positions].tolist(), 0]
-        return ca.vertcat(along, further) if further.numel() else along
+        along = scale.get_nz(False, self.numbering.component[: self.numbering.positions].tolist())
+        return ca.vertcat(ca.vec(along), further) if further.numel() else ca.vec(along)
 
     def _measure(self, scale: ca.MX) -> ca.MX:
         """What each unknown is measured by: the size of its component, or one where that is zero.
@@ -169,26 +173,30 @@ class LinearSolver:
         The size of a multiplier is infinite: the equations are linear in it, so that it is right where the path is.
         """
         further = ca.DM([np.inf] * self.numbering.multipliers + [1.0] * self.numbering.stretched)
-        return self._expanded(scale + (scale < ZERO), further)
+        return self._expanded(ca.if_else(scale < ZERO, 1.0, scale), ca.MX(further))
 
     @lazy
     def sizes(self) -> ca.Function:
         """Measure the unknowns: u -> (sizes, scaled_rhs), the latter a right-hand side without symmetry."""
         inputs = self.symbols("u")
-        sizes = self._measure(self._largest(inputs["u"]))
+        sizes = self._measure(self.largest(inputs["u"]))
         return self._function("sizes", inputs, {"sizes": sizes, "scaled_rhs": self._generic_rhs / sizes})
 
-    def floor(self, matrix: ca.MX, u: ca.MX, terms: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
-        """The roundoff floor of every entry of ∇S; what |ξ| is taken for, and |∇²S||ξ|.
+    @lazy
+    def floor(self) -> ca.Function:
+        """(matrix, u, terms) -> (floor, scale, product): the roundoff floor of every entry of ∇S.
 
-        The floor is eps times the sizes of the terms that ∇S sums, and times |∇²S||ξ|, because the rounding of ξ itself
+        It is eps times the sizes of the terms that ∇S sums, and times |∇²S||ξ|, because the rounding of ξ itself
         counts.  |ξ| stands for the size of each unknown's component along the path.  A component that counts as zero
         is measured by `ZERO`: relative to itself, what is left of it never is at roundoff.
         """
+        inputs = self.symbols("matrix", "u", "terms")
+        matrix, u, terms = inputs.values()
         further = u[self.numbering.positions : self.numbering.free]
-        scale = ca.fmax(self._expanded(self._largest(u), ca.fabs(further)), ZERO)
+        scale = ca.fmax(self._expanded(self.largest(u), ca.fabs(further)), ZERO)
         product = ca.mtimes(ca.fabs(matrix), scale)
-        return EPS * (terms + product) + TINY, scale, product
+        outputs = {"floor": EPS * (terms + product) + TINY, "scale": scale, "product": product}
+        return self._function("floor", inputs, outputs)
 
     @lazy
     def verification(self) -> ca.Function:
