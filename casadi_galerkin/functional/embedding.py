@@ -1,11 +1,11 @@
 """E, Eᵀ and Eᵀ blockdiag(·) E as CasADi Functions of the `Numbering` alone: embed, integrate, assemble.
 
-They use E as its two factors: a sparse matrix to each interval's first value and the others' differences to it, and the
-dense matrices of the reference `Element`.  Because the step is an input of the pulled-back Lagrangian, nothing in them
-depends on the mesh, and they are kept for the next Lagrangian.
+They use E as its two factors, a selection of each interval's node values and the dense matrices of the reference
+`Element`.  Because the step is an input of the pulled-back Lagrangian, nothing in them depends on the mesh, and they
+are kept for the next Lagrangian.
 
-Because of the differences (the columns of l_j' sum to zero), roundoff stays near 1e-14 at 1e5 intervals instead of
-growing with 1/h.
+Velocities are taken from differences to the interval's first value, and its gradient from the sum of the others
+(the columns of l_j' sum to zero): roundoff then stays near 1e-14 at 1e5 intervals instead of growing with 1/h.
 
 Local node values are arranged as a matrix of shape (d N, m + 1): column a is node a of all intervals, component
 fastest.  Points are numbered the same way: quadrature point slowest, then interval, then component.
@@ -20,7 +20,6 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.galerkin import Element
 from casadi_galerkin.functional.numbering import KEPT, Numbering
 
 BLAS = "classic" if ca.has_blas("classic") else "reference"  # measured: 3 to 5 times faster than the reference
@@ -41,42 +40,18 @@ def _contributions(target: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]
         yield order[rank == turn], ordered[rank == turn]
 
 
-def _selection(entries: np.ndarray, size: int) -> ca.DM:
-    """Sparse matrix (size, K) that sums K values by the entries of a vector that they stand for, if it has these."""
-    inside = np.flatnonzero(entries < size)
-    return ca.DM(ca.Sparsity.triplet(size, entries.size, entries[inside].tolist(), inside.tolist()), 1.0)
-
-
-def _differences(local: np.ndarray, size: int) -> ca.DM:
-    """Transpose of the sparse matrix from a vector to every interval's first value and the others' differences to it.
-
-    `local` (m + 1, N, d) says which entries of the vector are the values of every interval.
-    """
-    first = np.where(np.arange(len(local))[:, None, None] > 0, local[0], size)
-    return _selection(local.ravel(), size) - _selection(first.ravel(), size)
-
-
-def _basis(element: Element) -> np.ndarray:
-    """What first values and differences are multiplied by to have values, and below them slopes, (2 r, m + 1)."""
-    basis = np.vstack((element.values, element.slopes))
-    basis[:, 0] = np.repeat([1.0, 0.0], len(element.points))
-    return basis
-
-
-def _at_points(vector: ca.MX, local: np.ndarray, basis: np.ndarray) -> tuple[ca.MX, ca.MX]:
-    """Values and slopes (d, N r) at the points of a piecewise polynomial; `local` as for `_differences`."""
-    differences = ca.mtimes(ca.MX(_differences(local, vector.numel()).T), vector, BLAS)
-    both = _times(ca.reshape(differences, -1, len(local)), basis.T)
-    values, slopes = ca.horzsplit(ca.reshape(both, local.shape[2], -1), local.shape[1] * len(basis) // 2)
-    return values, slopes
-
-
 @lru_cache(KEPT)
 def embedding(numbering: Numbering) -> ca.Function:
     """E: u -> x (d, N r), x' (d, N r) at the quadrature points."""
+    element, n, d = numbering.method.element, numbering.intervals, numbering.dimension
+    r, m = len(element.points), numbering.method.degree
     u = ca.MX.sym("u", numbering.size)
-    points = _at_points(u, numbering.local, _basis(numbering.method.element))
-    return ca.Function("embedding", [u], points, ["u"], ["x", "slope"])
+    local = ca.reshape(u.get_nz(False, numbering.local.ravel().tolist()), d * n, m + 1)
+    first, others = ca.horzsplit(local, [0, 1, m + 1])
+    basis = np.vstack((element.values[:, 1:], element.slopes[:, 1:]))
+    change, slope = ca.horzsplit(_times(others - ca.repmat(first, 1, m), basis.T), [0, r, 2 * r])
+    outputs = [ca.reshape(a, d, n * r) for a in (ca.repmat(first, 1, r) + change, slope)]
+    return ca.Function("embedding", [u], outputs, ["u"], ["x", "slope"])
 
 
 @dataclass(frozen=True)
@@ -88,41 +63,47 @@ class Embedded:
     symbols : unknowns, start, end and mesh by name
     u : the numbering's vector, of the first three
     joints : (N + 1,), those of the mesh, stretched where the duration is free
+    duration : scalar, from the first joint to the last
     points : t (1, N r), h (1, N r), x (d, N r), x' (d, N r)
     """
 
     symbols: dict[str, ca.MX]
     u: ca.MX
     joints: ca.MX
+    duration: ca.MX
     points: list[ca.MX]
 
 
 @lru_cache(KEPT)
 def embedded(numbering: Numbering) -> Embedded:
-    """Embed the symbols of a numbering, and time, a path of degree 1 whose slope is the step."""
-    n, parts = numbering.intervals, numbering.method.element.points
+    """Embed the symbols of a numbering."""
+    n, points = numbering.intervals, numbering.method.element.points
     sizes = (numbering.free, len(numbering.fixed_start), len(numbering.fixed_end), n + 1)
     symbols = {
         name: ca.MX.sym(name, size) for name, size in zip(("unknowns", "start", "end", "mesh"), sizes, strict=True)
     }
     *values, mesh = symbols.values()
-    u, joints, ends = ca.vertcat(*values), mesh, np.array([np.arange(n), np.arange(n) + 1])
-    t, h = _at_points(mesh, ends[:, :, None], np.array([(1.0, part) for part in parts] + [(0.0, 1.0)] * len(parts)))
+    u = ca.vertcat(*values)
+    joints, steps, duration = mesh, mesh[1:] - mesh[:-1], mesh[-1] - mesh[0]
     if numbering.stretched:  # what the steps are does not depend on when they are
         stretch = ca.exp(symbols["unknowns"][-1])
-        joints, t = (mesh[0] + stretch * (times - mesh[0]) for times in (mesh, t))
-        h = stretch * h
-    return Embedded(symbols, u, joints, [t, h, *embedding(numbering).call([u])])
+        joints, steps, duration = mesh[0] + stretch * (mesh - mesh[0]), stretch * steps, stretch * duration
+    t = ca.repmat(joints[:-1], 1, len(points)) + _times(steps, points[None, :])
+    times = [ca.reshape(t, 1, numbering.points), ca.repmat(steps.T, 1, len(points))]
+    return Embedded(symbols, u, joints, duration, [*times, *embedding(numbering).call([u])])
 
 
 def _side_by_side(numbering: Numbering, *values: ca.MX) -> ca.MX:
     """Values (rows, N r) each -> (rows N, r), one beside the other."""
-    return ca.reshape(ca.horzcat(*values), -1, len(values) * len(numbering.method.element.points))
+    return ca.horzcat(*(ca.reshape(a, a.shape[0] * numbering.intervals, -1) for a in values))
 
 
 def gathered(numbering: Numbering, entries: np.ndarray, values: ca.MX) -> ca.MX:
     """Sums by unknown of values that stand, column by column, for these entries of u."""
-    return ca.mtimes(ca.MX(_selection(entries, numbering.free)), ca.vec(values), BLAS)
+    unknown = np.flatnonzero(entries < numbering.free)
+    rows, columns = entries[unknown].tolist(), unknown.tolist()
+    selection = ca.DM(ca.Sparsity.triplet(numbering.free, len(entries), rows, columns), 1.0)
+    return ca.mtimes(ca.MX(selection), ca.vec(values))
 
 
 def _slopes(numbering: Numbering) -> list[ca.MX]:
@@ -130,21 +111,29 @@ def _slopes(numbering: Numbering) -> list[ca.MX]:
     return [ca.MX.sym(name, numbering.dimension, numbering.points) for name in ("fx", "fv")]
 
 
+def _integrated(numbering: Numbering, fx: ca.MX, fv: ca.MX) -> ca.MX:
+    """Eᵀ of values (d, N r) that multiply x and x', summed by unknown."""
+    element = numbering.method.element
+    w, r = element.weights[:, None], len(element.points)
+    both = _side_by_side(numbering, fx, fv)
+    others = _times(both, np.vstack((w * element.values[:, 1:], w * element.slopes[:, 1:])))
+    first = _times(both[:, :r], w) - ca.sum2(others)
+    return gathered(numbering, numbering.local.ravel(), ca.horzcat(first, others))
+
+
 @lru_cache(KEPT)
 def integration(numbering: Numbering) -> ca.Function:
     """Eᵀ: values fx, fv (d, N r) that multiply x and x' -> their sum by unknown."""
-    element, slopes = numbering.method.element, _slopes(numbering)
-    local = _times(_side_by_side(numbering, *slopes), np.tile(element.weights, 2)[:, None] * _basis(element))
-    gradient = ca.mtimes(ca.MX(_differences(numbering.local, numbering.free)), ca.vec(local), BLAS)
-    return ca.Function("integration", slopes, [gradient], ["fx", "fv"], ["gradient"])
+    slopes = _slopes(numbering)
+    return ca.Function("integration", slopes, [_integrated(numbering, *slopes)], ["fx", "fv"], ["gradient"])
 
 
 @lru_cache(KEPT)
 def summation(numbering: Numbering) -> ca.Function:
     """∫ f Δ_w t on the reference interval, summed: values (1, N r), step included -> scalar."""
     f = ca.MX.sym("f", 1, numbering.points)
-    weights = np.repeat(numbering.method.element.weights, numbering.intervals)[:, None]
-    return ca.Function("summation", [f], [_times(f, weights)], ["f"], ["action"])
+    total = ca.sum1(_times(_side_by_side(numbering, f), numbering.method.element.weights[:, None]))
+    return ca.Function("summation", [f], [total], ["f"], ["action"])
 
 
 @lru_cache(KEPT)
@@ -157,10 +146,10 @@ def variation(numbering: Numbering) -> ca.Function:
     element, d, (fx, fv) = numbering.method.element, numbering.dimension, _slopes(numbering)
     w, f = element.weights[:, None], ca.MX.sym("f", 1, numbering.points)
     both, basis = _side_by_side(numbering, fx, fv), np.vstack((w * element.values, w * element.slopes))
-    ends = _times(both, basis[:, [0, -1]])
-    momenta = ca.horzcat(-ends[:d, 0], ca.reshape(ends[:, 1], d, -1))
+    first, last = ca.horzsplit(_times(both, basis[:, [0, -1]]))
+    momenta = ca.horzcat(-first[:d], ca.reshape(last, d, numbering.intervals))
     terms = gathered(numbering, numbering.local.ravel(), _times(ca.fabs(both), np.abs(basis)))
-    outputs = [summation(numbering)(f), momenta, integration(numbering)(fx, fv), terms]
+    outputs = [summation(numbering)(f), momenta, _integrated(numbering, fx, fv), terms]
     return ca.Function(
         "variation", [f, fx, fv], outputs, ["f", "fx", "fv"], ["action", "momentum", "gradient", "terms"]
     )
@@ -217,7 +206,7 @@ def assembly(
         where = places.tolist()
         values.nz[where] = values.nz[where] + entries.nz[positions.tolist()]
     matrix, slopes = ca.MX(pattern.sparsity, values), _slopes(numbering)
-    outputs = [matrix, integration(numbering)(*slopes)]
+    outputs = [matrix, _integrated(numbering, *slopes)]
     names = ["fx", "fv", *(f"block{i}{j}" for i, j in blocks)]
     return ca.Function("assembly", [*slopes, *inputs], outputs, names, ["matrix", "gradient"])
 

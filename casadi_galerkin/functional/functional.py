@@ -167,8 +167,7 @@ class Functional:
         """The duration's own row, ∂S/∂τ + E T with τ = log T, and the derivatives of all rows by τ."""
         by_stretch = ca.MX(ca.Sparsity.unit(self.numbering.free, self.numbering.free - 1))
         action, energy = summation(self.numbering)(self._first[0]), self._given[0][-1]
-        duration = summation(self.numbering)(self._at[1])
-        row = ca.jtimes(action, self.symbols["unknowns"], by_stretch) + energy * duration
+        row = ca.jtimes(action, self.symbols["unknowns"], by_stretch) + energy * self._embedded.duration
         rows = integration(self.numbering)(*self._first[1:])[: self.numbering.free - 1, :]
         return row, ca.densify(ca.jtimes(ca.vertcat(rows, row), self.symbols["unknowns"], by_stretch))
 
