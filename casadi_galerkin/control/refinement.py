@@ -16,7 +16,7 @@ On smooth paths the estimate is near the true error.  With bang-bang controls it
 the switching times, and where a position touches its bound it is many times the error.  How often it bounds the error
 of the cost, `examples/benchmark/literature.py` counts on nineteen problems of the literature.
 
-Where a path would be accepted, what the solver itself leaves of cost and path (`solver_error`) is part of their errors.
+Where a path would be accepted, what the solver itself leaves of cost and path (`solver_error`) is added to their errors.
 No mesh makes it less: where it is above the tolerance with both degrees, the refinement ends at once.
 
 Out of reach is a path to 1e-8 with a path constraint touched in one point and a Gauss rule.  So is a path with a
@@ -193,7 +193,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         cost, path = detail.cost_error, detail.error
         if cost <= self.tol:
             left, open_by = detail.left(level)
-            cost, path = max(cost, left), max(path, left, open_by)
+            cost, path = cost + left, path + max(left, open_by)
         self.known, self.cost_known = detail, min(self.cost_known, cost)
         return Estimate(cost if self.of_cost else path, True, f"degree {method.degree}", detail)
 
@@ -295,8 +295,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         assert self.known is not None, "a path is accepted for what is known of it"
         path = with_parted_phases(path, self.stated)
         left, open_by = self.known.left(self.known.path)
-        cost = max(self.known.cost_error, left)
-        return replace(path, error_estimate=max(self.known.error, cost, open_by), cost_error=cost)
+        error = self.known.error + max(left, open_by)
+        return replace(path, error_estimate=error, cost_error=self.known.cost_error + left)
 
 
 def first_control_mesh(

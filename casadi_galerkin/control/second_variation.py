@@ -72,7 +72,10 @@ class CostVariation:
         held = np.flatnonzero(_met(rows, least, most, at.multipliers, np.abs(rows))).tolist()
         units, flat = (ca.diag(ca.DM(a)) for a in (np.where(sizes > 0, sizes, 1.0), np.where(sizes > 0, FLAT, 0.0)))
         curved = ca.mtimes(units, ca.mtimes(hessian, units))
-        relative = curved / (abs(self.cost) or float(ca.norm_inf(curved)) or 1.0) + flat
+        largest = float(ca.norm_inf(curved))
+        if largest == 0:
+            return 0  # the cost does not vary
+        relative = curved / (abs(self.cost) or largest) + flat
         change = _slopes(chain, self.mesh)[free, free]
         hessian = ca.mtimes(change.T, ca.mtimes(relative[free, free], change))
         gradients = _normed(ca.mtimes(ca.mtimes(gradients, units)[held, free], change))
