@@ -16,8 +16,8 @@ On smooth paths the estimate is near the true error.  With bang-bang controls it
 the switching times, and where a position touches its bound it is many times the error.  How often it bounds the error
 of the cost, `examples/benchmark/literature.py` counts on nineteen problems of the literature.
 
-Where a path would be accepted, what the solver itself leaves of cost and path (`solver_error`) is added to their errors.
-No mesh makes it less: where it is above the tolerance with both degrees, the refinement ends at once.
+Where a path would be accepted, what the solver itself leaves of cost and path (`solver_error`) is added to their
+errors.  No mesh makes it less: where it is above the tolerance with both degrees, the refinement ends at once.
 
 Out of reach is a path to 1e-8 with a path constraint touched in one point and a Gauss rule.  So is a path with a
 singular arc, where controls differ from mesh to mesh and cost the same: the cost is then known long before the path.
