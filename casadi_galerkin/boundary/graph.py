@@ -58,7 +58,7 @@ class BoundaryGraph:
         self.functional = functional_of(problem, method, len(mesh) - 1, mapping)
         self.numbering = self.functional.numbering
         self.stationarity = Stationarity(self.functional)
-        self._mapping, self._higher = mapping, dict[str, BoundaryGraph]()
+        self._mapping, self._higher = mapping, list[BoundaryGraph]()
         self._end_velocities = end_velocities(problem)
 
     def of(self: Graph, problem: BoundaryProblem) -> Graph:
@@ -74,13 +74,13 @@ class BoundaryGraph:
         """The graph of the degree that tells what this one misses; built once for all problems varied from one."""
         if not self._higher:
             method = of_higher_degree(self.method.degree)
-            self._higher["graph"] = BoundaryGraph(self.problem, method, self.mesh, self._mapping)
-        return self._higher["graph"].of(self.problem)
+            self._higher.append(BoundaryGraph(self.problem, method, self.mesh, self._mapping))
+        return self._higher[0].of(self.problem)
 
     @property
     def build_seconds(self) -> float:
         """Seconds spent on building the graph so far, and that of the higher degree."""
-        return self.functional.build_seconds + sum(built.build_seconds for built in self._higher.values())
+        return self.functional.build_seconds + sum(built.build_seconds for built in self._higher)
 
     @lazy
     def _calculus(self) -> DiscreteCalculus:

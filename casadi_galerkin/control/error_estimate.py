@@ -181,6 +181,12 @@ class HigherDegree:
         return self.of_cost(path.unseen_change), path.solver_error
 
     @property
+    def errors(self) -> tuple[float, float]:
+        """Errors of the cost, and of all, with what the solver leaves."""
+        left, open_by = self.left(self.path)
+        return self.cost_error + left, self.error + max(left, open_by)
+
+    @property
     def error(self) -> float:
         """Relative error of cost, duration and positions."""
         return max(self.change, self.shared, self.cost_error)

@@ -190,10 +190,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         detail = HigherDegree(level, higher)
         i = int(np.argmax(detail.jumps))
         self.jump = float(np.mean(level.t[i : i + 2])) if np.sum(detail.jumps) > self.tol else None
-        cost, path = detail.cost_error, detail.error
-        if cost <= self.tol:
-            left, open_by = detail.left(level)
-            cost, path = cost + left, path + max(left, open_by)
+        cost, path = detail.errors if detail.cost_error <= self.tol else (detail.cost_error, detail.error)
         self.known, self.cost_known = detail, min(self.cost_known, cost)
         return Estimate(cost if self.of_cost else path, True, f"degree {method.degree}", detail)
 
@@ -294,9 +291,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         path, _ = self.refine(level)
         assert self.known is not None, "a path is accepted for what is known of it"
         path = with_parted_phases(path, self.stated)
-        left, open_by = self.known.left(self.known.path)
-        error = self.known.error + max(left, open_by)
-        return replace(path, error_estimate=error, cost_error=self.known.cost_error + left)
+        cost, error = self.known.errors
+        return replace(path, error_estimate=error, cost_error=cost)
 
 
 def first_control_mesh(

@@ -21,6 +21,7 @@ from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.control.solver_error import what_is_left
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.solution.cost_variation import Left
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
 MET = 1e-6  # of the size of an unknown: distance from a bound up to which it is met
@@ -86,7 +87,7 @@ class CostVariation:
     def smallest(self) -> None:
         """Nothing: curvatures of a cost have no common scale."""
 
-    def left(self) -> tuple[np.ndarray, float, float]:
+    def left(self) -> Left:
         """How far the solver may have left the path from where it should be; see `what_is_left`."""
         return what_is_left(self._graph(), self.bounds, self.optimum, self.data)
 

@@ -27,16 +27,15 @@ from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
+from casadi_galerkin.solution.cost_variation import Left
 
 Entries: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]  # rows, columns and values
 
 SLOWEST = 0.9  # largest ratio of two steps that their series is summed with
 
 
-def what_is_left(
-    graph: ControlGraph, bounds: ProgramBounds, optimum: Optimum, data: np.ndarray
-) -> tuple[np.ndarray, float, float]:
-    """How far the solver may have left each component of the path, (d,), free durations, relative to these, and cost.
+def what_is_left(graph: ControlGraph, bounds: ProgramBounds, optimum: Optimum, data: np.ndarray) -> Left:
+    """How far the solver may have left path, durations and cost.
 
     It is no less than what rounding does to them, and infinite where the steps are not finite.
     """
@@ -55,7 +54,7 @@ def what_is_left(
     left = np.fmax(np.fmax(first, second) / (1 - ratio), rounding)
     durations = kinds[chain.fields["durations"][-1]] if chain.is_free("durations") else kinds[:0]
     longer = float(np.max(left[durations] / sizes[durations], initial=0.0))
-    return left[: chain.dimension], longer, change if np.isfinite(change) else np.inf
+    return Left(left[: chain.dimension], longer, change if np.isfinite(change) else np.inf)
 
 
 def newton_step(

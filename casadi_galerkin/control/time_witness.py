@@ -17,7 +17,8 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.solution.control_trajectory import ControlTrajectory, equations_of_motion
+from casadi_galerkin.problems.controlled_motion import equations_of_motion
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.shares_of_time import SharesOfTime
 
 

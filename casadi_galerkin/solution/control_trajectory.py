@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -19,10 +19,12 @@ from casadi_galerkin.problems.bounds import beyond
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.controlled_motion import equations_of_motion
 from casadi_galerkin.solution.control_path import ControlPath
+from casadi_galerkin.solution.cost_variation import CostVariation, Left
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_path
-from casadi_galerkin.solution.trajectory import UNRESOLVED, SecondVariation, Trajectory
+from casadi_galerkin.solution.trajectory import UNRESOLVED, Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,13 +37,6 @@ SHOWN_OVERSHOOT = 1e-3  # of the bounds' width; less is no reason for another me
 SHOWN_EXCESS = 1e-8  # of the constraints' size; at the points as much is accepted
 ALONG = np.linspace(0.0, 1.0, 40)  # parts of an interval at which a line is drawn
 DOT = 3.0  # size of the dots of quadrature points, which are many
-
-
-class CostVariation(SecondVariation, Protocol):
-    """How the cost varies about an optimum, found when it is asked for."""
-
-    def left(self) -> tuple[np.ndarray, float, float]:
-        """How far the solver may have left each component, (d,), free durations, relative to these, and the cost."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -111,15 +106,15 @@ class ControlTrajectory(Trajectory):
     second_variation: CostVariation | None = None
 
     @lazy
-    def _left(self) -> tuple[np.ndarray, float, float]:
-        """How far the solver may have left each component, (d,), free durations, relative to these, and the cost."""
+    def _left(self) -> Left:
+        """What the solver has left."""
         assert self.second_variation is not None, "an optimum has one"
         return self.second_variation.left()
 
     @property
     def unseen_change(self) -> float:
         """How much the cost may still change by, to first order along the Newton steps that the solver has left."""
-        return self._left[2]
+        return self._left.cost
 
     @lazy
     def solver_error(self) -> float:
@@ -127,8 +122,7 @@ class ControlTrajectory(Trajectory):
 
         Found when first asked for.  It is large where the cost hardly depends on the path.
         """
-        components, durations, _ = self._left
-        return max(float(np.max(components / self.sizes)), durations)
+        return max(float(np.max(self._left.components / self.sizes)), self._left.durations)
 
     @lazy
     def sizes(self) -> np.ndarray:
@@ -137,9 +131,8 @@ class ControlTrajectory(Trajectory):
         It is one, too, where a component that should be zero has only what the solver leaves of it.
         """
         sizes = component_sizes(self.polynomial.values)
-        if np.min(sizes) >= SMALL * np.max(sizes):
-            return sizes
-        return np.where((sizes >= SMALL * np.max(sizes)) | (sizes > TOLD * self._left[0]), sizes, 1.0)
+        large = sizes >= SMALL * np.max(sizes)
+        return sizes if np.all(large) else np.where(large | (sizes > TOLD * self._left.components), sizes, 1.0)
 
     def replay(self) -> ca.Function:
         """Return the force (t, x, v[, p]) -> (d,) of the optimized controls, for an `InitialProblem`.
@@ -402,20 +395,3 @@ class ControlTrajectory(Trajectory):
         """Largest of one value per interval, and where."""
         i = int(np.argmax(values))
         return f"{values[i]:.1e} between the points of [{self.t[i]:.4g}, {self.t[i + 1]:.4g}]"
-
-
-def equations_of_motion(problem: ControlProblem, parameters: tuple[float, ...] | None) -> ca.Function:
-    """(t, x, v, u, multipliers of the constraint) -> ∂L/∂v, and x where that follows rates, and what changes these.
-
-    That is ∂L/∂x + F with the constraint's force, and the rates; (d,) each.
-    """
-    names = "lagrangian", "force", "rates", "constraint"
-    lagrangian, force, rates, constraint = (with_parameters(getattr(problem, name), parameters) for name in names)
-    parts, u = [0, problem.mechanical, problem.dimension], ca.SX.sym("u", problem.controls)
-    t, x, v = lagrangian.sx_in()
-    work, momentum = (ca.vertsplit(ca.gradient(lagrangian(t, x, v), by), parts)[0] for by in (x, v))
-    held = ca.SX(0, 1) if constraint is None else constraint(t, x)
-    push = ca.SX.sym("push", held.numel())
-    changes = ca.vertcat(work + force(t, x, v, u), rates(t, x, v, u)) + ca.jtimes(held, x, push, True)
-    outputs = map(ca.densify, (ca.vertcat(momentum, ca.vertsplit(x, parts)[1]), changes))
-    return ca.Function("motion", [t, x, v, u, push], [*outputs])
