@@ -82,7 +82,7 @@ def _interior_point(
     try:
         polished = damped_newton(stationarity, x, data, verbose, POLISHING)
     except SolveFailure as failure:
-        if stats["success"]:
+        if stats["success"] or seconds_left() < 0:  # IPOPT looks at a clock of its own
             status += f", then Newton's method: {failure}"
         singular = failure.singular and bool(stats["success"])
         raise SolveFailure(f"{name} stopped with '{status}'", x, iterations, singular) from None

@@ -231,9 +231,8 @@ def test_limits_stop_a_refinement_with_the_best_path(limits, message):
 
 def test_the_time_is_looked_at_in_every_iteration():
     problem = cg.BoundaryProblem(boundary_layer(1e-8), (0, 1), [1.0], [0.0])
-    up = "(the time was up|Maximum WallTime Exceeded)"  # IPOPT looks at its own clock, too
     for solver in (cg.newton, cg.ipopt):
-        with pytest.raises(cg.LimitReached, match=rf"1e-09 seconds have passed before .* {up}") as caught:
+        with pytest.raises(cg.LimitReached, match=r"1e-09 seconds have passed before .* the time was up") as caught:
             cg.solve(problem, tol=1e-9, limits=cg.Limits(seconds=1e-9), solver=solver)
         assert caught.value.iterations <= 1
         assert caught.value.path is not None
