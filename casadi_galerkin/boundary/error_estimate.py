@@ -21,12 +21,18 @@ HARDLY = 1e-6  # part of the largest mean variation below which one is compared 
 ROUNDING = 0.2  # of eps: what rounding to the nearest double changes in the root mean square
 
 
-def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial) -> tuple[float, PiecewisePolynomial]:
+def discretization_error(
+    graph: BoundaryGraph, path: PiecewisePolynomial, refined: bool = True
+) -> tuple[float, PiecewisePolynomial]:
     """Largest error of a path of a lower degree than the graph's, relative to the size of its components.
 
     The first Newton step from it on the same mesh estimates its error, in the joints as well as between them, and the
     second tells how far to trust the first: both are summed as a geometric series.  Where the duration is free, a step
     of it counts by how far the path moves in that time.
+
+    Parameters
+    ----------
+    refined : whether to refine the variations, which counts where the Hessian is nearly singular
 
     Returns
     -------
@@ -45,7 +51,12 @@ def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial) -> tup
 
     with graph.stationarity.linearization() as at:
         (step,) = at.solve(at.relinearize(unknowns, data))
-        again, *varied = at.solve(at.relinearize(unknowns + step, data), *_generic_forces(graph, path))
+        there, forces = unknowns + step, _generic_forces(graph, path)
+        gradient = at.relinearize(there, data)
+        if refined:
+            (again,), varied = at.solve(gradient), at.refined(there, data, *forces)
+        else:
+            again, *varied = at.solve(gradient, *forces)
     error = math.inf
     if np.isfinite([step, again]).all():
         first, second = moved(step), moved(again)
@@ -53,7 +64,9 @@ def discretization_error(graph: BoundaryGraph, path: PiecewisePolynomial) -> tup
     return error, _joined(graph, path, varied)
 
 
-def agreement(graph: BoundaryGraph, path: PiecewisePolynomial, of_higher: PiecewisePolynomial) -> float:
+def agreement(
+    graph: BoundaryGraph, path: PiecewisePolynomial, of_higher: PiecewisePolynomial, refined: bool = True
+) -> float:
     """How far the same forces move a path in its own degree, the graph's, and in a higher one: from 0 to 1.
 
     Where a path is all but undetermined, as in ε x'' = t x' by exp(-1/2ε), a mesh too coarse for the variations that
@@ -69,7 +82,9 @@ def agreement(graph: BoundaryGraph, path: PiecewisePolynomial, of_higher: Piecew
     unknowns, data = graph.on_path(path)
     with graph.stationarity.linearization() as at:
         at.newton_step(unknowns, data)  # built for the solver already
-        of_lower = _joined(graph, path, at.solve(*_generic_forces(graph, path)))
+        forces = _generic_forces(graph, path)
+        varied = at.refined(unknowns, data, *forces) if refined else at.solve(*forces)
+    of_lower = _joined(graph, path, varied)
     if not (np.isfinite(of_lower.values).all() and np.isfinite(of_higher.values).all()):
         return 0.0  # one of the Hessians is singular
     means = np.array([np.mean(np.abs(values), axis=1) for values in (of_lower.at(of_higher.nodes), of_higher.values)])

@@ -57,7 +57,6 @@ BLURRED = 1e-14  # part left out that rounding of the node values alone looks li
 FAR = 0.1  # part of the tolerance below which rounding need not be looked at: it moves a path by eps / regularity
 ILL = 1e4  # roundoff floor over eps from which it is the problem's conditioning that is named
 ALIKE = 0.99  # agreement below which a mesh is halved; at 0.83 some 3 % of untied kinks passed, at 0.95 still some
-ROUNDED = 3e3  # times the roundoff floor: by so much rounding moves paths unlike; at 5e3 two of 325 untied kinks passed
 HALVED = 8  # meshes on which variations may disagree; on finer ones only rounding was seen to differ
 LASTING, STEADY = 3, 1.02  # meshes, factor: an agreement that keeps within is not theirs: a mass may vanish at an end
 NOISE = 10.0  # an error that is not so many times what rounding does no longer falls with the mesh
@@ -124,7 +123,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             return Estimate(largest, False, "Legendre coefficients", left_out)
         floor = self.floor(level)
         higher = self.graph(path).higher
-        error, varied = discretization_error(higher, path)
+        error, varied = discretization_error(higher, path, refined=floor > 0)
         error = math.hypot(error, floor)
         mesh, stretched = path.mesh, self.levels.problem.energy is not None
         self.roundoff_level = NOISE * max(
@@ -178,14 +177,14 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         return self.levels.transcription(self.method, path.mesh)
 
     def agreed(self, level: CriticalPoint, varied: PiecewisePolynomial, floor: float) -> bool:
-        """Whether forces move the path alike in its own degree, but for rounding, or, on any mesh, unlike.
+        """Whether forces move the path alike in its own degree, or, on any mesh, unlike.
 
         Refuses a path of a family.
         """
         graph = self.graph(level.polynomial)
-        self.agreements.append(agreement(graph, level.polynomial, varied))
+        self.agreements.append(agreement(graph, level.polynomial, varied, refined=floor > 0))
         last = self.agreements[-LASTING:]
-        if last[-1] >= min(ALIKE, 1 - ROUNDED * floor) or (len(last) == LASTING and max(last) < STEADY * min(last)):
+        if last[-1] >= ALIKE or (len(last) == LASTING and max(last) < STEADY * min(last)):
             return True
         graph.check_second_variation(level)
         if len(self.agreements) == HALVED:

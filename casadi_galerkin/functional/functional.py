@@ -232,6 +232,8 @@ class Functional:
         - heavier : with inertia -> matrix ∇²S with ∂²L/∂v² times that
         - curvature : with left z and right y -> signed zᵀ∇²S y, positive sum of the sizes of its terms
         - sensitivity : with direction of the parameters -> change of ∇S along it
+        - product : with direction of the unknowns -> change of ∇S along it, ∇²S times the direction, summed over the
+          points: rounding of the entries of ∇²S is not in it
         """
         builders: dict[str, Callable[[], Parts]] = {
             "action": lambda: ({}, ["action"], [self.action]),
@@ -242,7 +244,8 @@ class Functional:
             "joint_time_derivatives": self._joint_time_derivatives,
             "heavier": self._heavier,
             "curvature": self._curvature,
-            "sensitivity": self._sensitivity,
+            "sensitivity": lambda: self._along(ca.vertcat(*self._parameters)),
+            "product": lambda: self._along(self.symbols["unknowns"]),
         }
         return self.keep(name, builders[name])
 
@@ -267,10 +270,9 @@ class Functional:
             positive += ca.bilin(ca.fabs(self._further), ca.fabs(left), ca.fabs(right))
         return {"left": left, "right": right}, ["signed", "positive"], [signed, positive]
 
-    def _sensitivity(self) -> Parts:
-        parameters = ca.vertcat(*self._parameters)
-        direction = ca.MX.sym("direction", parameters.numel())
-        change = ca.jtimes(self.gradient, parameters, direction)
+    def _along(self, varied: ca.MX) -> Parts:
+        direction = ca.MX.sym("direction", varied.numel())
+        change = ca.jtimes(self.gradient, varied, direction)
         return {"direction": direction}, ["change"], [ca.densify(change)]  # few rows may depend on parameters
 
     def keep(self, name: str, build: Callable[[], Parts]) -> ca.Function:
