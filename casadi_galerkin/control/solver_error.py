@@ -9,7 +9,8 @@ with the slopes ∇f̄ of the Lagrangian but for the multipliers μ of bounds, a
 only.  Where the cost hardly knows the path, steps are long at slopes far below any tolerance.  The second step tells
 how far to trust the first: both are summed as a geometric series.  Along a fourth power each leaves two thirds.  Where
 nothing determines the path all slopes may vanish; what rounding of the equations does to it then tells.  A part of
-`EPS` on the diagonal keeps apart what nothing determines, such as which of two controls does the work.
+`EPS` on the diagonal keeps apart what nothing determines, such as which of two controls does the work.  States follow
+from what is chosen and have none: it would outweigh the curvature of a cost that hardly knows the path.
 """
 
 from __future__ import annotations
@@ -76,10 +77,12 @@ def newton_step(
     to_limits = _distances(report.equations, of_equations, least, most)
     free, held = (low < high) & (to_bounds > 0), np.isfinite(to_limits)
     stiffness = np.abs(of_bounds[free]) / to_bounds[free]
+    states = np.concatenate([graph.chain.fields[name].ravel() for name in ("x", "nodes", "momentum")])
     linear = _Equations(
         _entries(graph.hessian(unknowns, data, 1.0, of_equations), free, free),
         _entries(graph.jacobian(unknowns, data)[1], held, free),
         stiffness,
+        ~np.isin(np.flatnonzero(free), states),
         to_limits[held] / np.maximum(np.abs(of_equations[held]), TINY),
     )
     missed = np.where(least == most, most - report.equations, np.copysign(to_limits, of_equations))
@@ -102,11 +105,13 @@ class _Equations:
     ----------
     curved, across : entries of the upper half of H, and of A
     stiffness, softness : diagonals Σ and D
+    chosen : whether an unknown is chosen; states follow from what is
     """
 
     curved: Entries
     across: Entries
     stiffness: np.ndarray
+    chosen: np.ndarray
     softness: np.ndarray
 
     def solved(
@@ -129,7 +134,7 @@ class _Equations:
         terms = np.abs(diagonal) * amounts
         np.add.at(terms, rows, np.abs(values) * amounts[columns])
         rounding = np.random.default_rng(len(terms)).choice((-EPS, EPS), len(terms)) * terms
-        diagonal += np.append(own**2 * self.stiffness / unit + EPS, -unit * row**2 * self.softness - EPS)
+        diagonal += np.append(own**2 * self.stiffness / unit + EPS * self.chosen, -unit * row**2 * self.softness - EPS)
         rhs = np.stack((np.append(own * a / unit, row * b), rounding), axis=1)
         found = units[:, None] * _solutions((rows, columns, values), diagonal, rhs)
         return found[:n, 0], found[:n, 1], found[n:, 0]
