@@ -119,9 +119,14 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
             forecast = min(1.0, damping * _forecast(at.step, simplified, trial))
         _report(iteration, last, damping, verbose)
         at, damping = trial, forecast
-    raise SolveFailure(
-        f"no convergence in {max_iter} iterations, last relative step {at.norm:.1e}", at.unknowns, max_iter
-    )
+    raise _no_convergence(linear, at, data, max_iter, f"no convergence in {max_iter} iterations")
+
+
+def _no_convergence(linear: Linearization, at: Iterate, data: Data, iteration: int, reason: str) -> SolveFailure:
+    """Why Newton's method found nothing: where the Hessian is singular, rounding makes steps of any size."""
+    if softest(linear, at.unknowns, data)[1] < SINGULAR:
+        return SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=True)
+    return SolveFailure(f"{reason}, last relative step {at.norm:.1e}", at.unknowns, iteration)
 
 
 def _contracts(norm: float, then: float) -> bool:
@@ -156,6 +161,8 @@ def _without_rounding(linear: Linearization, x: np.ndarray, data: Data, iteratio
             solution = Solution(x, data, iterations, residual, NEWTON, action, momentum, regularity)
             return solution if residual <= ACCEPTED else None
         at = linear.newton_step(x, data)
+        if not math.isfinite(at.norm):
+            return None
     return None
 
 
@@ -248,9 +255,8 @@ def _line_search(
             return trial, simplified, damping
         # half of it where the nonlinearity is not a number
         damping = min(damping / 2, at.norm * damping**2 / (2 * max(nonlinearity, TINY)))
-    if softest(linear, at.unknowns, data)[1] < SINGULAR:
-        raise SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=True)
-    raise SolveFailure("the line search found no step that comes nearer to a solution", at.unknowns, iteration)
+    reason = "the line search found no step that comes nearer to a solution"
+    raise _no_convergence(linear, at, data, iteration, reason)
 
 
 def verified(
