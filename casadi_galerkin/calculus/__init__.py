@@ -1,5 +1,5 @@
 """The discrete calculus on piecewise polynomials, with NumPy alone (paper, sections 2 and 3).
 
 Here are the quadrature (Q, w), the nodes and their Lagrange polynomials, the embedding emb_m (paper, eq. interdef), the
-discrete derivative Δ_m, the anti-derivative ∫ Δ_w, and the mesh that a path deserves.  This folder imports no other.
+discrete derivative Δ_m, the anti-derivative ∫ Δ_w, and the choice of a mesh for a path.  This folder imports no other.
 """

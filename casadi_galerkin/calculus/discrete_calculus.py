@@ -23,11 +23,11 @@ from casadi_galerkin.calculus.numbers import counted, real_array, spanned, whole
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.roundoff import EPS
 
-NEAREST = 64 * EPS  # relative difference of two joints up to which they are one, rounded in two ways
+NEAREST = 64 * EPS  # two joints with a smaller relative difference count as one joint that was rounded in two ways
 
 
 def too_near(joints: np.ndarray) -> np.ndarray:
-    """Which joints do not increase to the next by more than roundoff; (N,)."""
+    """Whether the two joints of each interval differ by no more than roundoff; (N,)."""
     return np.asarray(np.diff(joints) <= NEAREST * np.abs(joints[1:]))
 
 
@@ -64,7 +64,7 @@ class DiscreteCalculus:
     Raises
     ------
     TypeError, ValueError
-        for what is no Galerkin, and for joints that do not increase or are not finite
+        for a method that is not a Galerkin, and for joints that do not increase or are not finite
 
     Examples
     --------
@@ -89,12 +89,12 @@ class DiscreteCalculus:
 
     @lazy
     def node_parts(self) -> np.ndarray:
-        """The same times as parts of the whole time, from 0 to 1; (N m + 1,)."""
+        """The `node_times` as fractions of the time span, from 0 to 1; (N m + 1,)."""
         return np.asarray((self.node_times - self.mesh[0]) / (self.mesh[-1] - self.mesh[0]))
 
     @lazy
     def quadrature_times(self) -> np.ndarray:
-        """Quadrature points, interval by interval; (N r,)."""
+        """Times of the quadrature points, interval by interval; (N r,)."""
         return times_at(self.mesh, self._element.points)
 
     @lazy
@@ -139,7 +139,7 @@ class DiscreteCalculus:
         -------
         (entries, (rows, columns)) of the matrix of shape (2 N r, N m + 1), the triplet form that
         ``scipy.sparse.coo_array`` takes.  Applied to the node values of one component it gives x̄ at all
-        quadrature points, then dx̄/dt at all of them, each of this interval's polynomial.
+        quadrature points, then dx̄/dt at all of them, each by the polynomial of its own interval.
         """
         element, steps = self._element, np.diff(self.mesh)
         r, m, n = len(element.points), self.method.degree, len(steps)
@@ -160,7 +160,7 @@ def mesh_of(
 ) -> np.ndarray:
     """Joints from a number of intervals, or from the joints themselves; exactly one must be given.
 
-    The intervals are equal, or between breakpoints as equal as these allow; given joints must hold the breakpoints.
+    The intervals are equally long, or as nearly so as breakpoints allow; joints that are given must include these.
     """
     if (intervals is None) == (mesh is None):
         raise ValueError(f"give either intervals or mesh, got intervals={intervals!r} and mesh={mesh!r}")
@@ -190,7 +190,7 @@ def check_breakpoints(mesh: np.ndarray, breakpoints: tuple[float, ...]) -> None:
 
 
 def remeshed(calculus: DiscreteCalculus, mesh: ArrayLike, breakpoints: tuple[float, ...]) -> DiscreteCalculus:
-    """The calculus of a transcription on other joints: as many, with the breakpoints among them."""
+    """The calculus of a transcription on other joints, which must be as many and include the breakpoints."""
     other, intervals = DiscreteCalculus(calculus.method, mesh), len(calculus.mesh) - 1
     check_breakpoints(other.mesh, breakpoints)
     if len(other.mesh) - 1 != intervals:
@@ -199,7 +199,10 @@ def remeshed(calculus: DiscreteCalculus, mesh: ArrayLike, breakpoints: tuple[flo
 
 
 def spread_between(marks: np.ndarray, intervals: int) -> np.ndarray:
-    """Joints that hold the marks, with so many intervals in all; each next one goes where they are longest."""
+    """Joints that include the marks, with a given number of intervals that are as equally long as possible.
+
+    Intervals are added one by one, each between the two marks where they are longest.
+    """
     if len(marks) == 2:
         return np.linspace(marks[0], marks[1], intervals + 1)
     counts = np.ones(len(marks) - 1, dtype=int)

@@ -57,7 +57,7 @@ class Galerkin:
     Raises
     ------
     TypeError, ValueError
-        for a degree that is no whole number >= 1, for control points that do not fit, and for a rule that is refused
+        for a degree that is not a whole number >= 1, for control points that do not fit, and for a rule that is refused
 
     Examples
     --------
@@ -105,7 +105,7 @@ class Galerkin:
         return f"Galerkin({self})"
 
     def __str__(self) -> str:
-        """Degree and rule; where control points are not Lobatto's, or the rule not Gauss's, where their points lie."""
+        """Degree and rule, with the range of control points other than Lobatto's and of rules other than Gauss's."""
         rule, usual = self.quadrature, self.control_points == tuple(lobatto_points(self.degree).tolist())
         control = "" if usual else f"control {_points(self.control_points, True)}, "
         points = _points(rule.points, rule != gauss(len(rule)))
@@ -113,13 +113,13 @@ class Galerkin:
 
 
 def check_method(method: object) -> None:
-    """Refuse what is no method."""
+    """Refuse anything but a Galerkin method."""
     if not isinstance(method, Galerkin):
         raise TypeError(f"method must be a Galerkin, such as Galerkin(degree=4), got {method!r}")
 
 
 def _points(points: tuple[float, ...], placed: bool) -> str:
-    """Points in words, with the first and the last if they are to be placed."""
+    """Points in words, with the first and the last one if `placed`."""
     if len(points) == 1:
         return f"point at {points[0]:.4g}" if placed else "point"
     return f"points from {points[0]:.4g} to {points[-1]:.4g}" if placed else "points"
@@ -127,7 +127,7 @@ def _points(points: tuple[float, ...], placed: bool) -> str:
 
 @lru_cache(64)
 def _check_rule(degree: int, rule: Quadrature) -> None:
-    """Refuse a rule whose equations have solutions that are silently wrong, or indices that are."""
+    """Refuse a rule with which paths, or their Morse indices, would be silently wrong."""
     if len(rule) < degree:
         raise ValueError(
             f"a path of degree {degree} needs at least {degree} quadrature points, got {len(rule)}: "

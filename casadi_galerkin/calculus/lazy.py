@@ -1,7 +1,7 @@
-"""A property that is found when it is first asked for, and kept.
+"""A property that is computed when it is first used, and kept.
 
-``functools.cached_property`` holds a lock meanwhile until Python 3.12: a process forked while another thread of the
-parent was finding such a property hung when it asked for it.  Here two threads may find the same value twice.
+Before Python 3.12, ``functools.cached_property`` holds a lock while it computes: a child that was forked while another
+thread of its parent did so hung when it used the same property.  Here two threads may compute the same value twice.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 else:
 
     class lazy:
-        """Decorate a method without arguments; its value takes its place in the instance."""
+        """Decorator of a method without arguments, which the value then replaces in the instance."""
 
         def __init__(self, find: Callable[[Any], Any]) -> None:
             self._find, self.__doc__ = find, find.__doc__

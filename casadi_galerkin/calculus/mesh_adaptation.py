@@ -1,7 +1,8 @@
-"""Where a piecewise polynomial is too coarse, and a mesh that is not: arrays in, arrays out.
+"""Where a mesh is too coarse for a path, and a mesh that is fine enough.
 
-The size of what a path of degree m leaves out on an interval is read off the decay of its Legendre coefficients
-there; a new mesh spreads it evenly (equidistribution).  Nothing here knows what problem the path solves.
+What a piecewise polynomial of degree m leaves out of a path on an interval, its truncation error, is estimated from the
+decay of its Legendre coefficients there.  A new mesh makes it equally large on all intervals (equidistribution).
+Nothing here depends on the problem that the path solves.
 """
 
 from __future__ import annotations
@@ -18,27 +19,28 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes
 
 FINEST = 32.0  # an interval is split into at most this many at once
-COARSEST = 4.0  # and at most this many are merged
-NEIGHBORS = 8.0  # largest ratio of densities of neighboring intervals of a new mesh, unless one is split too much
-FEWEST = 4  # intervals of a new mesh
-FEWER = 3.0  # factor of too many intervals from which the number of intervals is lowered
+COARSEST = 4.0  # at most this many intervals are merged at once
+NEIGHBORS = 8.0  # largest ratio of densities of neighboring intervals of a new mesh, unless `finest` is in the way
+FEWEST = 4  # least number of intervals of a new mesh
+FEWER = 3.0  # a mesh keeps its number of intervals unless it has so many times more than it needs
 GROWTH = 1.25  # least factor by which the number of intervals grows, if it does
-LOW = 8  # degree below which an error estimate takes four degrees more, and from which it takes two
-MESHES = 10  # on which a function is looked at until one resolves it
+LOW = 8  # below this degree errors are estimated with four degrees more, from it on with two more
+MESHES = 10  # most meshes that are tried until one resolves a function
 TARGET = 0.3  # a new mesh aims at this part of the tolerance
 
 
 @lru_cache(32)
 def of_degree(degree: int) -> Galerkin:
-    """The default method of a degree, kept with its basis."""
+    """The default method of a degree; cached, so that its basis is computed once."""
     return Galerkin(degree)
 
 
 def of_higher_degree(degree: int) -> Galerkin:
-    """The method whose path on the same mesh tells the error of a path of this degree.
+    """The method whose path on the same mesh is compared with one of this degree, to estimate the error of that.
 
-    One degree more adds nothing to a path of the other parity.  At low degrees two are too few: a feature narrower than
-    its interval was seen to show an eighth of its error.  At high ones they are enough, and four add to the roundoff.
+    One degree more adds nothing to a path of the other parity.  At low degrees two more are too few: with a feature
+    narrower than its interval they showed an eighth of the error.  At high degrees two are enough, and four add to the
+    roundoff.
     """
     return of_degree(degree + (4 if degree < LOW else 2))
 
@@ -55,11 +57,12 @@ def _to_legendre(nodes: tuple[float, ...]) -> np.ndarray:
 
 
 def truncation(path: PiecewisePolynomial, sizes: np.ndarray | None = None) -> np.ndarray:
-    """Estimate what a path of its degree leaves out on each interval, relative to the sizes of the components; (N,).
+    """Estimate the truncation error of a path on each interval, relative to the sizes of the components; (N,).
 
-    The Legendre coefficients of an analytic function fall geometrically.  Their rate is taken from the last four,
-    in pairs because of parity, and the first coefficient left out follows from the last two with it.  Below degree 3
-    there are no four: the first coefficient left out then follows from the last one's change between neighbors.
+    It is taken for the first Legendre coefficient beyond the degree.  The coefficients of an analytic function fall
+    geometrically: their rate follows from the last four, in pairs because of parity, and with it the next coefficient
+    from the last two.  Below degree 3 there are not four: the next coefficient is then estimated from the change of the
+    last one between neighboring intervals.
     """
     m = len(path.nodes) - 1
     local = path.local / (component_sizes(path.values) if sizes is None else sizes)[:, None, None]
@@ -80,9 +83,9 @@ def truncation(path: PiecewisePolynomial, sizes: np.ndarray | None = None) -> np
 
 
 def largest_change(path: PiecewisePolynomial, nodes: np.ndarray, values: np.ndarray) -> float:
-    """Largest change of a path, relative to the sizes of its components, that has values (d, N m' + 1) at other nodes.
+    """Largest size of a change of a path, relative to the sizes of the path's components.
 
-    It is sampled between the nodes as well.
+    The change has `values` (d, N m' + 1) at `nodes`, and is sampled between them as well.
     """
     change = PiecewisePolynomial(path.mesh, nodes, values)
     sampled = change.at_parts(np.linspace(0, 1, 4 * change.degree + 1))[0]
@@ -92,9 +95,9 @@ def largest_change(path: PiecewisePolynomial, nodes: np.ndarray, values: np.ndar
 def spread_over(
     mesh: np.ndarray, cumulated: np.ndarray, intervals: int, breakpoints: tuple[float, ...] = ()
 ) -> np.ndarray:
-    """So many intervals with equal shares of what the joints of a mesh have `cumulated`, and whole between breakpoints.
+    """Joints of intervals with equal shares of a density, of which `cumulated` (N + 1,) is the integral over a mesh.
 
-    So no joint has to be moved onto a breakpoint.
+    Breakpoints are joints, and the shares are equal between two of them.
     """
     fixed = np.array([mesh[0], *breakpoints, mesh[-1]])
     edges = np.interp(fixed, mesh, cumulated)
@@ -105,7 +108,7 @@ def spread_over(
 
 
 def graded_alike(mesh: np.ndarray, intervals: int, breakpoints: tuple[float, ...] = ()) -> np.ndarray:
-    """Joints that are graded as those of a mesh, with so many intervals, breakpoints among them."""
+    """Joints that are graded like those of a mesh, but with another number of intervals; breakpoints are joints."""
     return spread_over(mesh, np.arange(len(mesh)), intervals, breakpoints)
 
 
@@ -132,7 +135,7 @@ def equidistributed(
 
     Returns
     -------
-    (N' + 1,) joints with the same ends; N' = N where that is about enough, so that no graph need be built anew
+    (N' + 1,) joints with the same ends; N' = N where that is about enough, so that no graph has to be rebuilt
     """
     wanted = np.clip((error / (TARGET * tol)) ** (1.0 / order), 1 / COARSEST, finest)
     density = wanted / np.diff(mesh)
@@ -159,14 +162,14 @@ def resolved(
     most: int,
     breakpoints: tuple[float, ...] = (),
 ) -> PiecewisePolynomial:
-    """A function on joints between which its interpolant leaves out at most a tolerance; or the last of `MESHES`.
+    """Interpolate a function on a mesh that resolves it to a tolerance, or on the last of `MESHES` that were tried.
 
     Parameters
     ----------
-    interpolated : the function's interpolant on the joints that it is given
+    interpolated : takes joints, and returns the function's interpolant on them
     mesh : (N + 1,) joints to begin with
     tol : relative to the size of each component
-    most : number of intervals from which it is left as it is
+    most : number of intervals beyond which the mesh is not refined
     breakpoints : increasing times inside that are joints
     """
     path = interpolated(mesh)

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-APART = 1e-12  # least relative difference of two times; velocities between nearer ones are roundoff
+APART = 1e-12  # least relative difference of two times; between nearer ones velocities would be roundoff
 
 
 def number(value: Any) -> float | None:
-    """What float() makes of a number, infinity of one beyond its range; None for what is none.
+    """A number as a float, infinite if it is beyond its range; None if the value is not a number.
 
-    That is whatever has no ``__float__``, a truth, and a symbol, of which float() makes NaN.
+    Not a number is whatever has no ``__float__``, a boolean, and a symbol, which float() turns into NaN.
     """
     kind = getattr(getattr(value, "dtype", None), "kind", "f")
     if isinstance(value, bool) or kind not in "iuf" or not hasattr(value, "__float__"):
@@ -30,7 +30,7 @@ def number(value: Any) -> float | None:
 
 
 def whole(value: Any) -> int | None:
-    """A whole number; None for what is none, such as 4.0 and True."""
+    """A whole number as an int; None if the value is not one, as 4.0 and True are not."""
     try:
         return None if isinstance(value, (bool, np.bool_)) else operator.index(value)
     except TypeError:
@@ -56,20 +56,20 @@ def finite(name: str, value: object) -> float:
 
 
 def check_verbose(value: object) -> None:
-    """Refuse what tells no solve how much to print."""
+    """Refuse a `verbose` other than 0, 1 and 2."""
     if not (isinstance(value, (int, np.integer)) and 0 <= value <= 2):
         raise ValueError(f"verbose must be 0, 1 or 2, got {value!r}")
 
 
 def flag(name: str, value: object) -> bool:
-    """Check a truth."""
+    """Check a boolean."""
     if not isinstance(value, (bool, np.bool_)):
         raise TypeError(f"{name} must be True or False, got {value!r}")
     return bool(value)
 
 
 def place(name: str, value: object, count: int) -> int:
-    """Check the number of one of so many, from 0 on."""
+    """Check an index into `count` things, counted from 0."""
     checked = whole(value)
     if checked is None or not 0 <= checked < count:
         raise ValueError(f"{name} must be a whole number from 0 to {count - 1}, got {value!r}")
@@ -82,8 +82,9 @@ def real_array(name: str, values: Any, free: bool = False) -> np.ndarray:
     Parameters
     ----------
     name : what the user calls it, for messages
-    values : number, sequence, array, pandas Series, or casadi DM, whose columns, with `free` also rows, are vectors
-    free : whether it is a sequence in which None stands for a free component; the array then may be of objects
+    values : number, sequence, array, pandas Series, or casadi DM; a DM of one column, with `free` also of one row, is
+        a vector
+    free : whether `values` is a sequence in which None stands for a free component; the array may then be of objects
 
     Raises
     ------
@@ -167,7 +168,7 @@ def times_inside(name: str, values: Sequence[float], span: tuple[float, float]) 
 
 
 def told_apart(early: float, late: float) -> tuple[str, str]:
-    """Two times in words, with six digits and those that it takes to tell them apart."""
+    """Two times in words, with six digits, or as many as it takes to tell them apart."""
     digits = 6 + max(0, int(math.log10(max(abs(early), abs(late)) / (late - early))))
     return f"{early:.{digits}g}", f"{late:.{digits}g}"
 

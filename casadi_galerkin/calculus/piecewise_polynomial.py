@@ -22,26 +22,26 @@ def times_within(mesh: np.ndarray, t: ArrayLike) -> np.ndarray:
 
 
 def times_at(mesh: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """Times at the same parts, (K,) from 0 to 1, of every interval; (N K,)."""
+    """Times at the same fractions (K,), from 0 to 1, of every interval; (N K,)."""
     return np.asarray((mesh[:-1, None] + np.diff(mesh)[:, None] * parts).ravel())
 
 
 @lru_cache(64)
 def _basis(nodes: tuple[float, ...], parts: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Lagrange polynomials of the nodes and their derivatives at some parts, (K, m + 1) each."""
+    """Lagrange polynomials of the nodes, and their derivatives, at fractions (K,) of an interval; (K, m + 1) each."""
     values = lagrange_values(np.array(nodes), np.array(parts))
     return values, values @ differentiation_matrix(np.array(nodes))
 
 
 class PiecewisePolynomial:
-    """A path x̄ in P^m_T given by its values X̄ at all nodes; it is continuous unless it has other values before joints.
+    """A path x̄ in P^m_T given by its values X̄ at all nodes; it is continuous, unless there are `arrivals`.
 
     Parameters
     ----------
     mesh : (N + 1,), the joints
     nodes : (m + 1,), nodes of the reference interval, 0 and 1 among them
     values : (d, N m + 1), values at joints and control points in the order of time
-    arrivals : (d, N), values that the intervals end with, where the path jumps at joints
+    arrivals : (d, N), values at the ends of the intervals, where a path jumps; `values` are then those after the jumps
 
     Raises
     ------
@@ -70,7 +70,7 @@ class PiecewisePolynomial:
         return len(self.nodes) - 1
 
     def times(self, parts: np.ndarray) -> np.ndarray:
-        """Times at these parts from [0, 1[ of every interval, and the last joint."""
+        """Times at these fractions, from [0, 1[, of every interval, and the last joint."""
         return np.append(times_at(self.mesh, parts), self.mesh[-1])
 
     @property
@@ -88,7 +88,7 @@ class PiecewisePolynomial:
 
     @property
     def jumps(self) -> np.ndarray:
-        """Numbers of the joints where the path has another value before; (K,)."""
+        """Numbers of the joints at which the path jumps; (K,)."""
         if self.arrivals is None:
             return np.empty(0, dtype=int)
         return 1 + np.flatnonzero(np.any(self.arrivals != self.values[:, self.degree :: self.degree], axis=0))
@@ -101,30 +101,30 @@ class PiecewisePolynomial:
         return PiecewisePolynomial(self.mesh[first : last + 1], self.nodes, values, kept)
 
     def at_parts(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values and derivatives (d, N, K) at the same parts (K,) of every interval, by its own polynomial."""
+        """Values and derivatives (d, N, K) at the same fractions (K,) of every interval, by its own polynomial."""
         values, slopes = _basis(tuple(self.nodes.tolist()), tuple(parts.tolist()))
         local = self.local
         derivatives = (local - local[:, :, :1]) @ slopes.T / np.diff(self.mesh)[:, None]
         return np.asarray(local @ values.T), np.asarray(derivatives)
 
     def at(self, nodes: np.ndarray) -> np.ndarray:
-        """Node values (d, N m' + 1) on the same mesh with other nodes: no times, so no roundoff of theirs."""
+        """Node values (d, N m' + 1) on the same mesh with other nodes; without times, whose rounding would count."""
         inner = self.at_parts(nodes[:-1])[0]
         return np.concatenate((inner.reshape(len(self.values), -1), self.values[:, -1:]), axis=1)
 
     def __call__(self, t: ArrayLike, nu: int = 0) -> np.ndarray:
         """Value, or derivative of order `nu`, at times t within the mesh; shape (d,) + t.shape.
 
-        At a joint the derivative is the right one, at the last joint the left one; so is the value where it jumps.
+        At a joint, derivatives, and values where the path jumps, are those on the right; at the last joint on the left.
         """
         return self._evaluated(t, nu, "right")
 
     def before(self, t: ArrayLike, nu: int = 0) -> np.ndarray:
-        """Value, or derivative of order `nu`, just before times t; another one at a joint with a jump or a kink."""
+        """Value, or derivative of order `nu`, just before times t: at a joint, that on the left."""
         return self._evaluated(t, nu, "left")
 
     def line(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Increasing times (K,), all joints among them, and values there; at jumps the value before, and that after."""
+        """Times and values to draw, from increasing times (K,) that include all joints; both values where it jumps."""
         joints = self.mesh[self.jumps]
         k = np.searchsorted(times, joints)
         return np.insert(times, k, joints), np.insert(self(times), k, self.before(joints), axis=1)
@@ -149,7 +149,7 @@ class PiecewisePolynomial:
         return np.asarray(np.einsum("dkj,kj->dk", local, basis).reshape((len(self.values), *times.shape)))
 
     def __repr__(self) -> str:
-        """Say of what degree it is, and over which time."""
+        """Name the size, the degree and the time span."""
         return (
             f"PiecewisePolynomial of {counted(len(self.values), 'component')} and degree {self.degree} on "
             f"{spanned(self.mesh)}, {counted(len(self.mesh) - 1, 'interval')}"

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.numbers import counted, real_array, whole_number
 
 SUM_TOLERANCE = 1e-12  # weights come from tables with about 13 digits, or from arithmetic to 1e-15
-EXACTNESS_TOLERANCE = 1e-10  # on Legendre polynomials, of slopes up to n (n + 1), so that 12 digits of a table do
+EXACTNESS_TOLERANCE = 1e-10  # of Legendre polynomials, whose slopes reach n (n + 1): points with 12 digits pass
 
 
 @dataclass(frozen=True, repr=False)
@@ -86,9 +86,9 @@ class Quadrature:
 
 
 def _roots(series: np.ndarray) -> np.ndarray:
-    """Roots of a Legendre series that has real ones only, increasing.
+    """Increasing roots of a Legendre series whose roots are all real.
 
-    They are those of NumPy, complex in type from 2.5 on, improved by a Newton step as its Gauss points are.
+    NumPy finds them, as complex numbers from version 2.5 on; a Newton step improves them, as NumPy does with Gauss's.
     """
     x = legendre.legroots(series).real
     return np.asarray(x - legendre.legval(x, series) / legendre.legval(x, legendre.legder(series)))
@@ -100,7 +100,7 @@ def _legendre(n: int, x: np.ndarray) -> np.ndarray:
 
 
 def _family(least: int) -> Callable[[Callable[[int], Quadrature]], Callable[[int], Quadrature]]:
-    """Check how many points are asked for, at least so many, and keep the rules last built."""
+    """Decorate a family of rules: check the number of points, at least `least`, and cache the rules last built."""
 
     def checked(build: Callable[[int], Quadrature]) -> Callable[[int], Quadrature]:
         kept, name = lru_cache(maxsize=128)(build), build.__name__

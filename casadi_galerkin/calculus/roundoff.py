@@ -1,4 +1,4 @@
-"""What a double can tell."""
+"""The limits of double precision, and the sizes that errors are relative to."""
 
 import numpy as np
 
@@ -8,6 +8,6 @@ ZERO = 1e-150  # size below which a component counts as zero everywhere: its squ
 
 
 def component_sizes(values: np.ndarray) -> np.ndarray:
-    """Largest value of each row of (d, K), to which errors are relative; 1 for a component that is zero; (d,)."""
+    """Largest size in each row of (d, K), to which errors are relative; 1 for a component that is zero; (d,)."""
     largest = np.max(np.abs(values), axis=1)
     return np.where(largest >= ZERO, largest, 1.0)
