@@ -37,7 +37,7 @@ class BoundaryProblem:
         (natural boundary condition) unless one of the following says otherwise
     parameters : numbers passed to all callables as p, their last argument; default none
     periodic : whether x(t_N) = x(t_0) with equal momenta; `end` is left out.  `start` may fix components of that point,
-        whose momenta then may differ; of one component they do not where the energy is given
+        whose momenta may then differ; if one component is fixed and the energy given, they do not
     force : callable (t, x, v) -> d generalized forces, that do the virtual work F·δx (Lagrange-d'Alembert)
     constraint : callable (t, x) -> k < d values that are zero all along the path (holonomic)
     start_velocity, end_velocity, start_momentum, end_momentum : d numbers each, None where nothing is given.  They
@@ -156,7 +156,7 @@ class BoundaryProblem:
 
     @property
     def autonomous(self) -> bool:
-        """Whether neither the Lagrangian nor a constraint depends on time, and no force acts: the energy is kept."""
+        """Whether the energy is conserved: no force acts, and neither Lagrangian nor constraint depends on time."""
         functions = [f for f in (self.lagrangian, self.constraint) if f is not None]
         return self.force is None and not any(f.sparsity_jac(0, 0).nnz() for f in functions)
 
@@ -165,7 +165,8 @@ class BoundaryProblem:
 
         Parameters
         ----------
-        changes : new values by name, one of `VARIED`: with None exactly where the problem has None; or None, for none
+        changes : new values by name, one of `VARIED`: with None exactly where the problem has None; None as a whole
+            changes nothing
         t_span : (t_0, t_N) with the breakpoints inside; default the same
         """
         other = with_changes(self, changes, t_span)
@@ -174,7 +175,7 @@ class BoundaryProblem:
 
 
 def _check_ends(problem: BoundaryProblem) -> None:
-    """Refuse what contradicts itself at the ends, and conditions that are too many."""
+    """Refuse statements on the ends that contradict one another, or are too many."""
     stated = [name for name in (*END_MOTIONS, "end_action", "end_conditions") if says(getattr(problem, name))]
     if problem.periodic and stated:
         raise ValueError(f"a periodic path has no ends: leave out {', '.join(stated)}")
@@ -198,12 +199,12 @@ def _check_ends(problem: BoundaryProblem) -> None:
 
 
 def says(value: object) -> bool:
-    """Whether anything is given: None is nothing, and so are components that are all None."""
+    """Whether anything is given: not None, nor components that are all None."""
     return any(a is not None for a in value) if isinstance(value, tuple) else value is not None
 
 
 def _check_end_function(name: str, function: ca.Function, taken: list[list[str]]) -> None:
-    """Refuse a function of the ends that says something where all is said; `taken` lists what is given there."""
+    """Refuse a function of the ends that no free component can follow; `taken` lists what is given of each."""
     d = len(taken) // 2
     pattern = ca.horzcat(function.sparsity_jac(0, 0), function.sparsity_jac(1, 0))
     depends = [i in pattern.get_col() for i in range(2 * d)]

@@ -17,7 +17,7 @@ Limit: TypeAlias = float | Sequence[float]
 Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
 Limited: TypeAlias = tuple[ca.Function, tuple[float, ...], tuple[float, ...]]  # g, lo, hi
 
-ROUNDED = 4 * EPS  # part of its size by which a given value may leave its bound
+ROUNDED = 4 * EPS  # relative excess of a given value over its bound that counts as rounding
 
 
 def bounds(name: str, value: Any, size: int) -> Bounds:
@@ -53,9 +53,9 @@ def beyond(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def within_rounding(values: np.ndarray, low: ArrayLike, high: ArrayLike, sizes: ArrayLike = 0.0) -> np.ndarray:
-    """The values, on the bounds that they leave by rounding alone.
+    """Put values that leave their bounds by rounding alone on these bounds.
 
-    Rounding is that of the bound or of the sizes, with any signs; of one where all of these are zero.
+    Rounding is relative to the bound, or to `sizes` where these are larger; to one where both are zero.
     """
     nearest = np.clip(values, low, high)
     largest = np.fmax(np.abs(nearest), np.abs(sizes))
@@ -64,7 +64,7 @@ def within_rounding(values: np.ndarray, low: ArrayLike, high: ArrayLike, sizes: 
 
 
 def duration_bounds_of(given: tuple[Limit, Limit] | None, phases: int) -> Bounds | None:
-    """Check bounds of the durations of all phases; None where they are given."""
+    """Check bounds of the durations of all phases; None where durations are not free."""
     if given is None:
         return None
     low, high = bounds("duration_bounds", given, phases)
@@ -74,7 +74,7 @@ def duration_bounds_of(given: tuple[Limit, Limit] | None, phases: int) -> Bounds
 
 
 def parameter_bounds_of(given: tuple[Limit, Limit] | None, parameters: tuple[float, ...] | None) -> Bounds | None:
-    """Check bounds of the parameters; None where they are given."""
+    """Check bounds of the parameters; None where parameters are not free."""
     if given is None:
         return None
     if parameters is None:
@@ -83,7 +83,7 @@ def parameter_bounds_of(given: tuple[Limit, Limit] | None, parameters: tuple[flo
 
 
 def limited_values(name: str, given: tuple[Traceable, Limit, Limit] | None, sizes: Mapping[str, int]) -> Limited | None:
-    """Trace a function and check the bounds of its values, (g, lo, hi)."""
+    """Check (g, lo, hi): trace the function g, and check the bounds of its values."""
     if given is None:
         return None
     if not isinstance(given, (tuple, list)) or len(given) != 3:

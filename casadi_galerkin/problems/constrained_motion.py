@@ -25,9 +25,11 @@ from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.problems.problem import Problem
 
 ITERATIONS = 20
-OFF = 0.1  # one chord of an arc misses it by 0.09; jumps through the center of a circle were measured at 0.16 to 0.25
-STILL = 1e-10  # part of a position up to which it does not move
-HELD = 1e-12  # part of its terms by which a given position or velocity may miss a constraint
+# Violation of a constraint between the nodes, over the change of g along the path, from which a path is refused.  One
+# chord of an arc has 0.09; jumps through the center of a circle were measured at 0.16 to 0.25.
+OFF = 0.1
+STILL = 1e-10  # least motion of a component that a violation is compared with, relative to its size
+HELD = 1e-12  # accepted violation of a constraint by a given position or velocity, relative to the terms of g
 
 
 @lru_cache(8)
@@ -46,20 +48,20 @@ def constrained_motion(lagrangian: ca.Function, constraint: ca.Function, force: 
     pull = ca.jacobian(held, t)
     rate = ca.mtimes(slope, v) + pull
 
-    def following(value: ca.SX) -> ca.SX:
-        """Change of a value with time at a constant velocity."""
+    def time_derivative(value: ca.SX) -> ca.SX:
+        """Time derivative of a value along a motion without acceleration."""
         return ca.jacobian(value, t) + ca.mtimes(ca.jacobian(value, x), v)
 
-    pushed = ca.gradient(lagrangian(t, x, v), x) - following(momentum)
+    pushed = ca.gradient(lagrangian(t, x, v), x) - time_derivative(momentum)
     pushed = pushed if force is None else pushed + force(t, x, v)
     matrix = ca.blockcat([[mass, -slope.T], [slope, ca.SX(slope.shape[0], slope.shape[0])]])
-    vectors = [ca.vertcat(pushed, -following(rate)), momentum, rate, pull]
+    vectors = [ca.vertcat(pushed, -time_derivative(rate)), momentum, rate, pull]
     return ca.Function("constrained_motion", symbols, [matrix, *map(ca.densify, vectors)])
 
 
 @lru_cache(8)
 def _solver(motion: ca.Function) -> ca.Function:
-    """(t, x, v, right-hand sides) -> accelerations and multipliers; sparse, so that many bodies cost as many."""
+    """(t, x, v, right-hand side) -> accelerations and multipliers; sparse, so that the cost is linear in the bodies."""
     symbols = motion.mx_in()
     matrix, rhs, *_ = motion.call(symbols)
     rhs = ca.MX.sym("rhs", rhs.numel())
@@ -67,9 +69,9 @@ def _solver(motion: ca.Function) -> ca.Function:
 
 
 def motion_of(problem: Problem, force: ca.Function | None = None) -> ca.Function | None:
-    """`constrained_motion` of a problem under a force, with its parameters put in; None where there is no constraint.
+    """`constrained_motion` of a problem with its parameters put in; None where there is no constraint.
 
-    Neither momenta nor tangents depend on the force.
+    The force may be left out where only momenta and tangents are asked for, which do not depend on it.
     """
     if problem.constraint is None:
         return None
@@ -92,14 +94,14 @@ def tangent_momenta(
 ) -> np.ndarray:
     """The momenta p + Gᵀμ whose velocities are tangent to the constraint, by Newton's method; (d, K).
 
-    Where there is no constraint, every momentum is its own.
+    Without a constraint, momenta are returned as they are.
 
     Parameters
     ----------
     problem : Problem
     t : (K,)
     x, momentum : (d, K)
-    velocity : (d, K), near the velocities
+    velocity : (d, K), the first iterate
     """
     motion = motion_of(problem)
     if motion is None:
@@ -107,7 +109,7 @@ def tangent_momenta(
     v, d = velocity, len(x)
     for _ in range(ITERATIONS):
         _, p, rate, _ = _at(motion, t, x, v)
-        step = _solved(motion, t, x, v, np.concatenate((momentum - p, -rate)))[:d]  # with all of μ anew
+        step = _solved(motion, t, x, v, np.concatenate((momentum - p, -rate)))[:d]  # which finds μ anew
         v = v + step
         if not np.any(np.abs(step) > 4 * EPS * np.max(np.abs(v))):
             break
@@ -131,10 +133,10 @@ def _missed(constraint: ca.Function) -> ca.Function:
 
 
 def off_constraint(problem: Problem, path: PiecewisePolynomial) -> str | None:
-    """Where a path leaves its constraint between the nodes, in words, if it does so by more than `OFF`; else None.
+    """Say where a path leaves its constraint between the nodes, if it does so by more than `OFF`; else None.
 
-    What it misses is compared with the largest change of g by as much as the path moves: a mass on a rod may have
-    jumped from one side to the other.
+    As when a mass on a rod jumps from one side to the other.  The violation is compared with the largest change of g by
+    a motion as large as that of the path.
     """
     if problem.constraint is None:
         return None
@@ -167,7 +169,7 @@ def multipliers(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray
 
 
 def work_of_constraint(problem: Problem, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """λ·∂g/∂t, the rate at which a constraint takes energy from the path, zero unless it moves with time; (K,)."""
+    """λ·∂g/∂t, the power that a constraint takes from the path, which is zero unless it depends on time; (K,)."""
     if problem.constraint is None or not problem.constraint.sparsity_jac(0, 0).nnz():
         return 0 * t
     motion = motion_of(problem, problem.force)
@@ -175,9 +177,9 @@ def work_of_constraint(problem: Problem, t: np.ndarray, x: np.ndarray, v: np.nda
 
 
 def check_constraint(problem: Problem) -> None:
-    """Refuse more constraints than a path can hold, given positions that are off it, and redundant constraints there.
+    """Refuse too many constraints, and given positions that violate them or where they are redundant.
 
-    Positions count where all of their components are given.
+    Only positions with all of their components given are looked at.
     """
     if problem.constraint is None:
         return
@@ -215,10 +217,10 @@ def check_constraint(problem: Problem) -> None:
 
 
 def over_terms(value: ca.SX, symbols: Sequence[ca.SX], further: Sequence[ca.SX] = ()) -> ca.Function:
-    """(symbols, further) -> values (k,) that are to be zero; how many `HELD` of their terms they are; and derivatives.
+    """(symbols, further) -> residuals (k,); their sizes over `HELD` times their terms; and their derivatives (k, n).
 
-    The derivatives (k, n) are those by the symbols.  A term is a symbol times the derivative by it; rounding of the
-    time counts as that of positions does.
+    The derivatives are those by the symbols, and a term is a symbol times the derivative by it.  The time is among the
+    symbols, so that its rounding counts, too.
     """
     slopes = ca.densify(ca.jacobian(value, ca.vertcat(*symbols)))
     terms = ca.mtimes(ca.fabs(slopes), ca.fabs(ca.vertcat(*symbols)))
@@ -228,8 +230,8 @@ def over_terms(value: ca.SX, symbols: Sequence[ca.SX], further: Sequence[ca.SX] 
 def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v: tuple[float, ...]) -> None:
     """Refuse a velocity of this name, given at a position, that leaves the constraint: G v + ∂g/∂t must be zero.
 
-    Velocities round by their own sizes, or by those of the positions over the duration: what is left of the velocity
-    where a position is rounding alone moves the path by no more.
+    The accepted rounding of a velocity is relative to its own size, or to that of the position over the duration if it
+    is larger: a velocity so small moves the path by no more than the rounding of its position.
     """
     if problem.constraint is None:
         return

@@ -9,9 +9,10 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 
 
 def equations_of_motion(problem: ControlProblem, parameters: tuple[float, ...] | None) -> ca.Function:
-    """(t, x, v, u, multipliers of the constraint) -> ∂L/∂v, and x where that follows rates, and what changes these.
+    """(t, x, v, u, multipliers of the constraint) -> what the equations of motion are of, and its time derivative.
 
-    That is ∂L/∂x + F with the constraint's force, and the rates; (d,) each.
+    For a mechanical component these are ∂L/∂v, and ∂L/∂x + F with the constraint's force; for one that follows a rate,
+    x and that rate; (d,) each.
     """
     names = "lagrangian", "force", "rates", "constraint"
     lagrangian, force, rates, constraint = (with_parameters(getattr(problem, name), parameters) for name in names)

@@ -22,12 +22,12 @@ Checked = TypeVar("Checked")
 
 @dataclass(frozen=True)
 class Crossing:
-    """A breakpoint where the velocity counts.
+    """A breakpoint with a jump, or with a waypoint that bounds a function of position and velocity.
 
     Attributes
     ----------
     time : float
-    condition : (g, lo, hi) of position and velocity before a jump, or None
+    condition : (g, lo, hi), where g(x, v) takes position and velocity before any jump, or None
     jump : Function (x, v[, p]) -> position and velocity after the jump, or None
     """
 
@@ -45,7 +45,7 @@ class Crossing:
 def crossings_of(
     waypoints: tuple[tuple[float, Pairs | Limited], ...], jumps: tuple[tuple[float, ca.Function], ...]
 ) -> tuple[Crossing, ...]:
-    """Breakpoints where the velocity counts, in the order of time."""
+    """Breakpoints with jumps, or with waypoints that are functions, in the order of time."""
     conditions = {t: place for t, place in waypoints if is_limited(place)}
     laws = dict(jumps)
     return tuple(Crossing(t, conditions.get(t), laws.get(t)) for t in sorted({*conditions, *laws}))

@@ -1,4 +1,4 @@
-"""What the callables of a control problem depend on: refusals of what is arbitrary, ambiguous, or stalls a solver."""
+"""Checks of what the callables of a control problem depend on: nothing arbitrary, ambiguous, or fatal to a solver."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import casadi as ca
 
 from casadi_galerkin.problems.bounds import Bounds
 
-Used = tuple[str, ca.Function | None, Sequence[int]]  # its name, and which of its arguments are velocities
+Used = tuple[str, ca.Function | None, Sequence[int]]  # name, Function, and which of its arguments are velocities
 
 
 def _entries(function: ca.Function, argument: int) -> set[int]:

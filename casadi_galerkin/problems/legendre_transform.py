@@ -11,8 +11,8 @@ import numpy as np
 from casadi_galerkin.calculus.roundoff import EPS
 
 ITERATIONS = 100
-FOUND = 1e-9  # relative step below which a velocity that roundoff keeps from settling counts as found
-DEGENERATE = 1e-13  # part of the largest singular value of ∂²L/∂v² below which a direction of v has no momentum
+FOUND = 1e-9  # relative step from which a velocity counts as found if roundoff keeps it from converging further
+DEGENERATE = 1e-13  # singular value of ∂²L/∂v², over the largest, below which a direction of v has no momentum
 
 
 @lru_cache(8)
@@ -35,10 +35,10 @@ def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.nd
 
 
 def scaled_masses(masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mass matrices (..., d, d) whatever the units of the components, and the scales that they were divided by.
+    """Mass matrices (..., d, d) scaled so that units do not matter, and the scales that they were divided by.
 
-    Rows and columns are divided by the roots of their largest entries until all of these are near one: each time, what
-    is left of the units is the root of what was.
+    Rows and columns are divided by the square roots of their largest entries, again and again, until all of these are
+    near one; each pass takes the square root of the factor that is left.
     """
     scales = np.ones_like(masses)
     while True:

@@ -1,4 +1,4 @@
-"""Linear equations solved by QR in any units: conditions and equations of motion differ in theirs."""
+"""Linear equations solved by QR whatever their units, which differ between conditions and equations of motion."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ NO_CUTOFF = {"eps": 0.0}
 def solve_scaled(matrix: ca.MX, rhs: ca.MX, moving: Sequence[int], method: str = "qr") -> ca.MX:
     """Solution Y of A Y = B.  Rows are first divided by the sums of their sizes, since QR rounds small rows away.
 
-    The unknowns that move a path have equations of motion, the rows of the same numbers.  Multipliers and velocities of
-    ends have other units: they are measured by what they do to equations of motion beside what moves the path does.
-    QR needs no scales of columns.
+    The `moving` unknowns are values of the path, and the rows of the same numbers are their equations of motion.  All
+    other unknowns, multipliers and velocities at the ends, have other units: they are scaled by their entries in the
+    equations of motion, relative to those of the moving ones.  QR needs no scaling of columns.
     """
     sizes, chosen = ca.fabs(matrix), list(moving)
     further = sizes[:, sorted(set(range(matrix.size2())).difference(chosen))]
@@ -27,5 +27,5 @@ def solve_scaled(matrix: ca.MX, rhs: ca.MX, moving: Sequence[int], method: str =
 
 
 def _inverse(sums: ca.MX) -> ca.MX:
-    """One over each of some sums, one where it is zero."""
+    """Inverse of each sum, or one where it is zero."""
     return 1 / (sums + (sums == 0))

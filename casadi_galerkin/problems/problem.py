@@ -48,43 +48,43 @@ Stated = TypeVar("Stated", bound=Problem)
 
 
 def marks(problem: Problem) -> list[float]:
-    """Times of both ends and, between them, of the breakpoints: what joints keep their numbers between."""
+    """Times of both ends, with those of the breakpoints between them."""
     return [problem.t_span[0], *problem.breakpoints, problem.t_span[1]]
 
 
 def between_marks(
     times: np.ndarray, own: Sequence[float] | np.ndarray, other: Sequence[float] | np.ndarray
 ) -> np.ndarray:
-    """Times at the same parts of the durations between other marks; where these are not as many, of the whole."""
+    """Map times piecewise linearly from `own` marks to `other` ones; by their ends alone if their numbers differ."""
     if len(own) != len(other):
         own, other = [own[0], own[-1]], [other[0], other[-1]]
     return times if np.array_equal(own, other) else np.asarray(np.interp(times, own, other))
 
 
 def check_kind(problem: object, *kinds: type) -> None:
-    """Refuse what is no problem of these kinds."""
+    """Refuse anything but a problem of these kinds."""
     if not isinstance(problem, kinds):
         expected = " or ".join(kind.__name__ for kind in kinds)
         raise TypeError(f"problem must be a {expected}, got {type(problem).__name__}")
 
 
 def with_values(problem: Stated, **values: Any) -> Stated:
-    """Copy with other values, checked before, of some fields; unlike ``dataclasses.replace`` it traces nothing."""
+    """Copy with other values of some fields, already checked; unlike ``dataclasses.replace`` it traces nothing anew."""
     other = copy(problem)
     vars(other).update(values)
     return other
 
 
 def check_types(problem: object, method: object, *kinds: type) -> None:
-    """Refuse what is no problem of these kinds, or no method."""
+    """Refuse anything but a problem of these kinds and a Galerkin method."""
     check_kind(problem, *kinds)
     check_method(method)
 
 
 def with_changes(problem: Stated, changes: Mapping[str, Any], t_span: Sequence[float] | None) -> Stated:
-    """Copy with other times around its breakpoints, and other values by name: None exactly where the problem has it.
+    """Copy with another time span around the breakpoints, and other values by name.
 
-    What is None as a whole stays as it is.
+    They have None exactly where the problem has None; a value that is None as a whole changes nothing.
     """
     span = problem.t_span if t_span is None else time_span(t_span)
     values: dict[str, Any] = {"t_span": span}
