@@ -4,8 +4,9 @@ With the unit tangent ż at a point and a prediction along it, the next point so
 
     F(ξ, s) = 0,    <ż, z - z_predicted> = 0
 
-by Newton's method, two solves with the same matrix ∂F/∂ξ an iteration (H. B. Keller, "Numerical solution of bifurcation
-and nonlinear eigenvalue problems", 1977).  At a fold that matrix is singular, the two conditions together are not.
+by Newton's method, with two solves of the same matrix ∂F/∂ξ per iteration (H. B. Keller, "Numerical solution of
+bifurcation and nonlinear eigenvalue problems", 1977).  At a fold this matrix is singular, but that of both conditions
+together is not.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 
 Accepted = TypeVar("Accepted")
 
-MANY = 10  # iterations of Newton's method
+MANY = 10  # most iterations of Newton's method in one correction
 LONGER, SHORTER = 1.5, 0.5  # factors on the step after a correction, and after one that failed
 
 
@@ -33,11 +34,11 @@ class Curve(ABC, Generic[Accepted]):
 
     @abstractmethod
     def directions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The Newton step at fixed s, and how ξ follows s."""
+        """The Newton step of ξ at fixed s, and the derivative dξ/ds along the curve."""
 
     @abstractmethod
     def accepted(self, z: np.ndarray, length: float, iteration: int) -> Accepted | None:
-        """What a point is accepted for after a last step of this length; None where it needs another iteration."""
+        """What a point that has converged is kept as, after a last step of this length; None if it has not."""
 
     def length(self, step: np.ndarray) -> float:
         """Arc length of a step."""
@@ -56,7 +57,7 @@ class Curve(ABC, Generic[Accepted]):
             return self.unit(np.copysign(1.0, (direction * forward) @ self.weights) * direction)
 
     def corrected(self, z: np.ndarray, normal: np.ndarray, longest: float) -> tuple[np.ndarray, Accepted] | None:
-        """Newton's method within the plane through z across `normal`; None if a step is longer than `longest`."""
+        """Correct z within the plane through it with this normal; None if that fails, or a step exceeds `longest`."""
         start, normal = z, normal * self.weights
         for iteration in range(1, MANY + 1):
             newton, follow = self.directions(z)

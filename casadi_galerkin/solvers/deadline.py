@@ -30,7 +30,7 @@ def seconds_left() -> float:
 
 
 def limited(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of IPOPT with the seconds that are left, if anything limits the solve; built with them it serves once."""
+    """Options of IPOPT, with the seconds that are left if there is a deadline; what is built with these serves once."""
     if math.isinf(seconds_left()):
         return dict(options)
     seconds = min(seconds_left(), options.get("max_wall_time", math.inf))

@@ -91,7 +91,7 @@ def _interior_point(
 
 
 def _units(stationarity: Stationarity, guess: np.ndarray, data: Data) -> tuple[np.ndarray, float]:
-    """What the unknowns are measured by at a guess, and the action: the median of the terms of ∇S so measured.
+    """Scales of the unknowns at a guess, and of the action: the median of the terms of ∇S in units of the former.
 
     The largest term would not do: on a graded mesh it belongs to its shortest interval.
     """
@@ -100,7 +100,7 @@ def _units(stationarity: Stationarity, guess: np.ndarray, data: Data) -> tuple[n
     measured = np.isfinite(sizes)
     unit = float(np.median((sizes * floor)[measured] / EPS)) if np.any(measured) else 1.0
     unit = unit if 0 < unit < np.inf else 1.0
-    return np.where(measured, sizes, unit * EPS / floor), unit  # a multiplier by what makes its row one of such terms
+    return np.where(measured, sizes, unit * EPS / floor), unit  # a multiplier by what gives its row terms of that size
 
 
 def _nlpsol(functional: Functional, minimize: bool, verbose: int, given: Mapping[str, Any]) -> ca.Function:
@@ -145,7 +145,7 @@ def _nlpsol(functional: Functional, minimize: bool, verbose: int, given: Mapping
 
 
 def check_option(name: str, value: object, plugin: str = "ipopt") -> None:
-    """Refuse what the solver underneath does not know; it is asked, and fatrop, which answers when it runs, is run."""
+    """Refuse an option that the solver does not know, by building one with it; fatrop refuses only when it is run."""
     x, quiet = ca.MX.sym("x"), {"print_level": 0} | ({"sb": "yes"} if plugin == "ipopt" else {})
     called = "IPOPT" if plugin == "ipopt" else plugin
     refusal = ValueError(f"{called} has no option {name} that takes {value!r}")

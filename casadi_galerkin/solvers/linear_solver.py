@@ -20,11 +20,11 @@ from casadi_galerkin.functional.numbering import KEPT, Numbering
 from casadi_galerkin.functional.threads import without_zero_pivots
 from casadi_galerkin.problems.linear_equations import solve_scaled
 
-SHIFTED = 1e-8  # part of its row that is added to a diagonal where a pivot is zero: half of all digits
-LOCAL = 1e-3  # part of a right-hand side that a solution may miss; below such a step, no line search is needed
+SHIFTED = 1e-8  # shift of the diagonal where a pivot is zero, relative to the sum of its row: half of all digits
+LOCAL = 1e-3  # accepted defect of a solution, over its right-hand side; a shorter Newton step needs no line search
 METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 to 20 times faster than QR, which is for where it fails
-SOFTENED = 1e-7  # part of what a condition meets in ∇²S by which it is softened; 1e-6 and 1e-8 left larger errors
-LEAK = 1e-8  # what a node of the graph of a matrix loses; far ends of the longest chains then still get something
+SOFTENED = 1e-7  # factor on the softening of a condition, see `_softened`; 1e-6 and 1e-8 left larger errors
+LEAK = 1e-8  # loss at every node of a matrix's graph, so small that sources still reach the ends of long chains
 
 Matrix = TypeVar("Matrix", ca.MX, ca.DM)
 
@@ -120,8 +120,8 @@ class LinearSolver:
     def newton_step(self, method: str) -> ca.Function:
         """(matrix, gradient, u) -> (step, softest_direction, sizes, norm, defect).
 
-        The Newton step; the solution for a generic right-hand side, which leans to the softest direction; what the
-        unknowns are measured by; and the largest step relative to that.
+        The Newton step; the solution for a generic right-hand side, which is near the softest direction; the sizes that
+        the unknowns are measured by; and the largest entry of the step relative to these.
         """
         key = ("newton_step", method)
         if key not in self._kept:
@@ -140,8 +140,8 @@ class LinearSolver:
     def simplified_step(self, method: str) -> ca.Function:
         """(matrix, gradient, step, sizes, damping) -> (simplified, length, nonlinearity, defect).
 
-        The step from a trial point with the Hessian of the last iterate; its largest entry relative to `sizes`; and how
-        far it is from the rest of the Newton step that was damped, which would be all of it on a linear problem.
+        The step from a trial point with the Hessian of the last iterate; its largest entry relative to `sizes`; and its
+        distance from (1 - damping) times the Newton step, to which it would be equal on a linear problem.
         """
         key = ("simplified_step", method)
         if key not in self._kept:
@@ -188,7 +188,7 @@ class LinearSolver:
 
         It is eps times the sizes of the terms that ∇S sums, and times |∇²S||ξ|, because the rounding of ξ itself
         counts.  |ξ| stands for the size of each unknown's component along the path.  A component that counts as zero
-        is measured by `ZERO`: relative to itself, what is left of it never is at roundoff.
+        is measured by `ZERO`: relative to its own size, its residual would never come down to roundoff.
         """
         inputs = self.symbols("matrix", "u", "terms")
         matrix, u, terms = inputs.values()
@@ -203,8 +203,8 @@ class LinearSolver:
         """(gradient, matrix, u, terms, softest_direction) -> (residual, regularity).
 
         The largest entry of ∇S over its roundoff floor, and yᵀ∇²S y for y = `softest_direction` over a bound of
-        |y|ᵀ|∇²S||y|.  Where the latter is zero or NaN it tells nothing: a component's only unknown has but one term in
-        the Hessian, which cannot tell whether it is small.
+        |y|ᵀ|∇²S||y|.  A regularity of zero or NaN tells nothing: where a component has a single unknown, its one term
+        in the Hessian has nothing to be compared with.
         """
         inputs = self.symbols("gradient", "matrix", "u", "terms", "softest_direction")
         gradient, matrix, u, terms, y = inputs.values()
@@ -224,7 +224,7 @@ class LinearSolver:
     def negative_eigenvalues(self, matrix: ca.DM, keep: Callable[[str, Callable[[], ca.Linsol]], ca.Linsol]) -> int:
         """Number of negative eigenvalues among the directions that keep the conditions, from the inertia of LDLᵀ.
 
-        Room for the factors is kept with a solve, because a Linsol keeps what it factored last.
+        The workspace of the factorization belongs to one solve, because a Linsol keeps what it factored last.
         """
         softened = self._softened(matrix) + 0 * ca.DM.eye(self.numbering.free)  # with its whole diagonal
         factors = keep("inertia", lambda: factors_of(softened.sparsity()))
@@ -237,14 +237,14 @@ def all_finite(*values: ca.MX) -> ca.MX:
 
 
 def factors_of(sparsity: ca.Sparsity) -> ca.Linsol:
-    """Room for LDLᵀ without pivoting of a symmetric matrix with its whole diagonal."""
+    """Workspace of LDLᵀ without pivoting, for symmetric matrices of a sparsity with its whole diagonal."""
     return ca.Linsol("inertia", "ldl", sparsity)
 
 
 def negative_pivots(matrix: ca.DM, factors: ca.Linsol) -> int:
     """Number of negative eigenvalues of a symmetric matrix, by Sylvester's law of inertia.
 
-    Where a pivot is exactly zero, those of a matrix that is so near that they have the same signs.
+    Where a pivot is exactly zero, those of a matrix with a slightly shifted diagonal are counted.
     """
     with without_zero_pivots():
         factors.nfact(matrix)
@@ -255,7 +255,7 @@ def negative_pivots(matrix: ca.DM, factors: ca.Linsol) -> int:
 
 @lru_cache(KEPT)
 def of_pattern(numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...], symmetric: bool) -> LinearSolver:
-    """The linear algebra of a sparsity without further terms, kept; arguments as for `hessian_pattern`."""
+    """The linear algebra of a sparsity without further terms, cached; arguments as for `hessian_pattern`."""
     return LinearSolver(numbering, hessian_pattern(numbering, colind, row, symmetric).sparsity)
 
 

@@ -1,4 +1,4 @@
-"""From one path to stationary ones, along paths under a load.
+"""Homotopy in a load: along paths that a load holds in place, from one path to stationary ones.
 
 The paths that a load r holds in place, s times its size, obey
 
@@ -26,10 +26,10 @@ from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.stationarity import Linearization, Stationarity
 
 FIRST_STEP, SMALLEST_STEP, FARTHEST = 0.1, 1e-4, 1e3  # of the arc length, in sizes of the path it begins at
-POINTS = 300  # of one curve, both those that were met and those that were missed
-BEND = 0.7  # cosine of the largest angle between two tangents; with any, some searches took 3 times as long
-POLISHING = 20  # iterations of Newton's method from where a curve meets a path; more wander, for 4 times as long
-LOOSELY = 0.02  # last Newton step over the arc step: the curve is only a way to what is solved to roundoff
+POINTS = 300  # most corrections along one curve, those that fail included
+BEND = 0.7  # cosine of the largest angle between two tangents; without a limit some searches took 3 times as long
+POLISHING = 20  # most iterations of Newton's method from where the load is zero; with more it wanders, 4 times as long
+LOOSELY = 0.02  # last Newton step over the arc step: points of the curve itself need no more accuracy
 
 
 class LoadedCurve(Curve[bool]):
@@ -65,7 +65,7 @@ class LoadedCurve(Curve[bool]):
         self.weights[-1] = self.length(follow) ** 2  # path and load count the same at the start
 
     def directions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The Newton step at a fixed load, and how the path follows the load."""
+        """The Newton step at a fixed load, and the derivative of the path by the share s of the load."""
         self.iterations += 1
         residual = self.at.relinearize(z[:-1], self.data) - z[-1] * self.load
         if not np.max(np.abs(self.at.matrix), initial=0.0) < self.stiffest:
@@ -78,7 +78,7 @@ class LoadedCurve(Curve[bool]):
         return length < LOOSELY * self.step or None
 
     def crossings(self, side: float) -> Iterator[np.ndarray]:
-        """Approximate paths without load, in the order in which they are met; `side` is the load's first sign, ±1.0."""
+        """Approximate paths without load, in the order in which they are met; `side`, ±1.0 is the load's first sign."""
         z, self.step = self.start, FIRST_STEP
         tangent = self.tangent(z, np.append(np.zeros(len(z) - 1), side))
         for _ in range(POINTS):
@@ -115,7 +115,7 @@ def of_own_load(at: Linearization, unknowns: np.ndarray, data: Data, stiffest: f
 
 
 def unloaded(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0) -> Solution:  # noqa: ARG001
-    """Take the load away that holds a guess in place, up to the first stationary path that is met."""
+    """Take the load that holds a guess in place away, until the first stationary path is met."""
     with stationarity.linearization() as at:
         curve = of_own_load(at, guess, data)
         for found in curve.met(-1.0, "Newton, the load of the guess taken away"):

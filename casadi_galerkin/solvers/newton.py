@@ -21,13 +21,13 @@ from casadi_galerkin.solvers.second_variation import SINGULAR, softest
 from casadi_galerkin.solvers.stationarity import ACCEPTED, SIGNS, Iterate, Linearization, Stationarity
 
 NEWTON = "Newton"  # its report
-NEAR = 1e-6  # below this relative step, the next iterate can be at roundoff
-SHORT, CONTRACTION = 0.3, 0.25  # a full step of this relative size is taken if the next one is so much shorter
-STRONG_CONTRACTION = 0.1  # the same for a long first step: from a straight line, all steps are long
-NEARLY_FULL = 0.5  # forecast from which a short step is first tried in full: forecasts are cautious
+NEAR = 1e-6  # relative step from which the next iterate can be at roundoff
+SHORT, CONTRACTION = 0.3, 0.25  # a shorter relative step is taken in full if the next one is smaller by this factor
+STRONG_CONTRACTION = 0.1  # the factor for a long first step: from a straight line, all steps are long
+NEARLY_FULL = 0.5  # forecast of the damping from which a short step is first tried in full: forecasts are cautious
 SMALLEST_DAMPING = 1e-7
-LAST_STEPS = 10  # steps that bring a path to its end once what is rounding alone is zero: it was near
-DRIFT = 10.0  # change of the second variation over that which the last two steps show; along families at most 0.7
+LAST_STEPS = 10  # most steps once components that are rounding alone are set to zero: the path is near by then
+DRIFT = 10.0  # bound of the second variation's change, over what the last two steps show; along families at most 0.7
 
 
 class SolveFailure(Exception):
@@ -50,9 +50,9 @@ class Solution:
     residual : largest residual over its own roundoff floor
     report : what was used to find it
     action, momentum : S, and the momenta at the joints, component fastest
-    regularity : second variation along a direction that leans to the softest one, over a bound of its terms in the
-        last iterate's Hessian, less what may have changed since: far above zero only where the Hessian is regular; may
-        be zero, negative or NaN even there
+    regularity : second variation along a direction near the softest one, over a bound of the sum of its terms, for the
+        last iterate's Hessian, less what the last step may have changed.  Far above zero the Hessian is regular; zero,
+        a negative number or NaN tells nothing
     """
 
     unknowns: np.ndarray
@@ -137,12 +137,14 @@ def _contracts(norm: float, then: float) -> bool:
 
 
 def _without_rounding(linear: Linearization, x: np.ndarray, data: Data, iterations: int) -> Solution | None:
-    """What the next steps lead to if components that are rounding alone are zero; None if there are none.
+    """Solve with the components that consist of rounding alone set to zero; None if there are none, or it fails.
 
-    Where terms of others cancel in the equations of a component that is zero, rounding keeps it from being zero, and
-    its steps are never small relative to itself.  So do given ends like sin(π), which then are zero, too.
+    Where a component should be zero, but terms of other components cancel in its equations, rounding keeps it from
+    being zero, and its steps are never small relative to its size.  The same happens with given ends such as sin(π),
+    which are then set to zero, too.
 
-    All that must be so where the steps lead, too: an iterate that went far has more rounding than given ends are large.
+    The components must consist of rounding where the steps end as well: at an iterate far away, rounding may be larger
+    than ends that were meant.
     """
     at = linear.newton_step(x, data)
     if not math.isfinite(at.norm):
@@ -171,11 +173,12 @@ def _rounding_alone(
 ) -> tuple[np.ndarray, Data, np.ndarray]:
     """Which unknowns belong to a component that is rounding alone, (n,); the data with its ends zero; roundoff floors.
 
-    Its equations are solved up to rounding, and it is no larger than what rounding of them does to it; nor are the
-    given ends, of which some may be zero in the data already.
+    The equations of such a component are solved up to rounding, and neither it nor its given ends are larger than what
+    rounding of these equations does to it.  In `data`, but not in `given_ends`, some ends may be zero already.
 
-    Terms that cancel within the derivatives of L tell of their sizes only by what the equations change by where the
-    unknowns are rounded otherwise.  That is measured, and the largest of a component's is taken.
+    The sizes of terms that cancel within the derivatives of L are not known.  They show in how much the equations
+    change if the unknowns are rounded in other ways: this is measured, and all equations of a component have the
+    largest of their floors.
     """
     stationarity, x = linear.stationarity, at.unknowns
     numbering = stationarity.functional.numbering
@@ -215,10 +218,11 @@ def _report(iteration: int, norm: float, damping: float, verbose: int) -> None:
 
 
 def _end(linear: Linearization, at: Iterate, last: float, data: Data) -> np.ndarray | None:
-    """Where Newton's method may end: with a step after which the next is below roundoff, or that is roundoff itself.
+    """The point where Newton's method may end, or None: after a step that is roundoff, or whose next one would be.
 
-    The residuals alone do not tell: at 1e5 intervals they are at roundoff while the path is off by 1e-9.  Nor do the
-    last two steps where they are of different components: the next one is taken for no less than this one's square.
+    Residuals alone do not tell: at 1e5 intervals they are at roundoff while the path is off by 1e-9.  Nor does the
+    ratio of the last two steps, which may be of different components: the next step is expected to be no shorter than
+    the square of this one.
     """
     if at.norm < NEAR:
         shrinks = at.norm**2 <= EPS and at.norm**3 <= EPS * last**2
@@ -247,7 +251,7 @@ def _forecast(step: np.ndarray, simplified: np.ndarray, now: Iterate) -> float:
 def _line_search(
     linear: Linearization, at: Iterate, damping: float, data: Data, iteration: int
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Shorten the step until the next one, with the same matrix, is shorter: new x, that step, damping."""
+    """Damp the step until the simplified step from its end is shorter; returns that end, that step and the damping."""
     while damping >= SMALLEST_DAMPING:
         trial = at.unknowns + damping * at.step
         simplified, length, nonlinearity = linear.simplified_step(trial, data, at, damping)

@@ -22,8 +22,8 @@ from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.stationarity import Stationarity
 
-NEARLY = 1e-9  # residual over the sizes of its terms from which two Newton steps reach roundoff
-VERIFYING = 3  # iterations of the package's own Newton method, which has to end there
+NEARLY = 1e-9  # residual, over the sizes of its terms, from which two more Newton steps reach roundoff
+VERIFYING = 3  # most iterations of the package's own Newton method, which verifies the answer
 DEFAULTS = {"linear_solver": "qr", "max_iter": 50, "abstol": NEARLY}
 OWN = "jacobian_function", "error_on_fail", "show_eval_warnings"  # options that are set here
 
@@ -101,7 +101,7 @@ def casadi_root(
 
 
 def check_option(name: str, value: object) -> None:
-    """Refuse what CasADi's Newton method does not know; it is asked."""
+    """Refuse an option that CasADi's Newton method does not know, by building one with it."""
     if name in OWN:
         raise ValueError(f"the option {name} of CasADi's rootfinder is set by the package, got {value!r}")
     x = ca.MX.sym("x")

@@ -1,4 +1,4 @@
-"""The second variation of the action: its softest direction, which tells conjugate points, and the Morse index."""
+"""The second variation of the action: its softest direction, which shows conjugate points, and the Morse index."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.stationarity import Linearization, Stationarity, joined
 
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
-HIDDEN = 10 * EPS  # part of |z|ᵀ|∇²S||y| that rounding of the entries may make
-AGREED = 1e-3  # part of the assembled yᵀ∇²S y that the points must find; families 7e-7 at most, regular paths 1 - 1e-5
+HIDDEN = 10 * EPS  # rounding of zᵀ∇²S y by that of the entries, over |z|ᵀ|∇²S||y|
+AGREED = 1e-3  # least terms at the points over the assembled |yᵀ∇²S y|; families at most 7e-7, regular paths 1 - 1e-5
 
 
 def softest(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.ndarray, float]:
@@ -21,8 +21,9 @@ def softest(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.nda
 
     Three inverse iterations, weighted by the sizes of the Hessian's rows, find the direction y; the pointwise sums
     give its quotient yᵀ∇²S y / Σ |z|ᵀ|∇²L̂||z|, which does not depend on scales or on the mesh.  Where a free
-    component enters L by its velocity alone, y is a constant, and its terms are roundoff of which nothing cancels:
-    the assembled Hessian then makes more of y than the points do.  The Hessian at `unknowns` is left.
+    component enters L by its velocity alone, y is a constant, and the terms at the points are roundoff without
+    cancellation, so that the quotient says nothing: they are then far smaller than yᵀ∇²S y from the assembled Hessian.
+    `at` is left with the Hessian at `unknowns`.
 
     With a force the matrix is not symmetric: y is taken against the softest direction of the transposed matrix.
     """

@@ -108,7 +108,7 @@ class Solver:
 
 
 def rescues(stationarity: Stationarity) -> dict[str, SolverLike]:
-    """What is tried where Newton's method finds nothing from a guess, by name, in this order."""
+    """The solvers that are tried in turn where Newton's method finds nothing from a guess, by name."""
     ways: dict[str, SolverLike] = {}
     if stationarity.variational:
         ways["IPOPT on the action"] = partial(interior_point.rescue, minimize=True)
@@ -122,7 +122,7 @@ def rescues(stationarity: Stationarity) -> dict[str, SolverLike]:
 def _from_unforced(
     unforced: Stationarity, stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int
 ) -> Solution:
-    """Newton's method from the path that there is without the force, found by every way."""
+    """Newton's method from the path without the force, which is found with all rescues."""
     try:
         before = _newton(unforced, guess, data, verbose)
         found = damped_newton(stationarity, before.unknowns, data, verbose)

@@ -29,7 +29,7 @@ from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
 Built = TypeVar("Built")
 
 ACCEPTED = 50.0  # accepted residual over its roundoff floor; correct solutions were measured at 0.01 to 5
-SIGNS = 4  # random signs of the rounding of the equations, from which its effect is told
+SIGNS = 4  # random choices of the signs of rounding errors, from which the effect of rounding is estimated
 
 
 class Iterate(NamedTuple):
@@ -39,8 +39,8 @@ class Iterate(NamedTuple):
     ----------
     unknowns : ξ
     step : -∇²S⁻¹ ∇S
-    sizes : what the unknowns are measured by
-    norm : largest step relative to them; NaN where the step is not finite
+    sizes : sizes that the unknowns are measured by
+    norm : largest entry of the step relative to them; NaN where the step is not finite
     matrix, softest_direction : nonzeros of ∇²S, and the solution for a generic right-hand side
     """
 
@@ -237,7 +237,7 @@ class Linearization:
     def newton_step(self, unknowns: np.ndarray, data: Data) -> Iterate:
         """The Newton step and its measures; its norm is NaN where the Hessian is singular to the last digit.
 
-        ∇²S is left.
+        `matrix` is then ∇²S at this point.
         """
         self._solve(self.stationarity.newton_step, unknowns, data, "step", "norm")
         arrays = self._arrays
@@ -245,11 +245,11 @@ class Linearization:
         return Iterate(unknowns, arrays["step"].copy(), arrays["sizes"].copy(), arrays["norm"].item(), *left)
 
     def return_to(self, at: Iterate) -> None:
-        """Leave ∇²S and the softest direction of an earlier iterate."""
+        """Restore ∇²S and the softest direction of an earlier iterate."""
         self._arrays["matrix"][:], self._arrays["softest_direction"][:] = at.matrix, at.softest_direction
 
     def relinearize(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
-        """Evaluate ∇S and ∇²S, and leave them; returns ∇S."""
+        """Evaluate ∇S and ∇²S, which `gradient` and `matrix` then are; returns a copy of ∇S."""
         self._evaluated("derivatives", lambda: self.stationarity.functional.function("derivatives"), unknowns, data)
         return self.gradient.copy()
 
@@ -284,12 +284,12 @@ class Linearization:
         return self._evaluators[key](unknowns, *data, *further)
 
     def weight_inertia(self, unknowns: np.ndarray, data: Data, factor: float) -> None:
-        """Leave ∇²S with ∂²L/∂v² times a factor: a large one makes it positive definite where that is."""
+        """Evaluate ∇²S with ∂²L/∂v² times a factor; a large one makes ∇²S positive definite where ∂²L/∂v² is."""
         self._array("inertia", 1)[:] = factor
         self._evaluated("heavier", lambda: self.stationarity.functional.function("heavier"), unknowns, data)
 
     def solve(self, *rhs: np.ndarray, transposed: bool = False) -> list[np.ndarray]:
-        """Solutions of ∇²S y = -b with ∇²S, or its transpose, as it was left; not finite where that is singular."""
+        """Solutions of ∇²S y = -b, or (∇²S)ᵀ y = -b, with the last `matrix`; not finite where that is singular."""
         columns, linear = len(rhs), self.stationarity.linear_solver
         for method in self.methods:
             key = "solutions", method, str(columns), str(transposed)
@@ -315,9 +315,9 @@ class Linearization:
         return [y + further for y, further in zip(first, self.solve(*left), strict=True)]
 
     def blurs(self, terms: np.ndarray) -> np.ndarray:
-        """What rounding of the equations by these sizes does to the unknowns, for each of `SIGNS` random signs of it.
+        """What errors of the equations of these sizes do to the unknowns, for `SIGNS` choices of random signs.
 
-        ∇²S is the one that was left; (SIGNS, n).
+        ∇²S is the last `matrix`; (SIGNS, n).
         """
         signs = np.random.default_rng(len(terms)).choice((-1.0, 1.0), (SIGNS, len(terms)))
         return np.array(self.solve(*(signs * terms)))
