@@ -1,7 +1,8 @@
-"""What a boundary problem says of the ends of a path, as equations between its first state and its last.
+"""The conditions of a boundary problem on the ends of a path, as equations between its first and its last state.
 
-Globally, all of it is one term of the functional, whose rows are the momenta at positions that are not given
-(`functional.statement`).  Stepwise, the same rows are equations; η are the term's own multipliers and velocities:
+In the global solve all of them are one term of the functional, whose rows are the momenta at positions that are not
+given (`functional.statement`).  In shooting the same rows are equations; η are the term's own multipliers and
+velocities:
 
     start      x_0 = given   or   p_0 = rows of x_0         of a periodic path p_0 = p_N
     end        x_N = given   or   p_N = -(rows of x_N)      of a periodic path x_N = x_0
@@ -32,7 +33,7 @@ def end_equations(problem: BoundaryProblem, method: Galerkin, plane: np.ndarray 
     """(ends) -> as many equations between the ends as the start has entries, and their dense Jacobian.
 
     The ends are (x_0, p_0, η, x_N, p_N), (4d + k,), of which the start is (x_0, p_0, η); `plane` fixes the phase where
-    it is free.  The module tells the equations.
+    it is free.  The equations are those of the module's docstring.
     """
     d, times = problem.dimension, problem.t_span
     constraint = with_parameters(problem.constraint, problem.parameters)

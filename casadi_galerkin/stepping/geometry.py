@@ -2,9 +2,9 @@
 
 Without forces each step is symplectic, AᵀΩA = Ω with Ω = [0 1; -1 0], whatever its length, so det A = 1.  A symmetry
 x -> x + ε ξ(x) of L and of the constraint conserves its momentum map p·ξ(x) (E. Noether) where ξ is affine, as of
-translations and of rotations in Cartesian coordinates: only then it takes a path of degree m to another.  The map of
-any other symmetry varies by the method's order.  A force F with F·ξ = 0 changes neither.  Energy is not conserved but,
-at fixed step lengths, stays within a band of the method's order.
+translations and of rotations in Cartesian coordinates: only then it takes a path of degree m to another.  The momentum
+map of any other symmetry varies by the method's order.  A force F with F·ξ = 0 changes neither.  Energy is not
+conserved but, at fixed step lengths, stays within a band of the method's order.
 """
 
 from __future__ import annotations

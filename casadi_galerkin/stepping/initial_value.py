@@ -1,4 +1,4 @@
-"""Initial problems: the start from position and momentum or velocity, and the path from the rolled steps."""
+"""Initial problems: the first state from position and momentum or velocity, and the path from the steps."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 from casadi_galerkin.stepping.stepper import Roll, Stepper
 
-SPEEDS = np.logspace(-12, 12, 25)  # in which velocities are looked for where L is singular at rest
+SPEEDS = np.logspace(-12, 12, 25)  # guesses of the velocity where L is singular at rest
 
 
 def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbose: int) -> Trajectory:
     """Solve an initial problem step by step on the joints of a mesh; see `solve`.
 
-    Where a path meets a singularity, a step of a certain length may still have a solution, beyond it: the discrete
+    Where a path meets a singularity, a step may still have a solution that lies beyond it, because the discrete
     equations do not see what lies between quadrature points.  The energy then jumps.
     """
     check_types(problem, method, InitialProblem)
@@ -91,7 +91,7 @@ def verified(roll: Roll, stepper: Stepper) -> Roll:
 
 
 def path_of(roll: Roll, stepper: Stepper, count: int) -> PiecewisePolynomial:
-    """The path of the first intervals, as many as given."""
+    """The path over the first `count` intervals."""
     nodes, d = stepper.method.element.nodes, len(roll.x)
     inner = roll.x[:, :count, None] + roll.slopes[:, :count] @ stepper.basis.values(nodes[:-1]).T
     values = np.column_stack((inner.reshape(d, -1), roll.x[:, count]))
@@ -99,7 +99,7 @@ def path_of(roll: Roll, stepper: Stepper, count: int) -> PiecewisePolynomial:
 
 
 def _difference(problem: InitialProblem | BoundaryProblem, path: PiecewisePolynomial, momentum: np.ndarray) -> float:
-    """Relative difference of a path of steps to one of a higher degree from the same start, of that momentum (d,)."""
+    """Relative difference of a stepped path from one of a higher degree with the same first position and momentum."""
     higher = of_higher_degree(path.degree)
     stepper, intervals = Stepper(problem, higher), len(path.mesh) - 1
     roll = stepper.roll(path.values[:, 0], momentum, path(path.mesh[0], 1), path.mesh)

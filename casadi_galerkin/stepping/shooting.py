@@ -1,7 +1,7 @@
 """Boundary problems solved stepwise: single shooting, Newton's method on the start of the path.
 
-What a start leads to is a `shot`.  Newton's method has the line search of the global solve, the natural monotonicity
-test.
+The path from one start is a `shot`.  Newton's method has the line search of the global solve, with the natural
+monotonicity test.
 
 Shooting can be no better than the product of the steps' Jacobians: it magnifies the rounding of the start.  Where
 the growth comes near 1/eps, no start that a computer holds meets the end, and `shoot` says so.
@@ -36,8 +36,8 @@ from casadi_galerkin.stepping.initial_value import trajectory
 from casadi_galerkin.stepping.shot import Shooting, Shot
 
 ITERATIONS = 50
-MISS = EPS**0.5  # accepted miss of the end over the size of the path: half of the digits
-SINGULAR = 1e-14  # smallest singular value of the derivative, over the terms it sums, taken for dependence on the start
+MISS = EPS**0.5  # accepted miss of the end, relative to the size of the path: half of the digits
+SINGULAR = 1e-14  # smallest singular value of the scaled derivative from which the end depends on the start
 
 
 def shoot(
@@ -123,7 +123,7 @@ def check_start(problem: BoundaryProblem, guess: Trajectory | None) -> None:
 
 
 def _far(guess: Trajectory | None, path: Trajectory) -> str:
-    """Words for a path far from its guess."""
+    """Say so if the path is far from its guess."""
     if guess is None:
         return ""
     guessed = guess_values(guess, DiscreteCalculus(path.method, path.t), len(path.x))
@@ -182,7 +182,7 @@ def _newton(shooting: Shooting, state: np.ndarray, own: np.ndarray, velocity: np
 
 
 def _line_search(shooting: Shooting, shot: Shot, start: np.ndarray, step: np.ndarray) -> tuple[Shot | None, float]:
-    """Halve the step until the next one, with the same derivative, is shorter in the sizes of the start; or no shot."""
+    """Halve the step until the simplified step from its end is shorter: the shot there, or None, and the damping."""
     scale = np.maximum(shot.sizes[: len(start)], np.abs(step)) + TINY
     velocity, damping = shooting.velocity(shot.roll), 1.0
     smallest = 1.0 if np.all(np.abs(shot.miss) <= ACCEPTED * shot.floor) else SMALLEST_DAMPING
@@ -206,7 +206,7 @@ def _direction(shot: Shot, miss: np.ndarray, iteration: int = 0) -> np.ndarray:
 
 
 def _scaled(shot: Shot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The derivative by the start, its rows and columns scaled as their units differ; the scales (n, 1) and (n,)."""
+    """The derivative by the start with rows and columns scaled to equal units, and their scales (n, 1) and (n,)."""
     sizes = shot.sizes[: len(shot.miss)]
     scale = np.where(sizes > 0, sizes, 1.0)
     rows = np.max(shot.terms * (scale / np.max(scale)), axis=1, keepdims=True)  # which would overflow with the growth
@@ -228,7 +228,7 @@ def _refuse_conjugate(shot: Shot, iteration: int) -> None:
 
 
 def _met(shot: Shot, iteration: int) -> Shot:
-    """Return the shot, one that cannot be bettered, if it meets the end to its roundoff and in half of the digits."""
+    """Return the last shot of Newton's method if it meets the end up to roundoff, in half of the digits; or raise."""
     sizes = np.abs(shot.by_ends) @ shot.sizes
     sizes = np.where(sizes > 0, sizes, 1.0)
     missed, moved = (float(np.max(np.abs(a) / sizes)) for a in (shot.miss, shot.floor))

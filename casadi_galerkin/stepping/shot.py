@@ -1,9 +1,9 @@
-"""One shot: a path from a start, by how much it misses what holds between the ends, and how that depends on the start.
+"""One shot: the path from a start, by how much it misses the equations between the ends, and the derivative of that.
 
-The unknowns are the start (x_0, p_0, η): the first state, and multipliers and velocities of what is said of the ends.
-The equations hold between the ends (`end_equations`).  For a given energy the stretch of the steps is one more
-component of x.  The derivative of the joint values by the start is the product of the steps' Jacobians, exact by the
-implicit function theorem.
+The unknowns are the start (x_0, p_0, η): the first state, and the multipliers and velocities that the conditions on the
+ends bring along.  The equations hold between the ends (`end_equations`).  For a given energy the stretch of the steps
+is one more component of x.  The derivative of the joint values by the start is the product of the steps' Jacobians,
+exact by the implicit function theorem.
 """
 
 from __future__ import annotations
@@ -130,10 +130,10 @@ class Shooting:
         return np.concatenate((start, growth @ start[: len(growth)]))
 
     def _sizes(self, roll: Roll, steps: np.ndarray, own: np.ndarray, by_ends: np.ndarray) -> np.ndarray:
-        """Sizes of the ends, (4d + k,): of (x, p) the largest at the joints, of η what is as large in an equation.
+        """Sizes of the ends, (4d + k,): of (x, p) the largest at the joints, of η what matters as much in an equation.
 
-        A momentum is as large as the terms that it sums: they cancel at an equilibrium, and those of the momentum of a
-        stretch where the energy is near zero.
+        The size of a momentum is that of the terms that it sums, which may cancel: at an equilibrium, and those of the
+        momentum of the stretch where the energy is near zero.
         """
         states = np.max(np.concatenate((np.abs(roll.x), roll.p_terms)), axis=1)
         if self.stepper.stretched:

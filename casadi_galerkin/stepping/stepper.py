@@ -1,8 +1,8 @@
 """The step (x, p) -> (x, p) of one interval, rolled forward.
 
-Newton's iteration is part of the graph, started from the Taylor polynomial of the interval before; `mapaccum` rolls
-the step over a piece of up to `PIECE` intervals, and all of these are verified from their residuals, which are computed
-anew.  Python runs once per piece, whatever the number of intervals.
+Newton's iteration is part of the graph, and starts from the Taylor polynomial of the interval before.  `mapaccum`
+chains the step over a piece of up to `PIECE` intervals; then all of these are verified by their residuals, which are
+computed anew.  Python runs once per piece, however many intervals that has.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 
-PIECE = 64  # intervals rolled without Python; longer pieces were not faster, and took longer to build
+PIECE = 64  # most intervals that are stepped without Python; longer pieces were not faster, but took longer to build
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class Stepper:
         return ca.Function("piece", inputs, [x, p, last, s, iterations, ratio, action, terms])
 
     def _evaluator(self, name: str, count: int) -> Evaluator:
-        """Of the roll through so many intervals, or of their Jacobians."""
+        """Evaluator of the roll through `count` intervals, or of their Jacobians; kept."""
         if (name, count) not in self._evaluators:
             began = time.perf_counter()
             function = self._rolled(count) if name == "roll" else self.interval.jacobian().map(count)
@@ -149,7 +149,7 @@ class Stepper:
         )
 
     def unstretched(self, roll: Roll) -> Roll:
-        """The steps at their times: a stretch is then that of the mesh, and no component."""
+        """The steps at their true times: the stretch is applied to the mesh, and is no component any more."""
         if not self.stretched:
             return roll
         d = self.dimension - 1
@@ -175,7 +175,7 @@ class Stepper:
 
 
 def _pieces(mesh: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
-    """Intervals a piece, and the starts and lengths of intervals, the last one repeated to fill the last piece."""
+    """Intervals per piece, and start times and lengths of all; the last one is repeated to fill the last piece."""
     n = len(mesh) - 1
     count = -(-n // PIECE)
     size = -(-n // count)

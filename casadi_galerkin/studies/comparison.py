@@ -42,9 +42,9 @@ from casadi_galerkin.stepping.shot import accumulated
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PARTED = 0.1  # relative gap beyond which it no longer grows like a small one
-LEVEL = 1000 * EPS  # relative gap up to which it may be roundoff that adds up, which is no growth
-SAME = 1e-6  # relative gap of two paths that may be the same one: shooting may miss the end by 1e-8
+PARTED = 0.1  # relative gap from which its growth is no longer that of a small one
+LEVEL = 1000 * EPS  # relative gap up to which it may be the sum of rounding errors, without growth
+SAME = 1e-6  # relative distance up to which two paths count as one: shooting may miss the end by 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +243,7 @@ def _attempt(path: Trajectory, way: Callable[[], Trajectory]) -> Attempt:
 
 
 def _together(gap: np.ndarray) -> np.ndarray:
-    """Joints before the first at which the gap is too large, or none."""
+    """Whether a joint lies before the first one with a gap above `PARTED`, or without a number; (N + 1,)."""
     return np.logical_and.accumulate(gap <= PARTED)
 
 

@@ -1,4 +1,4 @@
-"""Variations solved here, or by any executor in processes of its own, with failures beside the answers.
+"""Variations solved in this process, or by an executor in others; failures are kept beside the answers.
 
 A CasADi Function must not be shared between threads.  So what goes to an executor is pickled: the problem once, and
 chunks of variations; each worker process unpickles the problem and builds its graph once, whatever the number of its
@@ -36,7 +36,7 @@ from casadi_galerkin.solution.progress import Advance
 from casadi_galerkin.solution.trajectory import Trajectory
 
 CHUNKS, LARGEST_CHUNK = 64, 50  # enough chunks to keep workers equally busy; few enough that sending costs little
-SMALLEST_NEIGHBORHOOD = 4  # variations about one that has to be solved before
+SMALLEST_NEIGHBORHOOD = 4  # least variations in a chunk about one that has to be solved before them
 
 Variation = Mapping[str, Any]
 Answer = Trajectory | Exception
@@ -65,7 +65,7 @@ def varied(problem: Stated, variation: Variation) -> Stated:
 
 
 class Neighbors:
-    """What solves variations of a boundary problem to a tolerance, each from the nearest that is solved.
+    """Solves variations of a boundary problem to a tolerance, each from the nearest one that is solved already.
 
     A variation with a guess of its own is solved from that, on the mesh of its neighbor.
     """
@@ -91,7 +91,7 @@ class Neighbors:
 def solver_of(
     problem: BoundaryProblem | ControlProblem, method: Galerkin | None, intervals: int | None, tol: float | None
 ) -> Solve:
-    """What solves the variations: a graph built once, or with a tolerance a control problem's refinement each."""
+    """A function that solves a variation: on a graph built once, or, to a tolerance, on meshes refined for it."""
     if tol is not None:
         if isinstance(problem, BoundaryProblem):
             return Neighbors(problem, method, intervals, tol)
@@ -120,7 +120,7 @@ def solver_of(
 
 
 def _answers(solver: Solve, variations: Sequence[Variation], known: Sequence[Known]) -> Iterator[Answer]:
-    """Answers one after the other; each may start from those before and from paths that are known."""
+    """Solve variations one after the other; each may start from the answers before and from known paths."""
     paths = list(known)
     for variation in variations:
         answer: Answer
@@ -136,7 +136,7 @@ def _answers(solver: Solve, variations: Sequence[Variation], known: Sequence[Kno
 
 
 def _known(answer: Answer | None) -> list[Known]:
-    """What other variations may start from."""
+    """An answer as a path that other variations may start from, if it is one."""
     if not isinstance(answer, Trajectory) or not isinstance(answer.problem, BoundaryProblem):
         return []
     return [(values_of(answer.problem), answer)]
@@ -154,7 +154,7 @@ def _unpickled(pickled: bytes) -> Solve:
 
 
 def _chunk(pickled: bytes, variations: Sequence[Variation], known: Sequence[Known] = ()) -> list[Answer]:
-    """What a worker does."""
+    """Solve one chunk; this is what a worker runs."""
     with fork_waits:  # a worker of a cluster may run several chunks in threads of one process
         return list(_answers(_unpickled(pickled), variations, known))
 
@@ -164,13 +164,13 @@ class Batch:
 
     Parameters
     ----------
-    solver : what solves a variation in this process
+    solver : solves a variation in this process
     variations : in their order
 
     Attributes
     ----------
     answers : those that there are, by the number of their variation
-    advance : told how many more there are
+    advance : called with the number of new answers
     """
 
     def __init__(self, solver: Solve, variations: Sequence[Variation]) -> None:
@@ -200,10 +200,10 @@ class Batch:
         return [(range(first, min(first + size, count)), ()) for first in range(0, count, size)]
 
     def _neighborhoods(self, problem: BoundaryProblem, solved: Solved) -> list[Chunk]:
-        """Chunks of variations that are near one another, each about one that is solved first, those farther off later.
+        """Chunks of variations that are near one another, each about a center, ordered by their distance from it.
 
-        The first ones are solved here, the nearest to one that is solved before the others.  Chunks are the same
-        whoever solves them, so that the answers are, too.
+        The centers are solved here by `solved`, always next the one that is nearest to a solved one.  The chunks do not
+        depend on who solves them, so that the answers do not, either.
         """
         count = len(self.variations)
         if not count:

@@ -1,7 +1,7 @@
 """Errors of a path against a reference: one that is given, or a solve several digits finer.
 
-The own error of such a solve is the difference of two independent ones, of other degrees on other meshes, which are
-refined until that difference is far below the errors it has to tell apart or no longer falls.
+The error of such a reference itself is estimated by its difference from a second solve, of another degree on another
+mesh.  Both are refined until this difference is far below the errors that are to be measured, or no longer falls.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from casadi_galerkin.solution.trajectory import Trajectory
 
 SAMPLES = 2000  # times at which errors are taken, and at least 4 on every interval
 FINER_DEGREE, LEAST_DEGREE = 4, 8  # degrees that a reference has more than the methods, and its least one
-RESOLVED = 1e-11  # part that the values of a callable may leave out, else its velocities are not told
-FINER, LEAST_ERROR, DOUBLINGS = 1e-2, 1e-14, 4  # part of the least error that a reference's own may be; its floor
+RESOLVED = 1e-11  # truncation error of an interpolated callable from which its velocities are not used
+FINER, LEAST_ERROR, DOUBLINGS = 1e-2, 1e-14, 4  # a reference's error over the least error measured, and its floor
 
 AnyProblem: TypeAlias = BoundaryProblem | InitialProblem | ControlProblem
 Reference: TypeAlias = Trajectory | Callable[[float], ArrayLike]
@@ -62,10 +62,10 @@ def _check(problem: AnyProblem, given: Reference) -> None:
 
 
 class ReferenceSolution:
-    """What errors are differences to: path, action and energy by parts of the time span, and their sizes.
+    """What errors are measured against: path, action and energy of a reference, and their sizes.
 
-    Parts, and those between breakpoints, because a control problem may leave the durations free, and its path may jump
-    at breakpoints.  A quantity that the user names is measured, too.
+    Paths are compared at the same fractions of the durations between breakpoints, because a control problem may leave
+    these durations free, and its path may jump at breakpoints.  A quantity that the user names is measured, too.
 
     Attributes
     ----------

@@ -1,8 +1,9 @@
 """Speed against accuracy, measured on the user's own problem by every way there is to its path.
 
-A way is a `Row` not yet measured: a method on a number of intervals or a tolerance, with a solver, or by shooting.
-Each way first solves a copy of the problem, for which nothing is built or differentiated yet, and then repeats the
-solve on what it has built.  Errors are differences to a reference, which is given or solved for (`reference`).
+A way to solve is a `Row` that is not yet measured: a method on a number of intervals, or a tolerance, with a solver; or
+shooting.  Each way first solves a copy of the problem, for which nothing is built or differentiated yet, and then
+repeats the solve on what it has built.  Errors are differences to a reference, which is given or solved for
+(`reference`).
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ from casadi_galerkin.studies.reference import (
 )
 from casadi_galerkin.studies.trade_table import Row, Trade
 
-FIRST_CALLS, REPEATS, LONG = 2, 15, 0.03  # how often a way is solved; no repeats after so many seconds of them
+FIRST_CALLS, REPEATS, LONG = 2, 15, 0.03  # first and repeated solves of a way; no repeats after so many seconds
 
 
 @dataclass
@@ -89,7 +90,7 @@ def _cell(problem: AnyProblem, row: Row, guess: Guess | None, measure: Measure |
 
 
 def _repeated(problem: AnyProblem, row: Row, guess: Guess | None) -> Callable[[], Trajectory]:
-    """A solve that can be repeated, on a graph that is built and has built its solver where it is of all intervals."""
+    """A solve that can be repeated: where the solve is global, on a graph that is built, with its solver."""
     if row.method is None or row.solver is None:
         return partial(row.solve, problem, guess)
     assert not isinstance(problem, InitialProblem)
@@ -101,7 +102,7 @@ def _repeated(problem: AnyProblem, row: Row, guess: Guess | None) -> Callable[[]
 
 
 def _on_its_mesh(problem: AnyProblem, cell: _Cell) -> Row:
-    """The way on a fixed mesh that a tolerance has found; where durations are free, over those guessed."""
+    """The way on the fixed mesh that a tolerance has found, mapped to the guessed durations where these are free."""
     assert cell.path is not None
     row, joints = cell.row, between_marks(cell.path.t, marks(cell.path.problem), marks(problem))
     return Row(row.method, row.intervals, row.solver, row.tol, mesh=tuple(joints.tolist()))
@@ -133,7 +134,7 @@ def _unknowns(problem: AnyProblem, path: Trajectory) -> int:
 
 
 def _listed(name: str, given: Iterable[Any]) -> list[Any]:
-    """What is given several times."""
+    """A list of what must be given as several values."""
     try:
         return list(given)
     except TypeError as error:
