@@ -133,7 +133,7 @@ def _missed(constraint: ca.Function) -> ca.Function:
 
 
 def off_constraint(problem: Problem, path: PiecewisePolynomial) -> str | None:
-    """Say where a path leaves its constraint between the nodes, if it does so by more than `OFF`; else None.
+    """Say where a path leaves its constraint between the nodes by more than `OFF`; None if it does not.
 
     As when a mass on a rod jumps from one side to the other.  The violation is compared with the largest change of g by
     a motion as large as that of the path.
@@ -217,7 +217,7 @@ def check_constraint(problem: Problem) -> None:
 
 
 def over_terms(value: ca.SX, symbols: Sequence[ca.SX], further: Sequence[ca.SX] = ()) -> ca.Function:
-    """(symbols, further) -> residuals (k,); their sizes over `HELD` times their terms; and their derivatives (k, n).
+    """(symbols, further) -> residuals (k,), their sizes over `HELD` times their terms, derivatives (k, n).
 
     The derivatives are those by the symbols, and a term is a symbol times the derivative by it.  The time is among the
     symbols, so that its rounding counts, too.

@@ -78,7 +78,7 @@ class LoadedCurve(Curve[bool]):
         return length < LOOSELY * self.step or None
 
     def crossings(self, side: float) -> Iterator[np.ndarray]:
-        """Approximate paths without load, in the order in which they are met; `side`, ±1.0 is the load's first sign."""
+        """Approximate paths without load, in the order in which they are met; `side` is the load's first sign."""
         z, self.step = self.start, FIRST_STEP
         tangent = self.tangent(z, np.append(np.zeros(len(z) - 1), side))
         for _ in range(POINTS):
