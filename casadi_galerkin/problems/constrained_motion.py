@@ -217,7 +217,7 @@ def check_constraint(problem: Problem) -> None:
 
 
 def over_terms(value: ca.SX, symbols: Sequence[ca.SX], further: Sequence[ca.SX] = ()) -> ca.Function:
-    """(symbols, further) -> residuals (k,), these over `HELD` times their terms, and derivatives (k, n).
+    """(symbols, further) -> residuals (k,), these over `HELD` of their terms, and derivatives (k, n).
 
     The derivatives are those by the symbols, and a term is a symbol times the derivative by it.  The time is among the
     symbols, so that its rounding counts, too.
