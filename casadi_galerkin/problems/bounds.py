@@ -36,11 +36,11 @@ def bounds(name: str, value: Any, size: int) -> Bounds:
             raise TypeError(f"{expected}, got {given!r}") from error
         if array.shape not in ((), (size,)):
             raise ValueError(f"{expected}, got shape {array.shape}")
-        if np.any(np.isnan(array) | (array == never)):
+        if (np.isnan(array) | (array == never)).any():
             raise ValueError(f"the {side} of {name} must not be NaN, nor {never}, got {given!r}")
-        sides.append(np.broadcast_to(array, (size,)))
+        sides.append(np.full(size, array))
     low, high = sides
-    if np.any(low > high):
+    if (low > high).any():
         i = int(np.argmax(low > high))
         where = f" in component {i}" if size > 1 else ""
         raise ValueError(f"{name} must have lo <= hi, got {low[i]} and {high[i]}{where}")

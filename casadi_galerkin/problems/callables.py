@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, TypeGuard
 
 import casadi as ca
 import numpy as np
@@ -37,25 +37,12 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
     TypeError, ValueError
         naming what came and what was expected
     """
-    symbols = [ca.SX.sym(key, size) for key, size in sizes.items()]
     shapes = ", ".join(f"{key} ({size},)" if size > 1 else key for key, size in sizes.items())
     if isinstance(function, ca.Function):
         _check_function(name, function, sizes, shapes)
     elif not callable(function):
         raise TypeError(f"{name} must be a callable of ({', '.join(sizes)}), got {function!r}")
-    copies = {key: symbol[:] for key, symbol in zip(sizes, symbols, strict=True)}  # which it may change
-    value = _called(name, function, copies, shapes)
-    if isinstance(value, (list, tuple, np.ndarray)) and rows != "scalar":
-        value = _column(name, value)
-    if not isinstance(value, (ca.SX, ca.DM)) and number(value) is None:
-        raise TypeError(f"{name} must return a CasADi expression, got {type(value).__name__}: {value!r}")
-    value = ca.SX(value)
-    length = value.numel() if rows == "any" else 1 if rows == "scalar" else rows
-    if value.shape != (length, 1):
-        expected = {"any": "a column vector", "scalar": "a scalar"}.get(str(rows), f"a vector of length {rows}")
-        raise ValueError(f"{name} must return {expected}, got shape {value.shape}")
-    traced = ca.Function(name, symbols, [ca.densify(value)], list(sizes), ["value"], {"allow_free": True})
-    _refuse_free(name, traced, shapes)
+    traced = function if _is_traced(function, sizes, rows) else _traced(name, function, sizes, rows, shapes)
     kinds = [traced.instruction_id(k) for k in range(traced.n_instructions())]
     if ca.OP_CALL in kinds:
         try:
@@ -67,8 +54,37 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
         raise TypeError(
             f"{name} holds a constant that is not a number, as math.cos(x) gives for a CasADi symbol x. {ADVICE}"
         )
-    kept = isinstance(function, ca.Function) and function.is_a("SXFunction") and _layout(function) == _layout(traced)
-    return function if kept else traced
+    return traced
+
+
+def _is_traced(function: Traceable, sizes: Mapping[str, int], rows: int | Rows) -> TypeGuard[ca.Function]:
+    """Whether it is what tracing it would give: an SX Function of columns, and one column, without structural zeros."""
+    if not (isinstance(function, ca.Function) and function.is_a("SXFunction")):
+        return False
+    inputs, output = [function.sparsity_in(i) for i in range(function.n_in())], function.sparsity_out(0)
+    shapes = [(size, 1) for size in sizes.values()]
+    length = output.size1() if rows == "any" else 1 if rows == "scalar" else rows
+    dense = all(sparsity.is_dense() for sparsity in (*inputs, output))
+    return dense and [sparsity.shape for sparsity in inputs] == shapes and output.shape == (length, 1)
+
+
+def _traced(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | Rows, shapes: str) -> ca.Function:
+    """What a callable computes, as a Function of columns."""
+    symbols = [ca.SX.sym(key, size) for key, size in sizes.items()]
+    copies = {key: symbol[:] for key, symbol in zip(sizes, symbols, strict=True)}  # which it may change
+    value = _called(name, function, copies, shapes)
+    if isinstance(value, (list, tuple, np.ndarray)) and rows != "scalar":
+        value = _column(name, value)
+    if not isinstance(value, (ca.SX, ca.DM)) and number(value) is None:
+        raise TypeError(f"{name} must return a CasADi expression, got {type(value).__name__}: {value!r}")
+    value = ca.SX(value) if not isinstance(value, ca.SX) else value
+    length = value.numel() if rows == "any" else 1 if rows == "scalar" else rows
+    if value.shape != (length, 1):
+        expected = {"any": "a column vector", "scalar": "a scalar"}.get(str(rows), f"a vector of length {rows}")
+        raise ValueError(f"{name} must return {expected}, got shape {value.shape}")
+    traced = ca.Function(name, symbols, [ca.densify(value)], list(sizes), ["value"], {"allow_free": True})
+    _refuse_free(name, traced, shapes)
+    return traced
 
 
 def _check_function(name: str, function: ca.Function, sizes: Mapping[str, int], shapes: str) -> None:
@@ -81,10 +97,6 @@ def _check_function(name: str, function: ca.Function, sizes: Mapping[str, int], 
     if function.n_out() != 1:
         raise ValueError(f"{name} must be a Function of one output, got {function.n_out()}: {function.name_out()}")
     _refuse_free(name, function, shapes)
-
-
-def _layout(function: ca.Function) -> list[ca.Sparsity]:
-    return [*(function.sparsity_in(i) for i in range(function.n_in())), function.sparsity_out(0)]
 
 
 def _refuse_free(name: str, function: ca.Function, shapes: str) -> None:
@@ -136,6 +148,12 @@ def _column(name: str, values: Iterable[Any]) -> Any:
 def arguments(parameters: tuple[float, ...] | None, **sizes: int) -> dict[str, int]:
     """Lengths of the arguments of a callable by name, in order; the parameters p, where there are some, come last."""
     return sizes if parameters is None else sizes | {"p": len(parameters)}
+
+
+def of_nothing(name: str, sizes: Mapping[str, int]) -> ca.Function:
+    """A Function of no values, for a callable that is left out."""
+    symbols = [ca.SX.sym(key, size) for key, size in sizes.items()]
+    return ca.Function(name, symbols, [ca.SX(0, 1)], list(sizes), ["value"])
 
 
 def trace_if(name: str, function: Traceable | None, sizes: Mapping[str, int], rows: int | Rows) -> ca.Function | None:

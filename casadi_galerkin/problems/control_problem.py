@@ -31,7 +31,7 @@ from casadi_galerkin.problems.bounds import (
     parameter_bounds_of,
     within_rounding,
 )
-from casadi_galerkin.problems.callables import Traceable, arguments, trace, trace_if, trace_lagrangian
+from casadi_galerkin.problems.callables import Traceable, arguments, of_nothing, trace, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
 from casadi_galerkin.problems.crossings import (
     Crossing,
@@ -158,9 +158,12 @@ class ControlProblem:
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         sizes, moving = arguments(given, t=1, x=d, v=d, u=count), arguments(given, t=1, x=d, v=d)
         here, both = arguments(given, x=d, v=d), arguments(given, x0=d, v0=d, x1=d, v1=d)
-        if _is_of_none(force):
+        if _is_of_nothing(force):
             lagrangian = force = None
-        own = trace("rates", _none if rates is None or _is_of_none(rates) else rates, sizes, "any")
+        if rates is None or _is_of_nothing(rates):
+            own = of_nothing("rates", sizes)
+        else:
+            own = trace("rates", rates, sizes, "any")
         mechanical = d - own.numel_out(0)
         if mechanical < 0:
             size = counted(d, "component")
@@ -175,7 +178,7 @@ class ControlProblem:
             "lagrangian": trace_lagrangian(lagrangian or _nothing, moving, mechanical),
             "t_span": span,
             **{name: components(name, end, d) for name, end in ends.items()},
-            "force": trace("force", force or _none, sizes, mechanical),
+            "force": of_nothing("force", sizes) if force is None else trace("force", force, sizes, mechanical),
             "running_cost": trace("running_cost", running_cost, sizes, "scalar"),
             "controls": count,
             "terminal_cost": trace_if("terminal_cost", terminal_cost, moving, "scalar"),
@@ -371,13 +374,8 @@ def _nothing(*_: ca.SX) -> float:
     return 0.0
 
 
-def _none(*_: ca.SX) -> ca.SX:
-    """Forces or rates of no component."""
-    return ca.SX(0, 1)
-
-
-def _is_of_none(function: object) -> bool:
-    """Whether it is `_none`, traced, which comes back where a field of a problem is replaced."""
+def _is_of_nothing(function: object) -> bool:
+    """Whether it is `of_nothing`, which comes back where a field of a problem is replaced."""
     return isinstance(function, ca.Function) and function.n_out() == 1 and function.numel_out(0) == 0
 
 
