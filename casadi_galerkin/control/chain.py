@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
+from casadi_galerkin.functional.numbering import KEPT
 from casadi_galerkin.problems.control_problem import ControlProblem
 
 Layout = Mapping[str, tuple[int, ...]]  # the shapes of named arrays, in their order
@@ -64,19 +66,26 @@ def largest_of(values: np.ndarray, kinds: np.ndarray) -> np.ndarray:
 class Chain:
     """Numbering of ξ, and of the equations, of a control problem on N intervals.
 
+    It depends on what the problem has, but not on its callables and numbers, and is kept for the next problem like it:
+    see `chain_of`.
+
     Parameters
     ----------
-    problem : ControlProblem
     method : Galerkin
-    mesh : (N + 1,), joints, the breakpoints of the problem among them
-
-    Attributes
-    ----------
+    intervals : N
     dimension, mechanical, controls, parameters, constraints, path_constraints, conditions : numbers of components, of
         those with an equation of motion, of controls, parameters, holonomic constraints, path constraints and end
         conditions
+    terminal_cost : whether there is one
+    free : which of "durations" and "parameters" are unknowns
+    hold : whether controls are constant on every interval
     breaks : numbers of the joints at the breakpoints
-    crossed : (K,), those of them where the velocity counts, see `ControlProblem.crossings`
+    crossings : for each of those where the velocity counts, see `ControlProblem.crossings`, the number of the joint,
+        whether it has a jump, and the number of conditions
+
+    Attributes
+    ----------
+    crossed : (K,), numbers of the joints crossed
     jumped : (K,), which of these have a jump
     phases : (N,), number of the phase with a duration of its own that every interval lies in
     unknowns, equations, size : numbers of unknowns, of equations, and of entries of ξ
@@ -98,27 +107,42 @@ class Chain:
     control_times : where the controls of an interval stand, in parts of it; one value in the middle where they are held
     """
 
-    def __init__(self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray) -> None:
-        self.problem, self.method, self.intervals = problem, method, len(mesh) - 1
-        self.dimension, self.mechanical, self.controls = problem.dimension, problem.mechanical, problem.controls
-        self.parameters, self.constraints = len(problem.parameters or ()), problem.constraints
-        limited = problem.path_constraint, problem.end_conditions
-        self.path_constraints, self.conditions = (0 if given is None else len(given[1]) for given in limited)
-        self.breaks = np.searchsorted(mesh, problem.breakpoints)
-        self.crossed = np.searchsorted(mesh, [crossing.time for crossing in problem.crossings])
-        self.jumped = np.array([crossing.jump is not None for crossing in problem.crossings], dtype=bool)
-        self.conditions_there = [len((crossing.condition or ((), ()))[1]) for crossing in problem.crossings]
-        parted = self.breaks if problem.duration_bounds is not None else ()
+    def __init__(
+        self,
+        method: Galerkin,
+        *,
+        intervals: int,
+        dimension: int,
+        mechanical: int,
+        controls: int,
+        parameters: int,
+        constraints: int,
+        path_constraints: int,
+        conditions: int,
+        terminal_cost: bool,
+        free: frozenset[str],
+        hold: bool,
+        breaks: tuple[int, ...],
+        crossings: tuple[tuple[int, bool, int], ...],
+    ) -> None:
+        self.method, self.intervals, self.dimension, self.mechanical = method, intervals, dimension, mechanical
+        self.controls, self.parameters, self.constraints = controls, parameters, constraints
+        self.path_constraints, self.conditions, self.terminal_cost = path_constraints, conditions, terminal_cost
+        self._free = free
+        self.breaks = np.array(breaks, dtype=np.int64)
+        self.crossed = np.array([joint for joint, _, _ in crossings], dtype=np.int64)
+        self.jumped = np.array([jumps for _, jumps, _ in crossings], dtype=bool)
+        self.conditions_there = [count for _, _, count in crossings]
+        parted = self.breaks if "durations" in free else ()
         self.phases = np.searchsorted(parted, np.arange(self.intervals), side="right")
-        self.control_times = np.array([0.5]) if problem.hold else method.element.points
+        self.control_times = np.array([0.5]) if hold else method.element.points
         self._number_unknowns()
         self._number_equations()
 
     def _number_unknowns(self) -> None:
         n, m, d, mechanical = self.intervals, self.method.degree, self.dimension, self.mechanical
         constants = {"durations": (int(self.phases[-1]) + 1,), "parameters": (self.parameters,)}
-        bounds = {"durations": self.problem.duration_bounds, "parameters": self.problem.parameter_bounds}
-        free = {name: shape for name, shape in constants.items() if bounds[name] is not None}
+        free = {name: shape for name, shape in constants.items() if name in self._free}
         state: Layout = {"x": (d,), "momentum": (mechanical,), **free}
         chosen: Layout = {
             "nodes": (m, d),
@@ -255,3 +279,31 @@ class Chain:
         arrived = arriving[own].T + bounds[self.fields["nodes"][self.crossed - 1, -1, own]]
         before[np.isin(self.breaks, self.crossed)] = np.hstack((-multipliers[self.rows["arrival"]], arrived))
         return self._jumping(mesh, values, self.breaks, before)
+
+
+def chain_of(problem: ControlProblem, method: Galerkin, mesh: np.ndarray) -> Chain:
+    """The numbering of a problem on a mesh (N + 1,), the breakpoints of the problem among its joints."""
+    limited, crossings = (problem.path_constraint, problem.end_conditions), problem.crossings
+    path_constraints, conditions = (0 if given is None else len(given[1]) for given in limited)
+    bounded = {"durations": problem.duration_bounds, "parameters": problem.parameter_bounds}
+    crossed = np.searchsorted(mesh, [crossing.time for crossing in crossings]).tolist()
+    there = [(c.jump is not None, 0 if c.condition is None else len(c.condition[1])) for c in crossings]
+    return _kept(
+        method,
+        intervals=len(mesh) - 1,
+        dimension=problem.dimension,
+        mechanical=problem.mechanical,
+        controls=problem.controls,
+        parameters=len(problem.parameters or ()),
+        constraints=problem.constraints,
+        path_constraints=path_constraints,
+        conditions=conditions,
+        terminal_cost=problem.terminal_cost is not None,
+        free=frozenset(name for name, bounds in bounded.items() if bounds is not None),
+        hold=problem.hold,
+        breaks=tuple(np.searchsorted(mesh, problem.breakpoints).tolist()),
+        crossings=tuple((joint, *what) for joint, what in zip(crossed, there, strict=True)),
+    )
+
+
+_kept = lru_cache(KEPT)(Chain)

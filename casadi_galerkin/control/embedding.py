@@ -104,7 +104,7 @@ class ChainEmbedding:
         r, m = len(chain.method.quadrature), chain.method.degree
         self.points = Places(chain.intervals * r, along, 0)
         self.either_end = Places(2, at_end, self.points.last)
-        joined = chain.conditions > 0 or chain.problem.terminal_cost is not None
+        joined = chain.conditions > 0 or chain.terminal_cost
         self.both_ends = Places(int(joined), both, self.either_end.last)
         self.nodes = Places((chain.intervals * m + 1) * (chain.constraints > 0), at_node, self.both_ends.last)
         crossing, first = {"x": d, "velocity": mechanical, **when, "sizes": mechanical}, self.nodes.last
@@ -116,6 +116,38 @@ class ChainEmbedding:
         """Kinds of places that there are."""
         kinds = (self.points, self.either_end, self.both_ends, self.nodes, *self.crossings)
         return [place for place in kinds if place.count]
+
+    @property
+    def with_costs(self) -> list[int]:
+        """Numbers of the kinds of places that have a cost: the points, and both ends where there is a terminal cost."""
+        return [0, 2] if self.chain.terminal_cost else [0]
+
+    @lazy
+    def _returned(self) -> list[Places]:
+        """What the pointwise functions return at all kinds of places, whether there are such places or not.
+
+        At a quadrature point these are f and g of the mechanical components, the defects of the others, and the path
+        constraints; at either end ∂L/∂v and the rate of the constraint; the conditions on both; at the nodes it and
+        its impulse; at the joints crossed x after, ∂L/∂v before and after, and the condition.
+        """
+        chain, dm, found, first = self.chain, self.chain.mechanical, list[Places](), 0
+        along = {"f": dm, "g": dm, "defect": chain.dimension - dm, "path": chain.path_constraints}
+        crossed = {"x": chain.dimension, "before": dm, "after": dm}
+        for place, rows in (
+            (self.points, along),
+            (self.either_end, {"momentum": dm, "tangent": chain.constraints}),
+            (self.both_ends, {"conditions": chain.conditions}),
+            (self.nodes, {"constraint": chain.constraints, "push": dm}),
+            *zip(self.crossings, ({**crossed, "condition": k} for k in chain.conditions_there), strict=True),
+        ):
+            found.append(Places(place.count, rows, first))
+            first = found[-1].last
+        return found
+
+    @property
+    def returned(self) -> list[Places]:
+        """What the pointwise functions return at the kinds of places that there are."""
+        return [place for place in self._returned if place.count]
 
     @lazy
     def matrix(self) -> ca.DM:
@@ -157,7 +189,7 @@ class ChainEmbedding:
                 (place.row("velocity"), f["velocity"][i], 1.0),
                 *self._along(place, np.array([before]), np.ones(1)),
             ]
-        return sparse(triplets, (sum(place.count * place.width for place in self.places), self.chain.size))
+        return sparse(triplets, (self.places[-1].last, self.chain.size))
 
     def _along(self, place: Places, interval: np.ndarray, share: np.ndarray) -> list[Triplet]:
         """Entries of A for the times of places, given as intervals (K,) and parts of these (K,); p and S there."""
@@ -178,7 +210,7 @@ class ChainEmbedding:
         """For every kind of place, which of its rows depend on unknowns."""
         depends = np.zeros(self.matrix.shape[0], dtype=bool)
         depends[self.matrix[:, : self.chain.unknowns].sparsity().row()] = True
-        parts = np.split(depends, np.cumsum([place.count * place.width for place in self.places])[:-1])
+        parts = np.split(depends, [place.last for place in self.places[:-1]])
         return [
             np.flatnonzero(part.reshape(place.count, -1).any(axis=0))
             for part, place in zip(parts, self.places, strict=True)
@@ -200,23 +232,14 @@ class ChainEmbedding:
 
     @lazy
     def test(self) -> ca.DM:
-        """Θᵀ: what the pointwise functions return, at all places x equations.
-
-        At a quadrature point these are f and g of the mechanical components, the defects of the others, and the path
-        constraints; at either end ∂L/∂v and the rate of the constraint; the conditions on both; at the nodes it and
-        its impulse; at the joints crossed x after, ∂L/∂v before and after, and the condition.
-        """
+        """Θᵀ: what the pointwise functions return, at all places x equations."""
         chain, rows, m = self.chain, self.chain.rows, self.chain.method.degree
         n, dm, element = chain.intervals, chain.mechanical, chain.method.element
-        along = {"f": dm, "g": dm, "defect": chain.dimension - dm, "path": chain.path_constraints}
-        points = Places(self.points.count, along, 0)
-        either_end = Places(2, {"momentum": dm, "tangent": chain.constraints}, points.last)
-        both_ends = Places(self.both_ends.count, {"conditions": chain.conditions}, either_end.last)
-        nodes = Places(self.nodes.count, {"constraint": chain.constraints, "push": dm}, both_ends.last)
+        points, either_end, both_ends, nodes, *crossings = self._returned
         weights, sign = element.weights[:, None], np.append(np.ones(m), -1.0)
         tests = weights * lagrange_values(np.array(gauss(m).points), element.points)
         works = np.concatenate((rows["motion"], chain.arrivals[:, None]), axis=1)[:, None]  # (N, 1, m + 1, dm)
-        at_points = {name: points.row(name).reshape(n, len(weights), -1) for name in along}
+        at_points = {name: points.row(name).reshape(n, len(weights), -1) for name in points.rows}
         triplets: list[Triplet] = [
             (at_points["f"][:, :, None], works, (weights * element.values * sign)[None, :, :, None]),
             (at_points["g"][:, :, None], works, (weights * element.slopes * sign)[None, :, :, None]),
@@ -234,13 +257,11 @@ class ChainEmbedding:
                 (nodes.row("constraint"), of_constraint, 1.0),
                 (nodes.row("push"), np.vstack((rows["start"], later)), signs),
             ]
-        last = nodes.last
-        for i, joint in enumerate(chain.crossed.tolist()):
+        for i, (place, joint) in enumerate(zip(crossings, chain.crossed.tolist(), strict=True)):
             after = [rows["x"][joint - 1], rows["arrival"][i], rows["momentum"][joint - 1], rows[f"waypoint {i}"]]
             signs = np.repeat([-1.0, 1.0, -1.0, 1.0], [len(part) for part in after])
-            triplets.append((last + np.arange(len(signs)), np.concatenate(after), signs))
-            last += len(signs)
-        return sparse(triplets, (last, chain.equations))
+            triplets.append((place.first + np.arange(place.width), np.concatenate(after), signs))
+        return sparse(triplets, (self._returned[-1].last, chain.equations))
 
     @lazy
     def linear(self) -> ca.DM:

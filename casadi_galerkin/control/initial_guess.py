@@ -40,7 +40,7 @@ def first_values(
         path_guess, control_guess = _of_answer(guess, near, chain, calculus, everywhere)
     path = _path(problem, calculus, path_guess)
     nodes = path[1:].reshape(n, degree, -1).copy()
-    arrived, arriving = _arrivals(chain, calculus, everywhere, guess, path)
+    arrived, arriving = _arrivals(problem, chain, calculus, everywhere, guess, path)
     nodes[chain.crossed - 1, -1] = arrived
     durations, parameters = np.diff(of_phases), np.array(problem.parameters or ())
     if not isinstance(guess, ControlTrajectory):
@@ -94,7 +94,12 @@ def _of_answer(
 
 
 def _arrivals(
-    chain: Chain, calculus: DiscreteCalculus, now: np.ndarray, guess: Guess | None, path: np.ndarray
+    problem: ControlProblem,
+    chain: Chain,
+    calculus: DiscreteCalculus,
+    now: np.ndarray,
+    guess: Guess | None,
+    path: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions and velocities before the joints crossed: those of an earlier answer, else as if it did not jump."""
     nodes, times = chain.crossed * chain.method.degree, calculus.node_times
@@ -102,7 +107,7 @@ def _arrivals(
     velocities = ((found - path[nodes - 1]) / (times[nodes] - times[nodes - 1])[:, None])[:, :dm]
     if len(nodes) and isinstance(guess, ControlTrajectory):
         at = between_marks(times[nodes], now, marks(guess.problem))
-        found = np.clip(found + (guess.before(at) - guess(at)).T, *chain.problem.position_bounds)
+        found = np.clip(found + (guess.before(at) - guess(at)).T, *problem.position_bounds)
         velocities = guess.arrival_velocity if guess.arrival_velocity.shape == velocities.shape else velocities
     return found, velocities
 

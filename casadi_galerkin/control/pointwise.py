@@ -16,11 +16,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.control.assembly import Pattern, pattern_of
 from casadi_galerkin.control.embedding import ChainEmbedding, Places
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.pointwise import pulled_back
@@ -56,31 +58,24 @@ class PointwiseTerms:
     def _by(self) -> ca.SX:
         return self.z[self.active.tolist()]
 
-    def _function(self, inputs: list[ca.SX], output: ca.SX) -> Callable[..., ca.MX]:
-        if output.nnz() == 0:  # as of the cost at all places but few
-            return lambda *_: ca.MX(output.numel(), self.count)
-        function = ca.Function("terms", inputs, [ca.densify(output)])
-        evaluated: Callable[..., ca.MX] = self.mapping(function, self.count, ())
+    def _function(self, inputs: list[ca.SX], *outputs: ca.SX) -> Callable[..., Any]:
+        """A Function of one place, evaluated at all of them."""
+        if not any(output.nnz() for output in outputs):  # as of second derivatives of what is linear
+            return lambda *_: ca.MX(outputs[0].numel(), self.count)
+        dense = [output if output.is_dense() else ca.densify(output) for output in outputs]
+        function = ca.Function("terms", inputs, dense)
+        evaluated: Callable[..., Any] = self.mapping(function, self.count, ())
         return evaluated
-
-    def _weighted(self, output: ca.SX) -> Callable[..., ca.MX]:
-        weight = ca.SX.sym("weight")
-        return self._function([self.z, weight], weight * output)
 
     @lazy
     def value(self) -> Callable[..., ca.MX]:
-        """(z, weight) -> weighted cost, one per place."""
-        return self._weighted(self.cost)
-
-    @lazy
-    def weighted_action(self) -> Callable[..., ca.MX]:
-        """(z, weight) -> weighted action, one per place."""
-        return self._weighted(self.action)
+        """Cost of (z), one per place."""
+        return self._function([self.z], self.cost)
 
     @lazy
     def gradient(self) -> Callable[..., ca.MX]:
-        """(z, weight) -> weighted gradient of the cost."""
-        return self._weighted(ca.gradient(self.cost, self._by))
+        """Gradient of the cost, of (z)."""
+        return self._function([self.z], ca.gradient(self.cost, self._by))
 
     @lazy
     def equations(self) -> Callable[..., ca.MX]:
@@ -92,9 +87,9 @@ class PointwiseTerms:
         return ca.jacobian(self.rows, self._by)
 
     @property
-    def jacobian_pattern(self) -> ca.Sparsity:
+    def jacobian_pattern(self) -> Pattern:
         """Pattern of the derivatives of the rows at one place."""
-        return self._jacobian.sparsity()
+        return pattern_of(self._jacobian)
 
     @lazy
     def jacobian(self) -> Callable[..., ca.MX]:
@@ -112,9 +107,9 @@ class PointwiseTerms:
         return ca.hessian(self._lagrangian[1], self._by)[0]
 
     @property
-    def hessian_pattern(self) -> ca.Sparsity:
+    def hessian_pattern(self) -> Pattern:
         """Pattern of the second derivatives at one place."""
-        return self._hessian.sparsity()
+        return pattern_of(self._hessian)
 
     @lazy
     def hessian(self) -> Callable[..., ca.MX]:
@@ -127,10 +122,10 @@ class PointwiseTerms:
         inputs, value = self._lagrangian
         return self._function(inputs, ca.gradient(value, self._by))
 
-    def derivative(self, row: int) -> Callable[..., ca.MX]:
-        """(z, weight, multipliers) -> derivative of the Lagrangian by one row of z."""
+    def action_and_derivative(self, row: int) -> Callable[..., tuple[ca.MX, ca.MX]]:
+        """(z, weight, multipliers) -> action, and derivative of the Lagrangian by one row of z."""
         inputs, value = self._lagrangian
-        return self._function(inputs, ca.jacobian(value, self.z[row]))
+        return self._function(inputs, self.action, ca.jacobian(value, self.z[row]))
 
 
 def places(problem: ControlProblem, embedding: ChainEmbedding, mapping: PointMap) -> list[PointwiseTerms]:
@@ -165,7 +160,8 @@ def _at_points(problem: ControlProblem, *at: ca.SX) -> Terms:
     action = pulled_back(problem.lagrangian, t, h, x, slope, *given)
     work, momentum = (ca.gradient(action, by)[mechanical, 0] for by in (x, slope))
     rows = [(work + h * problem.force(*state)) / sizes, momentum / sizes]
-    rows.append(slope[others, 0] - h * problem.rates(*state))
+    if problem.mechanical < problem.dimension:
+        rows.append(slope[others, 0] - h * problem.rates(*state))
     if problem.path_constraint is not None:
         rows.append(problem.path_constraint[0](*state))
     return {"rows": ca.vertcat(*rows), "cost": h * problem.running_cost(*state), "action": action}
@@ -215,4 +211,4 @@ def _momentum(problem: ControlProblem, t: ca.SX, state: tuple[ca.SX, ca.SX], giv
 
 def _filled(v: ca.SX, x: ca.SX) -> ca.SX:
     """Velocities of all components; zero, which nothing may depend on, where a component follows a rate."""
-    return ca.vertcat(v, ca.SX(x.numel() - v.numel(), 1))
+    return v if v.numel() == x.numel() else ca.vertcat(v, ca.SX(x.numel() - v.numel(), 1))

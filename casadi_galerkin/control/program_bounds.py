@@ -110,9 +110,9 @@ def check_count(chain: Chain, bounds: ProgramBounds) -> None:
         )
 
 
-def check_stages(chain: Chain, bounds: ProgramBounds) -> None:
+def check_stages(problem: ControlProblem, chain: Chain, bounds: ProgramBounds) -> None:
     """Refuse what fatrop cannot take apart into stages, or takes for an error when it runs."""
-    conditions = chain.problem.end_conditions
+    conditions = problem.end_conditions
     if conditions is not None and any(conditions[0].sparsity_jac(k, 0).nnz() for k in (0, 1)):
         raise ValueError(
             "fatrop takes end_conditions on the end alone, stage by stage: give what is known of the start as "

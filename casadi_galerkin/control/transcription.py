@@ -21,7 +21,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.attempts import AS_GUESSED, Beginning, or_from_other_beginnings, or_with_ipopt
-from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.control.chain import chain_of
 from casadi_galerkin.control.constraint_violation import FEASIBLE, violations
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
 from casadi_galerkin.control.graph import ControlGraph
@@ -104,7 +104,7 @@ class ControlTranscription:
         if problem.constraint is not None:
             refuse_points(method)
         _check_steps(mesh)
-        self.chain = Chain(problem, method, mesh)
+        self.chain = chain_of(problem, method, mesh)
         self.calculus = DiscreteCalculus(method, mesh)
         self.graph = ControlGraph(problem, self.chain, mapping)
         self.bounds = bounds_of(problem, self.chain)
@@ -283,14 +283,13 @@ class ControlTranscription:
         rows = report.equations[np.vstack((chain.rows["motion"][:, 0], chain.rows["momentum"][-1:]))]
         momentum = -rows if near is None else near.momentum[: chain.mechanical].T
         values["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0) / values["sizes"]
-        units = chain.units(values["sizes"])
-        duals = () if near is None else (near.duals[1], near.duals[0] * units)
+        duals = () if near is None else (near.duals[1], near.duals[0] * chain.units(values["sizes"]))
         return StartingPoint(values, duals, largest)
 
     def program(self, solver: Solver, warm: bool, verbose: int) -> ca.Function:
         """Build the solver for this program."""
         if solver.name == fatrop.name:
-            check_stages(self.chain, self.bounds)
+            check_stages(self.problem, self.chain, self.bounds)
             return with_fatrop(self.graph, verbose, solver.options)
         return with_ipopt(self.graph, warm, verbose, solver.options)
 
