@@ -92,7 +92,9 @@ def or_from_other_beginnings(
             if not failures:
                 raise  # elsewhere than at the guess, a callable need not be finite
         else:
-            told = f"{path.solver}, from {beginning}" if failures else path.solver
+            if not failures:
+                return path
+            told = f"{path.solver}, from {beginning}"
             iterations = path.iterations + sum(failure.iterations for failure in failures)
             return replace(path, solver=told, iterations=iterations)
         tried.append(str(beginning))

@@ -100,6 +100,7 @@ class Chain:
         "ends"; "arrival" (K, mechanical) are the momenta that arrive at the joints crossed, "waypoint 0" and so on the
         functions there
     arrivals : (N, mechanical), equations of the momenta that the intervals end with
+    departures : (N + 1, mechanical), equations of the momenta that the intervals begin with, and of the last one
     kinds, unknown_kinds : (equations,), equal where equations compare the same quantities, and (unknowns,), where
         unknowns are values of the same quantity
     motions : slice of the kinds that are equations of motion
@@ -193,6 +194,7 @@ class Chain:
         self.rows = rows | {name: rows[name][0] for name in (*at_start, *at_end, *waypoints)}
         self.arrivals = rows["momentum"].copy()
         self.arrivals[self.crossed - 1] = rows["arrival"]
+        self.departures = np.vstack((rows["motion"][:, 0], rows["momentum"][-1:]))
         self.equations = n * length(tied) + sum(map(length, further))
         self.stages = [(*width, length(other)) for width, other in zip(self._widths, further, strict=True)]
         motions = ["momentum", "motion", "start", "end", "arrival"]

@@ -24,7 +24,7 @@ def measures(chain: Chain, bounds: ProgramBounds, report: Report, before: np.nda
     condition on the ends by the sizes of what its value is made of, |∇g||z|, or its finite bound.
     """
     sizes = np.where(report.sizes <= VANISHED * before, before, report.sizes)
-    stated = chain.largest(_stated(bounds.equations_lower, bounds.equations_upper))
+    stated = chain.largest(bounds.sizes[1])
     sizes = np.fmax(np.where(sizes > NOTHING, sizes, 0.0), stated)
     return np.asarray(np.where(sizes > 0, sizes, 1.0)[chain.kinds])
 
@@ -41,14 +41,9 @@ def violations(
     excess = _excess(report.equations, bounds.equations_lower, bounds.equations_upper)
     outside = _excess(unknowns, bounds.lower, bounds.upper)
     kinds = chain.unknown_kinds
-    sizes, stated = largest_of(np.abs(unknowns), kinds), largest_of(_stated(bounds.lower, bounds.upper), kinds)
+    sizes, stated = largest_of(np.abs(unknowns), kinds), largest_of(bounds.sizes[0], kinds)
     sizes = np.where(sizes > NOTHING, sizes, stated)[kinds]
     return np.concatenate((excess / measures(chain, bounds, report, before), outside / np.where(sizes > 0, sizes, 1.0)))
-
-
-def _stated(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Sizes of the bounds that are finite."""
-    return np.fmax(*(np.where(np.isfinite(side), np.abs(side), 0.0) for side in (low, high)))
 
 
 def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

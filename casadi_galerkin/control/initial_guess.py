@@ -138,7 +138,7 @@ def _resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
 def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None) -> np.ndarray:
     """Node values (N m + 1, d) that meet the fixed ends and keep within bounds."""
     if guess is None:
-        values = np.tile(_resting(*problem.position_bounds), (len(calculus.node_times), 1))
+        values = np.full((len(calculus.node_times), problem.dimension), _resting(*problem.position_bounds))
     else:
         values = guess_values(guess, calculus, problem.dimension).T
     ends = np.array([problem.start, problem.end], dtype=float)  # NaN for None
@@ -149,12 +149,11 @@ def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | No
 
 def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus, guess: Values | None) -> np.ndarray:
     """Controls (N, points, n) within bounds, from a callable of time or an array at the points where they stand."""
+    if guess is None:
+        return np.full((chain.intervals, len(chain.control_times), chain.controls), _resting(*problem.control_bounds))
     name, times = "the guess of the controls", times_at(calculus.mesh, chain.control_times)
     shape = (chain.controls, len(times))
-    if guess is None:
-        values = np.tile(_resting(*problem.control_bounds)[:, None], len(times))
-    else:
-        values = sampled(name, guess, times, shape[0]) if callable(guess) else real_array(name, guess)
+    values = sampled(name, guess, times, shape[0]) if callable(guess) else real_array(name, guess)
     if values.shape != shape:
         where = "in the intervals" if problem.hold else "at the quadrature points"
         raise ValueError(f"{name} must have the shape {shape} for values {where}, got {values.shape}")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -26,6 +27,12 @@ class ProgramBounds:
     def sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """All of them."""
         return self.lower, self.upper, self.equations_lower, self.equations_upper
+
+    @lazy
+    def sizes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Sizes of those that are finite, of the unknowns and of the equations."""
+        finite = [np.where(np.isfinite(side), np.abs(side), 0.0) for side in self.sides]
+        return np.fmax(*finite[:2]), np.fmax(*finite[2:])
 
     def narrowed(self, relaxed: float) -> ProgramBounds:
         """Bounds that become these where a solver relaxes every bound b by this part of max(1, |b|)."""

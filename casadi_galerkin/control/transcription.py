@@ -165,7 +165,7 @@ class ControlTranscription:
         check_verbose(verbose)
         calculus = self.calculus if mesh is None else self._remeshed(mesh)
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
-        span = float(calculus.mesh[0]), float(calculus.mesh[-1])
+        span = None if mesh is None else (float(calculus.mesh[0]), float(calculus.mesh[-1]))
         problem = self.problem.varied({**ends, "parameters": parameters}, span)
 
         def solved(beginning: Beginning) -> ControlTrajectory:
@@ -200,7 +200,8 @@ class ControlTranscription:
         began: float,
     ) -> ControlTrajectory:
         """What one solver finds from a starting point, verified."""
-        chain, bounds = self.chain, with_ends(self.bounds, problem, self.chain)
+        chain = self.chain
+        bounds = self.bounds if problem is self.problem else with_ends(self.bounds, problem, chain)
         unknowns, data = chain.pack(start.values)
         way = self._kept_program(solver, bool(start.duals), verbose)
         optimum = optimize(way, unknowns, data, bounds.narrowed(RELAXED[solver.name]), *start.duals)
@@ -222,7 +223,7 @@ class ControlTranscription:
         found = problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints)
         others = np.zeros((chain.dimension - mechanical, len(joints)))
         momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
-        rates = path.at_parts(np.array([0.0, 1.0]))[1][mechanical:, [0, -1], [0, 1]].T
+        rates = path.at_parts(np.array([0.0, 1.0]))[1][mechanical:, [0, -1], [0, 1]].T if len(others) else others.T
         return ControlTrajectory(
             polynomial=path,
             momentum=tangent_at_joints(found, path, momentum),
@@ -280,8 +281,7 @@ class ControlTranscription:
         sizes = _telling(largest[chain.motions], TOLERANCE)
         values["sizes"] = np.where(sizes > 0, sizes, 1.0)
         largest[chain.motions] /= values["sizes"]
-        rows = report.equations[np.vstack((chain.rows["motion"][:, 0], chain.rows["momentum"][-1:]))]
-        momentum = -rows if near is None else near.momentum[: chain.mechanical].T
+        momentum = -report.equations[chain.departures] if near is None else near.momentum[: chain.mechanical].T
         values["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0) / values["sizes"]
         duals = () if near is None else (near.duals[1], near.duals[0] * chain.units(values["sizes"]))
         return StartingPoint(values, duals, largest)

@@ -258,9 +258,10 @@ class ControlProblem:
     def varied(self, changes: Mapping[str, Any], t_span: Sequence[float] | None = None) -> ControlProblem:
         """Copy with other ends, velocities or parameters, by name, and other times; see `BoundaryProblem.varied`."""
         other = with_changes(self, changes, t_span)
-        other._meet_bounds()
-        other._check_ends()
-        other._check_guesses()
+        if other is not self:
+            other._meet_bounds()
+            other._check_ends()
+            other._check_guesses()
         return other
 
     def _check_dependence(self) -> None:

@@ -290,6 +290,16 @@ def test_a_lagrangian_of_the_velocity_of_a_rate_is_refused():
         )
 
 
+def test_what_does_not_change_is_neither_traced_nor_checked_again():
+    problem = double_integrator(start=[0.5], position_bounds=(0.0, 1.0))
+    other = replace(problem, end=[0.25])
+    assert (other.lagrangian, other.force) == (problem.lagrangian, problem.force)
+    assert problem.varied({"start": [0.5], "end": None}) is problem
+    assert problem.varied({"start": [0.25]}).start == (0.25,)
+    with pytest.raises(ValueError, match=r"start\[0\] = 2.0 lies outside its position_bounds"):
+        problem.varied({"start": [2.0]})
+
+
 def test_fields_of_problems_with_and_without_rates_are_replaced():
     changes = {"force": lambda t, x, v, u: u[0] + u[1], "running_cost": lambda t, x, v, u: ca.dot(u, u)}
     assert replace(double_integrator(), controls=2, control_bounds=(-1, 1), **changes).controls == 2
