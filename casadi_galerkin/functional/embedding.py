@@ -103,7 +103,7 @@ def gathered(numbering: Numbering, entries: np.ndarray, values: ca.MX) -> ca.MX:
     unknown = np.flatnonzero(entries < numbering.free)
     rows, columns = entries[unknown].tolist(), unknown.tolist()
     selection = ca.DM(ca.Sparsity.triplet(numbering.free, len(entries), rows, columns), 1.0)
-    return ca.mtimes(ca.MX(selection), ca.vec(values))
+    return ca.densify(ca.mtimes(ca.MX(selection), ca.vec(values)))  # an unknown that has none has a zero
 
 
 def _slopes(numbering: Numbering) -> list[ca.MX]:

@@ -1,11 +1,12 @@
-"""The stationarity conditions ∇S(ξ) = 0 of one discrete functional: all that Newton's method needs, in three Functions.
+"""The stationarity conditions ∇S(ξ) = 0 of one discrete functional: all that Newton's method needs, in three steps.
 
     newton_step      ξ, data                                 ->  ∇S, ∇²S; step, softest_direction, sizes, norm
     simplified_step  ξ, data, ∇²S, step, sizes, damping      ->  simplified, length, nonlinearity
     verification     ξ, data, ∇²S, softest_direction         ->  S, momenta, residual, regularity
 
-They are Functions of the functional's one graph.  The `Stationarity` holds them; nobody writes to it, so it may be
-shared.  The arrays that a solve writes belong to a `Linearization`, which one solve has for itself: what the first
+In each of them a Function of the functional's one graph evaluates, and one of the `LinearSolver`, which serves all
+Lagrangians whose ∇²S has the same sparsity, solves or measures.  The `Stationarity` holds both; nobody writes to it, so
+it may be shared.  The arrays that a solve writes belong to a `Linearization`, which one solve has for itself: what one
 Function writes is where the others read.
 """
 
@@ -92,46 +93,6 @@ class Stationarity:
             lent.methods = (linear_solver,) if linear_solver else self.linear_methods
             yield lent
 
-    def newton_step(self, method: str) -> ca.Function:
-        """(ξ, data) -> ∇S, ∇²S, and what `LinearSolver.newton_step` gives."""
-
-        def parts() -> Parts:
-            matrix, gradient = self.functional.derivatives
-            known = {"matrix": matrix, "gradient": gradient}
-            return self._solved({}, known, self.linear_solver.newton_step(method))
-
-        return self.functional.keep(f"newton_step {method}", parts)
-
-    def simplified_step(self, method: str) -> ca.Function:
-        """(ξ, data, matrix, step, sizes, damping) -> ∇S, and what `LinearSolver.simplified_step` gives."""
-
-        def parts() -> Parts:
-            inputs = self.linear_solver.symbols("matrix", "step", "sizes", "damping")
-            known = {"gradient": self.functional.gradient}
-            return self._solved(inputs, known, self.linear_solver.simplified_step(method))
-
-        return self.functional.keep(f"simplified_step {method}", parts)
-
-    def _solved(self, inputs: dict[str, ca.MX], known: dict[str, ca.MX], solver: ca.Function) -> Parts:
-        """Join an evaluation of the graph with what is solved from it."""
-        available = known | inputs | {"u": self.functional.u}
-        found = solver.call([available[solver.name_in(i)] for i in range(solver.n_in())])
-        outputs = known | dict(zip(solver.name_out(), found, strict=True))
-        return inputs, list(outputs), list(outputs.values())
-
-    @property
-    def verification(self) -> ca.Function:
-        """(ξ, data, matrix, softest_direction) -> (action, momentum, residual, regularity)."""
-
-        def parts() -> Parts:
-            inputs = self.linear_solver.symbols("matrix", "softest_direction")
-            matrix, softest = inputs.values()
-            action, momentum, gradient, terms = self.functional.first_variation
-            judged = self.linear_solver.verification(gradient, matrix, self.functional.u, terms, softest)
-            return inputs, ["action", "momentum", "residual", "regularity"], [action, momentum, *judged]
-
-        return self.functional.keep("verification", parts)
-
     @property
     def floor(self) -> ca.Function:
         """(ξ, data) -> gradient ∇S, and floor, the roundoff floor of every entry of it."""
@@ -164,7 +125,9 @@ class Linearization:
     def __init__(self, stationarity: Stationarity) -> None:
         self.stationarity = stationarity
         self.methods: tuple[str, ...] = METHODS
-        self._arrays: dict[str, np.ndarray] = {}
+        numbering = stationarity.functional.numbering
+        u, free, end = np.zeros(numbering.size), numbering.free, numbering.size - len(numbering.fixed_end)
+        self._arrays: dict[str, np.ndarray] = {"u": u, "unknowns": u[:free], "start": u[free:end], "end": u[end:]}
         self._evaluators: dict[tuple[str, ...], Evaluator] = {}
         self._inputs = list(stationarity.functional.symbols)[1:]
         self._kept: dict[str, Any] = {}
@@ -200,27 +163,26 @@ class Linearization:
         self._evaluators[key] = Evaluator(function, self._arrays)
         return self._evaluators[key]
 
-    def _run(self, evaluator: Evaluator, unknowns: np.ndarray, data: Data) -> None:
-        """Evaluate a Function of (ξ, data, ...) at a point."""
+    def _evaluate(self, name: str, unknowns: np.ndarray, data: Data) -> None:
+        """Evaluate one of the functional's own Functions on the arrays of the names of its inputs and outputs."""
+        evaluator = self._evaluators.get((name,)) or self._bind((name,), self.stationarity.functional.function(name))
         if data is not self._data:  # the same tuple in all iterations
             self._data = None  # an interrupt may come between two arrays
-            for name, values in zip(self._inputs, data, strict=True):
-                self._arrays[name][:] = values
+            for key, values in zip(self._inputs, data, strict=True):
+                self._arrays[key][:] = values
             self._data = data
         self._arrays["unknowns"][:] = unknowns
         evaluator.run()
 
-    def _solve(
-        self, build: Callable[[str], ca.Function], unknowns: np.ndarray, data: Data, step: str, *measures: str
-    ) -> None:
-        """Evaluate and solve by the first method that succeeds; the measures are NaN where none does."""
+    def _solve(self, build: Callable[[str], ca.Function], step: str, *measures: str) -> None:
+        """Solve by the first method that succeeds; the measures are NaN where none does."""
         arrays = self._arrays
         for method in self.methods:
             key = build.__name__, method
             evaluator = self._evaluators.get(key) or self._bind(key, build(method))
             for name in (*measures, "defect") if method != METHODS[0] else ():
                 arrays[name][:] = np.nan  # what stays where CasADi's QR gives up
-            self._run(evaluator, unknowns, data)
+            evaluator.run()
             if arrays["defect"][0] <= 0:
                 return
             if not np.isfinite(self.gradient).all():
@@ -230,16 +192,13 @@ class Linearization:
             for name in measures:
                 arrays[name][:] = np.nan
 
-    def _evaluated(self, name: str, build: Callable[[], ca.Function], unknowns: np.ndarray, data: Data) -> None:
-        """Evaluate a Function on the arrays of the names of its inputs and outputs."""
-        self._run(self._evaluators.get((name,)) or self._bind((name,), build()), unknowns, data)
-
     def newton_step(self, unknowns: np.ndarray, data: Data) -> Iterate:
         """The Newton step and its measures; its norm is NaN where the Hessian is singular to the last digit.
 
         `matrix` is then ∇²S at this point.
         """
-        self._solve(self.stationarity.newton_step, unknowns, data, "step", "norm")
+        self._evaluate("derivatives", unknowns, data)
+        self._solve(self.stationarity.linear_solver.newton_step, "step", "norm")
         arrays = self._arrays
         left = arrays["matrix"].copy(), arrays["softest_direction"].copy()
         return Iterate(unknowns, arrays["step"].copy(), arrays["sizes"].copy(), arrays["norm"].item(), *left)
@@ -250,7 +209,7 @@ class Linearization:
 
     def relinearize(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Evaluate ∇S and ∇²S, which `gradient` and `matrix` then are; returns a copy of ∇S."""
-        self._evaluated("derivatives", lambda: self.stationarity.functional.function("derivatives"), unknowns, data)
+        self._evaluate("derivatives", unknowns, data)
         return self.gradient.copy()
 
     def simplified_step(
@@ -265,13 +224,16 @@ class Linearization:
         """
         for name, value in (("step", at.step), ("sizes", at.sizes), ("damping", damping)):
             self._array(name, np.size(value))[:] = value
-        self._solve(self.stationarity.simplified_step, unknowns, data, "simplified", "length", "nonlinearity")
+        self._evaluate("gradient", unknowns, data)
+        self._solve(self.stationarity.linear_solver.simplified_step, "simplified", "length", "nonlinearity")
         found, length, nonlinearity = (self._arrays[name] for name in ("simplified", "length", "nonlinearity"))
         return found.copy(), length.item(), nonlinearity.item()
 
     def verification(self, unknowns: np.ndarray, data: Data) -> tuple[float, np.ndarray, float, float]:
         """S, momenta at the joints, residual and regularity; Hessian and softest direction are of the last iterate."""
-        self._evaluated("verification", lambda: self.stationarity.verification, unknowns, data)
+        self._evaluate("summary", unknowns, data)
+        key = ("verification",)
+        (self._evaluators.get(key) or self._bind(key, self.stationarity.linear_solver.verification)).run()
         names = "action", "momentum", "residual", "regularity"
         action, momentum, residual, regularity = (self._arrays[name] for name in names)
         return action.item(), momentum.copy(), residual.item(), regularity.item()
@@ -286,7 +248,7 @@ class Linearization:
     def weight_inertia(self, unknowns: np.ndarray, data: Data, factor: float) -> None:
         """Evaluate ∇²S with ∂²L/∂v² times a factor; a large one makes ∇²S positive definite where ∂²L/∂v² is."""
         self._array("inertia", 1)[:] = factor
-        self._evaluated("heavier", lambda: self.stationarity.functional.function("heavier"), unknowns, data)
+        self._evaluate("heavier", unknowns, data)
 
     def solve(self, *rhs: np.ndarray, transposed: bool = False) -> list[np.ndarray]:
         """Solutions of ∇²S y = -b, or (∇²S)ᵀ y = -b, with the last `matrix`; not finite where that is singular."""
