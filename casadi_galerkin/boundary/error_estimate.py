@@ -12,7 +12,7 @@ import numpy as np
 from casadi_galerkin.boundary.graph import BoundaryGraph, CriticalPoint
 from casadi_galerkin.calculus.mesh_adaptation import largest_change
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
+from casadi_galerkin.calculus.roundoff import EPS, TINY
 
 ROUGHLY_ALIKE = 0.95  # agreement below which a given mesh does not resolve the variations
 SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
@@ -81,7 +81,7 @@ def agreement(
         return 1.0  # nothing can vary
     unknowns, data = graph.on_path(path)
     with graph.stationarity.linearization() as at:
-        at.newton_step(unknowns, data)  # built for the solver already
+        at.relinearize(unknowns, data)
         forces = _generic_forces(graph, path)
         varied = at.refined(unknowns, data, *forces) if refined else at.solve(*forces)
     of_lower = _joined(graph, path, varied)
@@ -99,10 +99,9 @@ def _generic_forces(graph: BoundaryGraph, path: PiecewisePolynomial) -> np.ndarr
     of_nodes = np.append(np.outer(steps, weights[:-1]), 0.0)
     of_nodes[graph.method.degree :: graph.method.degree] += steps * weights[-1]
     phases = np.arange(len(path.values))[:, None] + 3 * (times - times[0]) / (times[-1] - times[0])
-    forces = np.cos(np.multiply.outer(np.arange(1, FORCES + 1), phases)) / component_sizes(path.values)[:, None]
+    forces = np.cos(np.multiply.outer(np.arange(1, FORCES + 1), phases)) / path.sizes[:, None]
     works = np.zeros((FORCES, numbering.size))
-    for work, force in zip(works, forces * of_nodes, strict=True):
-        np.add.at(work, numbering.of_nodes.T, force)  # a periodic path has one end
+    np.add.at(works.T, numbering.of_nodes, (forces * of_nodes).T)  # a periodic path has one end
     return works[:, : numbering.free]
 
 

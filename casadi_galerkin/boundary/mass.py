@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.legendre_transform import degenerate, refuse_degenerate
@@ -23,11 +24,11 @@ def check_mass(problem: BoundaryProblem) -> None:
     start, end = (np.array([x or 0.0 for x in end]) for end in (problem.start, problem.end))
     rise, size, span = end - start, component_sizes(np.array([start, end]).T), last - first
     bend = size * np.cos(1.0 + np.arange(len(start)))
-    given = [] if problem.parameters is None else [problem.parameters]
+    given, evaluator = [] if problem.parameters is None else [problem.parameters], Evaluator(derived.derivatives)
     for share in GENERIC:
         t, x, slope = first + share * span, start + share * (rise + bend), rise + (1 - share) * bend
-        blocks = derived.derivatives.call([t, span, x, slope, *given])[3:]
-        mass = derived.mass([np.array(block) for block in blocks])[0] * span
+        blocks = evaluator(t, span, x, slope, *given)[3:]
+        mass = derived.mass([block[:, None] for block in blocks])[0] * span
         if not (np.isfinite(mass).all() and degenerate(mass)):
             return
     refuse_degenerate(mass, f"wherever it was tried, such as at t = {t:.6g}, x = {x}, v = {slope / span}")

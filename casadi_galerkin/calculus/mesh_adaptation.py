@@ -16,7 +16,7 @@ from numpy.polynomial import legendre
 from casadi_galerkin.calculus.discrete_calculus import spread_between
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import TINY, component_sizes
+from casadi_galerkin.calculus.roundoff import TINY
 
 FINEST = 32.0  # an interval is split into at most this many at once
 COARSEST = 4.0  # at most this many intervals are merged at once
@@ -65,7 +65,7 @@ def truncation(path: PiecewisePolynomial, sizes: np.ndarray | None = None) -> np
     last one between neighboring intervals.
     """
     m = len(path.nodes) - 1
-    local = path.local / (component_sizes(path.values) if sizes is None else sizes)[:, None, None]
+    local = path.local / (path.sizes if sizes is None else sizes)[:, None, None]
     signed = local @ _to_legendre(tuple(path.nodes.tolist())).T  # (d, N, m + 1)
     coefficients = np.abs(signed)
     if m < 3:
@@ -88,8 +88,8 @@ def largest_change(path: PiecewisePolynomial, nodes: np.ndarray, values: np.ndar
     The change has `values` (d, N m' + 1) at `nodes`, and is sampled between them as well.
     """
     change = PiecewisePolynomial(path.mesh, nodes, values)
-    sampled = change.at_parts(np.linspace(0, 1, 4 * change.degree + 1))[0]
-    return float(np.max(np.abs(sampled) / component_sizes(path.values)[:, None, None]))
+    sampled = change.values_at_parts(np.linspace(0, 1, 4 * change.degree + 1))
+    return float(np.max(np.abs(sampled) / path.sizes[:, None, None]))
 
 
 def spread_over(

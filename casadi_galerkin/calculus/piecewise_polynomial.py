@@ -8,8 +8,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.calculus.numbers import counted, real_array, spanned, whole
+from casadi_galerkin.calculus.roundoff import component_sizes
 
 
 def times_within(mesh: np.ndarray, t: ArrayLike) -> np.ndarray:
@@ -23,7 +25,7 @@ def times_within(mesh: np.ndarray, t: ArrayLike) -> np.ndarray:
 
 def times_at(mesh: np.ndarray, parts: np.ndarray) -> np.ndarray:
     """Times at the same fractions (K,), from 0 to 1, of every interval; (N K,)."""
-    return np.asarray((mesh[:-1, None] + np.diff(mesh)[:, None] * parts).ravel())
+    return np.asarray((mesh[:-1, None] + (mesh[1:] - mesh[:-1])[:, None] * parts).ravel())
 
 
 @lru_cache(64)
@@ -69,6 +71,11 @@ class PiecewisePolynomial:
         """Degree m of the polynomial on every interval."""
         return len(self.nodes) - 1
 
+    @lazy
+    def sizes(self) -> np.ndarray:
+        """What errors of the components are relative to, (d,): their largest values; one where these are zero."""
+        return component_sizes(self.values)
+
     def times(self, parts: np.ndarray) -> np.ndarray:
         """Times at these fractions, from [0, 1[, of every interval, and the last joint."""
         return np.append(times_at(self.mesh, parts), self.mesh[-1])
@@ -76,7 +83,9 @@ class PiecewisePolynomial:
     @property
     def local(self) -> np.ndarray:
         """Values at the nodes of every interval, (d, N, m + 1)."""
-        return self._local(np.arange(len(self.mesh) - 1))
+        m, values = self.degree, self.values
+        ends = values[:, m::m] if self.arrivals is None else self.arrivals
+        return np.concatenate((values[:, :-1].reshape(len(values), -1, m), ends[:, :, None]), axis=2)
 
     def _local(self, i: np.ndarray) -> np.ndarray:
         """Values at the nodes of intervals given by their numbers (K,); (d, K, m + 1)."""
@@ -100,16 +109,23 @@ class PiecewisePolynomial:
         kept = None if arrivals is None else arrivals[:, first:last]
         return PiecewisePolynomial(self.mesh[first : last + 1], self.nodes, values, kept)
 
+    def values_at_parts(self, parts: np.ndarray) -> np.ndarray:
+        """Values (d, N, K) at the same parts (K,) of every interval, by its own polynomial."""
+        values, _ = _basis(tuple(self.nodes.tolist()), tuple(parts.tolist()))
+        return np.asarray(self.local @ values.T)
+
     def at_parts(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values and derivatives (d, N, K) at the same fractions (K,) of every interval, by its own polynomial."""
         values, slopes = _basis(tuple(self.nodes.tolist()), tuple(parts.tolist()))
         local = self.local
-        derivatives = (local - local[:, :, :1]) @ slopes.T / np.diff(self.mesh)[:, None]
+        derivatives = (local - local[:, :, :1]) @ slopes.T / (self.mesh[1:] - self.mesh[:-1])[:, None]
         return np.asarray(local @ values.T), np.asarray(derivatives)
 
     def at(self, nodes: np.ndarray) -> np.ndarray:
         """Node values (d, N m' + 1) on the same mesh with other nodes; without times, whose rounding would count."""
-        inner = self.at_parts(nodes[:-1])[0]
+        if np.array_equal(nodes, self.nodes):
+            return self.values
+        inner = self.values_at_parts(nodes[:-1])
         return np.concatenate((inner.reshape(len(self.values), -1), self.values[:, -1:]), axis=1)
 
     def __call__(self, t: ArrayLike, nu: int = 0) -> np.ndarray:

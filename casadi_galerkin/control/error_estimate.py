@@ -62,7 +62,7 @@ def parts_of(degree: int) -> np.ndarray:
 def position_excess(path: ControlTrajectory) -> np.ndarray:
     """By how much positions leave their bounds between the nodes, relative to the components' sizes; (N,)."""
     low, high = (np.array(side)[:, None, None] for side in path.problem.position_bounds)
-    positions = path.polynomial.at_parts(parts_of(path.method.degree))[0]
+    positions = path.polynomial.values_at_parts(parts_of(path.method.degree))
     outside = beyond(positions, low, high) / path.sizes[:, None, None]
     return np.asarray(np.max(np.where(outside > POSITION_ROUNDOFF, outside, 0.0), axis=(0, 2)))
 
@@ -95,8 +95,8 @@ def unmet(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndarray:
 def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
     """What a path has on each interval that a lower degree has not, relative to the components' sizes; (N,)."""
     nodes = Galerkin(degree).element.nodes
-    lower = path.polynomial.at_parts(nodes)[0] @ lagrange_values(nodes, parts_of(degree)).T
-    change = path.polynomial.at_parts(parts_of(degree))[0] - lower
+    lower = path.polynomial.values_at_parts(nodes) @ lagrange_values(nodes, parts_of(degree)).T
+    change = path.polynomial.values_at_parts(parts_of(degree)) - lower
     return np.asarray(np.max(np.abs(change) / path.sizes[:, None, None], axis=(0, 2)))
 
 

@@ -8,6 +8,7 @@ from typing import Any, Generic, TypeVar
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from casadi_galerkin.functional.threads import fork_waits, one_thread
 
@@ -54,32 +55,31 @@ class Evaluator:
 
     Attributes
     ----------
-    inputs, outputs : arrays of what is not bound
+    inputs, outputs : arrays of what is not bound, by name
     """
 
     def __init__(self, function: ca.Function, bound: Mapping[str, np.ndarray] | None = None) -> None:
         self._function = function  # the buffer does not keep it alive
         self._buffer, self._run = function.buffer()
-        names = (function.name_in(), function.name_out())
-        sizes = (function.nnz_in, function.nnz_out)
-        own: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
-        for side, bind in enumerate((self._buffer.set_arg, self._buffer.set_res)):
-            for i, name in enumerate(names[side]):
-                array: Any = None if bound is None else bound.get(name)
+        self.inputs, self.outputs = dict[str, np.ndarray](), dict[str, np.ndarray]()
+        for names, own, size, bind in (
+            (function.name_in(), self.inputs, function.nnz_in, self._buffer.set_arg),
+            (function.name_out(), self.outputs, function.nnz_out, self._buffer.set_res),
+        ):
+            for i, name in enumerate(names):
+                array: Any = bound.get(name) if bound else None
                 if array is None:
-                    array = np.zeros(sizes[side](i))
-                    own[side].append(array)
+                    array = own[name] = np.zeros(size(i))
                 bind(i, memoryview(array))
-        self.inputs, self.outputs = own
 
     def run(self) -> None:
         """Evaluate from and to all arrays, without a look at whether it was aborted."""
         with fork_waits:
             self._run()
 
-    def __call__(self, *arguments: np.ndarray) -> list[np.ndarray]:
+    def __call__(self, *arguments: ArrayLike) -> list[np.ndarray]:
         """Evaluate; the returned arrays are copies."""
-        for target, argument in zip(self.inputs, arguments, strict=True):
+        for target, argument in zip(self.inputs.values(), arguments, strict=True):
             target[:] = argument
         with one_thread():
             try:
@@ -89,9 +89,9 @@ class Evaluator:
             except RuntimeError as error:  # and fatrop
                 raise KeyboardInterrupt if str(error) == "KeyboardInterrupt" else error from None
         if self._buffer.ret():  # aborted, as CasADi's QR does on a small pivot: the arrays hold an earlier answer
-            for array in self.outputs:
+            for array in self.outputs.values():
                 array[:] = np.nan
-        return [array.copy() for array in self.outputs]
+        return [array.copy() for array in self.outputs.values()]
 
     @property
     def stats(self) -> dict[str, Any]:

@@ -18,7 +18,6 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import lobatto_points
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.end_velocities import end_velocities
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.local_terms import LocalTerm
@@ -54,7 +53,7 @@ def refuse_free_phase(name: str, problem: BoundaryProblem) -> None:
 
 def phase_plane(path: PiecewisePolynomial) -> np.ndarray:
     """Normal and point, (2d,), of the plane through the start of a path across its velocity, by component sizes."""
-    sizes = component_sizes(path.values)
+    sizes = path.sizes
     speeds = np.linalg.norm(path(path.mesh, 1) / sizes[:, None], axis=0)
     if not speeds[0] > AT_REST * np.max(speeds):
         raise ValueError(

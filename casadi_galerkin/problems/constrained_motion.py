@@ -141,7 +141,7 @@ def off_constraint(problem: Problem, path: PiecewisePolynomial) -> str | None:
     if problem.constraint is None:
         return None
     parts = np.linspace(0.0, 1.0, 4 * path.degree + 1)
-    x, times = path.at_parts(parts)[0].reshape(len(path.values), -1), times_at(path.mesh, parts)
+    x, times = path.values_at_parts(parts).reshape(len(path.values), -1), times_at(path.mesh, parts)
     moves = np.ptp(x, axis=1, keepdims=True) + STILL * component_sizes(x)[:, None]
     measured = _missed(with_parameters(problem.constraint, problem.parameters)).map(len(times))
     missed, largest = (np.array(a) for a in measured(times[None, :], x, np.broadcast_to(moves, x.shape)))

@@ -130,7 +130,7 @@ class ControlTrajectory(Trajectory):
 
         It is one, too, where a component that should be zero has only what the solver leaves of it.
         """
-        sizes = component_sizes(self.polynomial.values)
+        sizes = self.polynomial.sizes
         large = sizes >= SMALL * np.max(sizes)
         return sizes if np.all(large) else np.where(large | (sizes > TOLD * self._left.components), sizes, 1.0)
 

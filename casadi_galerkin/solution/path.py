@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.numbers import counted, finite, real_array, spanned, whole, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.solution.export import Table, by_component
 from casadi_galerkin.solution.plotting import Pictured, plot_path, plot_plane, plot_poses
 
@@ -48,7 +47,7 @@ class Path(Table, Pictured):
     @lazy
     def sizes(self) -> np.ndarray:
         """What errors of the components are relative to, (d,): their largest values; one where these are zero."""
-        return component_sizes(self.polynomial.values)
+        return self.polynomial.sizes
 
     def table(self) -> dict[str, np.ndarray]:
         """Times and positions at the joints, after a jump there, by name."""

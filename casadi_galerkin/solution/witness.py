@@ -27,7 +27,7 @@ import numpy as np
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.quadrature import gauss
-from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
+from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.functional.pointwise import pointwise
@@ -141,7 +141,7 @@ class _Sampled:
     """
 
     def __init__(self, problem: Problem, path: PiecewisePolynomial) -> None:
-        self.problem, self.path, self.steps = problem, path, np.diff(path.mesh)
+        self.problem, self.path, self.steps = problem, path, path.mesh[1:] - path.mesh[:-1]
         parts, self._weights, self.between = _rules(path.degree)
         self.x, self.v = (values.reshape(len(values), -1) for values in path.at_parts(parts))
         self.h = np.repeat(self.steps, len(parts))
@@ -185,15 +185,14 @@ def _between_breakpoints(
 
 def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What `missed_balance` takes, at all joints."""
-    h, speed, (lagrangian, work, slope, *blocks) = at.h[at.joints], np.abs(at.v[:, at.joints]), at.derivatives
-    mass = at.terms.mass([h * block[at.joints].T for block in blocks])
-    kinetic = np.sum(momentum * at.v[:, at.joints], axis=0)
+    h, v, (lagrangian, work, slope, *blocks) = at.h[at.joints], at.v[:, at.joints], at.derivatives
+    mass = h[:, None, None] * at.terms.mass([block[at.joints].T for block in blocks])
+    kinetic, speed, sizes, masses = np.sum(momentum * v, axis=0), np.abs(v), at.path.sizes, np.abs(mass)
     energy = kinetic - lagrangian[at.joints, 0] / h + _correction(mass, momentum - slope[at.joints].T)
 
-    pushed, duration = np.einsum("tij,jt->it", np.abs(mass), speed), float(np.sum(at.steps))
+    pushed, duration = np.einsum("tij,jt->it", masses, speed), float(np.sum(at.steps))
     local = np.abs(kinetic) + np.abs(energy) + np.sum(speed * pushed, axis=0)  # p·v may be a small difference of terms
-    sizes = component_sizes(at.path.values)
-    at_rest = EPS * np.max(np.einsum("i,tij,j->t", sizes, np.abs(mass), sizes)) / duration**2
+    at_rest = EPS * np.max(masses @ sizes @ sizes) / duration**2
     mean = float(at.steps @ (local[1:] + local[:-1])) / 2 / duration
     scale = np.maximum(local, max(mean, float(at_rest), TINY))
 

@@ -157,11 +157,9 @@ class Linearization:
 
     def _bind(self, key: tuple[str, ...], function: ca.Function) -> Evaluator:
         """Let a Function read and write the arrays of the names of its inputs and outputs."""
-        for names, size in ((function.name_in(), function.nnz_in), (function.name_out(), function.nnz_out)):
-            for i, name in enumerate(names):
-                self._array(name, size(i))
-        self._evaluators[key] = Evaluator(function, self._arrays)
-        return self._evaluators[key]
+        self._evaluators[key] = evaluator = Evaluator(function, self._arrays)
+        self._arrays |= evaluator.inputs | evaluator.outputs
+        return evaluator
 
     def _evaluate(self, name: str, unknowns: np.ndarray, data: Data) -> None:
         """Evaluate one of the functional's own Functions on the arrays of the names of its inputs and outputs."""
