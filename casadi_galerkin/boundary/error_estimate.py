@@ -119,10 +119,9 @@ def roundoff_error(graph: BoundaryGraph, point: CriticalPoint) -> float:
     that, or less by luck and symmetry.
     """
     unknowns, data = point.solution.unknowns, point.solution.data
-    terms = ROUNDING * EPS * np.array(graph.functional.function("summary")(unknowns, *data)[3]).ravel()
     with graph.stationarity.linearization() as at:
         at.relinearize(unknowns, data)
-        moved = at.blurs(terms) / graph.stationarity.sizes(unknowns, data)
+        moved = at.blurs(ROUNDING * EPS * at.terms(unknowns, data)) / graph.stationarity.sizes(unknowns, data)
     floor = float(np.sqrt(np.mean(np.max(np.abs(moved), axis=1) ** 2))) + EPS
     return floor if math.isfinite(floor) else math.inf
 

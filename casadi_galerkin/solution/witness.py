@@ -127,6 +127,12 @@ def _rules(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return parts, np.array(finer.weights), lagrange_values(np.array(finer.points), parts)
 
 
+@lru_cache(64)
+def _rounding(nodes: tuple[float, ...]) -> float:
+    """What rounding of values by a number at most does to their polynomial's derivative on [0, 1], over that number."""
+    return float(np.abs(differentiation_matrix(np.array(nodes))[0]).sum())
+
+
 class _Sampled:
     """A path between two breakpoints, with L̂ and its derivatives at the same K places on each of its N intervals.
 
@@ -197,7 +203,7 @@ def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarra
     scale = np.maximum(local, max(mean, float(at_rest), TINY))
 
     places = np.max(np.abs(at.path.local), axis=2)  # of values in an interval: the nearer to zero, the less rounded
-    rounding = np.abs(differentiation_matrix(at.path.nodes)[0]).sum()  # of values does so much to x'
+    rounding = _rounding(tuple(at.path.nodes.tolist()))
     before = np.maximum(np.arange(len(at.joints)) - 1, 0)  # a momentum is that of the interval before its joint
     blurred = rounding * np.sum(places[:, before] * pushed, axis=0) / at.steps[before]
     pulled = np.sum(np.abs(at.x[:, at.joints] * work[at.joints].T), axis=0) / h

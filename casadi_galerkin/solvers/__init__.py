@@ -1,6 +1,6 @@
 """Solving ∇S = 0, the discrete Euler-Lagrange equations of all intervals at once, and verifying what was found.
 
-`stationarity` makes the three Functions that Newton's method needs out of the one graph, with `linear_solver`.
+`stationarity` makes the three steps that Newton's method needs out of the one graph and a `linear_solver`.
 `newton`, `rootfinder` and `ipopt` find a critical point, and so does a `loaded_curve`, which is followed by its
 `arc_length`.  `second_variation` finds conjugate points and the Morse index, `solver` gives the solvers their names,
 those of control problems included, and `deadline` stops a solve in time.

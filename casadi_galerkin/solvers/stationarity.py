@@ -210,6 +210,11 @@ class Linearization:
         self._evaluate("derivatives", unknowns, data)
         return self.gradient.copy()
 
+    def terms(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
+        """Sizes of what every entry of ∇S sums, (n,), without a change of ∇²S."""
+        self._evaluate("summary", unknowns, data)
+        return self._arrays["terms"].copy()
+
     def simplified_step(
         self, unknowns: np.ndarray, data: Data, at: Iterate, damping: float
     ) -> tuple[np.ndarray, float, float]:
