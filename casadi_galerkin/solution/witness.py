@@ -31,7 +31,6 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.functional.pointwise import pointwise
-from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import work_of_constraint
 from casadi_galerkin.problems.legendre_transform import scaled_masses
 from casadi_galerkin.problems.problem import Problem
@@ -90,13 +89,27 @@ def doubts(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) ->
     return balance, unresolved, _jumps_of_force(problem, path, momentum)
 
 
+def _at_places(problem: Problem, function: ca.Function, *given: np.ndarray) -> list[np.ndarray]:
+    """Values of a Function at K places, (K, ...) each.
+
+    Parameters
+    ----------
+    function : Function of one place; the parameters of the problem, if there are some, are its last input
+    given : (..., K), all others
+    """
+    count, values, shared = given[0].shape[-1], [a.ravel(order="F") for a in given], tuple[int, ...]()
+    if problem.parameters is not None:
+        values, shared = [*values, np.array(problem.parameters)], (len(values),)
+    return [value.reshape(count, -1) for value in Evaluator(one_by_one(function, count, shared))(*values)]
+
+
 @lru_cache(8)
 def _force_along(force: ca.Function) -> ca.Function:
-    """(t, x, v, a) -> F, and its derivative with time at an acceleration a; (d,) each."""
-    t, x, v = force.sx_in()
-    a, value = ca.SX.sym("a", x.numel()), force(t, x, v)
-    rate = ca.jacobian(value, t) + ca.mtimes(ca.jacobian(value, x), v) + ca.mtimes(ca.jacobian(value, v), a)
-    return ca.Function("along", [t, x, v, a], [ca.densify(value), ca.densify(rate)])
+    """(t, x, v, a[, p]) -> F, and its derivative with time at an acceleration a; (d,) each."""
+    t, x, v, *p = force.sx_in()
+    a, value = ca.SX.sym("a", x.numel()), force(t, x, v, *p)
+    rate = ca.jtimes(value, ca.vertcat(t, x, v), ca.vertcat(1, v, a))
+    return ca.Function("along", [t, x, v, a, *p], [value, ca.densify(rate)])
 
 
 def _jumps_of_force(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> np.ndarray:
@@ -107,9 +120,8 @@ def _jumps_of_force(problem: Problem, path: PiecewisePolynomial, momentum: np.nd
     local, steps = path.local, np.diff(path.mesh)
     bends = lagrange_values(path.nodes, shares.parts) @ slopes @ slopes
     accelerations = (local - local[:, :, :1]) @ bends.T / steps[:, None] ** 2
-    along = _force_along(with_parameters(problem.force, problem.parameters))
     given = [values.reshape(len(values), -1) for values in (*path.at_parts(shares.parts), accelerations)]
-    forces, rates = (np.array(a) for a in along.map(len(shares.times))(shares.times[None, :], *given))
+    forces, rates = (a.T for a in _at_places(problem, _force_along(problem.force), shares.times, *given))
     sizes = np.where(np.isfinite(forces), np.abs(forces), 0.0)
     means = sizes.reshape(len(local), len(steps), -1).mean(axis=2)
     whole = np.max(np.abs(momentum), axis=1) + means @ steps
@@ -159,12 +171,7 @@ class _Sampled:
 
     def evaluate(self, function: ca.Function) -> list[np.ndarray]:
         """Values of a Function of the arguments of L̂ at all places, (N K, ...) each."""
-        given = [self.times, self.h, self.x.ravel(order="F"), (self.v * self.h).ravel(order="F")]
-        shared: tuple[int, ...] = ()
-        if self.problem.parameters is not None:
-            given, shared = [*given, np.array(self.problem.parameters)], (4,)
-        found = Evaluator(one_by_one(function, len(self.h), shared))(*given)
-        return [value.reshape(len(self.h), -1) for value in found]
+        return _at_places(self.problem, function, self.times, self.h, self.x, self.v * self.h)
 
     def by_interval(self, values: np.ndarray) -> np.ndarray:
         """Values at all places, those of an interval in a row; (N, K)."""
