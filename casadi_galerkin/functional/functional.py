@@ -244,8 +244,8 @@ class Functional:
             "joint_time_derivatives": self._joint_time_derivatives,
             "heavier": self._heavier,
             "curvature": self._curvature,
-            "sensitivity": lambda: self._along(ca.vertcat(*self._parameters)),
-            "product": lambda: self._along(self.symbols["unknowns"]),
+            "sensitivity": self._sensitivity,
+            "product": self._product,
         }
         return self.keep(name, builders[name])
 
@@ -261,18 +261,29 @@ class Functional:
 
     def _curvature(self) -> Parts:
         left, right = (ca.MX.sym(name, self.numbering.free) for name in ("left", "right"))
-        fixed = ca.MX.zeros(self.numbering.size - self.numbering.free, 1)
-        along = [ca.vertcat(*embedding(self.numbering).call([ca.vertcat(way, fixed)])) for way in (left, right)]
-        at_points = one_by_one(self.pointwise.curvature, self.numbering.points, self._shared)
-        signed, positive = (summation(self.numbering)(value) for value in at_points.call([*self._at, *along]))
+        signed, positive = map(summation(self.numbering), self._along(self.pointwise.curvature, left, right))
         if self._further is not None:
             signed += ca.bilin(self._further, left, right)
             positive += ca.bilin(ca.fabs(self._further), ca.fabs(left), ca.fabs(right))
         return {"left": left, "right": right}, ["signed", "positive"], [signed, positive]
 
-    def _along(self, varied: ca.MX) -> Parts:
-        direction = ca.MX.sym("direction", varied.numel())
-        change = ca.jtimes(self.gradient, varied, direction)
+    def _product(self) -> Parts:
+        direction = ca.MX.sym("direction", self.numbering.free)
+        change = integration(self.numbering)(*self._along(self.pointwise.product, direction))
+        if self._further is not None:
+            change += ca.mtimes(self._further, direction)
+        return {"direction": direction}, ["change"], [change]
+
+    def _along(self, function: ca.Function, *directions: ca.MX) -> list[ca.MX]:
+        """What a Function of the points and of changes of (x, x') there gives along directions of the unknowns."""
+        fixed = ca.MX.zeros(self.numbering.size - self.numbering.free, 1)
+        changes = [ca.vertcat(*embedding(self.numbering).call([ca.vertcat(way, fixed)])) for way in directions]
+        return list(one_by_one(function, self.numbering.points, self._shared).call([*self._at, *changes]))
+
+    def _sensitivity(self) -> Parts:
+        parameters = ca.vertcat(*self._parameters)
+        direction = ca.MX.sym("direction", parameters.numel())
+        change = ca.jtimes(self.gradient, parameters, direction)
         return {"direction": direction}, ["change"], [ca.densify(change)]  # few rows may depend on parameters
 
     def keep(self, name: str, build: Callable[[], Parts]) -> ca.Function:

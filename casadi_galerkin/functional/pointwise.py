@@ -121,6 +121,14 @@ class Pointwise:
         return ca.Function("curvature", [*self._inputs.values(), z, y], terms)
 
     @lazy
+    def product(self) -> ca.Function:
+        """With y, of the size of (x, x'), as a further input, the two halves of J y."""
+        half = self._jacobian.shape[0] // 2
+        y = ca.SX.sym("y", 2 * half)
+        image = ca.densify(ca.mtimes(self._jacobian, y))
+        return ca.Function("product", [*self._inputs.values(), y], [image[:half], image[half:]])
+
+    @lazy
     def time_derivatives(self) -> ca.Function:
         """Derivatives of L̂ at fixed x and x': by t, by h, and the second ones by tt, th and hh."""
         hessian, gradient = ca.hessian(self._value, ca.vertcat(self._inputs["t"], self._inputs["h"]))
