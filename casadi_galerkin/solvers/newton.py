@@ -119,14 +119,8 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
             forecast = min(1.0, damping * _forecast(at.step, simplified, trial))
         _report(iteration, last, damping, verbose)
         at, damping = trial, forecast
-    raise _no_convergence(linear, at, data, max_iter, f"no convergence in {max_iter} iterations")
-
-
-def _no_convergence(linear: Linearization, at: Iterate, data: Data, iteration: int, reason: str) -> SolveFailure:
-    """Why Newton's method found nothing: where the Hessian is singular, rounding makes steps of any size."""
-    if softest(linear, at.unknowns, data)[1] < SINGULAR:
-        return SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=True)
-    return SolveFailure(f"{reason}, last relative step {at.norm:.1e}", at.unknowns, iteration)
+    reason = f"no convergence in {max_iter} iterations, last relative step {at.norm:.1e}"
+    raise _failed(linear, at, data, max_iter, reason)
 
 
 def _contracts(norm: float, then: float) -> bool:
@@ -259,8 +253,14 @@ def _line_search(
             return trial, simplified, damping
         # half of it where the nonlinearity is not a number
         damping = min(damping / 2, at.norm * damping**2 / (2 * max(nonlinearity, TINY)))
-    reason = "the line search found no step that comes nearer to a solution"
-    raise _no_convergence(linear, at, data, iteration, reason)
+    raise _failed(linear, at, data, iteration, "the line search found no step that comes nearer to a solution")
+
+
+def _failed(linear: Linearization, at: Iterate, data: Data, iteration: int, reason: str) -> SolveFailure:
+    """Report why there is no solution: a singular Hessian, whose steps are anything, or else another reason."""
+    if softest(linear, at.unknowns, data)[1] < SINGULAR:
+        return SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=True)
+    return SolveFailure(reason, at.unknowns, iteration)
 
 
 def verified(
