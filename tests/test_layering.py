@@ -41,17 +41,9 @@ SOURCES = {dotted(path): path.read_text(encoding="utf-8") for path in sorted(PAC
 MODULES = [module for module in SOURCES if module != NAME]
 
 
-@cache
-def nodes_of(source: str) -> list[ast.AST]:
-    return list(ast.walk(ast.parse(source)))
-
-
-def statements(module: str, source: str) -> Iterator[str]:
-    """Dotted names that a source imports, anywhere in it, by any form of import."""
-    package = (
-        module if (PACKAGE.parent / Path(*module.split(".")) / "__init__.py").exists() else module.rpartition(".")[0]
-    )
-    for node in nodes_of(source):
+def imports(package: str, tree: ast.Module) -> Iterator[str]:
+    """Dotted names that a module of a package imports."""
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -65,10 +57,20 @@ def statements(module: str, source: str) -> Iterator[str]:
                 yield f"{NAME}{name}" if name.startswith(".") else name
 
 
+@cache
+def words(module: str, source: str) -> tuple[set[str], set[str]]:
+    """Dotted names that a source imports, anywhere in it, by any form of import, and the attributes that it takes."""
+    package = (
+        module if (PACKAGE.parent / Path(*module.split(".")) / "__init__.py").exists() else module.rpartition(".")[0]
+    )
+    tree = ast.parse(source)
+    return set(imports(package, tree)), {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+
+
 def imported(module: str, source: str) -> set[str]:
     """Modules and folders of the package that a source imports, by their dotted names."""
     found = set()
-    for name in statements(module, source):
+    for name in words(module, source)[0]:
         if name.split(".")[0] == NAME:
             while name not in SOURCES:  # what is imported from a module is part of it
                 name = name.rpartition(".")[0]
@@ -157,13 +159,13 @@ def test_the_manual_lists_every_folder_below_what_it_imports():
     "module", [*(module for module in MODULES if folder_of(module) == "calculus"), f"{NAME}.solution.plotting"]
 )
 def test_numpy_modules_know_nothing_of_casadi(module):
-    assert not [name for name in statements(module, SOURCES[module]) if name.split(".")[0] == "casadi"]
+    assert not [name for name in words(module, SOURCES[module])[0] if name.split(".")[0] == "casadi"]
 
 
 @pytest.mark.parametrize("module", SOURCES)
 def test_only_solvers_and_control_call_casadis_solvers(module):
-    called = {node.attr for node in nodes_of(SOURCES[module]) if isinstance(node, ast.Attribute)}
-    called |= {name.rpartition(".")[2] for name in statements(module, SOURCES[module]) if name.startswith("casadi.")}
+    names, attributes = words(module, SOURCES[module])
+    called = attributes | {name.rpartition(".")[2] for name in names if name.startswith("casadi.")}
     folder = folder_of(module) if module != NAME else ""
     assert folder in ("solvers", "control") or not called & {"nlpsol", "rootfinder"}
     assert module == f"{NAME}.solvers.linear_solver" or "Linsol" not in called

@@ -9,18 +9,25 @@ KINDS = 13
 trust, turning_points = script("trust"), script("turning_points")
 
 
-@pytest.mark.parametrize("seed", [*range(KINDS, 2 * KINDS), 132])  # squares of its momenta overflow
+SEEDS = [*range(KINDS, KINDS + 10), 24, 25, 49]  # one of every kind
+
+
+@pytest.mark.parametrize("seed", [*SEEDS, 132])  # squares of its momenta overflow
 def test_an_answer_is_right_and_a_smooth_problem_has_one(seed):
     found = trust.outcome(seed)
     assert found.verdict == "right" or (found.verdict == "refused" and not found.trial.smooth)
 
 
-@pytest.mark.parametrize("seed", [6, 8, 21, 32, 37, 153])
+@pytest.mark.parametrize("seed", [6, 8, 21, 32, 63, 153])
 def test_a_refusal_names_its_cause(seed):
     trial, tol = trust.trial(seed)
     cause = r"roundoff floor here|conjugate points|near t = .*(breakpoint|singularity)"
     with pytest.raises(cg.ConvergenceError, match=cause):
         cg.solve(trial.problem, tol=tol)
+
+
+def test_every_kind_is_asked():
+    assert sorted(seed % KINDS for seed in SEEDS) == list(range(KINDS)) == list(range(len(trust.KINDS)))
 
 
 def test_the_table_counts_what_came_of_the_problems(capsys):
@@ -30,9 +37,9 @@ def test_the_table_counts_what_came_of_the_problems(capsys):
 
 
 def test_paths_tied_by_almost_nothing_are_right_or_refused(capsys):
-    """Of these, 6 were wrong before variations in two degrees were compared."""
-    counted = turning_points.main(count=60)
+    """Of these, 4 were wrong before variations in two degrees were compared."""
+    counted = turning_points.main(count=33)
     assert {what for _, what in counted} == {"right", "refused"}
-    assert counted["tied", "right"] > 30 > counted["tied", "refused"] * 10
-    assert counted["tied by less than rounding", "refused"] > 15
+    assert counted["tied", "right"] > 16 > counted["tied", "refused"] * 10
+    assert counted["tied by less than rounding", "refused"] > 8
     assert "tied: " in capsys.readouterr().out

@@ -372,9 +372,8 @@ def test_a_path_that_is_barely_tied_is_found_where_doubles_tell_it(tol):
     assert relative_error(path, lambda t: (0.5 + erfi(t / 0.06**0.5) / erfi(1 / 0.06**0.5) / 2)[None]) <= tol
 
 
-@pytest.mark.parametrize("tol", [1e-1, 1e-2, 1e-3, 1e-6])
-@pytest.mark.parametrize("place", [0.1, 0.2, 0.4])
-@pytest.mark.parametrize("width", [0.05, 0.03, 0.01])
+@pytest.mark.parametrize("tol", [1e-1, 1e-2, 1e-3])
+@pytest.mark.parametrize(("width", "place"), [(0.05, 0.1), (0.05, 0.4), (0.03, 0.2), (0.01, 0.1), (0.01, 0.4)])
 def test_a_kink_that_no_tail_holds_is_not_pinned_by_the_mesh(width, place, tol):
     """Every place of it solves the equations in doubles; a mesh chooses one, and no Newton step there says so."""
     line = kink(1 / width)

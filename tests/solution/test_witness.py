@@ -89,17 +89,16 @@ def test_a_step_in_time_that_is_named_is_resolved(before, when, tol):
     assert abs(y[0] + 0.5) <= 10 * tol + 1e-11
 
 
-@pytest.mark.parametrize("beside", [0.0, 1e-14, -3e-13, 1e-12])
 @pytest.mark.parametrize(
-    ("start", "end", "duration", "tol"),
+    ("start", "end", "duration", "tol", "beside"),
     [
-        (0.5, -0.5, 1.0, 1e-2),
-        (0.5, -0.5, 1.0, 1e-3),
-        (0.5, -0.5, 1.0, 1e-9),
-        (1.4456578, -1.4456578, 1.4480336, 3e-3),
-        (1.0, -2.0, 3.0, 1e-3),
-        (1.0, -2.0, 3.0, 1e-9),
-        (0.3, -0.7, 1.5, 1e-3),
+        (0.5, -0.5, 1.0, 1e-2, 0.0),
+        *((0.5, -0.5, 1.0, 1e-3, beside) for beside in (0.0, 1e-14, -3e-13, 1e-12)),
+        (0.5, -0.5, 1.0, 1e-9, 0.0),
+        *((1.4456578, -1.4456578, 1.4480336, 3e-3, beside) for beside in (0.0, 1e-12)),
+        *((1.0, -2.0, 3.0, 1e-3, beside) for beside in (0.0, -3e-13)),
+        (1.0, -2.0, 3.0, 1e-9, 0.0),
+        (0.3, -0.7, 1.5, 1e-3, 0.0),
     ],
 )
 def test_no_path_through_the_sun_is_returned(start, end, duration, tol, beside):
