@@ -45,7 +45,7 @@ def main():
     rings = cg.BoundaryProblem(film, (-HALF_DISTANCE, HALF_DISTANCE), start=[1.0], end=[1.0])
     films = cg.paths(rings, cg.Galerkin(degree=8), intervals=16)
     turns = cg.BoundaryProblem(torus, (0.0, 1.0), start=[0.0, 0.0], end=[0.0, 4 * np.pi])
-    geodesics = cg.paths(turns, cg.Galerkin(degree=8), intervals=24, symmetries=[mirrored])
+    geodesics = cg.paths(turns, cg.Galerkin(degree=8), intervals=16, symmetries=[mirrored])
     return swings, films, geodesics
 
 

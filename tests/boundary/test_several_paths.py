@@ -35,7 +35,7 @@ def swings():
 @pytest.fixture(scope="module")
 def geodesics():
     problem = cg.BoundaryProblem(torus, (0.0, 1.0), [0.3, 0.0], [-0.2, 4 * np.pi])
-    return cg.paths(problem, cg.Galerkin(8), 30, count=13)
+    return cg.paths(problem, cg.Galerkin(8), 20, count=13)
 
 
 def test_the_known_swings_of_the_pendulum_are_found(swings):
@@ -184,7 +184,7 @@ def test_where_the_mesh_resolves_nothing_that_is_said():
 
 def test_members_of_a_family_are_counted_and_not_returned():
     """Any swing of a pendulum with this period may begin at any phase."""
-    found = cg.paths(cg.BoundaryProblem(pendulum, (0, 10), [None], periodic=True), cg.Galerkin(8), 8)
+    found = cg.paths(cg.BoundaryProblem(pendulum, (0, 7), [None], periodic=True), cg.Galerkin(8), 8)
     assert found.singular > 0
     assert f"{found.singular} dropped with a singular Hessian: a family of paths" in repr(found)
     for path in found:  # at rest, hanging or upright

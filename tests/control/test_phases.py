@@ -72,7 +72,7 @@ SCENES = {
 }
 
 
-@pytest.mark.parametrize("tol", [1e-3, 1e-4, 1e-6])
+@pytest.mark.parametrize("tol", [1e-3, 1e-6])
 @pytest.mark.parametrize("name", SCENES)
 def test_the_path_is_known_and_the_breakpoint_is_the_switch(name, tol):
     """An optimum that may choose the breakpoint has it elsewhere, and the switch between two points that miss it."""
@@ -178,7 +178,7 @@ def test_switches_on_both_sides_of_a_waypoint_are_named():
     np.testing.assert_allclose(path.problem.breakpoints, times, rtol=0, atol=3e-6)
 
 
-@pytest.mark.parametrize("gap", [1e-2, 1e-3, 1e-4, 1e-5])
+@pytest.mark.parametrize("gap", [1e-2, 1e-5])
 @pytest.mark.parametrize("stated", ["a waypoint", "a given time"])
 def test_a_breakpoint_beside_a_switch_leaves_it_its_joint(stated, gap):
     """Where a joint beside the switch was moved onto the breakpoint, 15 levels in a row came no nearer."""

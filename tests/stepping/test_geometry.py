@@ -96,13 +96,13 @@ def test_steps_of_a_reversible_lagrangian_run_back_to_their_start(scene):
     np.testing.assert_allclose(back.x[:, ::-1], there.x, rtol=0, atol=growth * 2.3e-16 * np.max(np.abs(there.x)))
 
 
-def test_angular_momentum_does_not_drift_in_1e5_steps_of_kepler_and_energy_stays_in_its_band():
-    problem = cg.InitialProblem(kepler, (0, 2000 * np.pi), [0.4, 0.0], velocity=[0.0, 2.0])
-    path = cg.solve(problem, cg.Galerkin(4), intervals=100_000)
+def test_angular_momentum_does_not_drift_in_2e4_steps_of_kepler_and_energy_stays_in_its_band():
+    problem = cg.InitialProblem(kepler, (0, 400 * np.pi), [0.4, 0.0], velocity=[0.0, 2.0])
+    path = cg.solve(problem, cg.Galerkin(4), intervals=20_000)
     (x, y), (px, py) = path.x, path.momentum
     assert np.max(np.abs(x * py - y * px - 0.8)) <= 1e-12
     energy = (px**2 + py**2) / 2 - 1 / np.hypot(x, y) + 0.5
-    bands = np.max(np.abs(energy[1:].reshape(10, -1)), axis=1)  # of every 100 revolutions
+    bands = np.max(np.abs(energy[1:].reshape(10, -1)), axis=1)  # of every 20 revolutions
     assert bands[0] < 1e-10
     np.testing.assert_allclose(bands, bands[0], rtol=0, atol=1e-12)
 

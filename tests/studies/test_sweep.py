@@ -433,13 +433,13 @@ def test_a_worker_that_dies_costs_the_answer_of_its_variation_only(serial):
 
 
 @pytest.mark.usefixtures("two_chunks")
-@pytest.mark.parametrize("place", [0, 4])
-def test_a_worker_that_dies_of_the_first_variation_of_a_neighborhood_costs_only_that(place):
-    variations = [{"end": [1.0 + i / 10]} for i in range(8)]
-    variations[place]["guess"] = deadly
+def test_a_worker_that_dies_of_the_first_variation_of_a_neighborhood_costs_only_that():
+    variations, places = [{"end": [1.0 + i / 10]} for i in range(8)], [0, 4]
+    for place in places:
+        variations[place]["guess"] = deadly
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         sweep = cg.sweep(bratu_problem(), variations, tol=1e-3, executor=pool)
-    assert [i for i, _ in enumerate(variations) if isinstance(sweep[i], cg.CutShort)] == [place]
+    assert [i for i, _ in enumerate(variations) if isinstance(sweep[i], cg.CutShort)] == places
 
 
 def test_a_pool_whose_workers_cannot_start_is_replaced():
