@@ -50,14 +50,13 @@ def is_interrupted():
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop])
 def test_an_optimization_that_was_interrupted_says_so_and_is_right_the_next_time(solver, is_interrupted):
     """CasADi's own code drops an interrupt now and then."""
-    program, stopped = cg.transcribe(cart_pole(), cg.Galerkin(6), 40), 0
-    expected = program.solve(solver=solver)
+    program = cg.transcribe(cart_pole(), cg.Galerkin(5), 30)
+    paths = [program.solve(solver=solver) for _ in range(3)]
+    seconds, stopped = min(path.solve_seconds for path in paths), 0  # of one that nothing else has held up
     for part in np.linspace(0.05, 0.4, 4):
-        stopped += is_interrupted(
-            lambda: program.solve(solver=solver), part * expected.solve_seconds, KeyboardInterrupt
-        )
+        stopped += is_interrupted(lambda: program.solve(solver=solver), part * seconds, KeyboardInterrupt)
         again = program.solve(solver=solver).polynomial.values
-        np.testing.assert_array_equal(again, expected.polynomial.values)
+        np.testing.assert_array_equal(again, paths[0].polynomial.values)
     assert stopped >= 2
 
 

@@ -176,7 +176,7 @@ def forced(stiffness, start, end, force):
     return cg.BoundaryProblem(lambda t, x, v: stiffness * v[0] ** 2 / 2, (0.0, 1.0), [start], [end], force=force)
 
 
-@pytest.mark.parametrize(("stiffness", "tol"), [(1e-3, 1e-9), (1e-4, 1e-6), (1e-6, 1e-3), (1e-6, 1e-9)])
+@pytest.mark.parametrize(("stiffness", "tol"), [(1e-3, 1e-9), (1e-4, 1e-6), (1e-6, 1e-3)])
 def test_a_corner_layer_is_found_under_a_growing_force(stiffness, tol):
     """Cash's test problem 20: from a straight line to a corner at 0.745, which a straight line does not tell of."""
 

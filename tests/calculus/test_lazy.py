@@ -48,7 +48,7 @@ def test_a_process_forked_while_a_thread_finds_a_value_finds_its_own():
     begun.wait()
     child = multiprocessing.get_context("fork").Process(target=lambda: Counted().value)
     child.start()
-    child.join(10)
+    child.join(60)
     hangs = child.is_alive()
     child.kill()
     done.set()

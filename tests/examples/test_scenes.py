@@ -11,6 +11,7 @@ import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
@@ -849,6 +850,8 @@ def run(tmp_path_factory) -> Callable[[str], Run]:
             if name == "kepler_revolutions":
                 assert module.REVOLUTIONS >= 1000
                 module.REVOLUTIONS = 200
+            if name == "boundary_layer":  # the check looks at what is printed
+                module.cost = cache(module.cost)
             if name == "global_against_shooting":
                 module.INTERVALS = module.INTERVALS[::2]
             with patch.context() as inside, contextlib.redirect_stdout(printed):
