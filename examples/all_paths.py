@@ -41,7 +41,7 @@ def mirrored(x):
 def main():
     """Search three times; returns the pendulum's swings, both films, and the geodesics."""
     swinging = cg.BoundaryProblem(pendulum, (0.0, 10.0), start=[0.0], end=[1.0])
-    swings = cg.paths(swinging, cg.Galerkin(degree=8), intervals=20)
+    swings = cg.paths(swinging, cg.Galerkin(degree=8), intervals=16)
     rings = cg.BoundaryProblem(film, (-HALF_DISTANCE, HALF_DISTANCE), start=[1.0], end=[1.0])
     films = cg.paths(rings, cg.Galerkin(degree=8), intervals=16)
     turns = cg.BoundaryProblem(torus, (0.0, 1.0), start=[0.0, 0.0], end=[0.0, 4 * np.pi])

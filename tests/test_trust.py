@@ -37,9 +37,9 @@ def test_the_table_counts_what_came_of_the_problems(capsys):
 
 
 def test_paths_tied_by_almost_nothing_are_right_or_refused(capsys):
-    """Of these, 4 were wrong before variations in two degrees were compared."""
-    counted = turning_points.main(count=33)
+    """Of these, 3 were wrong before variations in two degrees were compared."""
+    counted = turning_points.main(count=25)
     assert {what for _, what in counted} == {"right", "refused"}
-    assert counted["tied", "right"] > 16 > counted["tied", "refused"] * 10
-    assert counted["tied by less than rounding", "refused"] > 8
+    assert counted["tied", "right"] > 12 > counted["tied", "refused"] * 10
+    assert counted["tied by less than rounding", "refused"] > 6
     assert "tied: " in capsys.readouterr().out

@@ -410,7 +410,7 @@ def test_a_rule_with_points_on_a_named_jump_is_told_so():
     assert cg.solve(problem, cg.Galerkin(4, quadrature=cg.gauss(5)), tol=1e-12).error_estimate <= 1e-12
 
 
-@pytest.mark.parametrize(("named", "tol"), [(True, 1e-3), (True, 1e-9), (False, 1e-3), (False, 1e-8)])
+@pytest.mark.parametrize(("named", "tol"), [(True, 1e-3), (True, 1e-9), (False, 1e-3), (False, 1e-6)])
 def test_a_pivot_moved_along_a_spline_is_followed_with_and_without_its_knots(named, tol):
     """A pendulum in Cartesian coordinates; the same one by its angle is the reference."""
     knots = np.arange(0.25, 3.0, 0.25)

@@ -1,5 +1,7 @@
 """A path does not depend on the units: those of action, length and time each span 24 orders of magnitude."""
 
+from functools import cache
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -53,36 +55,39 @@ STATED = [
     ({"start": [None, None], "end": [1.0, 2.0], "start_velocity": [None, 0.1]},),
     ({"start": [0.3, None], "end": [None, 2.0], "end_velocity": [0.2, None]}, "drag"),
 ]
-# a given energy is no duration, and a path at rest has no momentum that its end could be judged by
-SHOT = [problem for problem in STATED if problem not in (STATED[1], STATED[7])]
+ONE = (1.0, 1.0, 1.0)
+NUMBERS = range(len(STATED))
+NAMES = {"ids": lambda number: ", ".join([*STATED[number][0], *STATED[number][1:]])}
 
 
-@pytest.mark.parametrize("problem", STATED, ids=lambda problem: ", ".join([*problem[0], *problem[1:]]))
-def test_a_path_is_the_same_in_any_units(problem):
-    ends, *acting = problem
-    expected = cg.solve(stated(ends, (1.0, 1.0, 1.0), *acting), METHOD, intervals=INTERVALS)
+@cache
+def solved(number, units):
+    """The path of one of the problems, which several tests look at."""
+    ends, *acting = STATED[number]
+    return cg.solve(stated(ends, units, *acting), METHOD, intervals=INTERVALS)
+
+
+@pytest.mark.parametrize("number", NUMBERS, **NAMES)
+def test_a_path_is_the_same_in_any_units(number):
+    expected = solved(number, ONE)
     for units in UNITS:
-        path = cg.solve(stated(ends, units, *acting), METHOD, intervals=INTERVALS)
+        path = solved(number, units)
         np.testing.assert_allclose(path.x / units[1], expected.x, rtol=0, atol=SAME, err_msg=f"units {units}")
         assert path.action / units[0] == pytest.approx(expected.action, rel=0, abs=SAME * 100)
 
 
-@pytest.mark.parametrize("problem", STATED[2:], ids=lambda problem: ", ".join([*problem[0], *problem[1:]]))
-def test_derivatives_by_the_ends_are_the_same_in_any_units(problem):
-    ends, *acting = problem
-    expected, *others = (
-        cg.sensitivity(cg.solve(stated(ends, units, *acting), METHOD, intervals=INTERVALS))
-        for units in [(1.0, 1.0, 1.0), *UNITS]
-    )
+@pytest.mark.parametrize("number", NUMBERS[2:], **NAMES)
+def test_derivatives_by_the_ends_are_the_same_in_any_units(number):
+    expected, *others = (cg.sensitivity(solved(number, units)) for units in [ONE, *UNITS])
     for other in others:
         np.testing.assert_allclose(other.start, expected.start, rtol=0, atol=DERIVATIVE)
         np.testing.assert_allclose(other.end, expected.end, rtol=0, atol=DERIVATIVE)
 
 
-@pytest.mark.parametrize("problem", SHOT, ids=lambda problem: ", ".join([*problem[0], *problem[1:]]))
-def test_a_shot_is_the_same_in_any_units(problem):
-    ends, *acting = problem
-    expected = cg.solve(stated(ends, (1.0, 1.0, 1.0), *acting), METHOD, intervals=INTERVALS)
+# a given energy is no duration, and a path at rest has no momentum that its end could be judged by
+@pytest.mark.parametrize("number", [number for number in NUMBERS if number not in (1, 7)], **NAMES)
+def test_a_shot_is_the_same_in_any_units(number):
+    (ends, *acting), expected = STATED[number], solved(number, ONE)
     for units in UNITS:
         shot = cg.shoot(stated(ends, units, *acting), METHOD, INTERVALS)
         np.testing.assert_allclose(shot.x / units[1], expected.x, rtol=0, atol=SAME, err_msg=f"units {units}")
@@ -100,6 +105,6 @@ def test_multipliers_and_shooting_are_the_same_in_any_units(drag):
             (multipliers.ravel(), (path.momentum * length / action).ravel(), (shot.x / length).ravel())
         )
 
-    expected = found((1.0, 1.0, 1.0))
+    expected = found(ONE)
     for units in UNITS:
         np.testing.assert_allclose(found(units), expected, rtol=0, atol=DERIVATIVE, err_msg=f"units {units}")
