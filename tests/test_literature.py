@@ -13,7 +13,8 @@ literature, guesses, test_set = script("literature"), script("guesses"), script(
 @pytest.mark.parametrize(
     ("asked", "name"), [("tol", name) for name in TO_TOL] + [("cost_tol", name) for name in TO_COST_TOL]
 )
-def test_published_cost_is_found_to_the_tolerance(asked, name):
+def test_published_cost_is_found_to_the_tolerance(asked, name, monkeypatch):
+    monkeypatch.setattr(literature, "SECONDS", 100.0)  # whatever else the machine does
     tol = 1e-6
     case = literature.CASES[name]()
     found = literature.outcome(case, **{asked: tol})
