@@ -206,7 +206,7 @@ class HigherDegree:
         path, higher = self.path, self.higher
         order, target = path.method.degree + 1, TARGET * tol
         error = beyond_degree(higher, path.method.degree)
-        error *= self.change / max(np.max(error), 1e-300)
+        error *= max(self.change - float(np.sum(self.jumps)), 0.0) / max(np.max(error), 1e-300)
         coarse, fine = (truncation(p.polynomial, path.sizes) for p in (path, higher))
         kinked = (fine > STUBBORN * coarse) & (error > target)
         error[kinked] = target * (error[kinked] / target) ** (order / KINK_ORDER)
