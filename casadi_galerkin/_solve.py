@@ -9,7 +9,7 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscription
-from casadi_galerkin.boundary.levels import Levels
+from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_mesh
 from casadi_galerkin.boundary.sensitivity import boundary_function
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
@@ -159,8 +159,8 @@ def solve(
     else:
         method = method_for(tolerance) if method is None else method
         joints = first_mesh(problem, method, intervals, mesh)
-        levels, solver = Levels(problem, verbose=verbose), solver or newton
-        path = BoundaryRefinement(levels, tolerance, method, solver, limits).run(joints, guess)
+        graphs, solver = GraphCache(problem, verbose=verbose), solver or newton
+        path = BoundaryRefinement(graphs, tolerance, method, solver, limits).run(joints, guess)
     if verbose:
         print(path)
     return path

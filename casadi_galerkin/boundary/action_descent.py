@@ -17,7 +17,7 @@ import numpy as np
 
 from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.discrete_calculus import too_near
-from casadi_galerkin.calculus.mesh_adaptation import equidistributed, graded_alike, truncation
+from casadi_galerkin.calculus.mesh_adaptation import equidistributed, resized_mesh, truncation_error
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
@@ -53,14 +53,14 @@ def descend(
         for _ in range(STEPS):
             before = path
             path, inertia = lowered(transcription, path, inertia)
-        error = truncation(path)
+        error = truncation_error(path)
         if path is before and np.max(error) < 3 * tol:
             break
         if seconds_left() < 0:
             raise ConvergenceError("the time was up before a path was found", Path(path))
         mesh = equidistributed(path.mesh, error, len(path.nodes), tol, fewest=fewest)
         if len(mesh) - 1 > MOST_INTERVALS:
-            mesh = graded_alike(mesh, MOST_INTERVALS)
+            mesh = resized_mesh(mesh, MOST_INTERVALS)
         if np.any(too_near(mesh)):
             raise ConvergenceError(
                 "no path was found: as the action fell, joints came too near to one another", Path(path)

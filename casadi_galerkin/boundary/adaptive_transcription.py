@@ -17,16 +17,16 @@ from collections.abc import Sequence
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.graph import CriticalPoint
-from casadi_galerkin.boundary.levels import Levels
+from casadi_galerkin.boundary.graph_cache import GraphCache
+from casadi_galerkin.boundary.problem_data import ends_replaced, interpolated_problem, same_statement
 from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_mesh
 from casadi_galerkin.boundary.transcription import check_given
-from casadi_galerkin.boundary.variations import between, ends_replaced, same_statement
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import method_for
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.problem import between_marks, marks
+from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits, check_tolerance
@@ -75,7 +75,7 @@ class AdaptiveTranscription:
         self.problem, self.tol, self.limits = problem, check_tolerance(tol), limits or Limits()
         self.method = method_for(self.tol) if method is None else method
         self._coarse = first_mesh(problem, self.method, intervals, mesh)
-        self._levels = Levels(problem, by_rows)
+        self._graphs = GraphCache(problem, by_rows)
         self.first: Trajectory | None = None
 
     def solve(
@@ -134,16 +134,16 @@ class AdaptiveTranscription:
         known = guess if isinstance(guess, Trajectory) and same_statement(guess.problem, problem) else None
         if known is not None and problem.energy is not None:  # the duration is found, too
             problem = problem.varied({}, (problem.t_span[0], problem.t_span[0] + float(known.t[-1] - known.t[0])))
-        levels = self._levels.of(problem, verbose)
-        refinement = BoundaryRefinement(levels, self.tol, self.method, solver, self.limits)
-        coarse = between_marks(self._coarse, marks(self.problem), marks(problem))
+        graphs = self._graphs.for_problem(problem, verbose)
+        refinement = BoundaryRefinement(graphs, self.tol, self.method, solver, self.limits)
+        coarse = map_times(self._coarse, section_times(self.problem), section_times(problem))
         guess = refinement.on_any_mesh(guess, coarse)
         try:
             if known is not None:
                 return self._followed(refinement, known)
             if kept is not None:
-                mesh = between_marks(kept.t, marks(kept.problem), marks(problem))
-                return refinement.resume(levels.solve(self.method, mesh, guess, refinement.at_once))
+                mesh = map_times(kept.t, section_times(kept.problem), section_times(problem))
+                return refinement.resume(graphs.solve(self.method, mesh, guess, refinement.local_solver))
         except LimitReached:
             raise
         except ConvergenceError:
@@ -157,7 +157,7 @@ class AdaptiveTranscription:
         point.
         """
         found: Trajectory | ConvergenceError
-        constrained = refinement.levels.problem.constraint is not None
+        constrained = refinement.graphs.problem.constraint is not None
         for steps in STEPS[:1] if constrained else STEPS:  # halfway, ends may miss the constraint
             try:
                 found = refinement.resume(self._moved(refinement, known, steps))
@@ -174,12 +174,14 @@ class AdaptiveTranscription:
 
     def _moved(self, refinement: BoundaryRefinement, known: Trajectory, steps: int) -> CriticalPoint:
         """Move the given values of a known path in so many steps, on its mesh."""
-        levels, path = refinement.levels, known.polynomial.at(self.method.element.nodes)
+        graphs, path = refinement.graphs, known.polynomial.at(self.method.element.nodes)
         assert isinstance(known.problem, BoundaryProblem)
         for step in range(1, steps + 1):
-            problem = levels.problem if step == steps else between(known.problem, levels.problem, step / steps)
-            mesh = between_marks(known.t, marks(known.problem), marks(problem))
-            point = levels.solve(self.method, mesh, ends_replaced(path, problem), refinement.at_once, problem)
+            problem = (
+                graphs.problem if step == steps else interpolated_problem(known.problem, graphs.problem, step / steps)
+            )
+            mesh = map_times(known.t, section_times(known.problem), section_times(problem))
+            point = graphs.solve(self.method, mesh, ends_replaced(path, problem), refinement.local_solver, problem)
             path = point.polynomial.values
         return point
 

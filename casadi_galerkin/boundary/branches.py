@@ -15,20 +15,20 @@ from typing import cast
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.boundary.levels import Levels
+from casadi_galerkin.boundary.graph_cache import GraphCache
+from casadi_galerkin.boundary.problem_data import data_vector, nearest
 from casadi_galerkin.boundary.transcription import SecondVariation, Transcription
-from casadi_galerkin.boundary.variations import nearest, values_of
 from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.problem import marks
+from casadi_galerkin.problems.problem import section_times
 from casadi_galerkin.solution.trajectory import Trajectory
 
 ROUGH = 1e-6  # part of the action that may be the error of a coarse mesh
 
 
 @dataclass(frozen=True)
-class Place:
+class BranchPoint:
     """Where a path stands in a family: given values, Morse index, action and its slopes by the given values.
 
     The last two are NaN under constraints and end conditions, and where no action is stationary.
@@ -39,7 +39,7 @@ class Place:
     action: float
     slopes: np.ndarray
 
-    def apart(self, other: Place) -> bool:
+    def on_other_branch(self, other: BranchPoint) -> bool:
         """Whether two neighbors lie on different branches."""
         step = self.values - other.values
         here, there = float(self.slopes @ step), float(other.slopes @ step)
@@ -55,33 +55,33 @@ def jumps(paths: Mapping[int, Trajectory]) -> dict[int, int]:
     if not paths:
         return {}
     problems = [cast(BoundaryProblem, path.problem) for path in paths.values()]
-    numbers, values = list(paths), np.array([values_of(problem) for problem in problems])
+    numbers, values = list(paths), np.array([data_vector(problem) for problem in problems])
     spread, apart = np.ptp(values, axis=0), dict[int, int]()
-    places: list[Place] = []
-    levels = Levels(problems[0], by_rows)
+    places: list[BranchPoint] = []
+    graphs = GraphCache(problems[0], by_rows)
     for k, (number, path) in enumerate(paths.items()):
-        graph = levels.of(problems[k]).transcription(path.method, path.t)
-        places.append(_place(graph, path, values[k]))
+        graph = graphs.for_problem(problems[k]).transcription(path.method, path.t)
+        places.append(_branch_point(graph, path, values[k]))
         if k > 0:
             i = nearest(values[k], values[:k], spread)
-            if places[k].apart(places[i]):
+            if places[k].on_other_branch(places[i]):
                 apart[number] = numbers[i]
     return apart
 
 
-def _place(graph: Transcription, path: Trajectory, values: np.ndarray) -> Place:
+def _branch_point(graph: Transcription, path: Trajectory, values: np.ndarray) -> BranchPoint:
     problem, mesh = graph.problem, path.t
     index = SecondVariation(graph, problem, path.polynomial).negative()
     if graph.numbering.multipliers or not graph.stationarity.variational:
-        return Place(values, index, np.nan, np.full(len(values), np.nan))
+        return BranchPoint(values, index, np.nan, np.full(len(values), np.nan))
     unknowns, data = graph.on_path(path.polynomial)
     found = _slopes(graph.functional).call([unknowns, *data])
     action, at_start, at_end, by_joints, *further = (np.array(value).ravel() for value in found)
-    joints = marks(problem)  # only the ends move
+    joints = section_times(problem)  # only the ends move
     ways = np.zeros((2, len(joints)))
     ways[0, 0] = ways[1, -1] = 1.0
     by_times = [np.interp(mesh, joints, way) @ by_joints for way in ways]
-    return Place(values, index, float(action[0]), np.concatenate((by_times, at_start, at_end, *further)))
+    return BranchPoint(values, index, float(action[0]), np.concatenate((by_times, at_start, at_end, *further)))
 
 
 def _slopes(functional: Functional) -> ca.Function:

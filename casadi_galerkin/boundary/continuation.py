@@ -19,7 +19,7 @@ from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.mass import check_mass
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import finite, numbers, place
+from casadi_galerkin.calculus.numbers import checked_index, finite, numbers
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.statement import refuse_free_phase
@@ -31,15 +31,16 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import plot_branch
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory, index_in_words
-from casadi_galerkin.solvers.arc_length import LONGER, MANY, SHORTER, Curve
+from casadi_galerkin.solvers.arc_length import CORRECTOR_ITERATIONS, STEP_GROWTH, STEP_REDUCTION, Curve
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton, verified
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.1, 1e-9  # of the arc length, in which the path counts by its size
-SETTLED = 1e-8  # last Newton step after which the next one is at roundoff
-LEVEL = 1e-8  # |ṡ| at a fold over its change from the point before to that after; s is then exact to its square
+CONVERGED_STEP = 1e-8  # last Newton step after which the next one is at roundoff
+# |ṡ| at a fold over its change from the point before to that after; s is then exact to its square
+FOLD_TOLERANCE = 1e-8
 LEAST = 1e-7  # size of a component over the path's change up to the target at its first rate: it may begin at zero
 ITERATIONS = 20  # to a fold, which rounding may keep from its level
 POINTS = 1000  # of a branch
@@ -107,7 +108,7 @@ class Branch:
         axes : Matplotlib axes to draw into, labeled by their owner; default a new figure, labeled by the parameter
         parameter : which, from 0 to n - 1
         """
-        place("parameter", parameter, self.parameters.shape[1])
+        checked_index("parameter", parameter, self.parameters.shape[1])
 
         def checked(path: Path) -> float:
             return finite("what height returns", height(path))
@@ -180,7 +181,7 @@ def continuation(
     transcription = transcribed(problem, method, intervals, mesh)
     refuse_free_phase("continuation", problem)
     check_mass(problem.varied({"parameters": aim.tolist()}))
-    return Walk(transcription, aim).run(guess)
+    return BranchFollower(transcription, aim).run(guess)
 
 
 @dataclass(frozen=True)
@@ -192,7 +193,7 @@ class Point:
     trajectory: Trajectory
 
 
-class Walk(Curve[Solution]):
+class BranchFollower(Curve[Solution]):
     """The following of a branch, under way."""
 
     def __init__(self, transcription: Transcription, target: np.ndarray) -> None:
@@ -213,7 +214,7 @@ class Walk(Curve[Solution]):
 
     def data(self, z: np.ndarray) -> Data:
         """The graph's other inputs at a point z."""
-        return self.transcription.of(self.problem(z)).data(self.transcription.mesh)
+        return self.transcription.for_problem(self.problem(z)).data(self.transcription.mesh)
 
     def directions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The Newton step at fixed s, and how ξ follows s."""
@@ -225,17 +226,18 @@ class Walk(Curve[Solution]):
 
     def accepted(self, z: np.ndarray, length: float, iteration: int) -> Solution | None:
         """A point as a solution, if its residuals are at their roundoff floors."""
-        if length >= SETTLED:
+        if length >= CONVERGED_STEP:
             return None
         unknowns, data = z[:-1], self.data(z)
         with self.stationarity.linearization() as at:
             at.newton_step(unknowns, data)
             solution = verified(at, unknowns, data, iteration, "continuation")
-        if solution is None and iteration == MANY:  # a component may be zero up to rounding: the solver makes it zero
+        # a component may be zero up to rounding: the solver makes it zero
+        if solution is None and iteration == CORRECTOR_ITERATIONS:
             with suppress(SolveFailure):
                 solution = damped_newton(self.stationarity, unknowns, data)
                 moved = np.append(solution.unknowns - unknowns, 0.0)
-                return solution if self.length(moved) < SETTLED else None
+                return solution if self.length(moved) < CONVERGED_STEP else None
         return solution
 
     def weigh(self, z: np.ndarray) -> None:
@@ -302,10 +304,10 @@ class Walk(Curve[Solution]):
                     trajectory = self.transcription.trajectory(found, 0.0)
                     following = self.tangent(z, tangent)
                     if self.length(following) > 0:  # of a path that grows without bound it is not a number
-                        return Point(z, following, trajectory), min(LONGER * step, LONGEST_STEP)
+                        return Point(z, following, trajectory), min(STEP_GROWTH * step, LONGEST_STEP)
             except ConjugatePointError:
                 pass  # it landed on a fold
-            step *= SHORTER
+            step *= STEP_REDUCTION
         raise ConvergenceError(
             f"the branch cannot be followed beyond the parameters {self.parameters(point.z)}: no step is short enough. "
             "Another branch may cross it there, or its paths grow without bound. "
@@ -317,7 +319,7 @@ class Walk(Curve[Solution]):
         """Find the zero of ṡ between two points, by the secant and bisection on the chord between them."""
         tangent = self.unit(before.tangent)
         ends, rates = [before.z, after.z], [tangent[-1], after.tangent[-1]]
-        z, rate, level = before.z, tangent[-1], LEVEL * abs(rates[0] - rates[1])
+        z, rate, level = before.z, tangent[-1], FOLD_TOLERANCE * abs(rates[0] - rates[1])
         for iteration in range(ITERATIONS):
             if abs(rate) < level:
                 break

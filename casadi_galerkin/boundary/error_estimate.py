@@ -14,10 +14,10 @@ from casadi_galerkin.calculus.mesh_adaptation import largest_change
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 
-ROUGHLY_ALIKE = 0.95  # agreement below which a given mesh does not resolve the variations
-SLOWEST = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
+LEAST_AGREEMENT = 0.95  # agreement below which a given mesh does not resolve the variations
+LARGEST_RATIO = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
 FORCES = 3  # by which two degrees are compared: in one of them alone they may agree by chance
-HARDLY = 1e-6  # part of the largest mean variation below which one is compared with that
+SMALL_RESPONSE = 1e-6  # responses below this part of the largest mean response count as this part of it
 ROUNDING = 0.2  # of eps: what rounding to the nearest double changes in the root mean square
 
 
@@ -60,22 +60,22 @@ def discretization_error(
     error = math.inf
     if np.isfinite([step, again]).all():
         first, second = moved(step), moved(again)
-        error = first / (1 - min(SLOWEST, second / first)) if first > 0 else 0.0
+        error = first / (1 - min(LARGEST_RATIO, second / first)) if first > 0 else 0.0
     return error, _joined(graph, path, varied)
 
 
 def agreement(
     graph: BoundaryGraph, path: PiecewisePolynomial, of_higher: PiecewisePolynomial, refined: bool = True
 ) -> float:
-    """How far the same forces move a path in its own degree, the graph's, and in a higher one: from 0 to 1.
+    """Agreement, from 0 to 1, of the responses of a path to the same forces in the graph's degree and in a higher one.
 
-    Where a path is all but undetermined, as in ε x'' = t x' by exp(-1/2ε), a mesh too coarse for the variations that
-    tell it ties it by what it does not resolve.  Every degree then finds some path, and no error of it; but they
-    differ in how firmly they tie it.
+    Where the ends hardly determine a path, as in ε x'' = t x' by exp(-1/2ε), a mesh that is too coarse for the path's
+    variations determines it instead.  Every degree then finds some path, with a small estimated error.  But the degrees
+    differ in how stiffly they hold it.
 
     Taken is the ratio of the mean changes over the nodes, because single ones may be large in a layer that the
     variations alone have, for the force and the component for which it is least.  A change that is small among all
-    counts as `HARDLY` of them.
+    counts as `SMALL_RESPONSE` of them.
     """
     if not graph.numbering.positions:
         return 1.0  # nothing can vary
@@ -88,7 +88,7 @@ def agreement(
     if not (np.isfinite(of_lower.values).all() and np.isfinite(of_higher.values).all()):
         return 0.0  # one of the Hessians is singular
     means = np.array([np.mean(np.abs(values), axis=1) for values in (of_lower.at(of_higher.nodes), of_higher.values)])
-    means = np.maximum(means, HARDLY * np.max(means) + TINY)
+    means = np.maximum(means, SMALL_RESPONSE * np.max(means) + TINY)
     return float(np.min(means.min(axis=0) / means.max(axis=0)))
 
 
@@ -121,7 +121,9 @@ def roundoff_error(graph: BoundaryGraph, point: CriticalPoint) -> float:
     unknowns, data = point.solution.unknowns, point.solution.data
     with graph.stationarity.linearization() as at:
         at.relinearize(unknowns, data)
-        moved = at.blurs(ROUNDING * EPS * at.terms(unknowns, data)) / graph.stationarity.sizes(unknowns, data)
+        moved = at.rounding_effects(ROUNDING * EPS * at.terms(unknowns, data)) / graph.stationarity.sizes(
+            unknowns, data
+        )
     floor = float(np.sqrt(np.mean(np.max(np.abs(moved), axis=1) ** 2))) + EPS
     return floor if math.isfinite(floor) else math.inf
 
@@ -130,4 +132,4 @@ def error_between_ends(graph: BoundaryGraph, path: PiecewisePolynomial) -> float
     """Estimate the error of a path of the graph's degree; no less than 1 less its `agreement`, where that is poor."""
     error, varied = discretization_error(graph.higher, path)
     agreed = agreement(graph, path, varied)
-    return error if agreed >= ROUGHLY_ALIKE else max(error, 1 - agreed)
+    return error if agreed >= LEAST_AGREEMENT else max(error, 1 - agreed)

@@ -13,15 +13,15 @@ from numpy.polynomial.legendre import legfit, legval
 
 from casadi_galerkin.boundary.action_descent import descend
 from casadi_galerkin.boundary.graph import CriticalPoint
-from casadi_galerkin.boundary.growing_share import of_force, of_time, under_growing_share
-from casadi_galerkin.boundary.levels import Levels
+from casadi_galerkin.boundary.graph_cache import GraphCache
+from casadi_galerkin.boundary.homotopy import path_by_homotopy, with_scaled_force, with_scaled_time_span
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import graded_alike, of_degree, resolved
+from casadi_galerkin.calculus.mesh_adaptation import default_method, resized_mesh, resolving_interpolant
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import by_rows
-from casadi_galerkin.problems.problem import between_marks
+from casadi_galerkin.problems.problem import map_times
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.guess import FAR, Guess, apart
+from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess, relative_distance
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import damped_newton
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton, rescues
@@ -30,7 +30,8 @@ ITERATIONS = 40  # of Newton's method from an earlier path; where it took more i
 DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
 MORE = 4  # times as many intervals as the coarse mesh has: where that is too coarse for any path, this was enough
 GUESS_INTERVALS = 200  # from which a guess is left as it is
-ROUGHLY, WELL = 0.1, 1e-6  # part of a guess that a first mesh may leave out: a corner or noise may, a layer may not
+# truncation error of a guess on a first mesh: loose for corners and noise, tight for layers
+COARSE_RESOLUTION, FINE_RESOLUTION = 0.1, 1e-6
 
 Find: TypeAlias = Callable[[], CriticalPoint]
 
@@ -48,19 +49,19 @@ def is_newton(solver: SolverLike) -> TypeGuard[Solver]:
     return isinstance(solver, Solver) and solver.name == newton.name
 
 
-def following(solver: SolverLike) -> SolverLike:
+def warm_newton(solver: SolverLike) -> SolverLike:
     """Newton's method from an earlier path, with the options of `solver` if that is Newton's method, too."""
     return partial(damped_newton, **{"max_iter": ITERATIONS, **(solver.options if is_newton(solver) else {})})
 
 
-def on_its_joints(
-    levels: Levels, method: Galerkin, guess: Guess | None, mesh: np.ndarray, tol: float
+def guess_on_resolving_mesh(
+    graphs: GraphCache, method: Galerkin, guess: Guess | None, mesh: np.ndarray, tol: float
 ) -> PiecewisePolynomial:
     """A guess on joints on which it is resolved to a tolerance: where it turns sharply, so may the path."""
-    interpolated = partial(levels.transcription(method, mesh).guess_on_mesh, guess)
+    interpolated = partial(graphs.transcription(method, mesh).guess_on_mesh, guess)
     if not callable(guess):
         return interpolated(mesh)  # there is nothing between the values of an array
-    return resolved(interpolated, mesh, tol, GUESS_INTERVALS, levels.problem.breakpoints)
+    return resolving_interpolant(interpolated, mesh, tol, GUESS_INTERVALS, graphs.problem.breakpoints)
 
 
 def _smoothed(guess: PiecewisePolynomial) -> PiecewisePolynomial:
@@ -73,15 +74,15 @@ def _smoothed(guess: PiecewisePolynomial) -> PiecewisePolynomial:
 def _distance(guess: PiecewisePolynomial, point: CriticalPoint) -> float:
     """How far a path is from the guess, over the guess's size, at the same parts of its duration."""
     path = point.polynomial
-    times = between_marks(guess.times(guess.nodes[:-1]), guess.mesh[[0, -1]], path.mesh[[0, -1]])
-    return apart(path(times), guess.values)
+    times = map_times(guess.times(guess.nodes[:-1]), guess.mesh[[0, -1]], path.mesh[[0, -1]])
+    return relative_distance(path(times), guess.values)
 
 
 def _near(guess: PiecewisePolynomial, find: Find) -> CriticalPoint:
     """Refuse a path far from the guess: another one was meant."""
     point = find()
     distance = _distance(guess, point)
-    if distance > FAR:
+    if distance > FAR_FROM_GUESS:
         away = f"the path found is up to {distance:.2g} of the guess's size away from the guess"
         raise ConvergenceError(away, Path(point.polynomial))
     return point
@@ -90,7 +91,7 @@ def _near(guess: PiecewisePolynomial, find: Find) -> CriticalPoint:
 def _nearest(guess: PiecewisePolynomial, first: Find, others: Iterable[Find]) -> CriticalPoint:
     """The path of the first way; where that is far from the guess, of another one that leads near it, if any does."""
     point = first()
-    if _distance(guess, point) > FAR:
+    if _distance(guess, point) > FAR_FROM_GUESS:
         for find in others:
             with suppress(ConvergenceError):
                 return find()
@@ -98,61 +99,71 @@ def _nearest(guess: PiecewisePolynomial, first: Find, others: Iterable[Find]) ->
 
 
 def first_path_strategies(
-    levels: Levels,
+    graphs: GraphCache,
     method: Galerkin,
     mesh: np.ndarray,
     guess: Guess | None,
     solver: SolverLike,
-    roughly: Callable[[Levels, np.ndarray, Guess | None], CriticalPoint],
+    intermediate_path: Callable[[GraphCache, np.ndarray, Guess | None], CriticalPoint],
 ) -> Iterator[Strategy]:
     """Ways to a first path, in the order in which they are tried.
 
     They are Newton's method on the coarse mesh, with a guess also from that smoothed, and on a mesh that resolves it;
-    its rescues on the coarse mesh; growing shares of a force or, without a force and a guess, of the time, their paths
-    found `roughly`; a descent of the action with moving joints; and whatever `solver` tries.  With a guess, a path near
-    it is taken before one that is far from it, which is another one.
+    its rescues on the coarse mesh; a homotopy in the force or, without a force and a guess, in the time span, its paths
+    found by `intermediate_path`; a descent of the action with moving joints; and whatever `solver` tries.  With a
+    guess, a path near it is taken before one that is far from it, which is another one.
     """
-    given, name, problem = on_its_joints(levels, method, guess, mesh, ROUGHLY), repr(solver), levels.problem
+    given, name, problem = (
+        guess_on_resolving_mesh(graphs, method, guess, mesh, COARSE_RESOLUTION),
+        repr(solver),
+        graphs.problem,
+    )
 
     @cache
     def finer() -> PiecewisePolynomial:
-        return on_its_joints(levels, method, guess, mesh, WELL)
+        return guess_on_resolving_mesh(graphs, method, guess, mesh, FINE_RESOLUTION)
 
     def solved(begun: PiecewisePolynomial, by: SolverLike) -> CriticalPoint:
-        return levels.solve(method, begun.mesh, begun.values, by)
+        return graphs.solve(method, begun.mesh, begun.values, by)
 
     if is_newton(solver):
-        plain, brief = partial(damped_newton, **solver.options), following(solver)
+        plain, brief = partial(damped_newton, **solver.options), warm_newton(solver)
         first, ways = partial(solved, given, plain), dict[str, Find]()
         if guess is not None:
             ways["Newton's method from the guess smoothed"] = lambda: solved(_smoothed(given), brief)
             ways["Newton's method on a finer mesh"] = lambda: solved(finer(), brief)
             first = partial(_nearest, given, first, [partial(_near, given, find) for find in ways.values()])
         yield Strategy("Newton's method", first)
-        stationarity = levels.transcription(method, given.mesh).stationarity
+        stationarity = graphs.transcription(method, given.mesh).stationarity
         ways |= {name: partial(solved, given, rescue) for name, rescue in rescues(stationarity).items()}
         for name, find in ways.items():
             yield Strategy(name, find if guess is None else partial(_near, given, find))
         fine = finer().mesh
-        fine = graded_alike(fine, max(MORE * (len(given.mesh) - 1), len(fine) - 1), problem.breakpoints)
+        fine = resized_mesh(fine, max(MORE * (len(given.mesh) - 1), len(fine) - 1), problem.breakpoints)
         forced = problem.force is not None
         free = guess is None and problem.energy is None and problem.constraint is None and not problem.breakpoints
         if forced or free:
-            under, words = (of_force, "under a growing force") if forced else (of_time, "over a growing time")
-            start = levels.transcription(method, fine).guess_on_mesh(guess, fine)
-            yield Strategy(f"Newton's method {words}", partial(under_growing_share, levels, under, start, roughly))
+            under, words = (
+                (with_scaled_force, "under a growing force")
+                if forced
+                else (with_scaled_time_span, "over a growing time")
+            )
+            start = graphs.transcription(method, fine).guess_on_mesh(guess, fine)
+            yield Strategy(
+                f"Newton's method {words}", partial(path_by_homotopy, graphs, under, start, intermediate_path)
+            )
         if stationarity.variational and not stationarity.functional.numbering.multipliers:
-            joints = graded_alike(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
-            yield Strategy("descent of the action", partial(_by_descent, levels, method, joints, guess, brief))
+            joints = resized_mesh(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
+            yield Strategy("descent of the action", partial(_by_descent, graphs, method, joints, guess, brief))
         name = "Newton's method with its rescues"
     yield Strategy(name, partial(solved, given, solver))
 
 
 def _by_descent(
-    levels: Levels, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike
+    graphs: GraphCache, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike
 ) -> CriticalPoint:
     """Lower the action of a guess until Newton's method takes over."""
-    transcribed = partial(levels.transcription, of_degree(DESCENT_DEGREE), mapping=by_rows)
+    transcribed = partial(graphs.transcription, default_method(DESCENT_DEGREE), mapping=by_rows)
     path = descend(transcribed, transcribed(mesh).guess_on_mesh(guess, mesh), DESCENT_TOLERANCE)
-    mesh = graded_alike(path.mesh, len(path.mesh) - 1, levels.problem.breakpoints)  # descending moves the joints
-    return levels.solve(method, mesh, path, solver)
+    mesh = resized_mesh(path.mesh, len(path.mesh) - 1, graphs.problem.breakpoints)  # descending moves the joints
+    return graphs.solve(method, mesh, path, solver)

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.failure_report import conjugate, explained
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.mesh_adaptation import of_higher_degree
+from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.end_velocities import end_velocities
 from casadi_galerkin.functional.mapping import PointMap
@@ -43,7 +43,7 @@ class CriticalPoint:
     problem: BoundaryProblem
     polynomial: PiecewisePolynomial
 
-    @lazy
+    @cached_property
     def momentum(self) -> np.ndarray:
         """Momenta at the joints, (d, N + 1); with velocities that are tangent to a constraint."""
         momentum = self.solution.momentum.reshape(self.problem.dimension, -1, order="F")
@@ -61,7 +61,7 @@ class BoundaryGraph:
         self._mapping, self._higher = mapping, list[BoundaryGraph]()
         self._end_velocities = end_velocities(problem)
 
-    def of(self: Graph, problem: BoundaryProblem) -> Graph:
+    def for_problem(self: Graph, problem: BoundaryProblem) -> Graph:
         """The same graph for a problem that is `varied` from this one's; nothing is built."""
         if problem is self.problem:
             return self
@@ -73,16 +73,16 @@ class BoundaryGraph:
     def higher(self) -> BoundaryGraph:
         """The graph of the degree that tells what this one misses; built once for all problems varied from one."""
         if not self._higher:
-            method = of_higher_degree(self.method.degree)
+            method = higher_degree_method(self.method.degree)
             self._higher.append(BoundaryGraph(self.problem, method, self.mesh, self._mapping))
-        return self._higher[0].of(self.problem)
+        return self._higher[0].for_problem(self.problem)
 
     @property
     def build_seconds(self) -> float:
         """Seconds spent on building the graph so far, and that of the higher degree."""
         return self.functional.build_seconds + sum(built.build_seconds for built in self._higher)
 
-    @lazy
+    @cached_property
     def _calculus(self) -> DiscreteCalculus:
         return DiscreteCalculus(self.method, self.mesh)
 
@@ -108,7 +108,7 @@ class BoundaryGraph:
         calculus = self._calculus if mesh is None else remeshed(self._calculus, mesh, self.problem.breakpoints)
         joints = calculus.mesh
         problem = self.varied(changes or {}, joints)
-        graph = self.of(problem)
+        graph = self.for_problem(problem)
         data = graph.data(joints)
         values = self._guess(guess, calculus, data)
         if has_phase(problem):

@@ -10,7 +10,7 @@ from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.legendre_transform import degenerate, refuse_degenerate
 
-GENERIC = 0.1, 0.4, 0.7  # parts of a line between the ends, bent, at which a Lagrangian is asked for its mass matrix
+GENERIC = 0.1, 0.4, 0.7  # fractions of a bent line between the ends, at which the mass matrix is evaluated
 
 
 def check_mass(problem: BoundaryProblem) -> None:

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.error_estimate import agreement, discretization_error, roundoff_error
-from casadi_galerkin.boundary.first_path import first_path_strategies, following, is_newton
+from casadi_galerkin.boundary.first_path import first_path_strategies, is_newton, warm_newton
 from casadi_galerkin.boundary.graph import CriticalPoint
-from casadi_galerkin.boundary.levels import Levels
+from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.discrete_calculus import NEAREST, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
@@ -34,42 +34,46 @@ from casadi_galerkin.calculus.mesh_adaptation import (
     FEWEST,
     TARGET,
     equidistributed,
-    truncation,
+    truncation_error,
 )
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import check_types
+from casadi_galerkin.solution.error_indicators import scaled_indicators
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess, joined_by_lines
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.refinement import HINT, Estimate, Refinement
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.solution.witness import witnesses
 from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.newton import NEWTON
 from casadi_galerkin.solvers.solver import SolverLike
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 
 FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
-BLURRED = 1e-14  # part left out that rounding of the node values alone looks like
-FAR = 0.1  # part of the tolerance below which rounding need not be looked at: it moves a path by eps / regularity
-ILL = 1e4  # roundoff floor over eps from which it is the problem's conditioning that is named
-ALIKE = 0.99  # agreement below which a mesh is halved; at 0.83 some 3 % of untied kinks passed, at 0.95 still some
-HALVED = 8  # meshes on which variations may disagree; on finer ones only rounding was seen to differ
-LASTING, STEADY = 3, 1.02  # meshes, factor: an agreement that keeps within is not theirs: a mass may vanish at an end
-NOISE = 10.0  # an error that is not so many times what rounding does no longer falls with the mesh
+TRUNCATION_FLOOR = 1e-14  # truncation error that rounding of the node values alone suggests
+ROUNDOFF_MARGIN = 0.1  # share of the tolerance below which rounding, some eps / regularity, need not be estimated
+ILL_CONDITIONED = 1e4  # roundoff floor over eps from which the message blames the problem's conditioning
+# agreement below which a mesh is halved; at 0.83 some 3 % of undetermined kinks were accepted, at 0.95 a few
+REQUIRED_AGREEMENT = 0.99
+MOST_HALVINGS = 8  # most meshes that are halved because the two degrees disagree; beyond, only rounding differed
+# meshes on which the agreement stays within a factor: then it is not due to the mesh, as where a mass vanishes
+STEADY_MESHES, STEADY_FACTOR = 3, 1.02
+FLOOR_FACTOR = 10.0  # times the roundoff floor: a smaller error no longer falls with the mesh
 LEAST, MOST = 0.1, 1e6  # parts that an interval is split into for the energy it misses; a mesh splits by less at once
 SHORTEST = 1e-13  # interval over the duration at which a refinement stops: a double has three digits more
-SHARP = 1e-6  # interval over the duration from which a refused mesh is said to crowd at a place
-BLUNT = 1e5 * EPS  # interval over the distance to the nearer end at which it stops, too: times inside are so rounded
-BESIDE = 1e-2  # distance over the duration within which a breakpoint may be why an error stays
+CROWDED = 1e-6  # interval over the duration from which a refused mesh is said to crowd at a place
+# interval, over the distance to the nearer end, at which a refinement stops as well: times are rounded
+TIME_ROUNDING = 1e5 * EPS
+# distance over the duration within which a breakpoint may be the cause of an error that stays
+BREAKPOINT_DISTANCE = 1e-2
 CROWD, SHORT = 20, 1e-3  # intervals, in this part of the duration, among which rounding hides a kink
-PASSING = 1e-3, 500  # tolerance and most intervals of paths on the way to the one that is looked for
-STUBBORN = 3  # meshes on which what a witness misses may stay until it is said to do so on any
-WANDERING = 12  # the same for Legendre coefficients, while intervals are moved to where these are large
-UNSMOOTH = (
+INTERMEDIATE = 1e-3, 500  # tolerance and most intervals of the intermediate paths of a homotopy
+INDICATOR_PATIENCE = 3  # meshes in a row on which an error indicator may stay large before the refinement stops
+TRUNCATION_PATIENCE = 12  # the same for Legendre coefficients, while intervals are moved to where these are large
+NOT_SMOOTH = (
     "Either L is not smooth there: name that time in the breakpoints of the problem. Or the path passes through a "
     "singularity: give a guess that leads around it"
 )
@@ -82,19 +86,19 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     def __init__(
         self,
-        levels: Levels,
+        graphs: GraphCache,
         tol: float,
         method: Galerkin,
         solver: SolverLike,
         limits: Limits,
     ) -> None:
-        super().__init__(tol, limits, levels.verbose)
-        self.levels, self.method = levels, method
-        self.built = levels.build_seconds  # before this refinement
-        self.solver, self.following = solver, following(solver)
+        super().__init__(tol, limits, graphs.verbose)
+        self.graphs, self.method = graphs, method
+        self.built = graphs.build_seconds  # before this refinement
+        self.solver, self.warm_solver = solver, warm_newton(solver)
 
     def refine(self, level: CriticalPoint) -> tuple[CriticalPoint, float]:
-        """As for every refinement; nothing is remembered of other first paths."""
+        """Refine as the base class does, without what other first paths have left."""
         self.seen: dict[str, tuple[float, float, float, int]] = {}
         self.agreements: list[float] = []  # of the degrees about how far forces move the path, on each mesh
         self.nearest: dict[str, float] = {}  # smallest errors so far, by what they were estimated from
@@ -103,7 +107,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     @property
     def iterations(self) -> int:
         """Iterations of the solver in all levels."""
-        return self.levels.iterations
+        return self.graphs.iterations
 
     def solved(self, level: CriticalPoint) -> tuple[PiecewisePolynomial, int, float]:
         """The path of one level, iterations of the solver on it, and the residual it left."""
@@ -116,26 +120,26 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     def estimate(self, level: CriticalPoint) -> Estimate[np.ndarray]:
         """What the path leaves out on every interval; where that is below the tolerance, its error."""
         path = level.polynomial
-        left_out = truncation(path)
+        left_out = truncation_error(path)
         largest = float(np.max(left_out))
-        if largest > max(self.tol, BLURRED):
-            self.check_stubborn(level, "Legendre coefficients", left_out, WANDERING)
+        if largest > max(self.tol, TRUNCATION_FLOOR):
+            self.check_stagnation(level, "Legendre coefficients", left_out, TRUNCATION_PATIENCE)
             return Estimate(largest, False, "Legendre coefficients", left_out)
         floor = self.floor(level)
         higher = self.graph(path).higher
         error, varied = discretization_error(higher, path, refined=floor > 0)
         error = math.hypot(error, floor)
-        mesh, stretched = path.mesh, self.levels.problem.energy is not None
-        self.roundoff_level = NOISE * max(
+        mesh, stretched = path.mesh, self.graphs.problem.energy is not None
+        self.roundoff_level = FLOOR_FACTOR * max(
             floor, EPS * np.max(np.abs(mesh)) / (mesh[-1] - mesh[0]) if stretched else 0.0
         )
-        said = witnesses(self.levels.problem, path, level.momentum)
-        source, missed = max(said.items(), key=lambda item: float(np.max(item[1])))
+        indicators = scaled_indicators(self.graphs.problem, path, level.momentum)
+        source, missed = max(indicators.items(), key=lambda item: float(np.max(item[1])))
         if np.max(missed) > self.tol:
-            self.check_stubborn(level, source, missed, STUBBORN)
+            self.check_stagnation(level, source, missed, INDICATOR_PATIENCE)
             return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed))
-        error = max(error, float(np.max(said["force"])))
-        if error <= self.tol and not self.agreed(level, varied, floor):
+        error = max(error, float(np.max(indicators["force"])))
+        if error <= self.tol and not self.degrees_agree(level, varied, floor):
             halved = np.full(len(left_out), TARGET * self.tol * 2.0 ** (self.method.degree + 1))
             return Estimate(1 - self.agreements[-1], False, "responses to forces", halved)
         left_out *= error / max(np.max(left_out), 1e-300)
@@ -152,7 +156,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     def floor(self, level: CriticalPoint) -> float:
         """What rounding does to the path, zero where that is far below the tolerance; refuses a tolerance below it."""
         regularity = level.solution.regularity
-        if FAR * self.tol * regularity > EPS:
+        if ROUNDOFF_MARGIN * self.tol * regularity > EPS:
             return 0.0
         graph = self.graph(level.polynomial)
         floor = roundoff_error(graph, level)
@@ -160,7 +164,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             graph.refuse_conjugate(level)
             cause = (
                 "the ends are nearly conjugate, or the action's terms cancel"
-                if floor > ILL * EPS
+                if floor > ILL_CONDITIONED * EPS
                 else "doubles hold no more digits"
             )
             reason = f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here, on any mesh: {cause}"
@@ -168,26 +172,26 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         return floor
 
     def _left_out_for(self, missed: np.ndarray) -> np.ndarray:
-        """What would have intervals split in proportion to the energy they miss, which at a kink falls like h."""
+        """Errors that split intervals in proportion to their energy imbalance, which at a kink falls like h."""
         target = TARGET * self.tol
         return np.asarray(target * np.clip(missed / target, LEAST, MOST) ** (self.method.degree + 1))
 
     def graph(self, path: PiecewisePolynomial) -> Transcription:
         """The graph on the mesh of a path."""
-        return self.levels.transcription(self.method, path.mesh)
+        return self.graphs.transcription(self.method, path.mesh)
 
-    def agreed(self, level: CriticalPoint, varied: PiecewisePolynomial, floor: float) -> bool:
-        """Whether forces move the path alike in its own degree, or, on any mesh, unlike.
+    def degrees_agree(self, level: CriticalPoint, varied: PiecewisePolynomial, floor: float) -> bool:
+        """Whether forces move the path alike in both degrees, or differently on every mesh.
 
-        Refuses a path of a family.
+        Raises if the path belongs to a family.
         """
         graph = self.graph(level.polynomial)
         self.agreements.append(agreement(graph, level.polynomial, varied, refined=floor > 0))
-        last = self.agreements[-LASTING:]
-        if last[-1] >= ALIKE or (len(last) == LASTING and max(last) < STEADY * min(last)):
+        last = self.agreements[-STEADY_MESHES:]
+        if last[-1] >= REQUIRED_AGREEMENT or (len(last) == STEADY_MESHES and max(last) < STEADY_FACTOR * min(last)):
             return True
         graph.check_second_variation(level)
-        if len(self.agreements) == HALVED:
+        if len(self.agreements) == MOST_HALVINGS:
             reason = "how far forces move the path differs with the degree on any mesh: the ends are nearly conjugate"
             raise self.stopped(reason, level, 1 - last[-1])
         return False
@@ -198,32 +202,32 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         Where the last mesh did not halve the error, the path is less smooth than the method's order tells, and as many
         intervals elsewhere would not do: there are more.  Only errors estimated from the same are compared.
         """
-        path, order, breakpoints = level.polynomial, self.method.degree + 1, self.levels.problem.breakpoints
+        path, order, breakpoints = level.polynomial, self.method.degree + 1, self.graphs.problem.breakpoints
         nearest = self.nearest.get(estimate.source, math.inf)
         fewest = FEWEST if estimate.error < nearest / 2 else len(path.mesh)
         self.nearest[estimate.source] = min(nearest, estimate.error)
         mesh = equidistributed(path.mesh, estimate.detail, order, self.tol, fewest=fewest, breakpoints=breakpoints)
         self.check_mesh(mesh, level, estimate)
-        return self.levels.solve(self.method, mesh, path, self.following)
+        return self.graphs.solve(self.method, mesh, path, self.warm_solver)
 
     def check_mesh(self, mesh: np.ndarray, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> None:
         """Stop before there are too many intervals, or some so short that nothing more can be learned there."""
         steps, duration = np.diff(mesh), mesh[-1] - mesh[0]
         inside = np.minimum(mesh[:-1] - mesh[0], mesh[-1] - mesh[1:])
-        shortest = np.maximum(np.maximum(SHORTEST * duration, BLUNT * inside), NEAREST * np.max(np.abs(mesh)))
+        shortest = np.maximum(np.maximum(SHORTEST * duration, TIME_ROUNDING * inside), NEAREST * np.max(np.abs(mesh)))
         i, few = int(np.argmin(steps / shortest)), len(steps) <= self.limits.intervals
         if few and steps[i] > shortest[i]:
             return
         needs = f"intervals of {max(steps[i], 0.0):.1e}" if few else f"{len(steps)} intervals"
-        crowded = steps[i] < SHARP * duration
-        sharp = f", the shortest near t = {mesh[i]:.9g}. {self.unsmooth(mesh[i], duration)}" if crowded else ""
+        crowded = steps[i] < CROWDED * duration
+        sharp = f", the shortest near t = {mesh[i]:.9g}. {self.not_smooth(mesh[i], duration)}" if crowded else ""
         magnified = ": the ends are nearly conjugate" if estimate.trusted and estimate.error > 1 else ""
         source = f"estimated from {estimate.source}{magnified}{sharp}"
         reason = f"the mesh would need {needs} for an error of {estimate.error:.1e}, {source}"
         raise self.stopped(reason, level, estimate.error)
 
-    def check_stubborn(self, level: CriticalPoint, source: str, missed: np.ndarray, patience: int) -> None:
-        """Stop where what is missed at a place does not fall with the mesh, or hides among many short intervals."""
+    def check_stagnation(self, level: CriticalPoint, source: str, missed: np.ndarray, patience: int) -> None:
+        """Stop where an error at one place does not fall with the mesh, or is spread over many short intervals."""
         mesh, worst, crowd = level.polynomial.mesh, float(np.max(missed)), missed > np.max(missed) / 2
         hidden = np.count_nonzero(crowd) > CROWD and np.sum(np.diff(mesh)[crowd]) < SHORT * (mesh[-1] - mesh[0])
         i = int(np.argmax(missed))
@@ -232,28 +236,30 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         count = count + 1 if worst > last / 2 and abs(when - place) <= width + step else 0
         self.seen[source] = worst, when, step, count
         if count == patience or hidden:
-            where, unsmooth = f"near t = {when:.9g}", self.unsmooth(when, mesh[-1] - mesh[0])
-            reason = f"an error of {worst:.1e} {where}, measured by the {source}, stays on any mesh. {unsmooth}"
+            where, not_smooth = f"near t = {when:.9g}", self.not_smooth(when, mesh[-1] - mesh[0])
+            reason = f"an error of {worst:.1e} {where}, measured by the {source}, stays on any mesh. {not_smooth}"
             raise self.stopped(reason, level, worst)
 
-    def unsmooth(self, when: float, duration: float) -> str:
-        """What may keep the error at a time, in words."""
+    def not_smooth(self, when: float, duration: float) -> str:
+        """Say why the error near a time may not fall."""
         rule = self.method.quadrature
-        beside = [time for time in self.levels.problem.breakpoints if abs(time - when) <= BESIDE * duration]
+        beside = [
+            time for time in self.graphs.problem.breakpoints if abs(time - when) <= BREAKPOINT_DISTANCE * duration
+        ]
         if beside and {0.0, 1.0}.intersection(rule.points):
             return (
                 f"The quadrature has a point at the joint t = {beside[0]:.9g}, a breakpoint, and sees one side of a "
                 f"jump there: take gauss({len(rule)}), whose points are inside the intervals"
             )
-        return UNSMOOTH
+        return NOT_SMOOTH
 
     @property
-    def at_once(self) -> SolverLike:
-        """What solves near a path that is known: Newton's method, unless another solver is asked for."""
-        return self.following if is_newton(self.solver) else self.solver
+    def local_solver(self) -> SolverLike:
+        """The solver from a known path: Newton's method with few iterations, unless another one is asked for."""
+        return self.warm_solver if is_newton(self.solver) else self.solver
 
     def resume(self, level: CriticalPoint) -> Trajectory:
-        """Refine a path that was found on a mesh that served another."""
+        """Refine a path that was solved on the mesh of another path."""
         with until(self.deadline):
             return self.finish(*self.refine(level))
 
@@ -261,7 +267,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """Refine the first path found that can be followed; values of a guess are those on this mesh."""
         guess = self.on_any_mesh(guess, mesh)
         failures: list[ConvergenceError] = []
-        for strategy in first_path_strategies(self.levels, self.method, mesh, guess, self.solver, self.roughly):
+        for strategy in first_path_strategies(
+            self.graphs, self.method, mesh, guess, self.solver, self.intermediate_path
+        ):
             began, before, first = time.perf_counter(), self.iterations, None
             try:
                 with until(self.deadline):
@@ -289,26 +297,26 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         conjugate = [failure for failure in failures if isinstance(failure, ConjugatePointError)]
         raise (conjugate or failures)[-1]  # a singular Hessian tells more than that another way found nothing
 
-    def roughly(self, levels: Levels, mesh: np.ndarray, guess: Guess | None) -> CriticalPoint:
-        """Find a path on the way to the one that is looked for, on a mesh that resolves it."""
-        tol, most = PASSING
+    def intermediate_path(self, graphs: GraphCache, mesh: np.ndarray, guess: Guess | None) -> CriticalPoint:
+        """Find a path of a homotopy to a loose tolerance, on a mesh that resolves it."""
+        tol, most = INTERMEDIATE
         limits = replace(self.limits, intervals=min(self.limits.intervals, most))
-        part = BoundaryRefinement(levels, max(self.tol, tol), self.method, self.solver, limits)
+        part = BoundaryRefinement(graphs, max(self.tol, tol), self.method, self.solver, limits)
         part.deadline = self.deadline
-        return part.refine(levels.solve(self.method, mesh, guess, self.following))[0]
+        return part.refine(graphs.solve(self.method, mesh, guess, self.warm_solver))[0]
 
     def on_any_mesh(self, guess: Guess | None, mesh: np.ndarray) -> Guess | None:
         """A guess that other meshes take, too: values at the joints or nodes of this mesh become a path."""
         if isinstance(guess, tuple) and len(guess) == 2:
-            return joined_by_lines(*guess, self.levels.problem.dimension)
+            return joined_by_lines(*guess, self.graphs.problem.dimension)
         if guess is None or callable(guess):
             return guess
-        return self.levels.transcription(self.method, mesh).guess_on_mesh(guess, mesh)
+        return self.graphs.transcription(self.method, mesh).guess_on_mesh(guess, mesh)
 
     def finish(self, point: CriticalPoint, error: float) -> Trajectory:
-        """Wrap the path that passed."""
+        """Make the accepted path a Trajectory, with the cost of the whole refinement."""
         path = self.graph(point.polynomial).trajectory(point, 0.0)
-        build_seconds = self.levels.build_seconds
+        build_seconds = self.graphs.build_seconds
         return replace(
             path,
             iterations=self.iterations,

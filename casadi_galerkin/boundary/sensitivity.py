@@ -22,7 +22,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.constrained_motion import over_terms
+from casadi_galerkin.problems.constrained_motion import relative_residuals
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.linear_solver import all_finite
@@ -68,7 +68,7 @@ def _check(problem: BoundaryProblem, stationarity: Stationarity) -> ca.Function:
     passed = [ca.norm_inf(residual / least) <= ACCEPTED, all_finite(residual)]
     if problem.constraint is not None:
         data, terms = dict(zip(names, symbols, strict=True)), problem.constraint.sx_in()
-        missed = over_terms(problem.constraint(*terms), terms[:2], terms[2:])
+        missed = relative_residuals(problem.constraint(*terms), terms[:2], terms[2:])
         for name, when in (("start", data["mesh"][0]), ("end", data["mesh"][-1])):
             if data[name].numel() == problem.dimension:
                 further = [data["parameters"]] if "parameters" in data else []

@@ -7,7 +7,7 @@ that holds a guess in place is taken away: where the straight line led to nothin
 three components were solved so, and 5 by Newton's method from as many random guesses.  Wherever a curve comes near a
 path, the package's own Newton method takes over, and its answer is verified as every answer is.  A discrete action also
 has critical points that are no paths, zigzags of a coarse mesh, and makes single paths of a family: dropped is what a
-higher degree or the witnesses refute, and where the second variation vanishes up to the error.
+higher degree or the error indicators refute, and where the second variation vanishes up to the error.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import counted, place, real_array, whole_number
+from casadi_galerkin.calculus.numbers import checked_index, counted, real_array, whole_number
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.statement import refuse_free_phase
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -34,7 +34,7 @@ from casadi_galerkin.solution.guess import waves
 from casadi_galerkin.solution.plotting import Pictured, plot_family
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory, index_in_words
-from casadi_galerkin.solvers.loaded_curve import LoadedCurve, of_own_load
+from casadi_galerkin.solvers.loaded_curve import LoadedCurve, residual_load_curve
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import smallest_second_variation
 
@@ -103,7 +103,7 @@ class Paths(Pictured):
         label : name of the component with its unit
         time : name of the time with its unit
         """
-        place("component", component, len(self[0].x))
+        checked_index("component", component, len(self[0].x))
         drawn = [(f"action {path.action:.6g}, {index_in_words(path)}", path._line()) for path in self]
         lines = [(name, times, values[component]) for name, (times, values) in drawn]
         return plot_family(lines, axes, label or f"x[{component}]", time)
@@ -240,7 +240,7 @@ class Search:
                     last = self.solves
                 advance(len(self.found) - known)
         if not self.found:
-            raise self.nothing()
+            raise self.no_path_error()
         reached = len(self.found) == count
         stopped = f"stopped at count={count}" if reached else f"stopped after {PATIENCE} solves without a new one"
         ordered = sorted((path for path, _ in self.found), key=lambda path: path.action)
@@ -257,7 +257,7 @@ class Search:
         elif not self.transcription.numbering.positions:
             return  # all guesses are the straight line, and no load moves it
         elif not self.found:
-            yield from self.from_its_own_load()
+            yield from self.along_residual_load()
         elif self.solves % 3:
             yield from self.along_a_load()
         else:
@@ -278,11 +278,11 @@ class Search:
         solution = damped_newton(self.stationarity, self.guess(), self.data)
         return replace(solution, report="Newton, from a random guess")
 
-    def from_its_own_load(self) -> Iterator[Solution]:
+    def along_residual_load(self) -> Iterator[Solution]:
         """All that is met while the load is taken away that holds a random guess."""
         with self.stationarity.linearization() as at:
-            curve = of_own_load(at, self.guess(), self.data, self.stiffest)
-            yield from curve.met(-1.0, "Newton, along the load of a random guess")
+            curve = residual_load_curve(at, self.guess(), self.data, self.stiffest)
+            yield from curve.stationary_paths(-1.0, "Newton, along the load of a random guess")
 
     def along_a_load(self) -> Iterator[Solution]:
         """All that a curve of loaded paths meets: first to one side of a path, in the next solve to the other."""
@@ -294,7 +294,7 @@ class Search:
         values, report = self.start.polynomial.values, f"Newton, along a load from action {self.start.action:.6g}"
         with self.stationarity.linearization() as at:
             curve = LoadedCurve(at, self.begun, 0.0, self.data, self.load, self.sizes, self.stiffest)
-            for solution in curve.met(-1.0 if again else 1.0, report):
+            for solution in curve.stationary_paths(-1.0 if again else 1.0, report):
                 if self.same(self.values(solution.unknowns), values):
                     return  # the curve is closed
                 yield solution
@@ -311,7 +311,7 @@ class Search:
         """Keep a critical point if it is new, regular, and a path."""
         polynomial = self.transcription.emb(solution.unknowns, solution.data)
         point = CriticalPoint(solution, self.transcription.problem, polynomial)
-        if not self.remembered(solution.unknowns):
+        if not self.is_new(solution.unknowns):
             return
         try:
             path = self.transcription.trajectory(point, seconds)
@@ -329,7 +329,7 @@ class Search:
         self.found.append((path, solution.unknowns))
         self.measure(*(path.polynomial.values for path, _ in self.found))
 
-    def remembered(self, unknowns: np.ndarray) -> bool:
+    def is_new(self, unknowns: np.ndarray) -> bool:
         """Remember a critical point with its images; whether none of them was known."""
         values, numbering = self.values(unknowns), self.transcription.numbering
         same, known = [unknowns], [self.values(each) for each in self.known]
@@ -340,7 +340,7 @@ class Search:
         self.known += new
         return len(new) == len(same)
 
-    def nothing(self) -> ConvergenceError:
+    def no_path_error(self) -> ConvergenceError:
         """Say why there is no path."""
         path = None if self.failure is None else self.failure.path
         if self.unresolved:

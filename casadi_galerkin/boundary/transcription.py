@@ -202,7 +202,7 @@ class SecondVariation:
     def _graph(self) -> Transcription:
         """The graph of the path's own degree."""
         built = self._transcription or transcribed(self._problem, self._method, None, self._path.mesh, one_by_one)
-        return built.of(self._problem)
+        return built.for_problem(self._problem)
 
     def _at_path(self, graph: BoundaryGraph) -> tuple[Stationarity, np.ndarray, Data]:
         """A graph's conditions, unknowns and data at the path."""

@@ -17,8 +17,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin, check_method
-from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.numbers import counted, real_array, spanned, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.roundoff import EPS
@@ -82,22 +82,22 @@ class DiscreteCalculus:
         self.method, self.mesh = method, time_scale(mesh)
         self._element, self._nodes = method.element, (len(self.mesh) - 1) * method.degree + 1
 
-    @lazy
+    @cached_property
     def node_times(self) -> np.ndarray:
         """Joints and control points in the order of time; (N m + 1,)."""
         return np.append(times_at(self.mesh, self._element.nodes[:-1]), self.mesh[-1])
 
-    @lazy
+    @cached_property
     def node_parts(self) -> np.ndarray:
         """The `node_times` as fractions of the time span, from 0 to 1; (N m + 1,)."""
         return np.asarray((self.node_times - self.mesh[0]) / (self.mesh[-1] - self.mesh[0]))
 
-    @lazy
+    @cached_property
     def quadrature_times(self) -> np.ndarray:
         """Times of the quadrature points, interval by interval; (N r,)."""
         return times_at(self.mesh, self._element.points)
 
-    @lazy
+    @cached_property
     def weights(self) -> np.ndarray:
         """ω = h_i w_k, so that ``weights @ f`` is ∫_a^b f Δ_w t; (N r,)."""
         return np.outer(np.diff(self.mesh), self._element.weights).ravel()

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.polynomial import legendre
 
-from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values, lobatto_points
 from casadi_galerkin.calculus.numbers import real_array, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
@@ -92,7 +92,7 @@ class Galerkin:
         m, u = self.degree, self.quadrature.order
         return min(2 * m, u, 2 * (u - m + 1))
 
-    @lazy
+    @cached_property
     def element(self) -> Element:
         """The reference interval of this method."""
         nodes = np.concatenate(([0.0], self.control_points, [1.0]))

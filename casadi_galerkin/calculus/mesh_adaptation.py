@@ -30,24 +30,24 @@ TARGET = 0.3  # a new mesh aims at this part of the tolerance
 
 
 @lru_cache(32)
-def of_degree(degree: int) -> Galerkin:
+def default_method(degree: int) -> Galerkin:
     """The default method of a degree; cached, so that its basis is computed once."""
     return Galerkin(degree)
 
 
-def of_higher_degree(degree: int) -> Galerkin:
+def higher_degree_method(degree: int) -> Galerkin:
     """The method whose path on the same mesh is compared with one of this degree, to estimate the error of that.
 
     One degree more adds nothing to a path of the other parity.  At low degrees two more are too few: with a feature
     narrower than its interval they showed an eighth of the error.  At high degrees two are enough, and four add to the
     roundoff.
     """
-    return of_degree(degree + (4 if degree < LOW else 2))
+    return default_method(degree + (4 if degree < LOW else 2))
 
 
 def method_for(tol: float) -> Galerkin:
     """The default method for a tolerance: of low degree for a loose one, of high degree for a tight one."""
-    return of_degree(int(np.clip(np.ceil(2 - np.log10(tol)), 4, 14)))
+    return default_method(int(np.clip(np.ceil(2 - np.log10(tol)), 4, 14)))
 
 
 @lru_cache(maxsize=64)
@@ -56,7 +56,7 @@ def _to_legendre(nodes: tuple[float, ...]) -> np.ndarray:
     return np.linalg.inv(legendre.legvander(2 * np.array(nodes) - 1, len(nodes) - 1))
 
 
-def truncation(path: PiecewisePolynomial, sizes: np.ndarray | None = None) -> np.ndarray:
+def truncation_error(path: PiecewisePolynomial, sizes: np.ndarray | None = None) -> np.ndarray:
     """Estimate the truncation error of a path on each interval, relative to the sizes of the components; (N,).
 
     It is taken for the first Legendre coefficient beyond the degree.  The coefficients of an analytic function fall
@@ -107,7 +107,7 @@ def spread_over(
     return np.asarray(joints)
 
 
-def graded_alike(mesh: np.ndarray, intervals: int, breakpoints: tuple[float, ...] = ()) -> np.ndarray:
+def resized_mesh(mesh: np.ndarray, intervals: int, breakpoints: tuple[float, ...] = ()) -> np.ndarray:
     """Joints that are graded like those of a mesh, but with another number of intervals; breakpoints are joints."""
     return spread_over(mesh, np.arange(len(mesh)), intervals, breakpoints)
 
@@ -155,7 +155,7 @@ def equidistributed(
     return spread_over(mesh, cumulated, count, breakpoints)
 
 
-def resolved(
+def resolving_interpolant(
     interpolated: Callable[[np.ndarray], PiecewisePolynomial],
     mesh: np.ndarray,
     tol: float,
@@ -174,7 +174,7 @@ def resolved(
     """
     path = interpolated(mesh)
     for _ in range(MESHES):
-        error = truncation(path)
+        error = truncation_error(path)
         if np.max(error) <= tol or len(path.mesh) > most:
             break
         path = interpolated(equidistributed(path.mesh, error, path.degree + 1, tol, breakpoints=breakpoints))

@@ -68,7 +68,7 @@ def flag(name: str, value: object) -> bool:
     return bool(value)
 
 
-def place(name: str, value: object, count: int) -> int:
+def checked_index(name: str, value: object, count: int) -> int:
     """Check an index into `count` things, counted from 0."""
     checked = whole(value)
     if checked is None or not 0 <= checked < count:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.calculus.numbers import counted, real_array, spanned, whole
 from casadi_galerkin.calculus.roundoff import component_sizes
@@ -71,7 +71,7 @@ class PiecewisePolynomial:
         """Degree m of the polynomial on every interval."""
         return len(self.nodes) - 1
 
-    @lazy
+    @cached_property
     def sizes(self) -> np.ndarray:
         """What errors of the components are relative to, (d,): their largest values; one where these are zero."""
         return component_sizes(self.values)

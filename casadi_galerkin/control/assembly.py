@@ -16,7 +16,7 @@ import casadi as ca
 
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.embedding import ChainEmbedding, Places
-from casadi_galerkin.functional.numbering import KEPT
+from casadi_galerkin.functional.numbering import CACHE_SIZE
 
 Pattern: TypeAlias = tuple[int, int, tuple[int, ...], tuple[int, ...]]  # the arguments of a ca.Sparsity, to be kept by
 
@@ -27,7 +27,7 @@ def pattern_of(matrix: ca.SX) -> Pattern:
     return *sparsity.shape, tuple(sparsity.colind()), tuple(sparsity.row())
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def matrices(chain: Chain) -> ChainEmbedding:
     """A, Ê, Θ and Λ of a chain."""
     return ChainEmbedding(chain)
@@ -80,14 +80,14 @@ def _split(stacked: ca.MX, places: Sequence[Places]) -> list[ca.MX]:
     return [ca.reshape(part, place.width, place.count) for part, place in zip(parts, places, strict=True)]
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def embedding(chain: Chain) -> ca.Function:
     """(unknowns, data) -> A ξ, what is known at all kinds of places."""
     given, made = symbols(chain), matrices(chain)
     return ca.Function("embedding", [*given], _split(ca.mtimes(made.matrix, ca.vertcat(*given)), made.places))
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def summation(chain: Chain) -> ca.Function:
     """c_k at the kinds of places with costs -> f."""
     made = matrices(chain)
@@ -95,14 +95,14 @@ def summation(chain: Chain) -> ca.Function:
     return ca.Function("summation", costs, [ca.sum2(ca.horzcat(_weights(chain) * costs[0], *costs[1:]))])
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def gradient(chain: Chain) -> ca.Function:
     """∇c_k at the kinds of places with costs -> ∇f."""
     gradients, weighted = _gradients_of_costs(chain)
     return ca.Function("gradient", gradients, [ca.densify(ca.mtimes(matrices(chain).derivative.T, weighted))])
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def equations(chain: Chain) -> ca.Function:
     """Unknowns, and e_k at all kinds of places -> G."""
     made, unknowns, rows = matrices(chain), symbols(chain)[0], _returned("rows", chain)
@@ -110,7 +110,7 @@ def equations(chain: Chain) -> ca.Function:
     return ca.Function("equations", [unknowns, *rows], [ca.densify(summed)])
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def jacobian(chain: Chain, patterns: tuple[Pattern, ...]) -> ca.Function:
     """Nonzeros of ∇e_k at all kinds of places -> ∇G."""
     made, (entries, blocks) = matrices(chain), _blocks(chain, patterns)
@@ -118,7 +118,7 @@ def jacobian(chain: Chain, patterns: tuple[Pattern, ...]) -> ca.Function:
     return ca.Function("jacobian", entries, [matrix])
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def multiplication(chain: Chain) -> ca.Function:
     """(φ, λ) -> φ w_k, then (Θᵀλ)_k, at all kinds of places, and Λᵀλ."""
     made, factor, multipliers = matrices(chain), ca.MX.sym("factor"), ca.MX.sym("multipliers", chain.equations)
@@ -128,7 +128,7 @@ def multiplication(chain: Chain) -> ca.Function:
     return ca.Function("multiplication", [factor, multipliers], [*weights, *along, linear])
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def slope(chain: Chain) -> ca.Function:
     """Gradients of the terms of f̄ at all kinds of places, and Λᵀλ -> ∇f̄."""
     gradients, linear = _gradients(chain), ca.MX.sym("linear", chain.unknowns)
@@ -136,7 +136,7 @@ def slope(chain: Chain) -> ca.Function:
     return ca.Function("slope", [*gradients, linear], [ca.densify(summed)])
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def hessian(chain: Chain, patterns: tuple[Pattern, ...]) -> ca.Function:
     """Nonzeros of the second derivatives of the terms of f̄ at all kinds of places -> upper half of ∇²f̄."""
     made, (entries, blocks) = matrices(chain), _blocks(chain, patterns)
@@ -145,7 +145,7 @@ def hessian(chain: Chain, patterns: tuple[Pattern, ...]) -> ca.Function:
     return ca.Function("hessian", entries, [ca.mac(left, right, ca.MX.zeros(pattern))])
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def verification(chain: Chain, patterns: tuple[Pattern, ...]) -> ca.Function:
     """What is told of a point beside f and G -> the action, sizes of terms, ∇f̄, and the Hamiltonian of every interval.
 

@@ -19,12 +19,12 @@ from functools import lru_cache
 
 import numpy as np
 
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
-from casadi_galerkin.functional.numbering import KEPT
+from casadi_galerkin.functional.numbering import CACHE_SIZE
 from casadi_galerkin.problems.control_problem import ControlProblem
 
 Layout = Mapping[str, tuple[int, ...]]  # the shapes of named arrays, in their order
@@ -248,7 +248,7 @@ class Chain:
             arrivals[:, joints - 1] = before.T
         return PiecewisePolynomial(mesh, self.method.element.nodes, values, arrivals)
 
-    @lazy
+    @cached_property
     def _rate_basis(self) -> np.ndarray:
         """Polynomials that test the rates, at the nodes before the last; (m, m)."""
         return lagrange_values(np.array(gauss(self.method.degree).points), self.method.element.nodes[:-1])
@@ -308,4 +308,4 @@ def chain_of(problem: ControlProblem, method: Galerkin, mesh: np.ndarray) -> Cha
     )
 
 
-_kept = lru_cache(KEPT)(Chain)
+_kept = lru_cache(CACHE_SIZE)(Chain)

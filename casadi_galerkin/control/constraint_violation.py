@@ -7,16 +7,17 @@ import numpy as np
 from casadi_galerkin.control.chain import Chain, largest_of
 from casadi_galerkin.control.graph import Report
 from casadi_galerkin.control.program_bounds import ProgramBounds
-from casadi_galerkin.problems.bounds import beyond
+from casadi_galerkin.problems.bounds import bound_excess
 
-NOTHING = 1e-20  # terms that are what rounding leaves of a component that is zero; the solvers' tolerances are absolute
+ZERO_TERMS = 1e-20  # terms below which a component counts as zero; the solvers' tolerances are absolute
 FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
-UNTOLD = 1e-10  # part of momenta below which what changes them is not told from nothing; the solvers leave some 1e-12
+# relative change of momenta below which a force cannot be told from zero; the solvers leave some 1e-12
+NEGLIGIBLE_MOMENTUM = 1e-10
 UNITS = "The solver's tolerances are absolute: take units in which cost, lengths, times and masses are near one"
 VANISHED = 1e-13  # part of its terms along the guess below which a component's are taken for their roundoff
 
 
-def measures(chain: Chain, bounds: ProgramBounds, report: Report, before: np.ndarray) -> np.ndarray:
+def equation_scales(chain: Chain, bounds: ProgramBounds, report: Report, before: np.ndarray) -> np.ndarray:
     """Sizes that the equations are measured by.
 
     Those of a component by the largest sum of terms that one of them has along the path, or along the guess
@@ -25,7 +26,7 @@ def measures(chain: Chain, bounds: ProgramBounds, report: Report, before: np.nda
     """
     sizes = np.where(report.sizes <= VANISHED * before, before, report.sizes)
     stated = chain.largest(bounds.sizes[1])
-    sizes = np.fmax(np.where(sizes > NOTHING, sizes, 0.0), stated)
+    sizes = np.fmax(np.where(sizes > ZERO_TERMS, sizes, 0.0), stated)
     return np.asarray(np.where(sizes > 0, sizes, 1.0)[chain.kinds])
 
 
@@ -42,10 +43,12 @@ def violations(
     outside = _excess(unknowns, bounds.lower, bounds.upper)
     kinds = chain.unknown_kinds
     sizes, stated = largest_of(np.abs(unknowns), kinds), largest_of(bounds.sizes[0], kinds)
-    sizes = np.where(sizes > NOTHING, sizes, stated)[kinds]
-    return np.concatenate((excess / measures(chain, bounds, report, before), outside / np.where(sizes > 0, sizes, 1.0)))
+    sizes = np.where(sizes > ZERO_TERMS, sizes, stated)[kinds]
+    return np.concatenate(
+        (excess / equation_scales(chain, bounds, report, before), outside / np.where(sizes > 0, sizes, 1.0))
+    )
 
 
 def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """By how much values leave their bounds; infinite where they are not numbers."""
-    return np.asarray(np.where(np.isfinite(values), beyond(values, low, high), np.inf))
+    return np.asarray(np.where(np.isfinite(values), bound_excess(values, low, high), np.inf))

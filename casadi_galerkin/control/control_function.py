@@ -8,9 +8,9 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.constraint_violation import FEASIBLE, measures
+from casadi_galerkin.control.constraint_violation import FEASIBLE, equation_scales
 from casadi_galerkin.control.graph import ControlGraph
-from casadi_galerkin.control.optimizer import RELAXED
+from casadi_galerkin.control.optimizer import BOUND_RELAXATION
 from casadi_galerkin.control.program_bounds import bounds_of
 from casadi_galerkin.control.transcription import transcribed_control
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -35,10 +35,10 @@ def control_function(
     chain, bounds = transcription.chain, transcription.bounds
     start = transcription.starting_point(problem, transcription.calculus, path)
     known = chain.pack(start.values)
-    sizes = measures(chain, bounds, transcription.graph.report(*known), start.sizes)
+    sizes = equation_scales(chain, bounds, transcription.graph.report(*known), start.sizes)
     first, data = (ca.MX(ca.DM(part)) for part in known)
     checked_by = bounds_of(problem, chain, implied=True)  # ends that are data may leave a constraint
-    programmed = bounds.narrowed(RELAXED[solver.name])
+    programmed = bounds.narrowed(BOUND_RELAXATION[solver.name])
     stated, narrow = ([ca.MX(ca.DM(side)) for side in b.sides] for b in (checked_by, programmed))
     inputs, allowed = {}, ca.MX(1)
     for name, entries in _given(problem, chain).items():

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.control.chain import Chain
@@ -122,7 +122,7 @@ class ChainEmbedding:
         """Numbers of the kinds of places that have a cost: the points, and both ends where there is a terminal cost."""
         return [0, 2] if self.chain.terminal_cost else [0]
 
-    @lazy
+    @cached_property
     def _returned(self) -> list[Places]:
         """What the pointwise functions return at all kinds of places, whether there are such places or not.
 
@@ -149,7 +149,7 @@ class ChainEmbedding:
         """What the pointwise functions return at the kinds of places that there are."""
         return [place for place in self._returned if place.count]
 
-    @lazy
+    @cached_property
     def matrix(self) -> ca.DM:
         """A: (all places) x ξ."""
         f, p, m = self.chain.fields, self.points, self.chain.method.degree
@@ -205,7 +205,7 @@ class ChainEmbedding:
             (place.row("sizes"), f["sizes"], 1.0),
         ]
 
-    @lazy
+    @cached_property
     def active(self) -> list[np.ndarray]:
         """For every kind of place, which of its rows depend on unknowns."""
         depends = np.zeros(self.matrix.shape[0], dtype=bool)
@@ -216,7 +216,7 @@ class ChainEmbedding:
             for part, place in zip(parts, self.places, strict=True)
         ]
 
-    @lazy
+    @cached_property
     def differentiated(self) -> ca.DM:
         """Rows of A that are differentiated by, of all places x ξ."""
         rows = [
@@ -225,12 +225,12 @@ class ChainEmbedding:
         ]
         return self.matrix[np.concatenate(rows).tolist(), :]
 
-    @lazy
+    @cached_property
     def derivative(self) -> ca.DM:
         """Ê: the same by unknowns only."""
         return self.differentiated[:, : self.chain.unknowns]
 
-    @lazy
+    @cached_property
     def test(self) -> ca.DM:
         """Θᵀ: what the pointwise functions return, at all places x equations."""
         chain, rows, m = self.chain, self.chain.rows, self.chain.method.degree
@@ -263,7 +263,7 @@ class ChainEmbedding:
             triplets.append((place.first + np.arange(place.width), np.concatenate(after), signs))
         return sparse(triplets, (self._returned[-1].last, chain.equations))
 
-    @lazy
+    @cached_property
     def linear(self) -> ca.DM:
         """Λ: equations x unknowns."""
         chain = self.chain

@@ -1,19 +1,19 @@
 """How wrong an optimal path is, and on which mesh it would be less so, from the same mesh with degree m + 2.
 
 The relative changes of cost and duration and the largest change of x, at the same fraction of the duration and relative
-to the size of its component, make D; with q the ratio of what the two paths leave out (`truncation`), the estimated
-error is D / (1 - q).  The error of the cost alone is far smaller, of the order of D².  With phases of free durations
-the joints of the two paths are at different fractions, and the paths may jump there: so they are compared at the same
-parts of intervals, and what a shift in time does to x is taken off.
+to the size of its component, make D; with q the ratio of what the two paths leave out (`truncation_error`), the
+estimated error is D / (1 - q).  The error of the cost alone is far smaller, of the order of D².  With phases of free
+durations the joints of the two paths are at different fractions, and the paths may jump there: so they are compared at
+the same parts of intervals, and what a shift in time does to x is taken off.
 
 Four errors that both degrees share are looked for.  A switch from bound to bound is due where the switching function
 ∂(ℓ + λ·(F, ρ))/∂u, with forces F and rates ρ, is zero; if the next joint lies elsewhere, there may be no quadrature
 point between the two that shows it.  Bounds of positions hold at nodes only: a path that passes one by ε between them
-is moved by about √ε.  Those of controls and path constraints hold at quadrature points only: see `unmet`.  And where
-nothing depends on time the Hamiltonian is constant: what it varies by, times time over cost, was measured to be of the
-order of D where both degrees put a switch at the wrong place.  The error of the cost is at least the square of each.
-Both errors are at least what jumps in time change (`time_witness`).  What the solver leaves of cost and path, both
-degrees may share, too: `solver_error` tells.
+is moved by about √ε.  Those of controls and path constraints hold at quadrature points only: see `unseen_excess`.  And
+where nothing depends on time the Hamiltonian is constant: what it varies by, times time over cost, was measured to be
+of the order of D where both degrees put a switch at the wrong place.  The error of the cost is at least the square of
+each.  Both errors are at least what jumps in time change (`jumps_in_time`).  What the solver leaves of cost and path,
+both degrees may share, too: `solver_error` tells.
 
 The new mesh spreads what the finer path has beyond degree m evenly.  Where a higher degree does not help the path has
 a kink, and intervals are split as for order 2.  Where a control switches inside an interval its impulse ∫ u dt tells
@@ -27,21 +27,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, truncation
+from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, truncation_error
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
-from casadi_galerkin.control.constraint_violation import UNTOLD
+from casadi_galerkin.control.constraint_violation import NEGLIGIBLE_MOMENTUM
+from casadi_galerkin.control.jumps_in_time import jumps_in_time
 from casadi_galerkin.control.switching import Switch, switches
-from casadi_galerkin.control.time_witness import jumps_in_time
-from casadi_galerkin.problems.bounds import beyond
+from casadi_galerkin.problems.bounds import bound_excess
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
-from casadi_galerkin.solution.guess import FAR
+from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 
 SLOWEST = 2 / 3  # q where a jump or a constraint at points keeps the higher degree from gaining much
-STUBBORN = 0.25  # an interval whose truncation falls by less with the higher degree is not smooth
+UNSMOOTH_RATIO = 0.25  # an interval whose truncation falls by less with the higher degree is not smooth
 KINK_ORDER = 2  # a jump of the acceleration inside a step h moves x by h²
 FINEST = 8.0  # parts of one interval at once; a kink needs few levels and leaves few intervals behind
 NARROW = 0.25  # of its neighbor is an interval beside a jump
@@ -51,7 +51,7 @@ AROUND = 0.05  # of sqrt(tol), over the duration: a switch between two joints mo
 APART = 1e-4  # of the duration: where what is said of a switch differs by less, it has one joint
 DISTINCT = 1e-8  # of the duration: nearer switches are one, such as those of two controls at a breakpoint
 POSITION_ROUNDOFF = 1e-15  # of positions relative to their size
-ALIKE = 0.1  # of what two degrees pass a bound by: they differ by less where no point sees it
+UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
 
 
 def parts_of(degree: int) -> np.ndarray:
@@ -63,7 +63,7 @@ def position_excess(path: ControlTrajectory) -> np.ndarray:
     """By how much positions leave their bounds between the nodes, relative to the components' sizes; (N,)."""
     low, high = (np.array(side)[:, None, None] for side in path.problem.position_bounds)
     positions = path.polynomial.values_at_parts(parts_of(path.method.degree))
-    outside = beyond(positions, low, high) / path.sizes[:, None, None]
+    outside = bound_excess(positions, low, high) / path.sizes[:, None, None]
     return np.asarray(np.max(np.where(outside > POSITION_ROUNDOFF, outside, 0.0), axis=(0, 2)))
 
 
@@ -73,7 +73,7 @@ def bounded_values(path: ControlTrajectory, parts: np.ndarray) -> np.ndarray:
     return np.concatenate((controls, path.path_constraints(parts)))
 
 
-def unmet(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndarray:
+def unseen_excess(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndarray:
     """How far two degrees alike let controls and path constraints leave their bounds between the points, (N,).
 
     Nothing holds the path where no point meets a bound, as next to the end of a path where a control is largest.  Both
@@ -87,9 +87,9 @@ def unmet(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndarray:
     both = np.stack([bounded_values(p, parts_of(path.method.degree)) for p in (path, higher)])
     sizes = component_sizes(both[0].reshape(len(low), -1))
     lowest, highest, size = (np.reshape(a, (-1, 1, 1)) for a in (low, high, sizes))
-    passed = np.min(beyond(both, lowest, highest), axis=0)
+    passed = np.min(bound_excess(both, lowest, highest), axis=0)
     apart, farthest = (np.max(a, axis=-1, keepdims=True) for a in (np.ptp(both, axis=0), passed))
-    return np.asarray(np.max(np.where(apart < ALIKE * farthest, passed, 0.0) / size, axis=(0, 2)))
+    return np.asarray(np.max(np.where(apart < UNSEEN_RATIO * farthest, passed, 0.0) / size, axis=(0, 2)))
 
 
 def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
@@ -100,11 +100,11 @@ def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
     return np.asarray(np.max(np.abs(change) / path.sizes[:, None, None], axis=(0, 2)))
 
 
-def untold_cost(path: ControlTrajectory) -> float:
-    """What forces cost that change momenta, or rates that change what follows them, by no more than is told."""
+def negligible_cost(path: ControlTrajectory) -> float:
+    """Cost of forces and rates so small, by `NEGLIGIBLE_MOMENTUM`, that they cannot be told from zero."""
     mechanical = path.problem.mechanical
     states = np.vstack((path.momentum[:mechanical], path.x[mechanical:]))
-    return UNTOLD * float(np.max(np.abs(path.costate.values), axis=1) @ np.max(np.abs(states), axis=1))
+    return NEGLIGIBLE_MOMENTUM * float(np.max(np.abs(path.costate.values), axis=1) @ np.max(np.abs(states), axis=1))
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class HigherDegree:
     path: ControlTrajectory
     higher: ControlTrajectory
 
-    @lazy
+    @cached_property
     def found(self) -> list[Switch]:
         """Switches of the higher path."""
         return switches(self.higher)
@@ -128,14 +128,14 @@ class HigherDegree:
         """A change of the cost relative to it; zero where the cost is not told from zero."""
         both = self.path, self.higher
         cost = max(abs(path.cost) for path in both)
-        return change / cost if cost > max(map(untold_cost, both)) else 0.0
+        return change / cost if cost > max(map(negligible_cost, both)) else 0.0
 
-    @lazy
+    @cached_property
     def cost_change(self) -> float:
         """Relative change of the cost."""
         return self.of_cost(abs(self.higher.cost - self.path.cost))
 
-    @lazy
+    @cached_property
     def change(self) -> float:
         """Relative error of cost, duration and positions, D / (1 - q)."""
         path, higher, parts = self.path, self.higher, parts_of(self.path.method.degree)
@@ -143,25 +143,25 @@ class HigherDegree:
         own, other = (times_at((p.t - p.t[0]) / np.ptp(p.t), parts).reshape(-1, len(parts)) for p in (path, higher))
         change = np.abs(after - before - slope * np.ptp(path.t) * (other - own))
         change /= path.sizes[:, None, None]
-        coarse, fine = (float(np.max(truncation(p.polynomial, path.sizes))) for p in (path, higher))
+        coarse, fine = (float(np.max(truncation_error(p.polynomial, path.sizes))) for p in (path, higher))
         at_points = path.problem.path_constraint is not None or len(self.found) > 0
         ratio = SLOWEST if at_points else min(fine / max(coarse, fine, 1e-300), SLOWEST)
         duration = abs(np.ptp(higher.t) / np.ptp(path.t) - 1)
         return float(max(self.cost_change, duration, np.max(change)) / (1 - ratio))
 
-    @lazy
+    @cached_property
     def outside(self) -> np.ndarray:
         """Distances by which the path is moved by bounds that it leaves unseen, (N,); √ε where a position does by ε."""
-        return np.asarray(np.maximum(np.sqrt(position_excess(self.path)), unmet(self.path, self.higher)))
+        return np.asarray(np.maximum(np.sqrt(position_excess(self.path)), unseen_excess(self.path, self.higher)))
 
-    @lazy
+    @cached_property
     def shared(self) -> float:
         """What both degrees miss alike of the path: distances by which switches are late or bounds move it."""
         late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.found]
         return float(max(*late, np.max(self.outside), 0.0))
 
-    @lazy
-    def unbalanced(self) -> float:
+    @cached_property
+    def hamiltonian_variation(self) -> float:
         """Variation of the Hamiltonian between breakpoints, where it should be constant, times time over cost."""
         path = self.path
         if not path.problem.autonomous:
@@ -169,21 +169,21 @@ class HigherDegree:
         parts = np.split(path.hamiltonian, np.searchsorted(path.t, path.problem.breakpoints))
         return self.of_cost(float(max(np.ptp(part) for part in parts) * np.ptp(path.t)))
 
-    @lazy
+    @cached_property
     def jumps(self) -> np.ndarray:
         """Relative changes of the cost, and of the path, by jumps in time inside of intervals, (N,)."""
         if self.path.problem.autonomous:
             return np.zeros(len(self.path.t) - 1)
         return np.array([self.of_cost(change) for change in jumps_in_time(self.path)])
 
-    def left(self, path: ControlTrajectory) -> tuple[float, float]:
+    def remaining_error(self, path: ControlTrajectory) -> tuple[float, float]:
         """What the solver leaves of the cost and of the path with one of the degrees, relative to these."""
         return self.of_cost(path.unseen_change), path.solver_error
 
     @property
     def errors(self) -> tuple[float, float]:
         """Errors of the cost, and of all, with what the solver leaves."""
-        left, open_by = self.left(self.path)
+        left, open_by = self.remaining_error(self.path)
         return self.cost_error + left, self.error + max(left, open_by)
 
     @property
@@ -197,9 +197,9 @@ class HigherDegree:
 
         The costs of two different paths tell nothing: their distance is the error.
         """
-        apart = self.change if self.change > FAR else 0.0
+        apart = self.change if self.change > FAR_FROM_GUESS else 0.0
         jumped = float(np.sum(self.jumps))
-        return max(self.cost_change / (1 - SLOWEST), self.shared**2, self.unbalanced**2, apart, jumped)
+        return max(self.cost_change / (1 - SLOWEST), self.shared**2, self.hamiltonian_variation**2, apart, jumped)
 
     def better_mesh(self, tol: float, cost_tol: float) -> np.ndarray:
         """Joints, in the time of the higher path, on which the errors of path and cost should be below tolerances."""
@@ -207,8 +207,8 @@ class HigherDegree:
         order, target = path.method.degree + 1, TARGET * tol
         error = beyond_degree(higher, path.method.degree)
         error *= max(self.change - float(np.sum(self.jumps)), 0.0) / max(np.max(error), 1e-300)
-        coarse, fine = (truncation(p.polynomial, path.sizes) for p in (path, higher))
-        kinked = (fine > STUBBORN * coarse) & (error > target)
+        coarse, fine = (truncation_error(p.polynomial, path.sizes) for p in (path, higher))
+        kinked = (fine > UNSMOOTH_RATIO * coarse) & (error > target)
         error[kinked] = target * (error[kinked] / target) ** (order / KINK_ORDER)
         first = np.maximum(self.outside / tol, self.jumps / cost_tol) / TARGET  # of the order of a distance
         error = np.maximum(error, target * first**order)

@@ -1,4 +1,4 @@
-"""What is told of an optimization that failed: how the solver ended, what is violated worst and when, what to try."""
+"""Reports of an optimization that failed: how the solver ended, what is violated worst and when, what to try."""
 
 from __future__ import annotations
 

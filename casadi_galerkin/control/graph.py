@@ -17,11 +17,11 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.control import assembly
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.pointwise import places
-from casadi_galerkin.functional.buffers import Evaluator, Lender
+from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.problems.control_problem import ControlProblem
 
@@ -30,7 +30,7 @@ RESTING = 1e-13  # terms of motion below this part of what cancels in them are i
 
 @dataclass(frozen=True)
 class Report:
-    """What is told of a point.
+    """Values and sizes at a point of the program.
 
     Attributes
     ----------
@@ -82,22 +82,22 @@ class ControlGraph:
         """Evaluate one pointwise Function at the kinds of places with costs."""
         return [getattr(self.places[k], name)(self.at[k]) for k in self.embedding.with_costs]
 
-    @lazy
+    @cached_property
     def _rows(self) -> list[ca.MX]:
         """[e_k]."""
         return self._evaluate("equations", self.at)
 
-    @lazy
+    @cached_property
     def _gradients(self) -> list[ca.MX]:
         """∇c_k at the kinds of places with costs."""
         return self._of_costs("gradient")
 
-    @lazy
+    @cached_property
     def _derivatives(self) -> list[ca.MX]:
         """Nonzeros of ∇e_k."""
         return self._evaluate("jacobian", self.at)
 
-    @lazy
+    @cached_property
     def _patterns(self) -> tuple[assembly.Pattern, ...]:
         """Patterns of ∇e_k."""
         return tuple(place.jacobian_pattern for place in self.places)
@@ -106,18 +106,18 @@ class ControlGraph:
         """A Function of (unknowns, data, ...); some have the names that the cache of fatrop has for them."""
         return ca.Function(name, [self.unknowns, self.data, *extra], outputs)
 
-    @lazy
+    @cached_property
     def gradient(self) -> ca.Function:
         """(unknowns, data) -> f, ∇f."""
         return self._function("gradient", [self.cost, assembly.gradient(self.chain)(*self._gradients)])
 
-    @lazy
+    @cached_property
     def jacobian(self) -> ca.Function:
         """(unknowns, data) -> G, ∇G."""
         matrix = assembly.jacobian(self.chain, self._patterns)(*self._derivatives)
         return self._function("nlp_jac_g", [self.equations, matrix])
 
-    @lazy
+    @cached_property
     def _lagrangian(self) -> tuple[ca.MX, ca.MX, tuple[list[ca.MX], ...], ca.MX]:
         """Symbols φ and λ, what the pointwise derivatives of f̄ are evaluated at, and Λᵀλ."""
         factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", self.chain.equations)
@@ -125,26 +125,26 @@ class ControlGraph:
         count = len(self.places)
         return factor, multipliers, (self.at, at_places[:count], at_places[count:]), linear
 
-    @lazy
+    @cached_property
     def _upper_hessian(self) -> ca.MX:
         """Upper half of ∇²f̄."""
         patterns = tuple(place.hessian_pattern for place in self.places)
         return assembly.hessian(self.chain, patterns)(*self._evaluate("hessian", *self._lagrangian[2]))
 
-    @lazy
+    @cached_property
     def hessian(self) -> ca.Function:
         """(unknowns, data, φ, λ) -> upper half of ∇²f̄."""
         return self._function("hessian", [self._upper_hessian], *self._lagrangian[:2])
 
-    @lazy
+    @cached_property
     def whole_hessian(self) -> ca.Function:
         """(unknowns, data, φ, λ) -> ∇f̄, ∇²f̄."""
         factor, multipliers, given, linear = self._lagrangian
         slope = assembly.slope(self.chain)(*self._evaluate("lagrangian_gradient", *given), linear)
         return self._function("nlp_hess_l", [slope, ca.triu2symm(self._upper_hessian)], factor, multipliers)
 
-    @lazy
-    def _verification(self) -> Lender[Evaluator]:
+    @cached_property
+    def _verification(self) -> ObjectPool[Evaluator]:
         """(unknowns, data, φ, λ) -> all that is told of a point."""
         chain, (factor, multipliers, (at, weights, along), linear) = self.chain, self._lagrangian
         part = int(self.embedding.points.row("part")[0, 0])
@@ -156,10 +156,10 @@ class ControlGraph:
         arriving = ca.densify(ca.veccat(*(place.lagrangian_gradient(*z)[: chain.dimension] for place, *z in crossings)))
         outputs = [self.cost, self.equations, *told, arriving]
         verification = self._function("verification", outputs, factor, multipliers)
-        return Lender(lambda: Evaluator(verification))
+        return ObjectPool(lambda: Evaluator(verification))
 
     def report(self, unknowns: np.ndarray, data: np.ndarray, multipliers: np.ndarray | None = None) -> Report:
-        """Evaluate all that is told of a point."""
+        """Evaluate the `Report` of a point."""
         chain = self.chain
         given = np.zeros(chain.equations) if multipliers is None else multipliers
         with self._verification.lend() as evaluate:

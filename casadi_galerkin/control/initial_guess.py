@@ -11,7 +11,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.embedding import ChainEmbedding
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import between_marks, marks
+from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess, Values, check_finite_values, guess_values, meeting_ends, sampled
 
@@ -34,7 +34,7 @@ def first_values(
     """
     path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical
-    everywhere, degree = np.array(marks(problem)), chain.method.degree
+    everywhere, degree = np.array(section_times(problem)), chain.method.degree
     of_phases = everywhere if chain.is_free("durations") else everywhere[[0, -1]]
     if isinstance(guess, ControlTrajectory):
         path_guess, control_guess = _of_answer(guess, near, chain, calculus, everywhere)
@@ -50,7 +50,7 @@ def first_values(
     else:
         slopes = guess.start_velocity, guess.end_velocity
         if problem.duration_bounds is not None:
-            before = between_marks(of_phases, of_phases, marks(guess.problem))
+            before = map_times(of_phases, of_phases, section_times(guess.problem))
             durations = np.clip(np.diff(before), *problem.duration_bounds)
         found = guess.parameters
         if problem.parameter_bounds is not None and found is not None and len(found) == chain.parameters:
@@ -89,7 +89,7 @@ def _of_answer(
     if near is not None:
         return near.polynomial.values, near.control.values
     times = calculus.node_times, times_at(calculus.mesh, chain.control_times)
-    nodes, points = (between_marks(t, now, marks(answer.problem)) for t in times)
+    nodes, points = (map_times(t, now, section_times(answer.problem)) for t in times)
     return answer(nodes), answer.control(points)
 
 
@@ -106,7 +106,7 @@ def _arrivals(
     found, dm = path[nodes], chain.mechanical
     velocities = ((found - path[nodes - 1]) / (times[nodes] - times[nodes - 1])[:, None])[:, :dm]
     if len(nodes) and isinstance(guess, ControlTrajectory):
-        at = between_marks(times[nodes], now, marks(guess.problem))
+        at = map_times(times[nodes], now, section_times(guess.problem))
         found = np.clip(found + (guess.before(at) - guess(at)).T, *problem.position_bounds)
         velocities = guess.arrival_velocity if guess.arrival_velocity.shape == velocities.shape else velocities
     return found, velocities
@@ -120,7 +120,7 @@ def near_answer(guess: Guess | None, chain: Chain, calculus: DiscreteCalculus) -
     if shapes != [(chain.dimension, len(calculus.node_times)), (chain.equations,), (chain.unknowns,)]:
         return None
     now = calculus.mesh[[0, *chain.breaks, -1]].tolist()
-    joints = between_marks(guess.t, marks(guess.problem), now)
+    joints = map_times(guess.t, section_times(guess.problem), now)
     same = SAME_FRACTION * (calculus.mesh[-1] - calculus.mesh[0])
     return guess if np.max(np.abs(joints - calculus.mesh)) <= same else None
 

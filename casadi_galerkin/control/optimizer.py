@@ -16,7 +16,7 @@ import numpy as np
 
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.program_bounds import ProgramBounds
-from casadi_galerkin.functional.buffers import Evaluator, Lender
+from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.solvers.deadline import limited
 
 ITERATION_LIMIT = 500  # the scenes take 5 to 100; a problem without a bound from below walks on for ever
@@ -38,7 +38,10 @@ FATROP_TOLERANCE = 1e-9
 # at many nodes.  With this, neither was seen; lengths of 1e-7 hang, and of 1e5 fail.
 PIVOT = 1e-6
 FATROP_WORDS = {"0": "Solve Succeeded", "1": "No Optimum Found"}  # fatrop returns numbers alone
-RELAXED = {"ipopt": 0.0, "fatrop": 1e-8}  # by this part of them bounds b are; in fatrop no option changes it
+BOUND_RELAXATION = {
+    "ipopt": 0.0,
+    "fatrop": 1e-8,
+}  # part of max(1, |b|) by which a solver relaxes bounds b; fatrop has no option for it
 WARM = {
     **dict.fromkeys(["mu_init", *PUSHES], WARM_BARRIER),
     "warm_start_init_point": "yes",
@@ -117,7 +120,7 @@ def _built(graph: ControlGraph, plugin: str, options: dict[str, Any]) -> ca.Func
 
 
 def optimize(
-    solver: Lender[Evaluator], guess: np.ndarray, data: np.ndarray, bounds: ProgramBounds, *duals: Any
+    solver: ObjectPool[Evaluator], guess: np.ndarray, data: np.ndarray, bounds: ProgramBounds, *duals: Any
 ) -> Optimum:
     """Run the solver from a guess, to start warm with the multipliers of the bounds and of the equations."""
     with solver.lend() as run:

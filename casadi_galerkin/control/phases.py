@@ -14,7 +14,7 @@ import numpy as np
 
 from casadi_galerkin.control.switching import switches
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import between_marks, marks, with_values
+from casadi_galerkin.problems.problem import map_times, section_times, with_values
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 
@@ -41,8 +41,8 @@ def with_parted_phases(path: ControlTrajectory, problem: ControlProblem) -> Cont
     if len(problem.breakpoints) == len(path.problem.breakpoints):
         return path
     assert problem.duration_bounds is not None, "else none is left out"
-    phases, kept = [*zip(*problem.duration_bounds, strict=True)], marks(path.problem)
-    times = between_marks(np.array(marks(problem)), marks(with_joined_phases(problem)), kept)
+    phases, kept = [*zip(*problem.duration_bounds, strict=True)], section_times(path.problem)
+    times = map_times(np.array(section_times(problem)), section_times(with_joined_phases(problem)), kept)
     free = np.flatnonzero(~np.isin(times, kept))
     earliest, latest = times.copy(), times.copy()  # as the phases after them allow
     for k in free[::-1]:

@@ -21,7 +21,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.control.assembly import Pattern, pattern_of
 from casadi_galerkin.control.embedding import ChainEmbedding, Places
 from casadi_galerkin.functional.mapping import PointMap
@@ -54,7 +54,7 @@ class PointwiseTerms:
     cost: ca.SX = NO_TERM
     action: ca.SX = NO_TERM
 
-    @lazy
+    @cached_property
     def _by(self) -> ca.SX:
         return self.z[self.active.tolist()]
 
@@ -67,22 +67,22 @@ class PointwiseTerms:
         evaluated: Callable[..., Any] = self.mapping(function, self.count, ())
         return evaluated
 
-    @lazy
+    @cached_property
     def value(self) -> Callable[..., ca.MX]:
         """Cost of (z), one per place."""
         return self._function([self.z], self.cost)
 
-    @lazy
+    @cached_property
     def gradient(self) -> Callable[..., ca.MX]:
         """Gradient of the cost, of (z)."""
         return self._function([self.z], ca.gradient(self.cost, self._by))
 
-    @lazy
+    @cached_property
     def equations(self) -> Callable[..., ca.MX]:
         """Rows of (z)."""
         return self._function([self.z], self.rows)
 
-    @lazy
+    @cached_property
     def _jacobian(self) -> ca.SX:
         return ca.jacobian(self.rows, self._by)
 
@@ -91,18 +91,18 @@ class PointwiseTerms:
         """Pattern of the derivatives of the rows at one place."""
         return pattern_of(self._jacobian)
 
-    @lazy
+    @cached_property
     def jacobian(self) -> Callable[..., ca.MX]:
         """Nonzeros of the derivatives of the rows, of (z)."""
         return self._function([self.z], ca.vertcat(*self._jacobian.nonzeros()))
 
-    @lazy
+    @cached_property
     def _lagrangian(self) -> tuple[list[ca.SX], ca.SX]:
         """Inputs (z, weight, multipliers), and the weighted cost with the multiplied rows."""
         weight, multipliers = ca.SX.sym("weight"), ca.SX.sym("multipliers", self.rows.numel())
         return [self.z, weight, multipliers], weight * self.cost + ca.dot(multipliers, self.rows)
 
-    @lazy
+    @cached_property
     def _hessian(self) -> ca.SX:
         return ca.hessian(self._lagrangian[1], self._by)[0]
 
@@ -111,12 +111,12 @@ class PointwiseTerms:
         """Pattern of the second derivatives at one place."""
         return pattern_of(self._hessian)
 
-    @lazy
+    @cached_property
     def hessian(self) -> Callable[..., ca.MX]:
         """(z, weight, multipliers) -> nonzeros of the second derivatives of the Lagrangian."""
         return self._function(self._lagrangian[0], ca.vertcat(*self._hessian.nonzeros()))
 
-    @lazy
+    @cached_property
     def lagrangian_gradient(self) -> Callable[..., ca.MX]:
         """(z, weight, multipliers) -> gradient of the Lagrangian."""
         inputs, value = self._lagrangian

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -28,7 +28,7 @@ class ProgramBounds:
         """All of them."""
         return self.lower, self.upper, self.equations_lower, self.equations_upper
 
-    @lazy
+    @cached_property
     def sizes(self) -> tuple[np.ndarray, np.ndarray]:
         """Sizes of those that are finite, of the unknowns and of the equations."""
         finite = [np.where(np.isfinite(side), np.abs(side), 0.0) for side in self.sides]

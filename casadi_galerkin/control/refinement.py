@@ -23,7 +23,7 @@ Out of reach is a path to 1e-8 with a path constraint touched in one point and a
 singular arc, where controls differ from mesh to mesh and cost the same: the cost is then known long before the path.
 The error raised says so, and a tolerance of the cost alone is mostly met.
 
-Jumps in time that no breakpoint names are seen (`time_witness`), and the mesh is refined beside them; at tight
+Jumps in time that no breakpoint names are seen (`jumps_in_time`), and the mesh is refined beside them; at tight
 tolerances the error raised tells the time to name.  Where a path constraint steps, the estimate is too small.
 """
 
@@ -39,17 +39,17 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import graded_alike
+from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.control.constraint_violation import UNITS
 from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.phases import with_joined_phases, with_parted_phases
-from casadi_galerkin.control.several_starts import different, optima_of
+from casadi_galerkin.control.several_starts import distinct_optima, optima_of
 from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import between_marks, check_types, marks
+from casadi_galerkin.problems.problem import check_types, map_times, section_times
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
@@ -60,12 +60,12 @@ from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
-FOLLOWING_BARRIER = 1e-4  # first one from an earlier level: with 1e-2 a robot arm left its path, and found none
+WARM_START_BARRIER = 1e-4  # first one from an earlier level: with 1e-2 a robot arm left its path, and found none
 # IPOPT's tolerance over its last barrier where a control switches, times tol², and the largest.  A barrier leaves
 # controls between their bounds on the short intervals beside a switch: with IPOPT's own ratio of 10 a mass that burns
 # was known to 3e-7.
-SHARP, SHARPEST = 3e-11, 1e4
-FOR_STARTS = 0.5  # of the time: no further start begins after it
+BARRIER_RATIO, LARGEST_BARRIER_RATIO = 3e-11, 1e4
+STARTS_TIME_SHARE = 0.5  # of the time: no further start begins after it
 PATIENCE = 10  # levels in a row that came no nearer, after which the mesh is halved: two may lead to one another
 HIGHER = 2  # degrees added for the error estimate; two, because of parity
 
@@ -75,7 +75,7 @@ def control_method_for(tol: float) -> Galerkin:
     return Galerkin(int(np.clip(np.ceil(1 - np.log10(tol)), 4, 10)))
 
 
-def raised(method: Galerkin) -> Galerkin:
+def higher_degree_method(method: Galerkin) -> Galerkin:
     """The method with `HIGHER` degrees and points more, of the same kind."""
     rule = lobatto if method.quadrature.points[0] == 0 else gauss
     return Galerkin(method.degree + HIGHER, quadrature=rule(len(method.quadrature) + HIGHER))
@@ -83,7 +83,7 @@ def raised(method: Galerkin) -> Galerkin:
 
 def halved(mesh: np.ndarray) -> np.ndarray:
     """The mesh with every interval halved."""
-    return graded_alike(mesh, 2 * (len(mesh) - 1))
+    return resized_mesh(mesh, 2 * (len(mesh) - 1))
 
 
 def fits_any_mesh(guess: Guess | None) -> bool:
@@ -92,11 +92,11 @@ def fits_any_mesh(guess: Guess | None) -> bool:
     return all(part is None or callable(part) or isinstance(part, tuple) for part in parts)
 
 
-def disturbed(path: ControlTrajectory, by: float) -> ControlTrajectory:
+def perturbed(path: ControlTrajectory, by: float) -> ControlTrajectory:
     """A path moved by a random smooth one of this part of its size, and with free durations longer by this part."""
     before, problem, ends = path.polynomial, path.problem, path.t[[0, -1]]
     longer = ends + np.array([0.0, 0.0 if problem.duration_bounds is None else by]) * np.ptp(ends)
-    mesh, times = (between_marks(own, ends, longer) for own in (path.t, np.array(marks(problem))))
+    mesh, times = (map_times(own, ends, longer) for own in (path.t, np.array(section_times(problem))))
     sizes = by * np.max(np.abs(before.values), axis=1)
     parts = (before.times(before.nodes[:-1]) - ends[0]) / np.ptp(ends)
     values = before.values + waves(np.random.default_rng(0), sizes)(parts)
@@ -129,9 +129,9 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         super().__init__(tol, limits, verbose)
         self.stated, self.problem = problem, with_joined_phases(problem)
         self.of_cost, self.solver = of_cost, solver
-        self.following = solver.with_options(**{"mu_init": FOLLOWING_BARRIER, **solver.options})
-        sharp = float(np.clip(SHARP / tol**2, 10, SHARPEST))
-        self.beside_switches = self.following.with_options(**{"barrier_tol_factor": sharp, **solver.options})
+        self.warm_solver = solver.with_options(**{"mu_init": WARM_START_BARRIER, **solver.options})
+        sharp = float(np.clip(BARRIER_RATIO / tol**2, 10, LARGEST_BARRIER_RATIO))
+        self.beside_switches = self.warm_solver.with_options(**{"barrier_tol_factor": sharp, **solver.options})
         self.method = method
         self.build_seconds = 0.0
         self.known: HigherDegree | None = None
@@ -149,14 +149,14 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
     def scaled(self, mesh: np.ndarray, path: ControlTrajectory) -> np.ndarray:
         """Joints in the times of a path, scaled to the phases of the problem."""
-        return between_marks(mesh, marks(path.problem), marks(self.problem))
+        return map_times(mesh, section_times(path.problem), section_times(self.problem))
 
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Solve with one degree on one mesh, in the times of the problem."""
         transcription = transcribed_control(self.problem, method, None, mesh, one_by_one)
         switched = self.known is not None and len(self.known.found) > 0
-        following = self.beside_switches if switched else self.following
-        solver = following if isinstance(guess, ControlTrajectory) else self.solver
+        warm_solver = self.beside_switches if switched else self.warm_solver
+        solver = warm_solver if isinstance(guess, ControlTrajectory) else self.solver
         try:
             with until(self.deadline):
                 path = transcription.solve(guess=guess, solver=solver, verbose=self.verbose if self.verbose > 1 else 0)
@@ -180,10 +180,10 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
     def estimate(self, level: ControlTrajectory) -> Estimate[HigherDegree | None]:
         """The error from the same mesh with a higher degree, where that is solved."""
-        method = raised(self.method)
+        method = higher_degree_method(self.method)
         self.check_time()
         try:
-            higher = self.solve(method, self.scaled(level.t, level), disturbed(level, math.sqrt(self.tol)))
+            higher = self.solve(method, self.scaled(level.t, level), perturbed(level, math.sqrt(self.tol)))
         except ConvergenceError:
             self.check_time()
             return Estimate(np.inf, False, f"no answer of degree {method.degree}", None)
@@ -197,9 +197,9 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def check_solver(self, detail: HigherDegree) -> None:
         """Stop where the solver leaves too much of the cost with both degrees, or of a path that else is accepted."""
         judged = 1 if self.of_cost or detail.error > self.tol else 2
-        if max(detail.left(detail.path)[:judged]) <= self.tol:
+        if max(detail.remaining_error(detail.path)[:judged]) <= self.tol:
             return
-        left, open_by = map(min, detail.left(detail.path), detail.left(detail.higher))
+        left, open_by = map(min, detail.remaining_error(detail.path), detail.remaining_error(detail.higher))
         if left > self.tol:
             raise self.stopped(f"the solver may have left {left:.0e} of the cost", *self.best, UNITS)
         if judged == 2 and open_by > self.tol:
@@ -260,10 +260,10 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         """
         if isinstance(guess, ControlTrajectory):
             guess = replace(guess, problem=with_joined_phases(guess.problem))
-        with until(self.began + FOR_STARTS * self.limits.seconds):
-            optima, told = optima_of(starts, self.problem, guess, partial(self.solve_finer, mesh))
+        with until(self.began + STARTS_TIME_SHARE * self.limits.seconds):
+            optima, summary = optima_of(starts, self.problem, guess, partial(self.solve_finer, mesh))
         found, failures, change = list[ControlTrajectory](), list[ConvergenceError](), 0.0
-        end, levels = self.deadline, different(optima)
+        end, levels = self.deadline, distinct_optima(optima)
         for level in levels:
             if found and level.cost - change > min(path.cost for path in found):
                 break
@@ -279,7 +279,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         best = min(found, key=lambda path: path.cost)
         return replace(
             best,
-            solver=best.solver + told,
+            solver=best.solver + summary,
             iterations=self.iterations,
             build_seconds=self.build_seconds,
             solve_seconds=time.perf_counter() - self.began - self.build_seconds,

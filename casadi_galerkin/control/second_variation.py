@@ -14,19 +14,19 @@ import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.control.chain import Chain, chain_of
-from casadi_galerkin.control.constraint_violation import UNTOLD
+from casadi_galerkin.control.constraint_violation import NEGLIGIBLE_MOMENTUM
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.control.program_bounds import ProgramBounds
-from casadi_galerkin.control.solver_error import what_is_left
+from casadi_galerkin.control.solver_error import estimate_remaining_error
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.solution.cost_variation import Left
+from casadi_galerkin.solution.cost_variation import RemainingError
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
-MET = 1e-6  # of the size of an unknown: distance from a bound up to which it is met
+ACTIVE_TOLERANCE = 1e-6  # distance from a bound, over the size of the unknown, up to which the bound is active
 FLAT = 1e-6  # part of the cost; along a singular arc it hardly changes, and less than this tells nothing
-SOFTENED = 1e-7, 1e-9  # values of δ; what one of them counts alone is made by it, or by rounding
+PENALTIES = 1e-7, 1e-9  # values of δ; where their counts differ, these are artifacts of δ, or of rounding
 
 
 @dataclass(frozen=True)
@@ -65,12 +65,12 @@ class CostVariation:
         sizes, rows = _sizes(chain, at.unknowns), np.array(values).ravel()
         slope = np.abs(np.array(graph.gradient(at.unknowns, self.data)[1]).ravel())
         terms = np.array(ca.mtimes(ca.fabs(gradients), sizes)).ravel()
-        costs = slope @ sizes > UNTOLD * (np.abs(at.multipliers) @ terms)
+        costs = slope @ sizes > NEGLIGIBLE_MOMENTUM * (np.abs(at.multipliers) @ terms)
         multipliers = at.multipliers if costs else 0 * at.multipliers  # which then are what the solver leaves
         hessian = graph.whole_hessian(at.unknowns, self.data, 1.0, multipliers)[1]
         low, high, least, most = bounds.sides
-        free = np.flatnonzero(~_met(at.unknowns, low, high, at.bound_multipliers, sizes)).tolist()
-        held = np.flatnonzero(_met(rows, least, most, at.multipliers, np.abs(rows))).tolist()
+        free = np.flatnonzero(~_active(at.unknowns, low, high, at.bound_multipliers, sizes)).tolist()
+        held = np.flatnonzero(_active(rows, least, most, at.multipliers, np.abs(rows))).tolist()
         units, flat = (ca.diag(ca.DM(a)) for a in (np.where(sizes > 0, sizes, 1.0), np.where(sizes > 0, FLAT, 0.0)))
         curved = ca.mtimes(units, ca.mtimes(hessian, units))
         largest = float(ca.norm_inf(curved))
@@ -80,16 +80,16 @@ class CostVariation:
         change = _slopes(chain, self.mesh)[free, free]
         hessian = ca.mtimes(change.T, ca.mtimes(relative[free, free], change))
         gradients = _normed(ca.mtimes(ca.mtimes(gradients, units)[held, free], change))
-        matrices = [hessian + ca.mtimes(gradients.T, gradients) / softened for softened in SOFTENED]
+        matrices = [hessian + ca.mtimes(gradients.T, gradients) / softened for softened in PENALTIES]
         counts = {negative_pivots(matrix, factors_of(matrix.sparsity())) for matrix in matrices}
         return counts.pop() if len(counts) == 1 else None
 
     def smallest(self) -> None:
-        """Nothing: curvatures of a cost have no common scale."""
+        """None, because the curvatures of a cost have no common scale."""
 
-    def left(self) -> Left:
-        """How far the solver may have left the path from where it should be; see `what_is_left`."""
-        return what_is_left(self._graph(), self.bounds, self.optimum, self.data)
+    def remaining_error(self) -> RemainingError:
+        """How far the solver may have left the path from where it should be; see `estimate_remaining_error`."""
+        return estimate_remaining_error(self._graph(), self.bounds, self.optimum, self.data)
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "graph": None}
@@ -117,11 +117,13 @@ def _slopes(chain: Chain, mesh: np.ndarray) -> ca.DM:
     return ca.diag(ca.DM(units)) + ca.DM.triplet(*where, ca.DM.ones(nodes.size), *[chain.unknowns] * 2)
 
 
-def _met(
+def _active(
     values: np.ndarray, low: np.ndarray, high: np.ndarray, multipliers: np.ndarray, sizes: np.ndarray
 ) -> np.ndarray:
-    """Which values are at a bound: as near as its multiplier is large, or very near."""
-    return np.asarray(np.minimum(values - low, high - values) <= np.maximum(np.abs(multipliers), MET * sizes))
+    """Which values are at an active bound: nearer to it than its multiplier is large, or very near."""
+    return np.asarray(
+        np.minimum(values - low, high - values) <= np.maximum(np.abs(multipliers), ACTIVE_TOLERANCE * sizes)
+    )
 
 
 def _normed(rows: ca.DM) -> ca.DM:

@@ -26,10 +26,10 @@ def best_of(
     starts: int, problem: ControlProblem, guess: Guess | None, solve: Callable[..., ControlTrajectory]
 ) -> ControlTrajectory:
     """Return the cheapest of the optima, with what all of them took; arguments and errors as of `optima_of`."""
-    optima, told = optima_of(starts, problem, guess, solve)
+    optima, summary = optima_of(starts, problem, guess, solve)
     return replace(
         optima[0],
-        solver=optima[0].solver + told,
+        solver=optima[0].solver + summary,
         iterations=sum(optimum.iterations for optimum in optima),
         solve_seconds=sum(optimum.solve_seconds for optimum in optima),
     )
@@ -84,10 +84,10 @@ def optima_of(
     if not optima:
         raise failures[0]
     optima.sort(key=lambda optimum: optimum.cost)
-    count = len(different(optima))
+    count = len(distinct_optima(optima))
     met = f"{count} optima, with costs up to {optima[-1].cost:.6g}" if count > 1 else "one optimum"
-    told = f"; best of {counted(len(optima) + len(failures), 'start')}, which met {met}"
-    return optima, told + (f"; {len(failures)} of them failed, {_most_often(failures)}" if failures else "")
+    summary = f"; best of {counted(len(optima) + len(failures), 'start')}, which met {met}"
+    return optima, summary + (f"; {len(failures)} of them failed, {_most_often(failures)}" if failures else "")
 
 
 def _most_often(failures: list[Exception]) -> str:
@@ -97,7 +97,7 @@ def _most_often(failures: list[Exception]) -> str:
     return reason if count == len(failures) else f"most often: {reason}"
 
 
-def different(optima: list[ControlTrajectory]) -> list[ControlTrajectory]:
+def distinct_optima(optima: list[ControlTrajectory]) -> list[ControlTrajectory]:
     """Optima of different costs, out of some with rising costs."""
     costs = np.array([optimum.cost for optimum in optima])
     new = np.append(True, np.diff(costs) > SAME * np.abs(costs[1:]) + TOLERANCE)

@@ -1,4 +1,4 @@
-"""What the solver leaves of an optimum: Newton steps from where it stopped, without its barrier and its tolerances.
+"""The error that a solver leaves: Newton steps from where it stopped, without its barrier and its tolerances.
 
 With A the derivatives of the equations G, and d the distances to the bounds that multipliers are of, a step (δ, δλ) to
 where the equations hold, all slopes vanish, and every multiplier or its distance is zero, solves
@@ -6,11 +6,12 @@ where the equations hold, all slopes vanish, and every multiplier or its distanc
     (∇²f̄ + Σ) δ + Aᵀδλ = -∇f̄,        A δ - D δλ = -G,        Σ = |μ| / d,        D = d / |λ|,
 
 with the slopes ∇f̄ of the Lagrangian but for the multipliers μ of bounds, and d in place of -G, and D, for inequalities
-only.  Where the cost hardly knows the path, steps are long at slopes far below any tolerance.  The second step tells
-how far to trust the first: both are summed as a geometric series.  Along a fourth power each leaves two thirds.  Where
-nothing determines the path all slopes may vanish; what rounding of the equations does to it then tells.  A part of
-`EPS` on the diagonal keeps apart what nothing determines, such as which of two controls does the work.  States follow
-from what is chosen and have none: it would outweigh the curvature of a cost that hardly knows the path.
+only.  Where the cost hardly depends on the path, steps are long even if all slopes are far below any tolerance.  The
+ratio of the second step to the first is that of a geometric series, by which their sum is extrapolated: where the cost
+is like a fourth power each step leaves two thirds.  Where nothing determines the path all slopes may vanish, and the
+effect of rounding of the equations shows it.  `EPS` on the diagonal regularizes what nothing determines, such as which
+of two controls does the work.  States, which follow from what is chosen, have none: it would outweigh the curvature of
+a cost that hardly depends on the path.
 """
 
 from __future__ import annotations
@@ -28,17 +29,19 @@ from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
-from casadi_galerkin.solution.cost_variation import Left
+from casadi_galerkin.solution.cost_variation import RemainingError
 
 Entries: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]  # rows, columns and values
 
 SLOWEST = 0.9  # largest ratio of two steps that their series is summed with
 
 
-def what_is_left(graph: ControlGraph, bounds: ProgramBounds, optimum: Optimum, data: np.ndarray) -> Left:
-    """How far the solver may have left path, durations and cost.
+def estimate_remaining_error(
+    graph: ControlGraph, bounds: ProgramBounds, optimum: Optimum, data: np.ndarray
+) -> RemainingError:
+    """Estimate the errors of path, durations and cost that the solver has left.
 
-    It is no less than what rounding does to them, and infinite where the steps are not finite.
+    They are no less than what rounding does, and infinite where the Newton steps are not finite.
     """
     chain, kinds = graph.chain, graph.chain.unknown_kinds
     sizes = largest_of(np.abs(optimum.unknowns), kinds)
@@ -55,7 +58,7 @@ def what_is_left(graph: ControlGraph, bounds: ProgramBounds, optimum: Optimum, d
     left = np.fmax(np.fmax(first, second) / (1 - ratio), rounding)
     durations = kinds[chain.fields["durations"][-1]] if chain.is_free("durations") else kinds[:0]
     longer = float(np.max(left[durations] / sizes[durations], initial=0.0))
-    return Left(left[: chain.dimension], longer, change if np.isfinite(change) else np.inf)
+    return RemainingError(left[: chain.dimension], longer, change if np.isfinite(change) else np.inf)
 
 
 def newton_step(
@@ -78,7 +81,7 @@ def newton_step(
     free, held = (low < high) & (to_bounds > 0), np.isfinite(to_limits)
     stiffness = np.abs(of_bounds[free]) / to_bounds[free]
     states = np.concatenate([graph.chain.fields[name].ravel() for name in ("x", "nodes", "momentum")])
-    linear = _Equations(
+    linear = _KKTSystem(
         _entries(graph.hessian(unknowns, data, 1.0, of_equations), free, free),
         _entries(graph.jacobian(unknowns, data)[1], held, free),
         stiffness,
@@ -98,7 +101,7 @@ def newton_step(
 
 
 @dataclass(frozen=True)
-class _Equations:
+class _KKTSystem:
     """The symmetric equations (H + Σ) δ + Aᵀδλ = a, A δ - D δλ = b.
 
     Attributes

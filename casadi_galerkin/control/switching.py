@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from casadi_galerkin.control.time_witness import integrand
+from casadi_galerkin.control.jumps_in_time import integrand
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 AT_BOUND = 0.05  # of the bounds' distance: a switch is from one bound to the other within this

@@ -20,16 +20,16 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.control.attempts import AS_GUESSED, Beginning, or_from_other_beginnings, or_with_ipopt
 from casadi_galerkin.control.chain import chain_of
 from casadi_galerkin.control.constraint_violation import FEASIBLE, violations
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
-from casadi_galerkin.control.optimizer import RELAXED, TOLERANCE, optimize, with_fatrop, with_ipopt
+from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, with_ends
+from casadi_galerkin.control.retries import AS_GUESSED, Beginning, retry_from_other_guesses, with_ipopt_fallback
 from casadi_galerkin.control.second_variation import CostVariation
-from casadi_galerkin.functional.buffers import Evaluator, Lender
+from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap, by_rows
 from casadi_galerkin.functional.statement import refuse_points
 from casadi_galerkin.functional.threads import fork_waits
@@ -109,7 +109,7 @@ class ControlTranscription:
         self.graph = ControlGraph(problem, self.chain, mapping)
         self.bounds = bounds_of(problem, self.chain)
         check_count(self.chain, self.bounds)
-        self._solvers: dict[str, Lender[Evaluator]] = {}
+        self._solvers: dict[str, ObjectPool[Evaluator]] = {}
         self.build_seconds = time.perf_counter() - began
 
     def solve(
@@ -170,10 +170,12 @@ class ControlTranscription:
 
         def solved(beginning: Beginning) -> ControlTrajectory:
             begun = self.starting_point(problem, calculus, guess, beginning)
-            return or_with_ipopt(solver, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began))
+            return with_ipopt_fallback(
+                solver, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began)
+            )
 
         with fork_waits:  # it builds its Functions when they are first needed
-            path = or_from_other_beginnings(problem, guess, solved)
+            path = retry_from_other_guesses(problem, guess, solved)
         if verbose:
             print(path)
         return path
@@ -204,7 +206,7 @@ class ControlTranscription:
         bounds = self.bounds if problem is self.problem else with_ends(self.bounds, problem, chain)
         unknowns, data = chain.pack(start.values)
         way = self._kept_program(solver, bool(start.duals), verbose)
-        optimum = optimize(way, unknowns, data, bounds.narrowed(RELAXED[solver.name]), *start.duals)
+        optimum = optimize(way, unknowns, data, bounds.narrowed(BOUND_RELAXATION[solver.name]), *start.duals)
         if optimum.status == INVALID:
             refuse_derivatives(self.graph, unknowns, data, mesh)
         report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
@@ -276,9 +278,9 @@ class ControlTranscription:
         largest = report.sizes.copy()
         if wild:
             line = self.graph.report(*chain.pack(straight)).sizes
-            line[chain.motions] = _telling(line[chain.motions], UNMOVED)
+            line[chain.motions] = _significant(line[chain.motions], UNMOVED)
             largest = np.where((line > TOLERANCE) & np.isfinite(line), np.fmin(WILD * line, largest), largest)
-        sizes = _telling(largest[chain.motions], TOLERANCE)
+        sizes = _significant(largest[chain.motions], TOLERANCE)
         values["sizes"] = np.where(sizes > 0, sizes, 1.0)
         largest[chain.motions] /= values["sizes"]
         momentum = -report.equations[chain.departures] if near is None else near.momentum[: chain.mechanical].T
@@ -293,7 +295,7 @@ class ControlTranscription:
             return with_fatrop(self.graph, verbose, solver.options)
         return with_ipopt(self.graph, warm, verbose, solver.options)
 
-    def _kept_program(self, solver: Solver, warm: bool, verbose: int) -> Lender[Evaluator]:
+    def _kept_program(self, solver: Solver, warm: bool, verbose: int) -> ObjectPool[Evaluator]:
         """The solver for this program, built when it is first needed; with limited time, for this solve only."""
         key, kept = f"{warm} {verbose > 1} {solver!r}", math.isinf(seconds_left())
         if kept and key in self._solvers:
@@ -301,10 +303,10 @@ class ControlTranscription:
         began = time.perf_counter()
         program = self.program(solver, warm, verbose)
         self.build_seconds += time.perf_counter() - began
-        lender = Lender(lambda: Evaluator(program))
+        pool = ObjectPool(lambda: Evaluator(program))
         if kept:
-            self._solvers[key] = lender
-        return lender
+            self._solvers[key] = pool
+        return pool
 
     def _joints(self, values: dict[str, np.ndarray], mesh: np.ndarray) -> np.ndarray:
         """The time scale with the durations found; exactly the mesh where the duration is given."""
@@ -337,7 +339,7 @@ class ControlTranscription:
         )
 
 
-def _telling(sizes: np.ndarray, part: float) -> np.ndarray:
+def _significant(sizes: np.ndarray, part: float) -> np.ndarray:
     """The sizes of terms of all components; zero where they are not finite, or below this part of the largest."""
     finite = np.where(np.isfinite(sizes), sizes, 0.0)
     return np.where(finite > part * np.max(finite, initial=0.0), finite, 0.0)

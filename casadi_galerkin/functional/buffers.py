@@ -15,10 +15,10 @@ from casadi_galerkin.functional.threads import fork_waits, one_thread
 Lent = TypeVar("Lent")
 
 
-class Lender(Generic[Lent]):
-    """Lends what an earlier call wrote to, or a new one, to one call at a time.
+class ObjectPool(Generic[Lent]):
+    """A pool of objects that calls write to: each call gets an idle one, or a new one.
 
-    It comes back, but after an interrupt: what that left half written is dropped.
+    It goes back after the call, but not after an interrupt, which may have left it half written.
 
     Parameters
     ----------

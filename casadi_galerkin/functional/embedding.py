@@ -20,7 +20,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.functional.numbering import KEPT, Numbering
+from casadi_galerkin.functional.numbering import CACHE_SIZE, Numbering
 
 BLAS = "classic" if ca.has_blas("classic") else "reference"  # measured: 3 to 5 times faster than the reference
 
@@ -40,7 +40,7 @@ def _contributions(target: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]
         yield order[rank == turn], ordered[rank == turn]
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def embedding(numbering: Numbering) -> ca.Function:
     """E: u -> x (d, N r), x' (d, N r) at the quadrature points."""
     element, n, d = numbering.method.element, numbering.intervals, numbering.dimension
@@ -74,7 +74,7 @@ class Embedded:
     points: list[ca.MX]
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def embedded(numbering: Numbering) -> Embedded:
     """Embed the symbols of a numbering."""
     n, points = numbering.intervals, numbering.method.element.points
@@ -121,14 +121,14 @@ def _integrated(numbering: Numbering, fx: ca.MX, fv: ca.MX) -> ca.MX:
     return gathered(numbering, numbering.local.ravel(), ca.horzcat(first, others))
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def integration(numbering: Numbering) -> ca.Function:
     """Eᵀ: values fx, fv (d, N r) that multiply x and x' -> their sum by unknown."""
     slopes = _slopes(numbering)
     return ca.Function("integration", slopes, [_integrated(numbering, *slopes)], ["fx", "fv"], ["gradient"])
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def summation(numbering: Numbering) -> ca.Function:
     """∫ f Δ_w t on the reference interval, summed: values (1, N r), step included -> scalar."""
     f = ca.MX.sym("f", 1, numbering.points)
@@ -136,7 +136,7 @@ def summation(numbering: Numbering) -> ca.Function:
     return ca.Function("summation", [f], [total], ["f"], ["action"])
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def variation(numbering: Numbering) -> ca.Function:
     """From an integrand f and its gradient fx, fv: its sum, momenta, the gradient, and sizes of the terms that it sums.
 
@@ -172,7 +172,7 @@ def joint_time_derivatives(numbering: Numbering, *derivatives: ca.MX) -> tuple[c
     return slope, curvature + ca.vertcat(0, second_twice), both
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def assembly(
     numbering: Numbering,
     colind: tuple[int, ...],
@@ -227,7 +227,7 @@ class Pattern:
     others: list[tuple[np.ndarray, np.ndarray]]
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def hessian_pattern(numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...], symmetric: bool) -> Pattern:
     """Pattern of Eᵀ blockdiag(·) E; the pattern (colind, row) of a block is symmetric and has its diagonal."""
     position, target = _hessian_entries(numbering, colind, row, symmetric)

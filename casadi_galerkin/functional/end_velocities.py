@@ -12,8 +12,8 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.functional.numbering import KEPT
+from casadi_galerkin.calculus.cached_property import cached_property
+from casadi_galerkin.functional.numbering import CACHE_SIZE
 from casadi_galerkin.problems.boundary_problem import ENDS, BoundaryProblem
 from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
 
@@ -44,7 +44,7 @@ class EndVelocities:
                 found = found | coupled[found].any(axis=0)
         self.given, self.unknown = (np.flatnonzero(which).tolist() for which in (chosen, found & ~chosen))
 
-    @lazy
+    @cached_property
     def _transform(self) -> ca.Function:
         """(t, (x, v, p), unknown velocities) -> their momenta, mass matrix; v has the others."""
         t, x, v, *p = self._lagrangian.sx_in()
@@ -70,7 +70,7 @@ class EndVelocities:
         return np.where(np.isnan(found[:, 0]), guess, found[:, 0])
 
 
-_kept = lru_cache(2 * KEPT)(EndVelocities)
+_kept = lru_cache(2 * CACHE_SIZE)(EndVelocities)
 
 
 def end_velocities(problem: BoundaryProblem) -> list[EndVelocities]:

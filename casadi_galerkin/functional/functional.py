@@ -27,7 +27,7 @@ from typing import TypeAlias
 
 import casadi as ca
 
-from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.functional.embedding import (
     Embedded,
     assembly,
@@ -95,18 +95,18 @@ class Functional:
         self._functions: dict[str, ca.Function] = {}
         self.build_seconds = time.perf_counter() - began
 
-    @lazy
+    @cached_property
     def _embedded(self) -> Embedded:
         """The embedded symbols, kept: all Functions must have the same, even where the cache has dropped them."""
         return embedded(self.numbering)
 
-    @lazy
+    @cached_property
     def symbols(self) -> dict[str, ca.MX]:
         """Unknowns ξ, start, end, mesh and, if there are some, parameters and given values of the terms, by name."""
         further = (*self._parameters, *self._given)
         return self._embedded.symbols | {symbol.name(): symbol for symbol in further}
 
-    @lazy
+    @cached_property
     def unforced(self) -> Functional | None:
         """The same functional without its force; None where there is none."""
         return Functional(*self._without_force) if self._without_force else None
@@ -115,7 +115,7 @@ class Functional:
         """The parameters among the data, if there are some."""
         return data[3 : 3 + len(self._parameters)]
 
-    @lazy
+    @cached_property
     def sparsity(self) -> ca.Sparsity:
         """Sparsity of ∇²S."""
         sparsity = hessian_pattern(*self.pattern_key).sparsity
@@ -127,25 +127,25 @@ class Functional:
             sparsity = sparsity + ca.horzcat(before, last) + ca.horzcat(before, last).T
         return sparsity
 
-    @lazy
+    @cached_property
     def u(self) -> ca.MX:
         """The vector u = (ξ, start, end) of the numbering."""
         return self._embedded.u
 
-    @lazy
+    @cached_property
     def _at(self) -> list[ca.MX]:
         return [*self._embedded.points, *self._parameters]
 
     def _at_points(self, function: ca.Function) -> list[ca.MX]:
         return list(self._mapping(function, self.numbering.points, self._shared).call(self._at))
 
-    @lazy
+    @cached_property
     def _second(self) -> list[ca.MX]:
         """L̂, its first and its second derivatives at all points."""
         pointwise, brief = self.pointwise, self._mapping is one_by_one
         return self._at_points(pointwise.derivatives if brief else pointwise.without_repetition)
 
-    @lazy
+    @cached_property
     def _first(self) -> list[ca.MX]:
         """L̂ and its first derivatives at all points.
 
@@ -153,7 +153,7 @@ class Functional:
         """
         return self._second[:3] if self._mapping is one_by_one else self._at_points(self.pointwise.first)
 
-    @lazy
+    @cached_property
     def _terms(self) -> list[list[ca.MX]]:
         """What the local terms are at all of their places."""
         if not self.terms:
@@ -162,7 +162,7 @@ class Functional:
         at = (self.u, self._embedded.joints, parameters, given)
         return [term.evaluated(*at) for term in self.terms]
 
-    @lazy
+    @cached_property
     def _stretch(self) -> tuple[ca.MX, ca.MX]:
         """The duration's own row, ∂S/∂τ + E T with τ = log T, and the derivatives of all rows by τ."""
         by_stretch = ca.MX(ca.Sparsity.unit(self.numbering.free, self.numbering.free - 1))
@@ -179,17 +179,17 @@ class Functional:
             total = ca.vertcat(total[: self.numbering.free - 1, :], self._stretch[0])
         return total
 
-    @lazy
+    @cached_property
     def action(self) -> ca.MX:
         """S̄ but for its multipliers and the energy: scalar."""
         return sum((ca.sum1(ca.sum2(added)) for added, _, _ in self._terms), summation(self.numbering)(self._first[0]))
 
-    @lazy
+    @cached_property
     def gradient(self) -> ca.MX:
         """∇S with respect to the free values ξ."""
         return self._with_terms(integration(self.numbering)(*self._first[1:]))
 
-    @lazy
+    @cached_property
     def first_variation(self) -> list[ca.MX]:
         """The action with that of the ends, momenta at the joints, ∇S by the free values ξ, sizes of what that sums."""
         action, momenta, gradient, sizes = variation(self.numbering).call(self._first)
@@ -198,7 +198,7 @@ class Functional:
         action = sum((ca.sum2(added[0, :]) for added, _, _ in self._terms), action)
         return [action, momenta, self._with_terms(gradient), sizes]
 
-    @lazy
+    @cached_property
     def derivatives(self) -> tuple[ca.MX, ca.MX]:
         """∇²S, sparse with both halves stored, and ∇S with respect to the free values ξ, in one pass."""
         return self._assembled(self._second[3:])
@@ -208,7 +208,7 @@ class Functional:
         matrix, gradient = assembled.call([*self._second[1:3], *blocks])
         return matrix if self._further is None else matrix + self._further, self._with_terms(gradient)
 
-    @lazy
+    @cached_property
     def _further(self) -> ca.MX | None:
         """What the further terms add to ∇²S."""
         added = [term.matrix(self.numbering, at[2]) for term, at in zip(self.terms, self._terms, strict=True)]
@@ -229,7 +229,7 @@ class Functional:
           terms, the sizes of what the gradient sums
         - joint_time_derivatives : -> by_joint ∂S/∂t_i, the jumps of the energy; twice_by_joint ∂²S/∂t_i²; by_neighbors
           ∂²S/∂t_i∂t_{i+1}; all at fixed node values
-        - heavier : with inertia -> matrix ∇²S with ∂²L/∂v² times that
+        - inertia_weighted : with inertia -> matrix ∇²S with ∂²L/∂v² times that
         - curvature : with left z and right y -> signed zᵀ∇²S y, positive sum of the sizes of its terms
         - sensitivity : with direction of the parameters -> change of ∇S along it
         - product : with direction of the unknowns -> change of ∇S along it, ∇²S times the direction, summed over the
@@ -242,7 +242,7 @@ class Functional:
             "derivatives": lambda: ({}, ["matrix", "gradient"], [*self.derivatives]),
             "summary": lambda: ({}, ["action", "momentum", "gradient", "terms"], self.first_variation),
             "joint_time_derivatives": self._joint_time_derivatives,
-            "heavier": self._heavier,
+            "inertia_weighted": self._inertia_weighted,
             "curvature": self._curvature,
             "sensitivity": self._sensitivity,
             "product": self._product,
@@ -254,7 +254,7 @@ class Functional:
         names = ["by_joint", "twice_by_joint", "by_neighbors"]
         return {}, names, [*joint_time_derivatives(self.numbering, *at_points)]
 
-    def _heavier(self) -> Parts:
+    def _inertia_weighted(self) -> Parts:
         inertia, blocks = ca.MX.sym("inertia"), zip(self.pointwise.blocks, self._second[3:], strict=True)
         weighted = [inertia * values if block == (1, 1) else values for block, values in blocks]
         return {"inertia": inertia}, ["matrix"], [self._assembled(weighted)[0]]

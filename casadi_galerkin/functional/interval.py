@@ -43,7 +43,7 @@ DOUBLINGS = 4  # of Newton's iterations, to at most 16; 1 to 8 were measured, th
 SMALLEST_STEP = 0.01 * EPS
 # of the largest component: a largest last step, whose rounding QR spreads to the components that rest
 RESTING = SMALLEST_STEP ** (1 / 3)
-NEAR = 1e-8  # relative Newton step below which only rounding keeps the next one from being far smaller
+NEARLY_CONVERGED = 1e-8  # relative Newton step below which only rounding keeps the next one from being far smaller
 TAYLOR = 2  # terms of the velocity carried on as prediction; with 3 and more, large steps reached other solutions
 
 
@@ -325,7 +325,7 @@ def newton_iteration(system: ca.Function, positions: int) -> ca.Function:
     size = [least[i] + ca.mmax(ca.fabs(s[i, :])) + ca.mmax(ca.fabs(ds[i, :])) + TINY for i in range(d)]
     relative = ca.mmax(ca.fabs(ds[:d, :]) / ca.repmat(ca.vertcat(*size), 1, m))  # not of impulses, which follow
     large = relative * ca.fmin(1, relative / before) ** 2 > SMALLEST_STEP  # false if it is not a number
-    stalled = ca.logic_and(ca.logic_and(before > 0, before <= NEAR), relative > before / 2)
+    stalled = ca.logic_and(ca.logic_and(before > 0, before <= NEARLY_CONVERGED), relative > before / 2)
     unfinished = ca.logic_and(large, ca.logic_not(stalled))
     update = ca.Function("update", [s, ds, x, before], [s + ds, relative, unfinished, 1])
     residual, by_s = system(*inputs)

@@ -9,14 +9,14 @@ from typing import TypeAlias
 
 import casadi as ca
 
-from casadi_galerkin.functional.numbering import KEPT
+from casadi_galerkin.functional.numbering import CACHE_SIZE
 
 PointMap: TypeAlias = Callable[[ca.Function, int, tuple[int, ...]], ca.Function]
 
 ROW = 400  # points in a row: 1.5 to 4 times faster than one by one from 24 on, and values that stay in the cache
 
 
-@lru_cache(4 * KEPT)
+@lru_cache(4 * CACHE_SIZE)
 def one_by_one(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Function:
     """Map a Function over `count` points; inputs in `shared` are the same at all of them, and cost a wrapper.
 
@@ -28,7 +28,7 @@ def one_by_one(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Functi
     return f.map(inner).map(count // inner)
 
 
-@lru_cache(4 * KEPT)
+@lru_cache(4 * CACHE_SIZE)
 def by_rows(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Function:
     """Map an SX Function over points by evaluating each of its instructions for a row of points at once.
 

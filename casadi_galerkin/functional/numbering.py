@@ -7,10 +7,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.lazy import lazy
 
-KEPT = 8  # a graph of 1e5 intervals holds some 100 MB
+CACHE_SIZE = 8  # a graph of 1e5 intervals holds some 100 MB
 
 Data = tuple[np.ndarray, ...]  # what a path is found for: start, end, mesh and, if there are some, parameters, given
 
@@ -45,7 +45,7 @@ class Numbering:
     multipliers: int
     stretched: bool
 
-    @lazy
+    @cached_property
     def of_ends(self) -> np.ndarray:
         """Number of each position at the ends among those given, of the start and then the end; -1 if not; (2, d)."""
         ends, starts = np.full((2, self.dimension), -1), len(self.fixed_start)
@@ -55,7 +55,7 @@ class Numbering:
             ends[1] = ends[0]
         return ends
 
-    @lazy
+    @cached_property
     def of_nodes(self) -> np.ndarray:
         """Entry of u at every node in the order of time; (N m + 1, d)."""
         nodes = np.zeros((self.intervals * self.method.degree + 1, self.dimension), dtype=np.int64)
@@ -69,30 +69,30 @@ class Numbering:
             nodes[-1] = nodes[0]
         return nodes
 
-    @lazy
+    @cached_property
     def component(self) -> np.ndarray:
         """Component of the path that every entry of u is a value of; (size,)."""
         component = np.zeros(self.size, dtype=np.int64)
         component[self.of_nodes] = np.arange(self.dimension)
         return component
 
-    @lazy
+    @cached_property
     def place(self) -> np.ndarray:
         """Where every free value stands among the node values, component fastest; (positions,)."""
         return np.unique(self.of_nodes, return_index=True)[1][: self.positions]  # of a periodic joint the first
 
-    @lazy
+    @cached_property
     def distinct(self) -> int:
         """Number of nodes that are not others under another name: all, but for a periodic path's last one."""
         return self.intervals * self.method.degree + (0 if self.periodic else 1)
 
-    @lazy
+    @cached_property
     def positions(self) -> int:
         """Number of free values of the path."""
         pinned = len(self.pinned_start) + len(self.pinned_end)
         return self.distinct * self.dimension - len(self.fixed_start) - len(self.fixed_end) + pinned
 
-    @lazy
+    @cached_property
     def free(self) -> int:
         """Number of unknowns, the length of ξ."""
         return self.positions + self.multipliers + self.stretched
@@ -114,7 +114,7 @@ class Numbering:
         return self.intervals * len(self.method.quadrature)
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def kept(numbering: Numbering) -> Numbering:
     """The first numbering that was equal to this one, with what it has found out."""
     return numbering

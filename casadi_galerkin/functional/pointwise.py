@@ -15,8 +15,8 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.functional.numbering import KEPT
+from casadi_galerkin.calculus.cached_property import cached_property
+from casadi_galerkin.functional.numbering import CACHE_SIZE
 
 
 def pulled_back(lagrangian: ca.Function, t: ca.SX, h: ca.SX, x: ca.SX, slope: ca.SX, *parameters: ca.SX) -> ca.SX:
@@ -67,12 +67,12 @@ class Pointwise:
         kinetic = self._cells[1, 1].sparsity()
         self.kinetic = all(kinetic.has_nz(i, i) for i in range(d))
 
-    @lazy
+    @cached_property
     def first(self) -> ca.Function:
         """L̂, and what multiplies δx and δx': ∂L̂/∂x + h F and ∂L̂/∂x'."""
         return self._function("first", {"f": self._value, **self._slopes})
 
-    @lazy
+    @cached_property
     def derivatives(self) -> ca.Function:
         """What `first` has, and J in the order of `blocks`, each the column of its entries in `pattern`.
 
@@ -80,7 +80,7 @@ class Pointwise:
         """
         return self._function("derivatives", self._all)
 
-    @lazy
+    @cached_property
     def without_repetition(self) -> ca.Function:
         """What `derivatives` has, without the instructions that repeat, a tenth to a quarter of them.
 
@@ -88,7 +88,7 @@ class Pointwise:
         """
         return self._function("derivatives", self._all, cse=True)
 
-    @lazy
+    @cached_property
     def _all(self) -> dict[str, ca.SX]:
         columns = {f"block{i}{j}": ca.project(self._cells[i, j], self.pattern).nz[:] for i, j in self.blocks}
         return {"f": self._value, **self._slopes, **columns}
@@ -102,7 +102,7 @@ class Pointwise:
             mass[:, rows, columns] = blocks[self.blocks.index((1, 1))].T
         return mass
 
-    @lazy
+    @cached_property
     def supplied(self) -> ca.Function | None:
         """∂L̂/∂t - h F·v, by which the energy falls, and its derivatives by x and x'; None where the energy is kept."""
         if self.symmetric and not self.derivatives.jac_sparsity(0, 0).nnz():  # L̂ by t; `depends_on` takes far longer
@@ -113,14 +113,14 @@ class Pointwise:
         by_both = ca.gradient(falls, ca.vertcat(self._inputs["x"], self._inputs["slope"]))
         return self._function("supplied", {"ft": ca.densify(falls), "by_both": ca.densify(by_both)})
 
-    @lazy
+    @cached_property
     def curvature(self) -> ca.Function:
         """With z and y, of the size of (x, x'), as further inputs, zᵀJ y and |z|ᵀ|J||y|."""
         z, y = (ca.SX.sym(name, self._jacobian.shape[0]) for name in ("z", "y"))
         terms = [ca.bilin(self._jacobian, z, y), ca.bilin(ca.fabs(self._jacobian), ca.fabs(z), ca.fabs(y))]
         return ca.Function("curvature", [*self._inputs.values(), z, y], terms)
 
-    @lazy
+    @cached_property
     def product(self) -> ca.Function:
         """With y, of the size of (x, x'), as a further input, the two halves of J y."""
         half = self._jacobian.shape[0] // 2
@@ -128,7 +128,7 @@ class Pointwise:
         image = ca.densify(ca.mtimes(self._jacobian, y))
         return ca.Function("product", [*self._inputs.values(), y], [image[:half], image[half:]])
 
-    @lazy
+    @cached_property
     def time_derivatives(self) -> ca.Function:
         """Derivatives of L̂ at fixed x and x': by t, by h, and the second ones by tt, th and hh."""
         hessian, gradient = ca.hessian(self._value, ca.vertcat(self._inputs["t"], self._inputs["h"]))
@@ -139,7 +139,7 @@ class Pointwise:
         return ca.Function(name, self._inputs | outputs, list(self._inputs), list(outputs), options)
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def pointwise(lagrangian: ca.Function, force: ca.Function | None) -> Pointwise:
     """Derive the pointwise Functions of a Lagrangian and a force; the last ones are kept."""
     return Pointwise(lagrangian, force)

@@ -14,8 +14,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.nodes import lobatto_points
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.end_velocities import end_velocities
@@ -23,7 +23,7 @@ from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Numbering
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem, says
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem, is_given
 from casadi_galerkin.problems.problem import END_MOTIONS
 
 AT_REST = 1e-3  # speed at the start over the largest, below which the start tells no phase
@@ -153,12 +153,12 @@ class _Statement:
         ends = start, end, tuple(self.pinned[0]), tuple(self.pinned[1])
         self.numbering = Numbering(method, intervals, d, *ends, problem.periodic, multipliers, stretched)
 
-    @lazy
+    @cached_property
     def parameters(self) -> ca.SX:
         """Symbols of the parameters."""
         return ca.SX.sym("p", len(self.problem.parameters or ()))
 
-    @lazy
+    @cached_property
     def given(self) -> ca.SX:
         """Symbols of the `given_values`."""
         return ca.SX.sym("given", len(given_values(self.problem)))
@@ -227,7 +227,7 @@ class _Statement:
         given positions that are pinned).
         """
         problem, d = self.problem, self.problem.dimension
-        if not any(says(getattr(problem, name)) for name in (*END_MOTIONS, "end_action", "end_conditions")):
+        if not any(is_given(getattr(problem, name)) for name in (*END_MOTIONS, "end_action", "end_conditions")):
             return None
         x, t, stated = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], ca.SX.sym("t", 2), self._stated_motions()
         positions = ca.vertcat(*x)

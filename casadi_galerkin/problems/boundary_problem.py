@@ -146,7 +146,7 @@ class BoundaryProblem:
         said += [f"parameters {shown(self.parameters)}"]
         said += [f"energy {self.energy:g}"] if self.energy is not None else []
         said += [name for name in ("force", "constraint", "end_action", "end_conditions") if getattr(self, name)]
-        said += [f"{name} {shown(getattr(self, name))}" for name in END_MOTIONS if says(getattr(self, name))]
+        said += [f"{name} {shown(getattr(self, name))}" for name in END_MOTIONS if is_given(getattr(self, name))]
         return f"BoundaryProblem of {counted(self.dimension, 'component')} on {self.t_span}: {', '.join(said)}"
 
     @property
@@ -176,10 +176,10 @@ class BoundaryProblem:
 
 def _check_ends(problem: BoundaryProblem) -> None:
     """Refuse statements on the ends that contradict one another, or are too many."""
-    stated = [name for name in (*END_MOTIONS, "end_action", "end_conditions") if says(getattr(problem, name))]
+    stated = [name for name in (*END_MOTIONS, "end_action", "end_conditions") if is_given(getattr(problem, name))]
     if problem.periodic and stated:
         raise ValueError(f"a periodic path has no ends: leave out {', '.join(stated)}")
-    given = [name for name in END_MOTIONS[:2] if says(getattr(problem, name))]
+    given = [name for name in END_MOTIONS[:2] if is_given(getattr(problem, name))]
     if problem.constraint is not None and given:
         raise ValueError(f"a constraint leaves only tangent velocities: instead of {given[0]} give the momentum there")
     taken = []
@@ -198,7 +198,7 @@ def _check_ends(problem: BoundaryProblem) -> None:
             _check_end_function(name, function, taken)
 
 
-def says(value: object) -> bool:
+def is_given(value: object) -> bool:
     """Whether anything is given: not None, nor components that are all None."""
     return any(a is not None for a in value) if isinstance(value, tuple) else value is not None
 

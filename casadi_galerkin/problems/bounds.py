@@ -47,7 +47,7 @@ def bounds(name: str, value: Any, size: int) -> Bounds:
     return tuple(low.tolist()), tuple(high.tolist())
 
 
-def beyond(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def bound_excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """By how much values leave their bounds; zero within."""
     return np.asarray(np.maximum(np.maximum(low - values, values - high), 0.0))
 

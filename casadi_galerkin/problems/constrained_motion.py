@@ -27,9 +27,10 @@ from casadi_galerkin.problems.problem import Problem
 ITERATIONS = 20
 # Violation of a constraint between the nodes, over the change of g along the path, from which a path is refused.  One
 # chord of an arc has 0.09; jumps through the center of a circle were measured at 0.16 to 0.25.
-OFF = 0.1
+LARGEST_VIOLATION = 0.1
 STILL = 1e-10  # least motion of a component that a violation is compared with, relative to its size
-HELD = 1e-12  # accepted violation of a constraint by a given position or velocity, relative to the terms of g
+# accepted violation of a constraint by a given position or velocity, relative to the terms of g
+CONSTRAINT_TOLERANCE = 1e-12
 
 
 @lru_cache(8)
@@ -133,7 +134,7 @@ def _missed(constraint: ca.Function) -> ca.Function:
 
 
 def off_constraint(problem: Problem, path: PiecewisePolynomial) -> str | None:
-    """Say where a path leaves its constraint between the nodes by more than `OFF`; None if it does not.
+    """Say where a path leaves its constraint between the nodes by more than `LARGEST_VIOLATION`; None if it does not.
 
     As when a mass on a rod jumps from one side to the other.  The violation is compared with the largest change of g by
     a motion as large as that of the path.
@@ -147,7 +148,7 @@ def off_constraint(problem: Problem, path: PiecewisePolynomial) -> str | None:
     missed, largest = (np.array(a) for a in measured(times[None, :], x, np.broadcast_to(moves, x.shape)))
     part = np.max(missed / np.maximum(np.max(largest, axis=1, keepdims=True), TINY), axis=0)
     k = int(np.argmax(part))
-    if part[k] <= OFF:
+    if part[k] <= LARGEST_VIOLATION:
         return None
     return (
         f"the path leaves its constraint between the nodes, near t = {times[k]:.6g}, by {part[k]:.0%} of what its "
@@ -200,7 +201,7 @@ def check_constraint(problem: Problem) -> None:
         if None in where:
             continue
         symbols = function.sx_in()
-        values, missed, slopes = (np.array(a) for a in over_terms(function(*symbols), symbols)(when, where))
+        values, missed, slopes = (np.array(a) for a in relative_residuals(function(*symbols), symbols)(when, where))
         if not np.all(missed <= 1):
             i = int(np.argmax(missed))
             raise ValueError(
@@ -216,15 +217,17 @@ def check_constraint(problem: Problem) -> None:
             )
 
 
-def over_terms(value: ca.SX, symbols: Sequence[ca.SX], further: Sequence[ca.SX] = ()) -> ca.Function:
-    """(symbols, further) -> residuals (k,), these over `HELD` of their terms, and derivatives (k, n).
+def relative_residuals(value: ca.SX, symbols: Sequence[ca.SX], further: Sequence[ca.SX] = ()) -> ca.Function:
+    """(symbols, further) -> residuals (k,), these over `CONSTRAINT_TOLERANCE` of their terms, and derivatives (k, n).
 
     The derivatives are those by the symbols, and a term is a symbol times the derivative by it.  The time is among the
     symbols, so that its rounding counts, too.
     """
     slopes = ca.densify(ca.jacobian(value, ca.vertcat(*symbols)))
     terms = ca.mtimes(ca.fabs(slopes), ca.fabs(ca.vertcat(*symbols)))
-    return ca.Function("over_terms", [*symbols, *further], [value, ca.fabs(value) / (HELD * terms + TINY), slopes])
+    return ca.Function(
+        "over_terms", [*symbols, *further], [value, ca.fabs(value) / (CONSTRAINT_TOLERANCE * terms + TINY), slopes]
+    )
 
 
 def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v: tuple[float, ...]) -> None:
@@ -239,10 +242,10 @@ def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v
     time, place = function.sx_in()
     velocity, value = ca.SX.sym("v", place.numel()), function(time, place)
     rate = ca.jtimes(value, place, velocity) + ca.jacobian(value, time)
-    rates, _, slopes = (np.array(a) for a in over_terms(rate, [time, place, velocity])(t, x, v))
+    rates, _, slopes = (np.array(a) for a in relative_residuals(rate, [time, place, velocity])(t, x, v))
     lengths = np.abs(x)
     sizes = np.concatenate(([abs(t)], lengths, np.fmax(np.abs(v), lengths / np.ptp(problem.t_span))))
-    excess = np.abs(rates[:, 0]) - HELD * np.abs(slopes) @ sizes
+    excess = np.abs(rates[:, 0]) - CONSTRAINT_TOLERANCE * np.abs(slopes) @ sizes
     if np.any(excess > 0):
         i = int(np.argmax(excess))
         raise ValueError(

@@ -42,9 +42,9 @@ from casadi_galerkin.problems.crossings import (
     waypoints_of,
 )
 from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
-from casadi_galerkin.problems.problem import marks, with_changes, with_values
+from casadi_galerkin.problems.problem import section_times, with_changes, with_values
 
-MET = 1e-8  # of a condition that the ends given meet, as much as a solve may leave
+END_CONDITION_TOLERANCE = 1e-8  # of a condition that the ends given meet, as much as a solve may leave
 
 
 @dataclass(frozen=True, repr=False)
@@ -348,7 +348,7 @@ class ControlProblem:
             rows, columns = (np.array(index, dtype=int) for index in g.sparsity_jac(k, 0).get_triplet())
             depends[rows[which[columns]]] = True
         values = np.array(g(*map(np.nan_to_num, given))).ravel()
-        rounded = MET * np.fmax(1.0, np.abs(values))
+        rounded = END_CONDITION_TOLERANCE * np.fmax(1.0, np.abs(values))
         for i in np.flatnonzero(~depends):
             if not low[i] - rounded[i] <= values[i] <= high[i] + rounded[i]:
                 raise ValueError(
@@ -357,7 +357,7 @@ class ControlProblem:
 
     def _check_guesses(self) -> None:
         if self.duration_bounds is not None:
-            times = marks(self)
+            times = section_times(self)
             rounded = 2 * EPS * max(map(abs, self.t_span))  # of t_N = t_0 + T, and of the difference
             for k, (low, high) in enumerate(zip(*self.duration_bounds, strict=True)):
                 lasts = times[k + 1] - times[k]

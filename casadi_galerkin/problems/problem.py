@@ -47,14 +47,12 @@ class Problem(Protocol):
 Stated = TypeVar("Stated", bound=Problem)
 
 
-def marks(problem: Problem) -> list[float]:
+def section_times(problem: Problem) -> list[float]:
     """Times of both ends, with those of the breakpoints between them."""
     return [problem.t_span[0], *problem.breakpoints, problem.t_span[1]]
 
 
-def between_marks(
-    times: np.ndarray, own: Sequence[float] | np.ndarray, other: Sequence[float] | np.ndarray
-) -> np.ndarray:
+def map_times(times: np.ndarray, own: Sequence[float] | np.ndarray, other: Sequence[float] | np.ndarray) -> np.ndarray:
     """Map times piecewise linearly from `own` marks to `other` ones; by their ends alone if their numbers differ."""
     if len(own) != len(other):
         own, other = [own[0], own[-1]], [other[0], other[-1]]

@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.numbers import counted, spanned
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes
-from casadi_galerkin.problems.bounds import beyond
+from casadi_galerkin.problems.bounds import bound_excess
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.controlled_motion import equations_of_motion
 from casadi_galerkin.solution.control_path import ControlPath
-from casadi_galerkin.solution.cost_variation import CostVariation, Left
+from casadi_galerkin.solution.cost_variation import CostVariation, RemainingError
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_path
 from casadi_galerkin.solution.trajectory import UNRESOLVED, Trajectory
@@ -29,9 +29,10 @@ from casadi_galerkin.solution.trajectory import UNRESOLVED, Trajectory
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SMALL = 1e-6  # of the largest component: a smaller one may be what the solver leaves of none
-UNSEEN = 1e-6  # part of the cost that it may change by without a word; optima near one were measured below 1e-9
-TOLD = 10.0  # times what the solver leaves of it: a smaller one is that
+SMALL = 1e-6  # size over the largest component, below which a component may be an error of the solver alone
+# relative change of the cost from which the summary reports it; optima near one have less than 1e-9
+REPORTED_COST_CHANGE = 1e-6
+REMAINDER_FACTOR = 10.0  # times the error that the solver leaves: a component that is no larger counts as zero
 CONTINUOUS = 1e-8  # of the largest control: what the solver leaves between two values that should agree
 SHOWN_OVERSHOOT = 1e-3  # of the bounds' width; less is no reason for another mesh
 SHOWN_EXCESS = 1e-8  # of the constraints' size; at the points as much is accepted
@@ -105,26 +106,26 @@ class ControlTrajectory(Trajectory):
     cost_error: float | None = None
     second_variation: CostVariation | None = None
 
-    @lazy
-    def _left(self) -> Left:
+    @cached_property
+    def _remaining_error(self) -> RemainingError:
         """What the solver has left."""
         assert self.second_variation is not None, "an optimum has one"
-        return self.second_variation.left()
+        return self.second_variation.remaining_error()
 
     @property
     def unseen_change(self) -> float:
         """How much the cost may still change by, to first order along the Newton steps that the solver has left."""
-        return self._left.cost
+        return self._remaining_error.cost
 
-    @lazy
+    @cached_property
     def solver_error(self) -> float:
         """Relative error of x and of free durations that the solver has left, from its next Newton steps.
 
         Found when first asked for.  It is large where the cost hardly depends on the path.
         """
-        return max(float(np.max(self._left.components / self.sizes)), self._left.durations)
+        return max(float(np.max(self._remaining_error.components / self.sizes)), self._remaining_error.durations)
 
-    @lazy
+    @cached_property
     def sizes(self) -> np.ndarray:
         """What errors of the components are relative to, (d,): their largest values; one where these are zero.
 
@@ -132,7 +133,11 @@ class ControlTrajectory(Trajectory):
         """
         sizes = self.polynomial.sizes
         large = sizes >= SMALL * np.max(sizes)
-        return sizes if np.all(large) else np.where(large | (sizes > TOLD * self._left.components), sizes, 1.0)
+        return (
+            sizes
+            if np.all(large)
+            else np.where(large | (sizes > REMAINDER_FACTOR * self._remaining_error.components), sizes, 1.0)
+        )
 
     def replay(self) -> ca.Function:
         """Return the force (t, x, v[, p]) -> (d,) of the optimized controls, for an `InitialProblem`.
@@ -179,7 +184,7 @@ class ControlTrajectory(Trajectory):
                 "without points at both ends, such as gauss or radau, to replay it"
             )
 
-    @lazy
+    @cached_property
     def dynamics_defect(self) -> np.ndarray:
         """How far the equations of motion are missed between the points, one number per interval; (N,).
 
@@ -201,7 +206,7 @@ class ControlTrajectory(Trajectory):
         size = np.abs(at_joints).max(axis=1) + np.abs(impulse).max(axis=(1, 2))
         return np.asarray((defect / np.where(size > 0, size, 1.0)[:, None]).max(axis=0))
 
-    @lazy
+    @cached_property
     def control_overshoot(self) -> np.ndarray:
         """Largest excess of the controls over their bounds between the points, over the bounds' width; (N,).
 
@@ -211,7 +216,7 @@ class ControlTrajectory(Trajectory):
         low, high = (np.array(side)[:, None] for side in self.problem.control_bounds)
         width = np.where(np.isfinite(high - low) & (high > low), high - low, 1.0)
         u = self.control.at(np.linspace(0.0, 1.0, 4 * len(self.method.quadrature) + 1))
-        excess = beyond(u, low, high) / width
+        excess = bound_excess(u, low, high) / width
         return np.asarray(excess.max(axis=0).reshape(len(self.t) - 1, -1).max(axis=1))
 
     def path_constraints(self, parts: np.ndarray) -> np.ndarray:
@@ -224,7 +229,7 @@ class ControlTrajectory(Trajectory):
         values = np.array(constraint.map(len(times))(times[None, :], x, v, self.control.at(parts)))
         return values.reshape(len(values), len(self.t) - 1, len(parts))
 
-    @lazy
+    @cached_property
     def constraint_excess(self) -> np.ndarray:
         """Largest excess of the path constraints over their bounds between the points; (N,).
 
@@ -236,7 +241,7 @@ class ControlTrajectory(Trajectory):
         values = self.path_constraints(np.linspace(0.0, 1.0, 4 * len(self.method.quadrature) + 1))
         sizes = [np.max(np.abs(np.where(np.isfinite(a), a, 0.0)), axis=(1, 2)) for a in (values, low, high)]
         size = np.max(sizes, axis=0)[:, None, None]
-        return np.asarray((beyond(values, low, high) / np.maximum(size, TINY)).max(axis=(0, 2), initial=0.0))
+        return np.asarray((bound_excess(values, low, high) / np.maximum(size, TINY)).max(axis=(0, 2), initial=0.0))
 
     def _motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """∂L/∂v and ∂L/∂x + F along the path, and what follows rates with these; (d, K) each."""
@@ -362,13 +367,13 @@ class ControlTrajectory(Trajectory):
     def _accuracy(self) -> list[str]:
         """A line on the errors of cost and path as far as they are known, or if this mesh does not resolve the path."""
         known = [(self.cost_error, "of the cost"), (self.error_estimate, "of the path")]
-        told = ", ".join(f"{error:.1e} {whose}" for error, whose in known if error is not None)
-        return [f"  error       {told}, estimated"] if told else self._undetermined() or self._unresolved()
+        errors = ", ".join(f"{error:.1e} {whose}" for error, whose in known if error is not None)
+        return [f"  error       {errors}, estimated"] if errors else self._undetermined() or self._unresolved()
 
     def _undetermined(self) -> list[str]:
-        """Lines on what the solver plainly has left of the cost, or of a path on which that hardly depends."""
+        """Lines on errors that the solver has plainly left, in the cost or in a path that hardly changes it."""
         lines = []
-        if self.unseen_change > UNSEEN * abs(self.cost):
+        if self.unseen_change > REPORTED_COST_CHANGE * abs(self.cost):
             words = f"the cost may still change by {self.unseen_change:.1e}; the solver's tolerances are absolute"
             lines.append(f"  NOT DETERMINED: {words}")
         if self.solver_error > UNRESOLVED:

@@ -1,4 +1,4 @@
-"""How the cost varies about an optimum, and what the solver left of it: found when it is asked for."""
+"""How the cost varies about an optimum, and how far from it the solver may have stopped; computed on demand."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from casadi_galerkin.solution.trajectory import SecondVariation
 
 
 @dataclass(frozen=True)
-class Left:
-    """How far a solver may have left an optimum from where it should be.
+class RemainingError:
+    """Estimated distance of the point where a solver stopped from the optimum.
 
     Attributes
     ----------
-    components : (d,), how far each component of the path
-    durations : how far free durations, relative to these
-    cost : by how much the cost
+    components : (d,), error of each component of the path
+    durations : largest relative error of a free duration
+    cost : error of the cost
     """
 
     components: np.ndarray
@@ -29,5 +29,5 @@ class Left:
 class CostVariation(SecondVariation, Protocol):
     """How the cost varies about an optimum."""
 
-    def left(self) -> Left:
-        """What the solver has left."""
+    def remaining_error(self) -> RemainingError:
+        """Estimate the error that the solver has left."""

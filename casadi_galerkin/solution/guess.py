@@ -16,7 +16,7 @@ from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.solution.path import Path
 
 MODES = 6  # of a random path
-FAR = 0.5  # distance from a guess, over its size, from which a path is another than the one that was meant
+FAR_FROM_GUESS = 0.5  # distance from a guess, over its size, from which a path is not the one that was meant
 
 Values = Callable[[float], ArrayLike] | ArrayLike
 Guess = Values | Path | PiecewisePolynomial | tuple[Values | Path | PiecewisePolynomial, Values]  # times, or controls
@@ -39,7 +39,7 @@ def sampled(name: str, function: Callable[[float], ArrayLike], times: np.ndarray
 
 
 def guessed(function: Callable[..., ArrayLike], times: np.ndarray, dimension: int) -> np.ndarray:
-    """Values (d, K) of a guess, called once where it takes an array of times, which three of them are to confirm."""
+    """Values (d, K) of a guess: from one call with all times, if calls with three single times confirm it."""
     tried = [0, len(times) // 2, len(times) - 1]
     one_by_one = sampled("the guess", function, times[tried], dimension)
     with suppress(Exception):  # which a callable of one time may raise
@@ -67,7 +67,7 @@ def meeting_ends(values: np.ndarray, parts: np.ndarray, ends: np.ndarray) -> np.
     return np.asarray(values + first + parts[:, None] * (last - first))
 
 
-def apart(values: np.ndarray, guessed: np.ndarray) -> float:
+def relative_distance(values: np.ndarray, guessed: np.ndarray) -> float:
     """Largest distance of node values (d, K) from those of a guess, over the sizes of the guess's components."""
     return float(np.max(np.abs(values - guessed) / component_sizes(guessed)[:, None]))
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import counted, finite, real_array, spanned, whole, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.solution.export import Table, by_component
@@ -39,12 +39,12 @@ class Path(Table, Pictured):
         """Joints, (N + 1,)."""
         return self.polynomial.mesh
 
-    @lazy
+    @cached_property
     def x(self) -> np.ndarray:
         """Positions at the joints, (d, N + 1)."""
         return self.polynomial.values[:, :: self.polynomial.degree].copy()
 
-    @lazy
+    @cached_property
     def sizes(self) -> np.ndarray:
         """What errors of the components are relative to, (d,): their largest values; one where these are zero."""
         return self.polynomial.sizes

@@ -11,19 +11,19 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.calculus.mesh_adaptation import truncation
-from casadi_galerkin.calculus.numbers import counted, number, place, spanned, told_apart
+from casadi_galerkin.calculus.mesh_adaptation import truncation_error
+from casadi_galerkin.calculus.numbers import checked_index, counted, number, spanned, told_apart
 from casadi_galerkin.calculus.piecewise_polynomial import times_within
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, multipliers
 from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
 from casadi_galerkin.problems.problem import Problem
+from casadi_galerkin.solution.error_indicators import error_indicators
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.plotting import FRAMES_A_SECOND, animate_linkage, plot_phase
-from casadi_galerkin.solution.witness import doubts
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -101,8 +101,8 @@ class Trajectory(Path):
         ends, with steps from the same start otherwise.  The estimate is at least what the balance of energy is violated
         by, relative to the energy's terms, what jumps of the force may change, and the part of L that its values at a
         few points do not tell, where this is much: these show a kink or a singularity, which both degrees may miss.
-        It is no less than the part by which variations of a path between two ends are smaller in one of the degrees,
-        where that tells that the mesh does not resolve them, and infinite where the higher degree has no answer.
+        For a path between two ends it is at least the relative difference of its variations in the two degrees, where
+        this shows that the mesh does not resolve them.  It is infinite where the higher degree has no answer.
 
         Raises
         ------
@@ -114,16 +114,16 @@ class Trajectory(Path):
         if self.find_difference is None:
             kind = type(self).__name__
             raise TypeError(f"the error of a {kind} is estimated where it is solved to a tolerance: give tol")
-        error = max(self.find_difference(), *(float(np.max(missed)) for missed in self._doubts))
+        error = max(self.find_difference(), *(float(np.max(missed)) for missed in self._indicators))
         self.__dict__["error_estimate"] = error  # the class is frozen
         return error
 
-    @lazy
-    def _doubts(self) -> tuple[np.ndarray, ...]:
-        """What each witness says on every interval; (N,) each, the balance of energy first."""
-        return doubts(self.problem, self.polynomial, self.momentum)
+    @cached_property
+    def _indicators(self) -> tuple[np.ndarray, ...]:
+        """The error indicators on every interval; (N,) each, the energy imbalance first."""
+        return error_indicators(self.problem, self.polynomial, self.momentum)
 
-    @lazy
+    @cached_property
     def morse_index(self) -> int | None:
         """Number of negative eigenvalues of the action's Hessian, 0 for a local minimum; found when first asked for.
 
@@ -135,7 +135,7 @@ class Trajectory(Path):
         """
         return None if self.second_variation is None else self.second_variation.negative()
 
-    @lazy
+    @cached_property
     def regularity(self) -> float | None:
         """Smallest second variation relative to the sizes of its terms; found when first asked for.
 
@@ -150,7 +150,7 @@ class Trajectory(Path):
         """Values of the Lagrangian's parameters p."""
         return self.problem.parameters
 
-    @lazy
+    @cached_property
     def velocity(self) -> np.ndarray:
         """Velocities at the joints that belong to the momenta, p = ∂L/∂v; (d, N + 1), of order `method.order`.
 
@@ -188,7 +188,7 @@ class Trajectory(Path):
         """What the multipliers are found from, with the forces on this path; None where there is no constraint."""
         return motion_of(self.problem, self.problem.force)
 
-    @lazy
+    @cached_property
     def energy(self) -> np.ndarray:
         """Energy p·v - L at the joints, from positions and momenta; (N + 1,)."""
         mapped = self._lagrangian.map(len(self.t))
@@ -216,7 +216,7 @@ class Trajectory(Path):
         axes : Matplotlib axes to draw into, so that several paths make one portrait; default a new figure
         labels : names of position and momentum with units
         """
-        place("component", component, len(self.x))
+        checked_index("component", component, len(self.x))
         times = self._fine()
         along = legendre_transform(self._lagrangian).map(len(times))(times[None, :], self(times), self(times, 1))
         places = np.stack((self(times)[component], np.array(along[0])[component]))
@@ -262,11 +262,13 @@ class Trajectory(Path):
     @property
     def _left_out(self) -> np.ndarray:
         """What the polynomials leave out on every interval, (N,), relative to the sizes of the components."""
-        return truncation(self.polynomial)
+        return truncation_error(self.polynomial)
 
     def _unbalanced(self) -> list[str]:
         """A line on a balance of energy that is plainly not kept: beside a singularity, no step may be too large."""
-        return self._missed(self._doubts[0], UNBALANCED, "the balance of energy is missed by {:.0e} of its terms {}")
+        return self._missed(
+            self._indicators[0], UNBALANCED, "the balance of energy is missed by {:.0e} of its terms {}"
+        )
 
     def _missed(self, values: np.ndarray, accepted: float, words: str) -> list[str]:
         """A line with the largest of one value per interval, and where it is, if it is more than what is accepted."""
@@ -288,7 +290,7 @@ class Trajectory(Path):
 
     def _kept(self) -> str:
         """How well the balance of energy is kept."""
-        missed = float(np.max(self._doubts[0]))
+        missed = float(np.max(self._indicators[0]))
         return f"{missed:.1e} of its terms" if missed > 0 else "rounding"
 
     def __repr__(self) -> str:

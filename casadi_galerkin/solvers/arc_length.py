@@ -18,8 +18,8 @@ import numpy as np
 
 Accepted = TypeVar("Accepted")
 
-MANY = 10  # most iterations of Newton's method in one correction
-LONGER, SHORTER = 1.5, 0.5  # factors on the step after a correction, and after one that failed
+CORRECTOR_ITERATIONS = 10  # most iterations of Newton's method in one correction
+STEP_GROWTH, STEP_REDUCTION = 1.5, 0.5  # factors on the step after a correction, and after one that failed
 
 
 class Curve(ABC, Generic[Accepted]):
@@ -59,7 +59,7 @@ class Curve(ABC, Generic[Accepted]):
     def corrected(self, z: np.ndarray, normal: np.ndarray, longest: float) -> tuple[np.ndarray, Accepted] | None:
         """Correct z within the plane through it with this normal; None if that fails, or a step exceeds `longest`."""
         start, normal = z, normal * self.weights
-        for iteration in range(1, MANY + 1):
+        for iteration in range(1, CORRECTOR_ITERATIONS + 1):
             newton, follow = self.directions(z)
             ds = -(normal[:-1] @ newton + normal @ (z - start)) / (normal[:-1] @ follow + normal[-1])
             step = np.append(newton + ds * follow, ds)

@@ -12,18 +12,20 @@ from typing import TypeVar
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.roundoff import EPS, TINY, ZERO
 from casadi_galerkin.functional.embedding import hessian_pattern
 from casadi_galerkin.functional.functional import Functional
-from casadi_galerkin.functional.numbering import KEPT, Numbering
+from casadi_galerkin.functional.numbering import CACHE_SIZE, Numbering
 from casadi_galerkin.functional.threads import without_zero_pivots
 from casadi_galerkin.problems.linear_equations import solve_scaled
 
 SHIFTED = 1e-8  # shift of the diagonal where a pivot is zero, relative to the sum of its row: half of all digits
-LOCAL = 1e-3  # accepted defect of a solution, over its right-hand side; a shorter Newton step needs no line search
+# accepted defect of a solution, over its right-hand side; a shorter Newton step needs no line search
+DEFECT_TOLERANCE = 1e-3
 METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 to 20 times faster than QR, which is for where it fails
-SOFTENED = 1e-7  # factor on the softening of a condition, see `_softened`; 1e-6 and 1e-8 left larger errors
+# factor on the regularization of a condition, see `_regularized`; 1e-6 and 1e-8 left larger errors
+REGULARIZATION = 1e-7
 LEAK = 1e-8  # loss at every node of a matrix's graph, so small that sources still reach the ends of long chains
 
 Matrix = TypeVar("Matrix", ca.MX, ca.DM)
@@ -51,30 +53,30 @@ class LinearSolver:
     def _function(self, name: str, inputs: dict[str, ca.MX], outputs: dict[str, ca.MX]) -> ca.Function:
         return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))
 
-    def _softened(self, matrix: Matrix) -> Matrix:
+    def _regularized(self, matrix: Matrix) -> Matrix:
         """∇²S with small negative numbers on the diagonal of the multipliers, where it has zeros.
 
-        LDLᵀ without pivoting needs them.  A condition G δx = 0 is softened by a part of G diag(|∇²S|)⁻¹ Gᵀ, which
-        follows the units, and adds one negative eigenvalue.
+        LDLᵀ without pivoting needs this regularization.  For a condition G δx = 0 it is a small part of
+        G diag(|∇²S|)⁻¹ Gᵀ, which follows the units, and adds one negative eigenvalue.
         """
         positions, count = self.numbering.positions, self.numbering.multipliers
         if not count:
             return matrix
         conditions = matrix[positions : positions + count, :positions]
-        soft = SOFTENED * ca.mtimes(conditions**2, 1 / ca.fabs(ca.diag(matrix)[:positions]))
+        soft = REGULARIZATION * ca.mtimes(conditions**2, 1 / ca.fabs(ca.diag(matrix)[:positions]))
         return matrix - ca.diag(ca.vertcat(ca.DM(positions, 1), soft, ca.DM(self.numbering.stretched, 1)))
 
-    @lazy
+    @cached_property
     def _ldl(self) -> ca.Linsol:
         """LDLᵀ without pivoting, whose symbolic part is done once."""
-        return ca.Linsol("ldl", "ldl", self._softened(self.symbols("matrix")["matrix"]).sparsity())
+        return ca.Linsol("ldl", "ldl", self._regularized(self.symbols("matrix")["matrix"]).sparsity())
 
     def _solution(self, method: str, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
-        """Solution of ∇²S Y = -B; with softened conditions, it is refined once."""
+        """Solution of ∇²S Y = -B; with regularized conditions, it is refined once."""
         if method != "ldl":
             solve = self._bordered if self.numbering.stretched else solve_scaled
             return -self._reached(matrix, rhs) * solve(matrix, rhs, range(self.numbering.positions), method)
-        softened = self._softened(matrix)
+        softened = self._regularized(matrix)
         y = -self._ldl.solve(softened, rhs)
         return y - self._ldl.solve(softened, ca.mac(matrix, y, rhs)) if self.numbering.multipliers else y
 
@@ -102,7 +104,7 @@ class LinearSolver:
 
     def _defect(self, matrix: ca.MX, y: ca.MX, rhs: ca.MX) -> ca.MX:
         """‖∇²S y + b‖₁ - LOCAL ‖b‖₁: the linear system is solved where this is at most zero."""
-        return ca.norm_1(ca.vec(ca.mac(matrix, y, rhs))) - LOCAL * ca.norm_1(ca.vec(rhs))  # sums keep a NaN
+        return ca.norm_1(ca.vec(ca.mac(matrix, y, rhs))) - DEFECT_TOLERANCE * ca.norm_1(ca.vec(rhs))  # sums keep a NaN
 
     def solutions(self, method: str, columns: int, transposed: bool) -> ca.Function:
         """(matrix, rhs) -> (y, defect): solutions of ∇²S y = -b, or (∇²S)ᵀ y = -b, for several b at once."""
@@ -154,7 +156,7 @@ class LinearSolver:
             self._kept[key] = self._function("simplified_step", inputs, outputs)
         return self._kept[key]
 
-    @lazy
+    @cached_property
     def largest(self) -> ca.Function:
         """Largest size of each component along a path, from its vector u; (d,)."""
         inputs = self.symbols("u")
@@ -175,14 +177,14 @@ class LinearSolver:
         further = ca.DM([np.inf] * self.numbering.multipliers + [1.0] * self.numbering.stretched)
         return self._expanded(ca.if_else(scale < ZERO, 1.0, scale), ca.MX(further))
 
-    @lazy
+    @cached_property
     def sizes(self) -> ca.Function:
         """Measure the unknowns: u -> (sizes, scaled_rhs), the latter a right-hand side without symmetry."""
         inputs = self.symbols("u")
         sizes = self._measure(self.largest(inputs["u"]))
         return self._function("sizes", inputs, {"sizes": sizes, "scaled_rhs": self._generic_rhs / sizes})
 
-    @lazy
+    @cached_property
     def floor(self) -> ca.Function:
         """(matrix, u, terms) -> (floor, scale, product): the roundoff floor of every entry of ∇S.
 
@@ -198,7 +200,7 @@ class LinearSolver:
         outputs = {"floor": EPS * (terms + product) + TINY, "scale": scale, "product": product}
         return self._function("floor", inputs, outputs)
 
-    @lazy
+    @cached_property
     def verification(self) -> ca.Function:
         """(gradient, matrix, u, terms, softest_direction) -> (residual, regularity).
 
@@ -226,7 +228,7 @@ class LinearSolver:
 
         The workspace of the factorization belongs to one solve, because a Linsol keeps what it factored last.
         """
-        softened = self._softened(matrix) + 0 * ca.DM.eye(self.numbering.free)  # with its whole diagonal
+        softened = self._regularized(matrix) + 0 * ca.DM.eye(self.numbering.free)  # with its whole diagonal
         factors = keep("inertia", lambda: factors_of(softened.sparsity()))
         return negative_pivots(softened, factors) - self.numbering.multipliers
 
@@ -253,7 +255,7 @@ def negative_pivots(matrix: ca.DM, factors: ca.Linsol) -> int:
     return int(factors.neig(matrix))
 
 
-@lru_cache(KEPT)
+@lru_cache(CACHE_SIZE)
 def of_pattern(numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...], symmetric: bool) -> LinearSolver:
     """The linear algebra of a sparsity without further terms, cached; arguments as for `hessian_pattern`."""
     return LinearSolver(numbering, hessian_pattern(numbering, colind, row, symmetric).sparsity)

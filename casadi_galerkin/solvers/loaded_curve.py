@@ -20,16 +20,17 @@ from dataclasses import replace
 import numpy as np
 
 from casadi_galerkin.functional.numbering import Data
-from casadi_galerkin.solvers.arc_length import LONGER, SHORTER, Curve
+from casadi_galerkin.solvers.arc_length import STEP_GROWTH, STEP_REDUCTION, Curve
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.stationarity import Linearization, Stationarity
 
 FIRST_STEP, SMALLEST_STEP, FARTHEST = 0.1, 1e-4, 1e3  # of the arc length, in sizes of the path it begins at
 POINTS = 300  # most corrections along one curve, those that fail included
-BEND = 0.7  # cosine of the largest angle between two tangents; without a limit some searches took 3 times as long
+# cosine of the largest angle between two tangents; without a limit some searches took 3 times as long
+LEAST_COSINE = 0.7
 POLISHING = 20  # most iterations of Newton's method from where the load is zero; with more it wanders, 4 times as long
-LOOSELY = 0.02  # last Newton step over the arc step: points of the curve itself need no more accuracy
+CURVE_TOLERANCE = 0.02  # last Newton step over the arc step: points of the curve itself need no more accuracy
 
 
 class LoadedCurve(Curve[bool]):
@@ -75,9 +76,9 @@ class LoadedCurve(Curve[bool]):
 
     def accepted(self, z: np.ndarray, length: float, iteration: int) -> bool | None:  # noqa: ARG002
         """Whether the last step was short."""
-        return length < LOOSELY * self.step or None
+        return length < CURVE_TOLERANCE * self.step or None
 
-    def crossings(self, side: float) -> Iterator[np.ndarray]:
+    def unloaded_points(self, side: float) -> Iterator[np.ndarray]:
         """Approximate paths without load, in the order in which they are met; `side` is the load's first sign."""
         z, self.step = self.start, FIRST_STEP
         tangent = self.tangent(z, np.append(np.zeros(len(z) - 1), side))
@@ -86,8 +87,8 @@ class LoadedCurve(Curve[bool]):
                 return
             found = self.corrected(z + self.step * tangent, tangent, self.step)
             following = tangent if found is None else self.tangent(found[0], tangent)
-            if found is None or not (following * tangent) @ self.weights > BEND:
-                self.step *= SHORTER
+            if found is None or not (following * tangent) @ self.weights > LEAST_COSINE:
+                self.step *= STEP_REDUCTION
                 if self.step < SMALLEST_STEP:
                     return
                 continue
@@ -98,26 +99,26 @@ class LoadedCurve(Curve[bool]):
                 yield before[:-1] + share * (z - before)[:-1]
             if self.length(z - self.start) > FARTHEST:
                 return
-            self.step *= LONGER
+            self.step *= STEP_GROWTH
 
-    def met(self, side: float, report: str) -> Iterator[Solution]:
+    def stationary_paths(self, side: float, report: str) -> Iterator[Solution]:
         """The stationary paths that Newton's method leads to from where the load is zero."""
-        for guess in self.crossings(side):
+        for guess in self.unloaded_points(side):
             with suppress(SolveFailure):
                 found = damped_newton(self.at.stationarity, guess, self.data, max_iter=POLISHING)
                 yield replace(found, iterations=self.iterations + found.iterations, report=report)
 
 
-def of_own_load(at: Linearization, unknowns: np.ndarray, data: Data, stiffest: float = np.inf) -> LoadedCurve:
+def residual_load_curve(at: Linearization, unknowns: np.ndarray, data: Data, stiffest: float = np.inf) -> LoadedCurve:
     """The curve through a path under the load that holds it in place."""
     load = at.relinearize(unknowns, data).copy()
     return LoadedCurve(at, unknowns, 1.0, data, load, at.stationarity.sizes(unknowns, data), stiffest)
 
 
-def unloaded(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0) -> Solution:  # noqa: ARG001
+def remove_load(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0) -> Solution:  # noqa: ARG001
     """Take the load that holds a guess in place away, until the first stationary path is met."""
     with stationarity.linearization() as at:
-        curve = of_own_load(at, guess, data)
-        for found in curve.met(-1.0, "Newton, the load of the guess taken away"):
+        curve = residual_load_curve(at, guess, data)
+        for found in curve.stationary_paths(-1.0, "Newton, the load of the guess taken away"):
             return found
     raise SolveFailure("no path was met while the load of the guess was taken away", guess, curve.iterations)

@@ -16,12 +16,12 @@ import numpy as np
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.deadline import seconds_left
-from casadi_galerkin.solvers.linear_solver import LOCAL
+from casadi_galerkin.solvers.linear_solver import DEFECT_TOLERANCE
 from casadi_galerkin.solvers.second_variation import SINGULAR, softest
-from casadi_galerkin.solvers.stationarity import ACCEPTED, SIGNS, Iterate, Linearization, Stationarity
+from casadi_galerkin.solvers.stationarity import ACCEPTED, SIGN_SAMPLES, Iterate, Linearization, Stationarity
 
 NEWTON = "Newton"  # its report
-NEAR = 1e-6  # relative step from which the next iterate can be at roundoff
+NEARLY_CONVERGED = 1e-6  # relative step from which the next iterate can be at roundoff
 SHORT, CONTRACTION = 0.3, 0.25  # a shorter relative step is taken in full if the next one is smaller by this factor
 STRONG_CONTRACTION = 0.1  # the factor for a long first step: from a straight line, all steps are long
 NEARLY_FULL = 0.5  # forecast of the damping from which a short step is first tried in full: forecasts are cautious
@@ -84,7 +84,7 @@ def damped_newton(
         try:
             return _iterate(linear, guess, data, verbose, max_iter)
         except SolveFailure as failure:
-            solution = _without_rounding(linear, failure.unknowns, data, failure.iterations)
+            solution = _with_zero_components(linear, failure.unknowns, data, failure.iterations)
             if solution is None:
                 raise
             return solution
@@ -97,7 +97,7 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
     last = math.sqrt(at.norm)  # the first step is taken for one of quadratic convergence
     for iteration in range(1, max_iter + 1):
         _check_going_on(linear, at, iteration)
-        end = _end(linear, at, last, data)
+        end = _final_iterate(linear, at, last, data)
         if end is not None:
             drift = DRIFT * (at.norm + min(1.0, at.norm / max(last, TINY)) ** 2)
             solution = verified(linear, end, data, iteration, NEWTON, drift)
@@ -125,12 +125,12 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
 
 def _contracts(norm: float, then: float) -> bool:
     """Whether a full step is accepted for the length of the next one, without a line search."""
-    if norm < LOCAL:
+    if norm < DEFECT_TOLERANCE:
         return math.isfinite(then)
     return then <= norm * (CONTRACTION if norm < SHORT else STRONG_CONTRACTION)
 
 
-def _without_rounding(linear: Linearization, x: np.ndarray, data: Data, iterations: int) -> Solution | None:
+def _with_zero_components(linear: Linearization, x: np.ndarray, data: Data, iterations: int) -> Solution | None:
     """Solve with the components that consist of rounding alone set to zero; None if there are none, or it fails.
 
     Where a component should be zero, but terms of other components cancel in its equations, rounding keeps it from
@@ -144,11 +144,11 @@ def _without_rounding(linear: Linearization, x: np.ndarray, data: Data, iteratio
     if not math.isfinite(at.norm):
         return None
     ends = data[:2]
-    nothing, data, _ = _rounding_alone(linear, at, data, ends)
+    nothing, data, _ = _rounding_components(linear, at, data, ends)
     for _ in range(LAST_STEPS if np.any(nothing) else 0):
         x = np.where(nothing, 0.0, x + at.step)
         if np.max((np.abs(at.step) / at.sizes)[~nothing], initial=0.0) ** 2 <= EPS:
-            still, _, least = _rounding_alone(linear, linear.newton_step(x, data), data, ends)
+            still, _, least = _rounding_components(linear, linear.newton_step(x, data), data, ends)
             if not np.all(still[nothing]):
                 return None
             action, momentum, _, regularity = linear.verification(x, data)
@@ -162,7 +162,7 @@ def _without_rounding(linear: Linearization, x: np.ndarray, data: Data, iteratio
     return None
 
 
-def _rounding_alone(
+def _rounding_components(
     linear: Linearization, at: Iterate, data: Data, given_ends: Data
 ) -> tuple[np.ndarray, Data, np.ndarray]:
     """Which unknowns belong to a component that is rounding alone, (n,); the data with its ends zero; roundoff floors.
@@ -177,13 +177,13 @@ def _rounding_alone(
     stationarity, x = linear.stationarity, at.unknowns
     numbering = stationarity.functional.numbering
     gradient, least = stationarity.gradient_and_floor(x, data)
-    for signs in np.random.default_rng(len(x)).choice((-EPS, EPS), (SIGNS, len(x))):
+    for signs in np.random.default_rng(len(x)).choice((-EPS, EPS), (SIGN_SAMPLES, len(x))):
         least = np.fmax(least, np.abs(stationarity.gradient_and_floor(x * (1 + signs), data)[0] - gradient))
     components, nothing = numbering.component[: numbering.positions], np.zeros(len(x), dtype=bool)
     unknowns_of = [np.flatnonzero(components == i) for i in range(numbering.dimension)]
     for own in unknowns_of:
         least[own] = np.max(least[own], initial=0.0)
-    blurred, moving = np.abs(linear.blurs(least)).max(axis=0), np.fmax(np.abs(x), np.abs(at.step))
+    blurred, moving = np.abs(linear.rounding_effects(least)).max(axis=0), np.fmax(np.abs(x), np.abs(at.step))
     ends = [end.copy() for end in given_ends]
     for i, own in enumerate(unknowns_of):
         solved = np.all(np.abs(gradient[own]) <= ACCEPTED * least[own])
@@ -211,17 +211,17 @@ def _report(iteration: int, norm: float, damping: float, verbose: int) -> None:
         print(f"  {iteration:4d}   step {norm:9.2e}   damping {damping:7.1e}")
 
 
-def _end(linear: Linearization, at: Iterate, last: float, data: Data) -> np.ndarray | None:
+def _final_iterate(linear: Linearization, at: Iterate, last: float, data: Data) -> np.ndarray | None:
     """The point where Newton's method may end, or None: after a step that is roundoff, or whose next one would be.
 
     Residuals alone do not tell: at 1e5 intervals they are at roundoff while the path is off by 1e-9.  Nor does the
     ratio of the last two steps, which may be of different components: the next step is expected to be no shorter than
     the square of this one.
     """
-    if at.norm < NEAR:
+    if at.norm < NEARLY_CONVERGED:
         shrinks = at.norm**2 <= EPS and at.norm**3 <= EPS * last**2
         return at.unknowns + at.step if shrinks or at.norm >= last / 2 else None
-    if not (last < LOCAL and last <= at.norm):
+    if not (last < DEFECT_TOLERANCE and last <= at.norm):
         return None
     # A nearly singular Hessian makes steps of this length out of roundoff: right but for the softest direction.
     soft, quotient = softest(linear, at.unknowns, data)

@@ -25,7 +25,7 @@ import casadi_galerkin.solvers.rootfinder as casadi_rootfinder
 from casadi_galerkin.calculus.numbers import whole
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.deadline import seconds_left
-from casadi_galerkin.solvers.loaded_curve import unloaded
+from casadi_galerkin.solvers.loaded_curve import remove_load
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.stationarity import Stationarity
 
@@ -115,7 +115,7 @@ def rescues(stationarity: Stationarity) -> dict[str, SolverLike]:
     if stationarity.unforced is not None:
         ways["Newton's method from the path without the force"] = partial(_from_unforced, stationarity.unforced)
     ways["IPOPT"] = partial(interior_point.rescue, minimize=False)
-    ways["taking away the load of the guess"] = unloaded
+    ways["taking away the load of the guess"] = remove_load
     return ways
 
 

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple, TypeVar, cast
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.lazy import lazy
-from casadi_galerkin.functional.buffers import Evaluator, Lender
+from casadi_galerkin.calculus.cached_property import cached_property
+from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.threads import fork_waits, one_thread, without_zero_pivots
@@ -30,7 +30,7 @@ from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
 Built = TypeVar("Built")
 
 ACCEPTED = 50.0  # accepted residual over its roundoff floor; correct solutions were measured at 0.01 to 5
-SIGNS = 4  # random choices of the signs of rounding errors, from which the effect of rounding is estimated
+SIGN_SAMPLES = 4  # random choices of the signs of rounding errors, from which the effect of rounding is estimated
 
 
 class Iterate(NamedTuple):
@@ -73,9 +73,9 @@ class Stationarity:
         self.linear_solver = linear_solver(functional)
         self.variational = functional.symmetric and not functional.numbering.stretched
         self.linear_methods = METHODS if functional.pointwise.kinetic and functional.symmetric else METHODS[1:]
-        self._workspaces = Lender(lambda: Linearization(self))
+        self._workspaces = ObjectPool(lambda: Linearization(self))
 
-    @lazy
+    @cached_property
     def unforced(self) -> Stationarity | None:
         """The conditions of the same functional without its force; None where there is none."""
         functional = self.functional.unforced
@@ -251,7 +251,7 @@ class Linearization:
     def weight_inertia(self, unknowns: np.ndarray, data: Data, factor: float) -> None:
         """Evaluate ∇²S with ∂²L/∂v² times a factor; a large one makes ∇²S positive definite where ∂²L/∂v² is."""
         self._array("inertia", 1)[:] = factor
-        self._evaluate("heavier", unknowns, data)
+        self._evaluate("inertia_weighted", unknowns, data)
 
     def solve(self, *rhs: np.ndarray, transposed: bool = False) -> list[np.ndarray]:
         """Solutions of ∇²S y = -b, or (∇²S)ᵀ y = -b, with the last `matrix`; not finite where that is singular."""
@@ -279,12 +279,12 @@ class Linearization:
         left = [b + self.evaluate("product", unknowns, data, y)[0] for y, b in zip(first, rhs, strict=True)]
         return [y + further for y, further in zip(first, self.solve(*left), strict=True)]
 
-    def blurs(self, terms: np.ndarray) -> np.ndarray:
-        """What errors of the equations of these sizes do to the unknowns, for `SIGNS` choices of random signs.
+    def rounding_effects(self, terms: np.ndarray) -> np.ndarray:
+        """What errors of the equations of these sizes do to the unknowns, for `SIGN_SAMPLES` choices of random signs.
 
         ∇²S is the last `matrix`; (SIGNS, n).
         """
-        signs = np.random.default_rng(len(terms)).choice((-1.0, 1.0), (SIGNS, len(terms)))
+        signs = np.random.default_rng(len(terms)).choice((-1.0, 1.0), (SIGN_SAMPLES, len(terms)))
         return np.array(self.solve(*(signs * terms)))
 
 

@@ -27,7 +27,7 @@ from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
-from casadi_galerkin.solution.guess import FAR, apart, guess_values
+from casadi_galerkin.solution.guess import FAR_FROM_GUESS, guess_values, relative_distance
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.newton import SMALLEST_DAMPING
@@ -127,8 +127,12 @@ def _far(guess: Trajectory | None, path: Trajectory) -> str:
     if guess is None:
         return ""
     guessed = guess_values(guess, DiscreteCalculus(path.method, path.t), len(path.x))
-    distance = apart(path.polynomial.values, guessed)
-    return f", has found a path up to {distance:.2g} of the guess's size away from the guess" if distance > FAR else ""
+    distance = relative_distance(path.polynomial.values, guessed)
+    return (
+        f", has found a path up to {distance:.2g} of the guess's size away from the guess"
+        if distance > FAR_FROM_GUESS
+        else ""
+    )
 
 
 def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -32,7 +32,7 @@ from casadi_galerkin.problems.initial_problem import InitialProblem
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table
-from casadi_galerkin.solution.guess import apart
+from casadi_galerkin.solution.guess import relative_distance
 from casadi_galerkin.solution.plotting import Pictured, plot_gaps
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.geometry import jacobians
@@ -107,7 +107,7 @@ class Comparison(Table, Pictured):
 
     def _distance(self, other: Trajectory) -> float:
         """Largest difference of a component at a node, over its size on the global path."""
-        return apart(other.polynomial.values, self.global_path.polynomial.values)
+        return relative_distance(other.polynomial.values, self.global_path.polynomial.values)
 
     @property
     def parting_time(self) -> float:

@@ -22,14 +22,14 @@ from typing import Any, TypeVar
 import numpy as np
 
 from casadi_galerkin._solve import solve, transcribe
-from casadi_galerkin.boundary.variations import nearest, values_of
+from casadi_galerkin.boundary.problem_data import data_vector, nearest
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.control.refinement import control_method_for, first_control_mesh
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import VARIED, between_marks, marks
+from casadi_galerkin.problems.problem import VARIED, map_times, section_times
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.limits import check_tolerance
 from casadi_galerkin.solution.progress import Advance
@@ -78,7 +78,7 @@ class Neighbors:
         problem = varied(self.problem, variation)
         if not known:
             return self._transcription.found(problem, variation.get("guess"), None)
-        values = np.array([values_of(problem), *(place for place, _ in known)])
+        values = np.array([data_vector(problem), *(place for place, _ in known)])
         near, guess = known[nearest(values[0], values[1:], np.ptp(values, axis=0))][1], variation.get("guess")
         try:
             return self._transcription.found(problem, near if guess is None else guess, near)
@@ -109,7 +109,7 @@ def solver_of(
     def joints(start: float, end: float) -> np.ndarray:
         if isinstance(problem, BoundaryProblem):
             return mesh_of((start, end), intervals, None, problem.breakpoints)
-        return between_marks(transcription.mesh, marks(problem), [start, *problem.breakpoints, end])
+        return map_times(transcription.mesh, section_times(problem), [start, *problem.breakpoints, end])
 
     def solved(variation: Variation, _: Sequence[Known]) -> Trajectory:
         given = dict(variation)
@@ -139,7 +139,7 @@ def _known(answer: Answer | None) -> list[Known]:
     """An answer as a path that other variations may start from, if it is one."""
     if not isinstance(answer, Trajectory) or not isinstance(answer.problem, BoundaryProblem):
         return []
-    return [(values_of(answer.problem), answer)]
+    return [(data_vector(answer.problem), answer)]
 
 
 def in_words(error: BaseException) -> str:
@@ -209,7 +209,7 @@ class Batch:
         if not count:
             return []
         size = min(LARGEST_CHUNK, max(SMALLEST_NEIGHBORHOOD, -(-count // CHUNKS)))
-        values = np.array([values_of(varied(problem, variation)) for variation in self.variations])
+        values = np.array([data_vector(varied(problem, variation)) for variation in self.variations])
         scaled = values / [spread if spread > 0 else 1.0 for spread in np.ptp(values, axis=0)]
         centers = np.arange(0, count, size)
         apart = np.array([np.sum((scaled - scaled[center]) ** 2, axis=1) for center in centers])

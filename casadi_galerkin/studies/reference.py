@@ -18,14 +18,14 @@ from numpy.typing import ArrayLike
 from casadi_galerkin._solve import solve
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import resolved, truncation
+from casadi_galerkin.calculus.mesh_adaptation import resolving_interpolant, truncation_error
 from casadi_galerkin.calculus.numbers import APART, counted, number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import between_marks, marks
+from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, check_finite_values, sampled
@@ -83,7 +83,7 @@ class ReferenceSolution:
         else:
             self._at = partial(sampled, "the reference", given, dimension=problem.dimension)
             self._path, stated = Path(_interpolated(problem, self._at)), problem
-        self._marks, parameters = marks(stated), stated.parameters
+        self._marks, parameters = section_times(stated), stated.parameters
         calculus = DiscreteCalculus(Galerkin(LEAST_DEGREE), self._path.t)
         self._lagrangian = with_parameters(problem.lagrangian, parameters)
         values, kinetic = self._terms(calculus.quadrature_times)
@@ -101,7 +101,7 @@ class ReferenceSolution:
                 end_action = with_parameters(problem.end_action, parameters)
                 self._functional += float(end_action(self._path.x[:, 0], self._path.x[:, -1]))
         freed = getattr(problem, "parameter_bounds", None) is not None  # a callable tells no parameters
-        if not isinstance(given, Trajectory) and (freed or np.max(truncation(self._path.polynomial)) > RESOLVED):
+        if not isinstance(given, Trajectory) and (freed or np.max(truncation_error(self._path.polynomial)) > RESOLVED):
             self._functional = self._energy_size = np.nan
         self._measure = measure
         if measure is not None:
@@ -109,7 +109,7 @@ class ReferenceSolution:
 
     def _matching(self, path: Trajectory, times: np.ndarray) -> np.ndarray:
         """Times of the reference at the same parts of the durations between breakpoints."""
-        return between_marks(times, marks(path.problem), self._marks)
+        return map_times(times, section_times(path.problem), self._marks)
 
     def _terms(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """L and p·v along the path, (K,) each."""
@@ -154,7 +154,7 @@ def _interpolated(problem: AnyProblem, at: Callable[[np.ndarray], np.ndarray]) -
 
     breakpoints = problem.breakpoints
     mesh = mesh_of(problem.t_span, SAMPLES // 30 + 2 * len(breakpoints), None, breakpoints)
-    return resolved(on, mesh, RESOLVED, SAMPLES, breakpoints)
+    return resolving_interpolant(on, mesh, RESOLVED, SAMPLES, breakpoints)
 
 
 def quantity(measure: Measure, path: Path) -> float:

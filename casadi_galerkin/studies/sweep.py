@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.branches import jumps
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.lazy import lazy
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -62,32 +62,32 @@ class Sweep(Table):
         """Number of the variation -> exception, for those without an answer."""
         return {i: answer for i, answer in enumerate(self.answers) if isinstance(answer, Exception)}
 
-    @lazy
+    @cached_property
     def _paths(self) -> dict[int, Trajectory]:
         """Number of the variation -> path, for those with an answer."""
         return {i: answer for i, answer in enumerate(self.answers) if isinstance(answer, Trajectory)}
 
-    @lazy
+    @cached_property
     def t(self) -> np.ndarray:
         """Joints, (variations, N + 1); NaN where there is no answer."""
         return self._stacked("t")
 
-    @lazy
+    @cached_property
     def x(self) -> np.ndarray:
         """Positions at the joints, (variations, d, N + 1); NaN where there is no answer."""
         return self._stacked("x")
 
-    @lazy
+    @cached_property
     def momentum(self) -> np.ndarray:
         """Momenta at the joints, (variations, d, N + 1); NaN where there is no answer."""
         return self._stacked("momentum")
 
-    @lazy
+    @cached_property
     def action(self) -> np.ndarray:
         """Values of the action, (variations,); NaN where there is no answer."""
         return self._stacked("action")
 
-    @lazy
+    @cached_property
     def cost(self) -> np.ndarray:
         """Costs of the variations of a control problem, (variations,); NaN where there is no answer."""
         return self._stacked("cost")
@@ -110,7 +110,7 @@ class Sweep(Table):
             **ends("momentum"),
         }
 
-    @lazy
+    @cached_property
     def jumps(self) -> dict[int, int]:
         """Number of the variation -> number of its neighbor, for those on another branch than their neighbor.
 
@@ -229,12 +229,12 @@ def sweep(
 
 def _checked(problem: BoundaryProblem | ControlProblem, number: int, variation: Variation) -> Variation:
     """Check one variation against the problem."""
-    told = ", ".join(name for name in FIELDS if name not in VARIED or hasattr(problem, name))
+    allowed = ", ".join(name for name in FIELDS if name not in VARIED or hasattr(problem, name))
     if not isinstance(variation, Mapping):
-        raise TypeError(f"variation {number} must be a dict of {told}, got {variation!r}")
+        raise TypeError(f"variation {number} must be a dict of {allowed}, got {variation!r}")
     unknown = [key for key in variation if key not in FIELDS]
     if unknown:
-        raise ValueError(f"variation {number} has {unknown[0]!r}; what can be varied is {told}")
+        raise ValueError(f"variation {number} has {unknown[0]!r}; what can be varied is {allowed}")
     checked = dict(variation)
     try:
         other = varied(problem, variation)

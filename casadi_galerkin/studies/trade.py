@@ -26,7 +26,7 @@ from casadi_galerkin.control.transcription import check_solver
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import between_marks, check_kind, check_types, marks
+from casadi_galerkin.problems.problem import check_kind, check_types, map_times, section_times
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, guess_values
 from casadi_galerkin.solution.limits import check_tolerance
@@ -104,7 +104,7 @@ def _repeated(problem: AnyProblem, row: Row, guess: Guess | None) -> Callable[[]
 def _on_its_mesh(problem: AnyProblem, cell: _Cell) -> Row:
     """The way on the fixed mesh that a tolerance has found, mapped to the guessed durations where these are free."""
     assert cell.path is not None
-    row, joints = cell.row, between_marks(cell.path.t, marks(cell.path.problem), marks(problem))
+    row, joints = cell.row, map_times(cell.path.t, section_times(cell.path.problem), section_times(problem))
     return Row(row.method, row.intervals, row.solver, row.tol, mesh=tuple(joints.tolist()))
 
 
@@ -264,8 +264,8 @@ def trade(
     if truth is None:
         truth = finer(problem, paths, guess, measure)
     rows = [cell.row if cell.path is None else replace(cell.row, **truth.errors(cell.path)) for cell in cells]
-    told = f"{truth.name}, own error {truth.error:.1e}" if truth.error else truth.name
-    return Trade(tuple(rows), told, truth.error, None if measure is None else _name(measure))
+    described = f"{truth.name}, own error {truth.error:.1e}" if truth.error else truth.name
+    return Trade(tuple(rows), described, truth.error, None if measure is None else _name(measure))
 
 
 def _name(measure: Measure) -> str:

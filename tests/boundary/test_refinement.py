@@ -11,7 +11,7 @@ from scipy.special import dawsn
 
 import casadi_galerkin as cg
 from casadi_galerkin.boundary.error_estimate import agreement, discretization_error
-from casadi_galerkin.boundary.levels import Levels
+from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.refinement import BoundaryRefinement
 
 TOLERANCES = (1e-3, 1e-6, 1e-12)
@@ -243,7 +243,7 @@ def test_the_time_may_be_up_on_a_later_level(monkeypatch):
     improve = BoundaryRefinement.improve
 
     def late(refinement, level, estimate):
-        refinement.deadline = refinement.levels.deadline = 0.0
+        refinement.deadline = refinement.graphs.deadline = 0.0
         return improve(refinement, level, estimate)
 
     monkeypatch.setattr(BoundaryRefinement, "improve", late)
@@ -294,7 +294,7 @@ def test_an_estimate_without_a_newton_step_is_infinite():
 def test_an_estimate_sums_the_newton_steps_to_come():
     """A long swing on two intervals is far from its limit: its first Newton step is 0.6 of its error."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0, 5), [0.0], [1.0])
-    mesh, levels = np.linspace(0, 5, 3), Levels(problem)
+    mesh, levels = np.linspace(0, 5, 3), GraphCache(problem)
     path = levels.solve(cg.Galerkin(4), mesh, None, cg.newton).polynomial
     error, _ = discretization_error(levels.transcription(cg.Galerkin(8), mesh), path)
     exact, times = cg.solve(problem, tol=1e-10, guess=path), np.linspace(0, 5, 101)

@@ -15,9 +15,9 @@ from casadi_galerkin.calculus.mesh_adaptation import (
     NEIGHBORS,
     TARGET,
     equidistributed,
-    graded_alike,
     largest_change,
-    truncation,
+    resized_mesh,
+    truncation_error,
 )
 from casadi_galerkin.calculus.roundoff import component_sizes
 
@@ -39,7 +39,7 @@ def spike(width):
 def test_truncation_is_near_the_interpolation_error(degree, function):
     mesh = np.linspace(0, 1, 4)
     path = interpolated(function, degree, mesh)
-    for k, estimate in enumerate(truncation(path)):
+    for k, estimate in enumerate(truncation_error(path)):
         t = np.linspace(mesh[k], mesh[k + 1], 101)
         error = np.max(np.abs(path(t)[0] - function(t))) / component_sizes(path.values)[0]
         assert (error - ROUNDOFF) / SHARP < estimate < error * SHARP + ROUNDOFF
@@ -49,31 +49,31 @@ def test_what_an_even_path_leaves_out_is_seen_at_an_odd_degree():
     """Its last Legendre coefficient is zero."""
     path = interpolated(np.cos, 5, [-1.0, 1.0])
     times = np.linspace(-1, 1, 101)
-    assert truncation(path)[0] > np.max(np.abs(path(times)[0] - np.cos(times))) / 10
+    assert truncation_error(path)[0] > np.max(np.abs(path(times)[0] - np.cos(times))) / 10
 
 
 def test_truncation_of_a_polynomial_is_roundoff():
     path = interpolated(lambda t: 1 + t**3, 6, np.linspace(0, 2, 6))
-    assert np.max(truncation(path)) < 1e-15
+    assert np.max(truncation_error(path)) < 1e-15
 
 
 def test_truncation_does_not_see_the_unit_of_a_component():
     mesh = np.linspace(0, 1, 5)
     path = interpolated(lambda t: np.array([np.sin(9 * t), np.cos(7 * t)]), 5, mesh)
     scaled = interpolated(lambda t: np.array([1e9 * np.sin(9 * t), 1e-9 * np.cos(7 * t)]), 5, mesh)
-    np.testing.assert_allclose(truncation(scaled), truncation(path), rtol=1e-9, atol=0)
+    np.testing.assert_allclose(truncation_error(scaled), truncation_error(path), rtol=1e-9, atol=0)
 
 
 def test_no_more_is_left_out_than_the_last_coefficient_where_coefficients_do_not_fall():
     highest = interpolated(lambda t: legendre.legval(2 * t - 1, [0, 0, 0, 0, 0, 1]), 5, [0.0, 1.0])
-    assert truncation(highest)[0] == pytest.approx(1, rel=1e-12)
+    assert truncation_error(highest)[0] == pytest.approx(1, rel=1e-12)
 
 
 @pytest.mark.parametrize("degree", [1, 2])
 def test_a_single_interval_of_low_degree_leaves_out_no_more_than_is_told(degree):
     path = interpolated(np.exp, degree, [0.0, 1.0])
     times = np.linspace(0, 1, 101)
-    (told,) = truncation(path)
+    (told,) = truncation_error(path)
     assert told >= np.max(np.abs(path(times)[0] - np.exp(times))) / np.e
 
 
@@ -100,7 +100,7 @@ def test_interpolation_on_the_new_mesh_meets_the_tolerance():
     mesh, tol, degree = np.linspace(0, 1, 9), 1e-8, 8
     for _ in range(30):
         path = interpolated(spike(1e-3), degree, mesh)
-        error = truncation(path)
+        error = truncation_error(path)
         if error.max() <= tol:
             break
         mesh = equidistributed(mesh, error, degree + 1, tol)
@@ -170,7 +170,7 @@ def test_breakpoints_take_no_joint_from_an_interval_that_is_to_be_split(halved):
 
 @pytest.mark.parametrize("breakpoints", [(0.31,), (0.3, 0.31, 0.32), (0.999,), (0.001, 0.5)])
 def test_joints_that_are_graded_alike_hold_the_breakpoints(breakpoints):
-    mesh = graded_alike(np.linspace(0.0, 1.0, 8), 7, breakpoints)
+    mesh = resized_mesh(np.linspace(0.0, 1.0, 8), 7, breakpoints)
     assert set(breakpoints) <= set(mesh.tolist())
     assert np.all(np.diff(mesh) > 0)
     assert (len(mesh), mesh[0], mesh[-1]) == (8, 0.0, 1.0)
@@ -179,6 +179,6 @@ def test_joints_that_are_graded_alike_hold_the_breakpoints(breakpoints):
 def test_a_mesh_that_is_halved_keeps_its_joints():
     mesh = np.array([0.0, 0.1, 0.3, 0.31, 1.0])
     for breakpoints in ((), (0.3,), (0.1, 0.31)):
-        halved = graded_alike(mesh, 8, breakpoints)
+        halved = resized_mesh(mesh, 8, breakpoints)
         assert np.array_equal(halved[::2], mesh)
         np.testing.assert_allclose(halved[1::2], (mesh[1:] + mesh[:-1]) / 2, rtol=1e-15)

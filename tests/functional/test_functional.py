@@ -9,7 +9,7 @@ from rules import lagrange
 from scenes import oscillator_problem
 
 import casadi_galerkin as cg
-from casadi_galerkin.functional.numbering import KEPT
+from casadi_galerkin.functional.numbering import CACHE_SIZE
 
 METHOD = cg.Galerkin(2)
 
@@ -302,6 +302,6 @@ def test_a_graph_outlives_the_cache_of_its_symbols():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0, 1), [0.0], [1.0])
     early = cg.transcribe(problem, cg.Galerkin(2), 5)
     early.gradient  # noqa: B018  its symbols are made
-    for intervals in range(6, 6 + 2 * KEPT):
+    for intervals in range(6, 6 + 2 * CACHE_SIZE):
         cg.transcribe(problem, cg.Galerkin(2), intervals).gradient  # noqa: B018
     np.testing.assert_array_equal(early.solve().x, cg.transcribe(problem, cg.Galerkin(2), 5).solve().x)

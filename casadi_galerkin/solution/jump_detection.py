@@ -1,4 +1,4 @@
-"""Jumps of a function of time, seen by its values and its derivative, which two degrees may miss alike.
+"""Jumps of a function of time, found by comparing its values with its derivative; two degrees may miss them alike.
 
 A quadrature point stands for a share of the time, its weight.  Over that share, from a to b,
 
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.quadrature import Quadrature, gauss
 
@@ -20,8 +20,8 @@ MARGIN = 1e-9  # part of an interval beside a joint where a jump is at the joint
 INNER = gauss(4)  # integrates df/dt over a share
 
 
-class SharesOfTime:
-    """The shares of time that the r points of a rule stand for on N intervals, and K times in each, both ends included.
+class JumpDetector:
+    """Samples a function at K times, both ends included, in the share of time of each of the r points of a rule.
 
     Parameters
     ----------
@@ -33,21 +33,21 @@ class SharesOfTime:
         self._mesh = mesh
         self._edges = np.clip(np.append(0.0, np.cumsum(rule.weights)), MARGIN, 1 - MARGIN)
 
-    @lazy
+    @cached_property
     def parts(self) -> np.ndarray:
         """Where the times stand in parts of an interval; (r K,)."""
         places = np.array([0.0, *INNER.points, 1.0])
         return np.asarray((self._edges[:-1, None] + np.diff(self._edges)[:, None] * places).ravel())
 
-    @lazy
+    @cached_property
     def times(self) -> np.ndarray:
         """The times, inside of their intervals; (N r K,)."""
         inside = np.nextafter(self._mesh[:-1], np.inf), np.nextafter(self._mesh[1:], -np.inf)
         early, late = (np.repeat(side, len(self.parts)) for side in inside)
         return np.asarray(np.clip(times_at(self._mesh, self.parts), early, late))
 
-    def by_jumps(self, values: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """By how much jumps may change the integral over each interval, from f and df/dt (..., N r K); (..., N)."""
+    def jump_effects(self, values: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """Largest change of the integral over each interval by jumps, from f and df/dt (..., N r K); (..., N)."""
         lasting = np.diff(self._mesh)[:, None] * np.diff(self._edges)
         f, slopes = (a.reshape(*a.shape[:-1], *lasting.shape, -1) for a in (values, rates))
         missing = f[..., -1] - f[..., 0] - lasting * (slopes[..., 1:-1] @ np.array(INNER.weights))

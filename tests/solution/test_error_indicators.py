@@ -1,4 +1,4 @@
-"""Witnesses against paths whose error estimate is fooled: kinks, steps, singularities; none against smooth paths."""
+"""Error indicators of paths whose error estimate is fooled: kinks, steps, singularities; none against smooth paths."""
 
 import operator
 import re
@@ -12,7 +12,12 @@ from scipy.optimize import brentq
 
 import casadi_galerkin as cg
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.solution.witness import RESOLVED, doubts, missed_balance, witnesses
+from casadi_galerkin.solution.error_indicators import (
+    LAGRANGIAN_MISFIT,
+    energy_imbalance,
+    error_indicators,
+    scaled_indicators,
+)
 
 SMOOTH = ["short pendulum", "long pendulum, index 2", "Troesch 5", "boundary layer 0.0001", "damped oscillator"]
 
@@ -117,7 +122,7 @@ def test_no_pole_hides_between_points(degree, power):
     nodes = cg.Galerkin(degree).element.nodes
     for place in np.linspace(0.0, 1.0, 79):
         path = PiecewisePolynomial(np.array([0.0, 1.0]), nodes, (nodes - place)[None])
-        assert doubts(problem, path, np.ones((1, 2)))[1] > RESOLVED
+        assert error_indicators(problem, path, np.ones((1, 2)))[1] > LAGRANGIAN_MISFIT
 
 
 @pytest.mark.parametrize("beside", [1e-12, 2e-12])
@@ -146,23 +151,23 @@ def test_no_path_over_a_pole_on_its_line_is_returned(duration, tol):
 def test_nothing_is_said_against_a_smooth_path(name, tol):
     scene = BY_NAME[name]
     path = cg.solve(scene.problem, tol=tol, guess=scene.guess)
-    said = witnesses(scene.problem, path.polynomial, path.momentum)
-    assert all(np.max(values) < tol for values in said.values())
+    indicators = scaled_indicators(scene.problem, path.polynomial, path.momentum)
+    assert all(np.max(values) < tol for values in indicators.values())
 
 
 def test_joints_are_compared_by_the_larger_of_their_scales():
     kept, floor = np.array([1.0, 1.0, 50.0, 1.2]), np.zeros(4)
     scale = np.array([1.0, 1.0, 1e6, 1.0])
-    assert np.max(missed_balance(kept, scale, floor)) == pytest.approx(0.2)
-    assert np.max(missed_balance(kept[:3], scale[:3], floor[:3])) == pytest.approx(4.9e-5)
+    assert np.max(energy_imbalance(kept, scale, floor)) == pytest.approx(0.2)
+    assert np.max(energy_imbalance(kept[:3], scale[:3], floor[:3])) == pytest.approx(4.9e-5)
 
 
 def test_joints_that_rounding_blurs_tell_nothing():
-    assert np.max(missed_balance(np.array([1.0, 7.0, 1.0]), np.ones(3), np.array([0.0, 7.0, 0.0]))) == 0.0
+    assert np.max(energy_imbalance(np.array([1.0, 7.0, 1.0]), np.ones(3), np.array([0.0, 7.0, 0.0]))) == 0.0
 
 
 def test_an_energy_that_is_not_a_number_is_a_miss():
-    assert np.all(np.isinf(missed_balance(np.array([1.0, np.nan, 1.0]), np.ones(3), np.zeros(3))))
+    assert np.all(np.isinf(energy_imbalance(np.array([1.0, np.nan, 1.0]), np.ones(3), np.zeros(3))))
 
 
 def test_the_balance_holds_with_friction_and_under_a_constraint_that_moves():
@@ -306,4 +311,4 @@ def test_a_coarse_path_keeps_the_balance_of_energy_in_any_unit_of_one_component(
         [0.2, 1 / unit],
     )
     path = cg.solve(problem, cg.Galerkin(3), 6)
-    assert np.max(doubts(problem, path.polynomial, path.momentum)[0]) < 1e-12
+    assert np.max(error_indicators(problem, path.polynomial, path.momentum)[0]) < 1e-12

@@ -17,8 +17,8 @@ from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solvers.solver import SolverLike
 
 
-class Levels:
-    """Graphs that are built when they are first asked for, and kept; they count the iterations of all solves.
+class GraphCache:
+    """Graphs that are built at their first use, and kept; it counts the iterations of all solves.
 
     `mapping` is how L is evaluated at the points, as for `Functional`, unless a graph is asked for with another;
     `verbose` is that of all solves.
@@ -29,7 +29,7 @@ class Levels:
         self.problem, self.iterations, self._mapping, self.verbose = problem, 0, mapping, verbose
         self._transcriptions: dict[tuple[Galerkin, int], Transcription] = {}
 
-    def of(self, problem: BoundaryProblem, verbose: int = 0) -> Levels:
+    def for_problem(self, problem: BoundaryProblem, verbose: int = 0) -> GraphCache:
         """The same graphs for a problem that is `varied` from this one's; what is built for it is kept here, too."""
         if problem.parameters != self.problem.parameters:  # other masses, perhaps
             check_mass(problem)
@@ -42,7 +42,7 @@ class Levels:
         key = (method, len(mesh))
         if key not in self._transcriptions:
             self._transcriptions[key] = Transcription(self.problem, method, mesh, mapping or self._mapping)
-        return self._transcriptions[key].of(self.problem)
+        return self._transcriptions[key].for_problem(self.problem)
 
     def solve(
         self,
@@ -56,7 +56,7 @@ class Levels:
         graph = self.transcription(method, mesh)
         other = None if np.array_equal(mesh, graph.mesh) else mesh
         try:
-            varied = graph.of(problem) if problem else graph
+            varied = graph.for_problem(problem) if problem else graph
             point = varied.critical_point(guess=guess, mesh=other, solver=solver, verbose=self.verbose)
         except ConvergenceError as failure:
             self.iterations += failure.iterations

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from functools import cached_property as lazy
+    from functools import cached_property
 else:
 
-    class lazy:
+    class cached_property:
         """Decorator of a method without arguments, which the value then replaces in the instance."""
 
         def __init__(self, find: Callable[[Any], Any]) -> None:
@@ -29,4 +29,4 @@ else:
             return value
 
 
-__all__ = ["lazy"]
+__all__ = ["cached_property"]

@@ -1,10 +1,10 @@
-"""A witness of jumps in time inside of intervals, which two degrees miss alike where they have the same points beside.
+"""An error indicator for jumps in time inside of intervals, which two degrees with points on the same sides miss.
 
 With the path, the controls and the multipliers found, the cost is ∫ I dt to first order, where
 
     I(t, z) = ℓ + λ·(∂L/∂x + F, ρ) + dλ/dt·(∂L/∂v, x) + μ·g,        z = (x, v, u, λ, dλ/dt, μ).
 
-Over the share of time that a quadrature point stands for (`shares_of_time`), with z as it is at the point,
+Over the share of time that a quadrature point stands for (`jump_detection`), with z as it is at the point,
 
     I(b, z) - I(a, z) = ∫ ∂I/∂t dt
 
@@ -19,7 +19,7 @@ import numpy as np
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.controlled_motion import equations_of_motion
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
-from casadi_galerkin.solution.shares_of_time import SharesOfTime
+from casadi_galerkin.solution.jump_detection import JumpDetector
 
 
 def integrand(path: ControlTrajectory) -> ca.Function:
@@ -38,12 +38,12 @@ def integrand(path: ControlTrajectory) -> ca.Function:
 
 
 def jumps_in_time(path: ControlTrajectory) -> np.ndarray:
-    """By how much jumps in time inside of every interval may move the cost; (N,)."""
+    """Largest change of the cost by jumps in time inside of each interval; (N,)."""
     rule = path.method.quadrature
-    shares, points = SharesOfTime(path.t, rule), np.array(rule.points)
-    count, at_points = len(shares.times), (len(path.t) - 1) * len(points)
+    detector, points = JumpDetector(path.t, rule), np.array(rule.points)
+    count, at_points = len(detector.times), (len(path.t) - 1) * len(points)
     multipliers = np.empty((0, at_points)) if path.path_multipliers is None else path.path_multipliers.at(points)
     z = *path.polynomial.at_parts(points), path.control.at(points), *path.costate.at_parts(points), multipliers
     given = [np.repeat(a.reshape(len(a), at_points), count // at_points, axis=1) for a in z]
-    values, rates, _ = integrand(path).map(count)(shares.times[None, :], *given)
-    return shares.by_jumps(np.array(values).ravel(), np.array(rates).ravel())
+    values, rates, _ = integrand(path).map(count)(detector.times[None, :], *given)
+    return detector.jump_effects(np.array(values).ravel(), np.array(rates).ravel())

@@ -1,4 +1,4 @@
-"""A path followed from that of an easier problem: under hardly any of its force, or over hardly any of its time.
+"""Homotopy from the path of an easier problem: under a small share of the force, or over a short time.
 
 Where a force rules the motion, as in ε x'' = F(t, x, x') with a small ε, the path has layers whose places nobody knows
 before.  Under a small share of the force, which is a large ε, it has none.  Without a force the path over a short time
@@ -16,41 +16,41 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.boundary.graph import CriticalPoint
-from casadi_galerkin.boundary.levels import Levels
+from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.problems.problem import between_marks, with_values
+from casadi_galerkin.problems.problem import map_times, with_values
 from casadi_galerkin.solution.errors import ConvergenceError
 
-GROWTH, SLOWEST = 10.0, 1.02  # factor by which a share first grows, and below which the path is lost
+GROWTH, LEAST_GROWTH = 10.0, 1.02  # factor by which a share first grows, and below which the path is lost
 LEAST = 1e-8  # share that is tried last: where even that is too much, no share will do
 MOST = 100  # shares that are tried
 
 
-def under_growing_share(
-    levels: Levels,
-    under: Callable[[Levels, float], Levels],
+def path_by_homotopy(
+    graphs: GraphCache,
+    under: Callable[[GraphCache, float], GraphCache],
     guess: PiecewisePolynomial,
-    roughly: Callable[[Levels, np.ndarray, PiecewisePolynomial], CriticalPoint],
+    intermediate_path: Callable[[GraphCache, np.ndarray, PiecewisePolynomial], CriticalPoint],
 ) -> CriticalPoint:
-    """Find the path of a problem from those under shares of something.
+    """Find the path of a problem by a homotopy in its force or its time span.
 
     Parameters
     ----------
     levels : Levels of the problem
-    under : `of_force` or `of_time`
+    under : `with_scaled_force` or `with_scaled_time_span`
     guess : PiecewisePolynomial of the problem
     roughly : (levels, mesh, guess) -> the path from there, on a mesh that resolves it
     """
     share, growth, known = 1 / GROWTH, GROWTH, 0.0
     for _ in range(MOST):
-        part = levels if share == 1.0 else under(levels, share)
+        part = graphs if share == 1.0 else under(graphs, share)
         guess = _over(part.problem.t_span, guess)
         try:
-            point = roughly(part, guess.mesh, guess)
+            point = intermediate_path(part, guess.mesh, guess)
         except ConvergenceError as failure:
             lost = failure
             growth = math.sqrt(growth) if known else growth
-            if growth < SLOWEST or share <= LEAST:
+            if growth < LEAST_GROWTH or share <= LEAST:
                 break
             share = known * growth if known else share / GROWTH
         else:
@@ -59,26 +59,26 @@ def under_growing_share(
             guess, known, growth = point.polynomial, share, min(growth**1.5, GROWTH)
             share = min(1.0, known * growth)
         finally:
-            if part is not levels:
-                levels.iterations += part.iterations
+            if part is not graphs:
+                graphs.iterations += part.iterations
     words = f"the path under a growing share was lost at a share of {share:.2g}: {lost}"
     raise ConvergenceError(words, lost.path, lost.residual, lost.iterations)
 
 
-def of_force(levels: Levels, share: float) -> Levels:
+def with_scaled_force(graphs: GraphCache, share: float) -> GraphCache:
     """The problem under a share of its force."""
-    problem = levels.problem
+    problem = graphs.problem
     assert problem.force is not None
     inputs = problem.force.sx_in()
-    return Levels(with_values(problem, force=ca.Function("force", inputs, [share * problem.force(*inputs)])))
+    return GraphCache(with_values(problem, force=ca.Function("force", inputs, [share * problem.force(*inputs)])))
 
 
-def of_time(levels: Levels, share: float) -> Levels:
+def with_scaled_time_span(graphs: GraphCache, share: float) -> GraphCache:
     """The problem over a share of its time."""
-    first, last = levels.problem.t_span
-    return levels.of(levels.problem.varied({}, (first, first + share * (last - first))))
+    first, last = graphs.problem.t_span
+    return graphs.for_problem(graphs.problem.varied({}, (first, first + share * (last - first))))
 
 
 def _over(span: tuple[float, float], path: PiecewisePolynomial) -> PiecewisePolynomial:
     """The same path over other times."""
-    return PiecewisePolynomial(between_marks(path.mesh, path.mesh[[0, -1]], span), path.nodes, path.values)
+    return PiecewisePolynomial(map_times(path.mesh, path.mesh[[0, -1]], span), path.nodes, path.values)

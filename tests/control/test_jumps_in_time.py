@@ -6,7 +6,7 @@ import pytest
 from control_problems import double_integrator, varying_mass
 
 import casadi_galerkin as cg
-from casadi_galerkin.control.time_witness import jumps_in_time
+from casadi_galerkin.control.jumps_in_time import jumps_in_time
 
 WHEN = 0.749015  # no point of the first mesh lies between it and the joint at 0.75
 

@@ -9,7 +9,7 @@ from itertools import chain
 
 import numpy as np
 
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem, says
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem, is_given
 from casadi_galerkin.problems.problem import VARIED, Problem
 
 Given = tuple[float | None, ...] | float | None
@@ -18,7 +18,7 @@ Given = tuple[float | None, ...] | float | None
 def _given(problem: BoundaryProblem) -> dict[str, tuple[float | None, ...]]:
     """All that is given, by name; None where a component is free."""
     values: dict[str, Given] = {name: getattr(problem, name) for name in VARIED}
-    return {name: value if isinstance(value, tuple) else (value,) for name, value in values.items() if says(value)}
+    return {name: value if isinstance(value, tuple) else (value,) for name, value in values.items() if is_given(value)}
 
 
 def same_statement(one: Problem, other: BoundaryProblem) -> bool:
@@ -31,12 +31,12 @@ def same_statement(one: Problem, other: BoundaryProblem) -> bool:
     return patterns[0] == patterns[1]
 
 
-def values_of(problem: BoundaryProblem) -> np.ndarray:
+def data_vector(problem: BoundaryProblem) -> np.ndarray:
     """All given numbers of a problem, its times first."""
     return np.array([*problem.t_span, *(a for a in chain(*_given(problem).values()) if a is not None)])
 
 
-def between(one: BoundaryProblem, other: BoundaryProblem, share: float) -> BoundaryProblem:
+def interpolated_problem(one: BoundaryProblem, other: BoundaryProblem, share: float) -> BoundaryProblem:
     """The problem whose given values are a share of the way from one problem's to another's."""
     start, end = ((1 - share) * a + share * b for a, b in zip(one.t_span, other.t_span, strict=True))
     before, after = _given(one), _given(other)

@@ -1,6 +1,6 @@
-"""What is tried in turn where an optimization finds nothing: IPOPT after fatrop, a gentler guess, longer durations.
+"""Retries of an optimization that finds nothing: IPOPT after fatrop, half of the guess, longer durations.
 
-Every failure counts with its iterations, and the report of what is found at last says what came before it.
+Iterations of failed solves are counted, and the report of the answer says what failed before it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import marks
+from casadi_galerkin.problems.problem import section_times
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
@@ -21,13 +21,13 @@ from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 # Times the duration of a guess with which a free one begins where nothing is found from that: a path has to have the
 # time to swing.  Of 120 solves for least time, from guesses of 0.3 to 3 times what is natural, 103 are solved by it, 89
 # without; shorter steps than four were no better.
-LONGER = 4.0, 16.0
+DURATION_FACTORS = 4.0, 16.0
 # Of 40 random guesses for an acrobot 35 lead to an optimum with half of their way from the straight line, 29 without.
-GENTLER = 0.5
+GUESS_SHARE = 0.5
 
 
-def or_with_ipopt(solver: Solver, solved: Callable[[Solver], ControlTrajectory]) -> ControlTrajectory:
-    """What a solver finds; where fatrop fails, which stalls more easily, what IPOPT finds.  Both are then named."""
+def with_ipopt_fallback(solver: Solver, solved: Callable[[Solver], ControlTrajectory]) -> ControlTrajectory:
+    """Solve, and where fatrop fails, which stalls more easily, solve with IPOPT; the report then names both."""
     try:
         return solved(solver)
     except ConvergenceError as failure:
@@ -65,10 +65,10 @@ class Beginning:
 AS_GUESSED = Beginning()
 
 
-def or_from_other_beginnings(
+def retry_from_other_guesses(
     problem: ControlProblem, guess: Guess | None, solved: Callable[[Beginning], ControlTrajectory]
 ) -> ControlTrajectory:
-    """What is found from a guess; where that is nothing, from a gentler one, or from longer durations.
+    """Solve from a guess; where that fails, from halfway to the straight line, or with longer durations.
 
     Parameters
     ----------
@@ -94,9 +94,9 @@ def or_from_other_beginnings(
         else:
             if not failures:
                 return path
-            told = f"{path.solver}, from {beginning}"
+            report = f"{path.solver}, from {beginning}"
             iterations = path.iterations + sum(failure.iterations for failure in failures)
-            return replace(path, solver=told, iterations=iterations)
+            return replace(path, solver=report, iterations=iterations)
         tried.append(str(beginning))
     first, others = failures[0], tried[1:]
     if not others:
@@ -114,10 +114,10 @@ def _beginnings(problem: ControlProblem, guess: Guess | None) -> list[Beginning]
     if isinstance(guess, ControlTrajectory):
         return beginnings
     if guess is not None:
-        beginnings.append(Beginning(share=GENTLER))
+        beginnings.append(Beginning(share=GUESS_SHARE))
     if bounds is not None and np.isfinite(bounds[1]).all():
-        last, longest = 1.0, float(np.max(np.divide(bounds[1], np.diff(marks(problem)))))
-        for factor in LONGER:
+        last, longest = 1.0, float(np.max(np.divide(bounds[1], np.diff(section_times(problem)))))
+        for factor in DURATION_FACTORS:
             if min(factor, longest) >= 2 * last:  # else it is the same guess again
                 last = min(factor, longest)
                 beginnings.append(Beginning(longer=last))

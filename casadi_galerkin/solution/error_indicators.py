@@ -1,4 +1,4 @@
-"""Three witnesses of a path that are not among the equations it solves, nor among the points of its error estimate.
+"""Three error indicators that are independent of the equations of a path and of the points of its error estimate.
 
 The balance of energy.  Along a true path the energy E = p·v - L changes by what L depends on time,
 
@@ -13,7 +13,7 @@ scale and misses the same part of L's own size on any mesh, though energies on b
 converge.  So this part is accepted or not, whatever the tolerance.
 
 Jumps of the force.  Along the path f(t) = F(t, x̄, dx̄/dt) is smooth where F is.  A jump may change the momentum by what
-it does to ∫ f dt (`shares_of_time`).
+it does to ∫ f dt (`jump_detection`).
 """
 
 from __future__ import annotations
@@ -34,15 +34,16 @@ from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.constrained_motion import work_of_constraint
 from casadi_galerkin.problems.legendre_transform import scaled_masses
 from casadi_galerkin.problems.problem import Problem
-from casadi_galerkin.solution.shares_of_time import SharesOfTime
+from casadi_galerkin.solution.jump_detection import JumpDetector
 
-BALANCE = 0.3  # part of the tolerance by which the energy may be missed; smooth paths were measured below 0.25
-RESOLVED = 0.05  # part of L's size by which it may be missed between points; poles miss more at all degrees to 14
-JUMPS = 0.1  # part of the tolerance by which jumps of a force may change a momentum
-BLURRED = 10.0  # floors up to which rounding may move a value: what is missed by less tells nothing
+ENERGY_SHARE = 0.3  # share of the tolerance that the energy imbalance may have; smooth paths were measured below 0.25
+# accepted misfit of L between points, over its size; at a pole it is larger, at all degrees to 14
+LAGRANGIAN_MISFIT = 0.05
+FORCE_JUMP_SHARE = 0.1  # share of the tolerance that changes of a momentum by jumps of a force may have
+ROUNDING_FACTOR = 10.0  # factor on roundoff floors: an imbalance below it may be rounding alone
 
 
-def missed_balance(kept: np.ndarray, scale: np.ndarray, floor: np.ndarray) -> np.ndarray:
+def energy_imbalance(kept: np.ndarray, scale: np.ndarray, floor: np.ndarray) -> np.ndarray:
     """By how much every interval misses the balance of energy, over its scale; (N,), infinite where it is undefined.
 
     Any two joints are compared, relative to the larger of their scales: near a singularity energies are large, and
@@ -64,18 +65,22 @@ def missed_balance(kept: np.ndarray, scale: np.ndarray, floor: np.ndarray) -> np
     return max(float(np.max(gaps / scale[order])), 0.0) * change / max(float(np.max(change)), TINY)
 
 
-def witnesses(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> dict[str, np.ndarray]:
-    """What each witness says against a path, in parts of what is accepted of it; arguments as for `doubts`."""
-    balance, unresolved, jumps = doubts(problem, path, momentum)
-    return {"balance of energy": balance / BALANCE, "Lagrangian between points": unresolved, "force": jumps / JUMPS}
+def scaled_indicators(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> dict[str, np.ndarray]:
+    """The error indicators by name, each over its share of the tolerance; arguments as for `error_indicators`."""
+    balance, unresolved, jumps = error_indicators(problem, path, momentum)
+    return {
+        "balance of energy": balance / ENERGY_SHARE,
+        "Lagrangian between points": unresolved,
+        "force": jumps / FORCE_JUMP_SHARE,
+    }
 
 
-def doubts(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> tuple[np.ndarray, ...]:
-    """How far the balance of energy, and L between points, are missed, and jumps of the force; (N,) each.
+def error_indicators(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Energy imbalance, misfit of L between points, and effect of jumps of the force, on each interval; (N,) each.
 
-    They are relative to the sizes of their terms, the first two beyond what rounding of the path does to them.  The
-    balance is drawn up between breakpoints: at a step of L in time the energy jumps.  Of L nothing is said where it is
-    resolved.
+    They are relative to the sizes of their terms; from the first two, the effect of rounding of the path is subtracted.
+    The balance is taken between breakpoints, because at a step of L in time the energy jumps.  The misfit of L is zero
+    where it is below `LAGRANGIAN_MISFIT`.
 
     Parameters
     ----------
@@ -116,16 +121,16 @@ def _jumps_of_force(problem: Problem, path: PiecewisePolynomial, momentum: np.nd
     """By how much jumps of the force on every interval may change a momentum, over that and all impulses; (N,)."""
     if problem.force is None:
         return np.zeros(len(path.mesh) - 1)
-    shares, slopes = SharesOfTime(path.mesh, gauss(path.degree)), differentiation_matrix(path.nodes)
+    detector, slopes = JumpDetector(path.mesh, gauss(path.degree)), differentiation_matrix(path.nodes)
     local, steps = path.local, np.diff(path.mesh)
-    bends = lagrange_values(path.nodes, shares.parts) @ slopes @ slopes
+    bends = lagrange_values(path.nodes, detector.parts) @ slopes @ slopes
     accelerations = (local - local[:, :, :1]) @ bends.T / steps[:, None] ** 2
-    given = [values.reshape(len(values), -1) for values in (*path.at_parts(shares.parts), accelerations)]
-    forces, rates = (a.T for a in _at_places(problem, _force_along(problem.force), shares.times, *given))
+    given = [values.reshape(len(values), -1) for values in (*path.at_parts(detector.parts), accelerations)]
+    forces, rates = (a.T for a in _at_places(problem, _force_along(problem.force), detector.times, *given))
     sizes = np.where(np.isfinite(forces), np.abs(forces), 0.0)
     means = sizes.reshape(len(local), len(steps), -1).mean(axis=2)
     whole = np.max(np.abs(momentum), axis=1) + means @ steps
-    return np.asarray(np.max(shares.by_jumps(forces, rates) / np.maximum(whole, TINY)[:, None], axis=0))
+    return np.asarray(np.max(detector.jump_effects(forces, rates) / np.maximum(whole, TINY)[:, None], axis=0))
 
 
 @lru_cache(64)
@@ -193,11 +198,11 @@ def _between_breakpoints(
     """The same without breakpoints."""
     sampled = _Sampled(problem, path)
     kept, scale, floor = _energies(sampled, momentum)
-    return missed_balance(kept, scale, floor), _unresolved(sampled, scale, floor)
+    return energy_imbalance(kept, scale, floor), _unresolved(sampled, scale, floor)
 
 
 def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What `missed_balance` takes, at all joints."""
+    """What `energy_imbalance` takes, at all joints."""
     h, v, (lagrangian, work, slope, *blocks) = at.h[at.joints], at.v[:, at.joints], at.derivatives
     mass = h[:, None, None] * at.terms.mass([block[at.joints].T for block in blocks])
     kinetic, speed, sizes, masses = np.sum(momentum * v, axis=0), np.abs(v), at.path.sizes, np.abs(mass)
@@ -214,7 +219,7 @@ def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarra
     before = np.maximum(np.arange(len(at.joints)) - 1, 0)  # a momentum is that of the interval before its joint
     blurred = rounding * np.sum(places[:, before] * pushed, axis=0) / at.steps[before]
     pulled = np.sum(np.abs(at.x[:, at.joints] * work[at.joints].T), axis=0) / h
-    floor = BLURRED * EPS * (blurred + pulled + scale)
+    floor = ROUNDING_FACTOR * EPS * (blurred + pulled + scale)
 
     supplied = at.steps * at.integral(work_of_constraint(at.problem, at.times, at.x, at.v))
     if at.terms.supplied is not None:
@@ -222,7 +227,7 @@ def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarra
         supplied += at.integral(falls)
         slopes = np.abs(at.v * at.h) + rounding * np.repeat(places, len(at.h) // len(at.steps), axis=1)
         rounded = np.abs(by_both) * np.concatenate((np.abs(at.x), slopes)).T  # the terms of a force may cancel
-        floor += BLURRED * EPS * np.append(0.0, np.cumsum(at.integral(np.sum(rounded, axis=1))))
+        floor += ROUNDING_FACTOR * EPS * np.append(0.0, np.cumsum(at.integral(np.sum(rounded, axis=1))))
     return energy + np.append(0.0, np.cumsum(supplied)), scale, floor
 
 
@@ -233,7 +238,7 @@ def _unresolved(at: _Sampled, scale: np.ndarray, floor: np.ndarray) -> np.ndarra
     size = np.maximum(np.max(np.abs(at.by_interval(lagrangian)), axis=1), np.maximum(scale[1:], scale[:-1]))
     beyond = np.max(missed, axis=1) - np.maximum(floor[1:], floor[:-1])
     part = np.where(np.isfinite(size), beyond / size, np.inf)
-    return np.where(part > RESOLVED, part, 0.0)
+    return np.where(part > LAGRANGIAN_MISFIT, part, 0.0)
 
 
 def _correction(mass: np.ndarray, missing: np.ndarray) -> np.ndarray:

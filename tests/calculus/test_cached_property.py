@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from casadi_galerkin.calculus.lazy import lazy
+from casadi_galerkin.calculus.cached_property import cached_property
 
 
 class Counted:
@@ -15,7 +15,7 @@ class Counted:
     def __init__(self, before=lambda: None):
         self.before, self.found = before, 0
 
-    @lazy
+    @cached_property
     def value(self):
         """What is found."""
         self.before()
