@@ -74,5 +74,4 @@ def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data:
     if len(unknowns) == 0:
         return 0
     with stationarity.linearization() as at:
-        at.relinearize(unknowns, data)
-        return linear.negative_eigenvalues(ca.DM(linear.sparsity, at.matrix.tolist()), at.keep)
+        return linear.negative_eigenvalues(functional.function("derivatives").call([unknowns, *data])[0], at.keep)
