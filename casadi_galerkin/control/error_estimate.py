@@ -1,24 +1,32 @@
-"""How wrong an optimal path is, and on which mesh it would be less so, from the same mesh with degree m + 2.
+"""Error estimate of an optimal path, by a path of degree m + 2 on the same mesh, and a better mesh.
 
-The relative changes of cost and duration and the largest change of x, at the same fraction of the duration and relative
-to the size of its component, make D; with q the ratio of what the two paths leave out (`truncation_error`), the
-estimated error is D / (1 - q).  The error of the cost alone is far smaller, of the order of D².  With phases of free
-durations the joints of the two paths are at different fractions, and the paths may jump there: so they are compared at
-the same parts of intervals, and what a shift in time does to x is taken off.
+Let D be the largest of three differences between the two paths: the relative changes of the cost and of the duration,
+and the largest change of x at the same fraction of the duration, relative to the size of its component.  Let q be the
+ratio of the truncation errors of the two paths (`truncation_error`).  The estimated error is D / (1 - q).  The error
+of the cost alone is far smaller, of the order of D².  Where phases have free durations, the joints of the two paths are
+at different fractions of the duration, and the paths may jump there.  So they are compared at the same fractions of
+intervals, and the change of x by the shift in time is subtracted.
 
-Four errors that both degrees share are looked for.  A switch from bound to bound is due where the switching function
-∂(ℓ + λ·(F, ρ))/∂u, with forces F and rates ρ, is zero; if the next joint lies elsewhere, there may be no quadrature
-point between the two that shows it.  Bounds of positions hold at nodes only: a path that passes one by ε between them
-is moved by about √ε.  Those of controls and path constraints hold at quadrature points only: see `unseen_excess`.  And
-where nothing depends on time the Hamiltonian is constant: what it varies by, times time over cost, was measured to be
-of the order of D where both degrees put a switch at the wrong place.  The error of the cost is at least the square of
-each.  Both errors are at least what jumps in time change (`jumps_in_time`).  What the solver leaves of cost and path,
-both degrees may share, too: `solver_error` tells.
+Some errors are common to both degrees, so that the difference does not show them.  They are estimated separately:
 
-The new mesh spreads what the finer path has beyond degree m evenly.  Where a higher degree does not help the path has
-a kink, and intervals are split as for order 2.  Where a control switches inside an interval its impulse ∫ u dt tells
-when, and a joint is put there.  Two more stand beside it, as close as the switch is known: the next path has it between
-them, and knows it some ten times better.
+- Switches from bound to bound.  A control should switch where the switching function ∂(ℓ + λ·(F, ρ))/∂u, with forces F
+  and rates ρ, is zero.  If the nearest joint lies elsewhere, there may be no quadrature point between the two, and then
+  neither path shows the difference.
+- Bounds of positions, which hold at nodes only.  Where a path exceeds one by ε between nodes, the error of the path is
+  about √ε.
+- Bounds of controls and path constraints, which hold at quadrature points only: see `unseen_excess`.
+- The Hamiltonian, which is constant where nothing depends on time.  Its variation, times duration over cost, was
+  measured to be of the order of D where both degrees switch at the same wrong time.
+- Jumps in time (`jumps_in_time`), whose effect is a lower bound of the errors of cost and path.
+- The error that the solver leaves (`solver_error`).
+
+The estimated error of the cost is at least the square of each of the first four.
+
+The new mesh equidistributes the part of the finer path that degree m cannot represent.  Where a higher degree does not
+reduce this part, the path has a kink, and intervals are split as for a method of order 2.  Where a control switches
+inside an interval, its impulse ∫ u dt gives the time of the switch, and a joint is placed there.  Two more joints are
+placed on either side of it, at a distance of the uncertainty of that time.  The next path then switches between them,
+and its switching time is about ten times more accurate.
 """
 
 from __future__ import annotations
@@ -40,27 +48,31 @@ from casadi_galerkin.problems.bounds import bound_excess
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 
-SLOWEST = 2 / 3  # q where a jump or a constraint at points keeps the higher degree from gaining much
-UNSMOOTH_RATIO = 0.25  # an interval whose truncation falls by less with the higher degree is not smooth
-KINK_ORDER = 2  # a jump of the acceleration inside a step h moves x by h²
-FINEST = 8.0  # parts of one interval at once; a kink needs few levels and leaves few intervals behind
-NARROW = 0.25  # of its neighbor is an interval beside a jump
-CLOSE = 1 / 3  # of an interval: a joint so near to a jump gives way to it
-MARGIN = 3.0  # times what is not known of a switch: joints beside it
-AROUND = 0.05  # of sqrt(tol), over the duration: a switch between two joints moves x by the square of their distance
-APART = 1e-4  # of the duration: where what is said of a switch differs by less, it has one joint
-DISTINCT = 1e-8  # of the duration: nearer switches are one, such as those of two controls at a breakpoint
-POSITION_ROUNDOFF = 1e-15  # of positions relative to their size
+SLOWEST = 2 / 3  # largest q, which is also assumed where switches or path constraints slow down convergence
+UNSMOOTH_RATIO = 0.25  # ratio of the truncation errors of both degrees above which a path is not smooth on an interval
+KINK_ORDER = 2  # a jump of the acceleration inside a step h changes x by the order of h²
+FINEST = 8.0  # most parts that one interval is split into at once: enough to resolve a kink in a few levels
+NARROW_RATIO = 0.25  # length over that of a neighbor below which an interval counts as one placed beside a switch
+REMOVAL_DISTANCE = 1 / 3  # distance to a switch, as part of an interval, below which an old joint is removed
+SWITCH_MARGIN = 3.0  # distance of the joints beside a switch over the uncertainty of its time
+# least distance of these joints over √tol and the duration: a switch between two joints changes x by the square of
+# their distance
+SWITCH_RESOLUTION = 0.05
+# difference of the two estimates of a switching time, over the duration, above which both become joints
+DIFFERING_ESTIMATES = 1e-4
+# distance over the duration below which switches are one, such as those of two controls at a breakpoint
+SAME_SWITCH = 1e-8
+POSITION_ROUNDOFF = 1e-15  # roundoff of positions relative to their size
 UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
 
 
 def parts_of(degree: int) -> np.ndarray:
-    """Parts of an interval at which paths are compared, its ends among them."""
+    """Fractions of an interval at which paths are compared, 0 and 1 among them."""
     return np.linspace(0, 1, 4 * degree + 1)
 
 
 def position_excess(path: ControlTrajectory) -> np.ndarray:
-    """By how much positions leave their bounds between the nodes, relative to the components' sizes; (N,)."""
+    """Largest distance of the positions from their bounds on each interval, relative to the components' sizes; (N,)."""
     low, high = (np.array(side)[:, None, None] for side in path.problem.position_bounds)
     positions = path.polynomial.values_at_parts(parts_of(path.method.degree))
     outside = bound_excess(positions, low, high) / path.sizes[:, None, None]
@@ -74,11 +86,12 @@ def bounded_values(path: ControlTrajectory, parts: np.ndarray) -> np.ndarray:
 
 
 def unseen_excess(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndarray:
-    """How far two degrees alike let controls and path constraints leave their bounds between the points, (N,).
+    """Excess over the bounds of controls and path constraints between the quadrature points, common to both degrees.
 
-    Nothing holds the path where no point meets a bound, as next to the end of a path where a control is largest.  Both
-    degrees then pass it by ε of the size of what is bounded, and hardly differ on the interval; where a control jumps
-    they do.  The path is then moved by at most about ε.
+    Bounds hold at quadrature points only, and a control may be largest between them, as next to an end of the path.
+    Both degrees then exceed the bound by the same ε, relative to the size of the bounded value, and hardly differ on
+    the interval.  Where a control jumps they do differ, and the excess is not counted.  The error of the path is at
+    most about ε.  Returns the largest relative excess on each interval, (N,).
     """
     low, high = path.problem.control_bounds
     if path.problem.path_constraint is not None:
@@ -87,13 +100,13 @@ def unseen_excess(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndar
     both = np.stack([bounded_values(p, parts_of(path.method.degree)) for p in (path, higher)])
     sizes = component_sizes(both[0].reshape(len(low), -1))
     lowest, highest, size = (np.reshape(a, (-1, 1, 1)) for a in (low, high, sizes))
-    passed = np.min(bound_excess(both, lowest, highest), axis=0)
-    apart, farthest = (np.max(a, axis=-1, keepdims=True) for a in (np.ptp(both, axis=0), passed))
-    return np.asarray(np.max(np.where(apart < UNSEEN_RATIO * farthest, passed, 0.0) / size, axis=(0, 2)))
+    excess = np.min(bound_excess(both, lowest, highest), axis=0)
+    difference, largest = (np.max(a, axis=-1, keepdims=True) for a in (np.ptp(both, axis=0), excess))
+    return np.asarray(np.max(np.where(difference < UNSEEN_RATIO * largest, excess, 0.0) / size, axis=(0, 2)))
 
 
 def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
-    """What a path has on each interval that a lower degree has not, relative to the components' sizes; (N,)."""
+    """Distance of a path from its interpolant of a lower degree on each interval, relative to the sizes; (N,)."""
     nodes = Galerkin(degree).element.nodes
     lower = path.polynomial.values_at_parts(nodes) @ lagrange_values(nodes, parts_of(degree)).T
     change = path.polynomial.values_at_parts(parts_of(degree)) - lower
@@ -109,60 +122,60 @@ def negligible_cost(path: ControlTrajectory) -> float:
 
 @dataclass(frozen=True)
 class HigherDegree:
-    """A path, and the one on its mesh of degree m + 2, which tells how wrong it is.
+    """A path of degree m, the path of degree m + 2 on the same mesh, and the errors estimated from the two.
 
     Attributes
     ----------
-    path, higher : ControlTrajectory
+    path, higher : ControlTrajectory, of degree m and of degree m + 2
     """
 
     path: ControlTrajectory
     higher: ControlTrajectory
 
     @cached_property
-    def found(self) -> list[Switch]:
-        """Switches of the higher path."""
+    def switches(self) -> list[Switch]:
+        """Switches of the path of higher degree."""
         return switches(self.higher)
 
     def of_cost(self, change: float) -> float:
-        """A change of the cost relative to it; zero where the cost is not told from zero."""
+        """A change of the cost relative to the cost; zero where the cost cannot be told from zero."""
         both = self.path, self.higher
         cost = max(abs(path.cost) for path in both)
         return change / cost if cost > max(map(negligible_cost, both)) else 0.0
 
     @cached_property
     def cost_change(self) -> float:
-        """Relative change of the cost."""
+        """Change of the cost from one degree to the other, relative to the cost."""
         return self.of_cost(abs(self.higher.cost - self.path.cost))
 
     @cached_property
     def change(self) -> float:
-        """Relative error of cost, duration and positions, D / (1 - q)."""
+        """Error D / (1 - q) of cost, duration and positions; see the module."""
         path, higher, parts = self.path, self.higher, parts_of(self.path.method.degree)
         (before, slope), (after, _) = (p.polynomial.at_parts(parts) for p in (path, higher))
         own, other = (times_at((p.t - p.t[0]) / np.ptp(p.t), parts).reshape(-1, len(parts)) for p in (path, higher))
         change = np.abs(after - before - slope * np.ptp(path.t) * (other - own))
         change /= path.sizes[:, None, None]
         coarse, fine = (float(np.max(truncation_error(p.polynomial, path.sizes))) for p in (path, higher))
-        at_points = path.problem.path_constraint is not None or len(self.found) > 0
+        at_points = path.problem.path_constraint is not None or len(self.switches) > 0
         ratio = SLOWEST if at_points else min(fine / max(coarse, fine, 1e-300), SLOWEST)
         duration = abs(np.ptp(higher.t) / np.ptp(path.t) - 1)
         return float(max(self.cost_change, duration, np.max(change)) / (1 - ratio))
 
     @cached_property
-    def outside(self) -> np.ndarray:
-        """Distances by which the path is moved by bounds that it leaves unseen, (N,); √ε where a position does by ε."""
+    def bound_errors(self) -> np.ndarray:
+        """Errors of the path on each interval because bounds hold at nodes or points only, (N,); see the module."""
         return np.asarray(np.maximum(np.sqrt(position_excess(self.path)), unseen_excess(self.path, self.higher)))
 
     @cached_property
-    def shared(self) -> float:
-        """What both degrees miss alike of the path: distances by which switches are late or bounds move it."""
-        late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.found]
-        return float(max(*late, np.max(self.outside), 0.0))
+    def common_error(self) -> float:
+        """Error of the path that is common to both degrees: by switches at a wrong time, and by `bound_errors`."""
+        late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.switches]
+        return float(max(*late, np.max(self.bound_errors), 0.0))
 
     @cached_property
     def hamiltonian_variation(self) -> float:
-        """Variation of the Hamiltonian between breakpoints, where it should be constant, times time over cost."""
+        """Variation of the Hamiltonian, where it should be constant between breakpoints, times duration over cost."""
         path = self.path
         if not path.problem.autonomous:
             return 0.0
@@ -170,59 +183,60 @@ class HigherDegree:
         return self.of_cost(float(max(np.ptp(part) for part in parts) * np.ptp(path.t)))
 
     @cached_property
-    def jumps(self) -> np.ndarray:
-        """Relative changes of the cost, and of the path, by jumps in time inside of intervals, (N,)."""
+    def jump_effects(self) -> np.ndarray:
+        """Changes of the cost by jumps in time inside each interval, relative to the cost; (N,)."""
         if self.path.problem.autonomous:
             return np.zeros(len(self.path.t) - 1)
         return np.array([self.of_cost(change) for change in jumps_in_time(self.path)])
 
     def remaining_error(self, path: ControlTrajectory) -> tuple[float, float]:
-        """What the solver leaves of the cost and of the path with one of the degrees, relative to these."""
+        """Relative errors of the cost and of the path that the solver leaves with one of the degrees."""
         return self.of_cost(path.unseen_change), path.solver_error
 
     @property
     def errors(self) -> tuple[float, float]:
-        """Errors of the cost, and of all, with what the solver leaves."""
-        left, open_by = self.remaining_error(self.path)
-        return self.cost_error + left, self.error + max(left, open_by)
+        """Errors of the cost, and of cost, duration and positions, with those that the solver leaves."""
+        of_cost, of_path = self.remaining_error(self.path)
+        return self.cost_error + of_cost, self.error + max(of_cost, of_path)
 
     @property
     def error(self) -> float:
         """Relative error of cost, duration and positions."""
-        return max(self.change, self.shared, self.cost_error)
+        return max(self.change, self.common_error, self.cost_error)
 
     @property
     def cost_error(self) -> float:
-        """Relative error of the cost; what both degrees miss of the path changes it in second order.
+        """Relative error of the cost; an error of the path changes the cost in second order only.
 
-        The costs of two different paths tell nothing: their distance is the error.
+        Where the two paths are far apart, their costs may agree by chance, and the distance of the paths is the error.
         """
-        apart = self.change if self.change > FAR_FROM_GUESS else 0.0
-        jumped = float(np.sum(self.jumps))
-        return max(self.cost_change / (1 - SLOWEST), self.shared**2, self.hamiltonian_variation**2, apart, jumped)
+        distance = self.change if self.change > FAR_FROM_GUESS else 0.0
+        jumped = float(np.sum(self.jump_effects))
+        second_order = max(self.common_error, self.hamiltonian_variation) ** 2
+        return max(self.cost_change / (1 - SLOWEST), second_order, distance, jumped)
 
     def better_mesh(self, tol: float, cost_tol: float) -> np.ndarray:
-        """Joints, in the time of the higher path, on which the errors of path and cost should be below tolerances."""
+        """Joints, in the time of the path of higher degree, with which both errors should be below their tolerances."""
         path, higher = self.path, self.higher
         order, target = path.method.degree + 1, TARGET * tol
         error = beyond_degree(higher, path.method.degree)
-        error *= max(self.change - float(np.sum(self.jumps)), 0.0) / max(np.max(error), 1e-300)
+        error *= max(self.change - float(np.sum(self.jump_effects)), 0.0) / max(np.max(error), 1e-300)
         coarse, fine = (truncation_error(p.polynomial, path.sizes) for p in (path, higher))
         kinked = (fine > UNSMOOTH_RATIO * coarse) & (error > target)
         error[kinked] = target * (error[kinked] / target) ** (order / KINK_ORDER)
-        first = np.maximum(self.outside / tol, self.jumps / cost_tol) / TARGET  # of the order of a distance
+        first = np.maximum(self.bound_errors / tol, self.jump_effects / cost_tol) / TARGET  # falls in proportion to h
         error = np.maximum(error, target * first**order)
         mesh, error = self.widened(error, target)
         mesh = equidistributed(mesh, error, order, tol, FINEST, breakpoints=higher.problem.breakpoints)
         return self.with_jumps(mesh, tol)
 
     def widened(self, error: np.ndarray, target: float) -> tuple[np.ndarray, np.ndarray]:
-        """Mesh and errors without the narrow intervals around jumps; an interval with a jump need not be split."""
+        """Mesh and errors without the narrow intervals around switches; an interval with a switch need not be split."""
         mesh = self.higher.t
         steps = np.concatenate(([0.0], np.diff(mesh), [0.0]))
-        narrow = steps[1:-1] < NARROW * np.maximum(steps[:-2], steps[2:])
+        narrow = steps[1:-1] < NARROW_RATIO * np.maximum(steps[:-2], steps[2:])
         error, drop = error.copy(), np.zeros(len(mesh), dtype=bool)
-        for s in self.found:
+        for s in self.switches:
             times = (s.when, s.joint, s.due)
             first = max(int(np.searchsorted(mesh, min(times))) - 1, 0)
             last = min(int(np.searchsorted(mesh, max(times), side="right")) - 1, len(narrow) - 1)
@@ -236,31 +250,32 @@ class HigherDegree:
         return mesh[keep], np.maximum.reduceat(error, keep[:-1])
 
     def with_jumps(self, mesh: np.ndarray, tol: float) -> np.ndarray:
-        """Joints at switches, and on either side, as close as the switches are known or have to be.
+        """The mesh with joints at the switches, and on either side at the distance of the uncertainty of their times.
 
-        The impulse says when they are where the ends fix them, and the switching function only to which place between
-        two points of the quadrature.  Where the ends do not, all controls may stay at their bounds on both sides of a
-        joint, and the switching function knows better.  So where the two are far apart both have a joint.  A switch as
-        near to a breakpoint as the path is known stands there: a joint beside it would be too near.
+        There are two estimates of a switching time.  Where the given ends determine it, the impulse is accurate, but
+        the switching function only to the distance of two quadrature points.  Where the ends do not determine it, all
+        controls may stay at their bounds on both sides of a joint, and the switching function is more accurate.  So
+        where the two estimates differ, both become joints.  A switch whose distance to a breakpoint is below the error
+        of the path is taken to be at the breakpoint, because a joint beside it would be too near.
         """
-        jumps: dict[float, float] = {}  # times, and how close to them joints stand
+        jumps: dict[float, float] = {}  # time of a switch -> distance of the joints on either side
         duration, breakpoints = np.ptp(mesh), self.higher.problem.breakpoints
-        closest, known = AROUND * np.sqrt(tol) * duration, max(self.change, TARGET * tol) * duration
-        switched = [(s, s.when) for s in self.found]
-        switched += [(s, s.due) for s in self.found if abs(s.due - s.when) > APART * duration]
+        closest, known = SWITCH_RESOLUTION * np.sqrt(tol) * duration, max(self.change, TARGET * tol) * duration
+        switched = [(s, s.when) for s in self.switches]
+        switched += [(s, s.due) for s in self.switches if abs(s.due - s.when) > DIFFERING_ESTIMATES * duration]
         for s, when in switched:
             when = next((b for b in breakpoints if abs(b - when) < known), when)
-            if any(abs(when - other) < DISTINCT * duration for other in jumps):
+            if any(abs(when - other) < SAME_SWITCH * duration for other in jumps):
                 continue
             k = int(np.searchsorted(mesh[1:-1], when))
             near = min((k, k + 1), key=lambda j: abs(mesh[j] - when))
             stays = mesh[near] in (mesh[0], *breakpoints, mesh[-1])
-            if not stays and abs(mesh[near] - when) < CLOSE * (mesh[k + 1] - mesh[k]):
+            if not stays and abs(mesh[near] - when) < REMOVAL_DISTANCE * (mesh[k + 1] - mesh[k]):
                 mesh = np.delete(mesh, near)
-            jumps[when] = max(closest, MARGIN * abs(s.when - s.joint), MARGIN * abs(s.due - s.joint))
+            jumps[when] = max(closest, SWITCH_MARGIN * abs(s.when - s.joint), SWITCH_MARGIN * abs(s.due - s.joint))
         joints = np.unique(np.concatenate((mesh, list(jumps))))
         for when, distance in jumps.items():
             k = int(np.searchsorted(joints, when))
-            wide = distance < NARROW * np.diff(joints)[k - 1 : k + 1]
+            wide = distance < NARROW_RATIO * np.diff(joints)[k - 1 : k + 1]
             mesh = np.append(mesh, np.array([when - distance, when + distance])[wide])
         return np.unique(np.concatenate((mesh, list(jumps))))

@@ -1,30 +1,32 @@
 """From a tolerance to a degree and a mesh, for trajectory optimization.
 
-Every mesh is solved twice, with degree m and, from that path moved by √`tol` of its size, with degree m + 2
-(`error_estimate` says how these make an error and a new mesh).  Were it not moved, the solver would be content with
-the path itself wherever that hardly counts in the cost, and the two would not differ.  Moved by so much it comes back
-to an optimum that is one, and stays away where many paths cost the same.  Estimated are the relative errors of cost and
-duration, and the largest error of x at the joints and between them, relative to the size of its component.  Neither
-the control is judged, nor whether the optimum is the global one.
+Every mesh is solved twice: with degree m, and with degree m + 2 from a perturbed copy of the first path
+(`error_estimate` describes how the two give an error and a new mesh).  The perturbation is √`tol` of the size of the
+path.  Without it, the solver would stop at the first path wherever a change of the path hardly changes the cost, and
+the two would not differ.  From the perturbed path it returns to an isolated optimum, but not where many paths cost the
+same.  Estimated are the relative errors of cost and duration, and the largest error of x at the joints and between
+them, relative to the size of its component.  The error of the control is not estimated, nor whether the optimum is
+the global one.
 
-Where the solver finds no answer every interval is halved, and the same is tried there; where it finds none of degree
-m + 2, the level is not judged, and the next one has the intervals halved.  So has the one after many levels that came
-no nearer, which may otherwise go round in circles where controls switch often.  IPOPT's own tolerance does not follow
-`tol`: a looser one was hardly faster, and sometimes failed.
+Where the solver finds no path, it tries again with every interval halved.  Where it finds none of degree m + 2, there
+is no error estimate, and the next mesh has every interval halved.  The same is done after several meshes that did not
+reduce the error, because meshes may otherwise alternate where controls switch often.  IPOPT's own tolerance does not
+follow `tol`: a looser one was hardly faster, and sometimes failed.
 
-On smooth paths the estimate is near the true error.  With bang-bang controls it is only a bound, because it holds for
-the switching times, and where a position touches its bound it is many times the error.  How often it bounds the error
-of the cost, `examples/benchmark/literature.py` counts on nineteen problems of the literature.
+On smooth paths the estimate is near the true error.  With bang-bang controls it is only a bound, that of the switching
+times, and where a position touches its bound it is many times the error.  `examples/benchmark/literature.py` counts how
+often it bounds the error of the cost on nineteen problems of the literature.
 
-Where a path would be accepted, what the solver itself leaves of cost and path (`solver_error`) is added to their
-errors.  No mesh makes it less: where it is above the tolerance with both degrees, the refinement ends at once.
+Where a path would be accepted, the errors that the solver leaves (`solver_error`) are added.  A finer mesh does not
+reduce them: where they are above the tolerance with both degrees, the refinement ends at once.
 
-Out of reach is a path to 1e-8 with a path constraint touched in one point and a Gauss rule.  So is a path with a
-singular arc, where controls differ from mesh to mesh and cost the same: the cost is then known long before the path.
-The error raised says so, and a tolerance of the cost alone is mostly met.
+Two kinds of paths are out of reach at tight tolerances.  One touches a path constraint in one point, to 1e-8 with a
+Gauss rule.  The other has a singular arc, where controls differ from mesh to mesh at the same cost: the error of the
+cost is then small long before that of the path.  The error raised says so, and a tolerance of the cost alone is mostly
+met.
 
-Jumps in time that no breakpoint names are seen (`jumps_in_time`), and the mesh is refined beside them; at tight
-tolerances the error raised tells the time to name.  Where a path constraint steps, the estimate is too small.
+Jumps in time that are not among the breakpoints are detected (`jumps_in_time`), and the mesh is refined beside them.
+At tight tolerances the error raised names the time to add.  Where a path constraint steps, the estimate is too small.
 """
 
 from __future__ import annotations
@@ -60,23 +62,23 @@ from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
-WARM_START_BARRIER = 1e-4  # first one from an earlier level: with 1e-2 a robot arm left its path, and found none
-# IPOPT's tolerance over its last barrier where a control switches, times tol², and the largest.  A barrier leaves
-# controls between their bounds on the short intervals beside a switch: with IPOPT's own ratio of 10 a mass that burns
-# was known to 3e-7.
+WARM_START_BARRIER = 1e-4  # first barrier from an earlier path: with 1e-2 a robot arm left its path, and found none
+# Ratio of IPOPT's tolerance to its last barrier where a control switches, times tol², and the largest such ratio.  The
+# barrier keeps controls off their bounds on the short intervals beside a switch: with IPOPT's own ratio of 10, the mass
+# of a rocket was accurate to 3e-7 only.
 BARRIER_RATIO, LARGEST_BARRIER_RATIO = 3e-11, 1e4
-STARTS_TIME_SHARE = 0.5  # of the time: no further start begins after it
-PATIENCE = 10  # levels in a row that came no nearer, after which the mesh is halved: two may lead to one another
-HIGHER = 2  # degrees added for the error estimate; two, because of parity
+STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
+PATIENCE = 10  # levels in a row without a smaller error after which every interval is halved: two meshes may alternate
+HIGHER = 2  # degrees added for the error estimate; one adds nothing to a path of the other parity
 
 
 def control_method_for(tol: float) -> Galerkin:
-    """The default method for a tolerance: with its degree smooth scenes need 8 to 20 intervals."""
+    """The default method for a tolerance; with its degree, smooth problems need 8 to 20 intervals."""
     return Galerkin(int(np.clip(np.ceil(1 - np.log10(tol)), 4, 10)))
 
 
 def higher_degree_method(method: Galerkin) -> Galerkin:
-    """The method with `HIGHER` degrees and points more, of the same kind."""
+    """The method of the same kind with `HIGHER` more degrees and quadrature points."""
     rule = lobatto if method.quadrature.points[0] == 0 else gauss
     return Galerkin(method.degree + HIGHER, quadrature=rule(len(method.quadrature) + HIGHER))
 
@@ -87,13 +89,13 @@ def halved(mesh: np.ndarray) -> np.ndarray:
 
 
 def fits_any_mesh(guess: Guess | None) -> bool:
-    """Whether a guess is none, a function of time, or values with their times; arrays are values on one mesh."""
+    """Whether a guess is None, a function of time, or values with their times; arrays fit one mesh only."""
     parts = guess if isinstance(guess, tuple) else (guess,)
     return all(part is None or callable(part) or isinstance(part, tuple) for part in parts)
 
 
 def perturbed(path: ControlTrajectory, by: float) -> ControlTrajectory:
-    """A path moved by a random smooth one of this part of its size, and with free durations longer by this part."""
+    """A path plus a random smooth function of this part of its size; a free duration is longer by the same part."""
     before, problem, ends = path.polynomial, path.problem, path.t[[0, -1]]
     longer = ends + np.array([0.0, 0.0 if problem.duration_bounds is None else by]) * np.ptp(ends)
     mesh, times = (map_times(own, ends, longer) for own in (path.t, np.array(section_times(problem))))
@@ -110,10 +112,10 @@ def perturbed(path: ControlTrajectory, by: float) -> ControlTrajectory:
 
 
 class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
-    """One refinement of a trajectory optimization under way, to a tolerance of all or `of_cost` alone; see `solve`."""
+    """One refinement of a trajectory optimization to a tolerance: of all errors, or `of_cost` alone; see `solve`."""
 
-    roundoff_level = 1e-8  # what the solvers leave
-    persistence = PATIENCE + 5  # problems of the literature were solved after up to 4 such levels
+    roundoff_level = 1e-8  # error that the solvers leave
+    persistence = PATIENCE + 5  # problems of the literature needed up to 4 levels in a row without a smaller error
     iterations = 0  # of the solver in all solves so far
 
     def __init__(
@@ -135,26 +137,26 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         self.method = method
         self.build_seconds = 0.0
         self.known: HigherDegree | None = None
-        self.cost_known = np.inf  # smallest error of the cost of the path under way
-        self.jump: float | None = None  # time near which callables jump by more than is tolerated
+        self.cost_known = np.inf  # smallest error so far of the cost of the path that is being refined
+        self.jump: float | None = None  # time near which the jumps of callables change the cost by more than `tol`
 
     def solved(self, level: ControlTrajectory) -> tuple[PiecewisePolynomial, int, float]:
-        """The path of one level, iterations of the solver on it, and the violation it left."""
+        """The path of one level, the solver's iterations, and the violation that they left."""
         return level.polynomial, level.iterations, level.residual
 
     def path(self, level: ControlTrajectory, error: float) -> ControlTrajectory:
-        """The optimum of a level, which solves its own mesh."""
+        """The optimum on the mesh of a level, with its error."""
         path = with_parted_phases(level, self.stated)
         return replace(path, cost_error=error) if self.of_cost else replace(path, error_estimate=error)
 
     def scaled(self, mesh: np.ndarray, path: ControlTrajectory) -> np.ndarray:
-        """Joints in the times of a path, scaled to the phases of the problem."""
+        """Joints within the phases of a path, mapped to the phases of the problem."""
         return map_times(mesh, section_times(path.problem), section_times(self.problem))
 
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
-        """Solve with one degree on one mesh, in the times of the problem."""
+        """Solve with one method on one mesh within the phases of the problem."""
         transcription = transcribed_control(self.problem, method, None, mesh, one_by_one)
-        switched = self.known is not None and len(self.known.found) > 0
+        switched = self.known is not None and len(self.known.switches) > 0
         warm_solver = self.beside_switches if switched else self.warm_solver
         solver = warm_solver if isinstance(guess, ControlTrajectory) else self.solver
         try:
@@ -169,7 +171,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         return path
 
     def solve_finer(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
-        """The path on a mesh; where there is none, on one twice as fine."""
+        """The path on a mesh or, where none is found, on one twice as fine."""
         try:
             return self.solve(self.method, mesh, guess)
         except ConvergenceError:
@@ -179,7 +181,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         return self.solve(self.method, finer, guess)
 
     def estimate(self, level: ControlTrajectory) -> Estimate[HigherDegree | None]:
-        """The error from the same mesh with a higher degree, where that is solved."""
+        """The error estimated from a path of higher degree on the same mesh, where there is one."""
         method = higher_degree_method(self.method)
         self.check_time()
         try:
@@ -188,25 +190,25 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             self.check_time()
             return Estimate(np.inf, False, f"no answer of degree {method.degree}", None)
         detail = HigherDegree(level, higher)
-        i = int(np.argmax(detail.jumps))
-        self.jump = float(np.mean(level.t[i : i + 2])) if np.sum(detail.jumps) > self.tol else None
+        i = int(np.argmax(detail.jump_effects))
+        self.jump = float(np.mean(level.t[i : i + 2])) if np.sum(detail.jump_effects) > self.tol else None
         cost, path = detail.errors if detail.cost_error <= self.tol else (detail.cost_error, detail.error)
         self.known, self.cost_known = detail, min(self.cost_known, cost)
         return Estimate(cost if self.of_cost else path, True, f"degree {method.degree}", detail)
 
     def check_solver(self, detail: HigherDegree) -> None:
-        """Stop where the solver leaves too much of the cost with both degrees, or of a path that else is accepted."""
+        """Stop where, in both degrees, the solver leaves too large an error of the cost or of an else accepted path."""
         judged = 1 if self.of_cost or detail.error > self.tol else 2
         if max(detail.remaining_error(detail.path)[:judged]) <= self.tol:
             return
-        left, open_by = map(min, detail.remaining_error(detail.path), detail.remaining_error(detail.higher))
-        if left > self.tol:
-            raise self.stopped(f"the solver may have left {left:.0e} of the cost", *self.best, UNITS)
-        if judged == 2 and open_by > self.tol:
-            raise self.stopped(f"the solver leaves the path open by {open_by:.0e} of its size", *self.best)
+        cost, path = map(min, detail.remaining_error(detail.path), detail.remaining_error(detail.higher))
+        if cost > self.tol:
+            raise self.stopped(f"the solver may have left {cost:.0e} of the cost", *self.best, UNITS)
+        if judged == 2 and path > self.tol:
+            raise self.stopped(f"the solver leaves the path open by {path:.0e} of its size", *self.best)
 
     def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:
-        """Solve on the better mesh, from the path of higher degree; without that, on a mesh twice as fine."""
+        """Solve on the better mesh from the path of higher degree or, where there is none, on a mesh twice as fine."""
         detail = estimate.detail
         if detail is not None:
             self.check_solver(detail)
@@ -227,13 +229,13 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             raise self.stopped(str(failure), *self.best) from failure
 
     def path_tol(self, detail: HigherDegree) -> float:
-        """Error of the path to aim at: where the cost alone counts, whose error falls with the square, a larger one."""
+        """Error of the path to aim at: larger where only the cost counts, whose error is of the order of its square."""
         if not self.of_cost:
             return self.tol
         return max(self.tol, detail.change * float(np.sqrt(self.tol / detail.cost_error)))
 
     def stopped(self, reason: str, level: ControlTrajectory, error: float, hint: str = HINT) -> LimitReached:
-        """Say how far it got; where only the path is not known, as along a singular arc, what is."""
+        """Report the error reached; where the cost alone is within `tol`, as with a singular arc, report that."""
         if self.jump is not None:
             hint = f"A callable is not smooth in time near t = {self.jump:.6g}, or changes there too fast for this mesh"
             hint += ": name that time in the breakpoints"
@@ -245,11 +247,11 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         return super().stopped(reason, level, error, hint)
 
     def run(self, mesh: np.ndarray, guess: Guess | None, starts: int) -> ControlTrajectory:
-        """Refine the first path; of several starts those that may be the best, and return the best.
+        """Refine the path of one start or, of several starts, those that may be the best, and return the best.
 
-        An optimum that costs more on the first mesh than the best that is refined, by more than refining has changed
-        others, is left out.  None takes more than half of the time while others wait: the cheapest of a coarse mesh
-        may be none of a finer one.
+        An optimum is left out if it costs more on the first mesh than the best refined one, by more than refinement
+        changed the costs of others.  While others wait, each refinement takes at most half of the time left, because
+        the cheapest path on a coarse mesh may not exist on a finer one.
 
         Raises
         ------
@@ -286,10 +288,10 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         )
 
     def refined(self, level: ControlTrajectory) -> ControlTrajectory:
-        """Refine a path, and say how wrong it is."""
+        """Refine a path and return it with its errors."""
         self.known, self.cost_known, self.jump = None, np.inf, None
         path, _ = self.refine(level)
-        assert self.known is not None, "a path is accepted for what is known of it"
+        assert self.known is not None, "a path is accepted by its error estimate"
         path = with_parted_phases(path, self.stated)
         cost, error = self.known.errors
         return replace(path, error_estimate=error, cost_error=cost)

@@ -1,27 +1,27 @@
 """The discrete Euler-Lagrange equations of one interval, with given position and momentum at its start.
 
-Discrete Hamilton's principle on one interval, S'(δ) = p_1·δ(1) - p_0·δ(0) for every polynomial δ of degree m, is what
-the global equations (euler1), (euler2) of the paper say between one joint and the next.  Unknown are the slopes s_i of
-the path at the m Gauss points, because they are increments: roundoff is then that of x_1 - x_0.  With l_i the
-Lagrange polynomials of these points, ψ_i their integrals from 0, b_i = ψ_i(1), and (f, g)_k the weighted
+Discrete Hamilton's principle on one interval is S'(δ) = p_1·δ(1) - p_0·δ(0) for every polynomial δ of degree m.  The
+global equations (euler1), (euler2) of the paper state the same between one joint and the next.  The unknowns are the
+slopes s_i of the path at the m Gauss points: these are increments, and their roundoff is that of x_1 - x_0.  With l_i
+the Lagrange polynomials of these points, ψ_i their integrals from 0, b_i = ψ_i(1), and (f, g)_k the weighted
 derivatives w_k ∂L̂/∂(x, x') of the pulled-back Lagrangian at the quadrature points q_k,
 
     x̄(q) = x_0 + Σ ψ_i(q) s_i,     x̄'(q) = Σ l_i(q) s_i,     x_1 = x_0 + Σ b_i s_i
     p_1 = p_0 + Σ f_k                                                       δ = 1
     R_j = b_j p_1 - Σ ( ψ_j(q_k) f_k + l_j(q_k) g_k ) = 0                   δ = ψ_j.
 
-The same rounded ψ, l and b stand in the path and in the equations, so an affine symmetry of L conserves its
-momentum map up to the rounding of single operations, which drifts like a random walk.  A force adds its virtual work
-h w_k F_k·δ(q_k) (Lagrange-d'Alembert), that is, h w_k F_k to f_k.  The choice of control points does not enter.
+The path and the equations contain the same rounded ψ, l and b.  So an affine symmetry of L conserves its momentum map
+up to the rounding of single operations, which accumulates like a random walk.  A force adds its virtual work
+h w_k F_k·δ(q_k) (Lagrange-d'Alembert), that is, h w_k F_k to f_k.  The equations do not depend on the control points.
 
-A holonomic constraint g(t, x) = 0 is held at the nodes c_1 ... c_m, by impulses Λ_a at the nodes c_0 ... c_{m-1}.  With
-G = ∂g/∂x, these add Σ G_aᵀΛ_a·δ(c_a) to the work; that of the last node would cancel in R.  Then the momentum is made
-tangent by an impulse μ of the end: with v_1 the velocity there,
+A holonomic constraint g(t, x) = 0 is imposed at the nodes c_1 ... c_m, by impulses Λ_a at the nodes c_0 ... c_{m-1}.
+With G = ∂g/∂x, these add the virtual work Σ G_aᵀΛ_a·δ(c_a); that of an impulse at the last node would cancel in R.  A
+further impulse μ at the end makes the velocity v_1 there tangent to the constraint:
 
     g(c_a) = 0,     p_1 = ∂L/∂v(t_1, x_1, v_1) = p_0 + Σ f_k + Σ G_aᵀΛ_a + G_mᵀμ,     G_m v_1 + ∂g/∂t = 0.
 
-Where the duration is free, all steps are stretched, h = λ h̄.  The stretch λ is then one more component, constant along
-the path, and its momentum gathers ∂S/∂λ from interval to interval: p_λ,1 = p_λ,0 + ∂S/∂λ.
+Where the duration is free, all steps are stretched, h = λ h̄.  The stretch λ is then one more component of x, constant
+along the path, and its momentum accumulates ∂S/∂λ from interval to interval: p_λ,1 = p_λ,0 + ∂S/∂λ.
 """
 
 from __future__ import annotations
@@ -38,13 +38,14 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF, solve_scaled
 
-DOUBLINGS = 4  # of Newton's iterations, to at most 16; 1 to 8 were measured, the most at the largest steps
-# a relative Newton step that is not worth taking; the estimate of the next one was measured up to 60 times too small
+DOUBLINGS = 4  # doublings of the number of Newton iterations, to at most 16; 1 to 8 were needed, most for large steps
+# estimated relative Newton step that is no longer taken; the estimate was measured up to 60 times too small
 SMALLEST_STEP = 0.01 * EPS
-# of the largest component: a largest last step, whose rounding QR spreads to the components that rest
-RESTING = SMALLEST_STEP ** (1 / 3)
-NEARLY_CONVERGED = 1e-8  # relative Newton step below which only rounding keeps the next one from being far smaller
-TAYLOR = 2  # terms of the velocity carried on as prediction; with 3 and more, large steps reached other solutions
+# The last step that Newton's method takes is at most this part of the largest component.  The rounding of this step, EPS
+# times its size, is spread by QR to all components, also to those at rest.
+LARGEST_LAST_STEP = SMALLEST_STEP ** (1 / 3)
+NEARLY_CONVERGED = 1e-8  # relative Newton step after which only rounding can keep the next one from being far smaller
+TAYLOR = 2  # Taylor terms of the velocity that predict the next interval; with more, large steps found other solutions
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class SlopeBasis:
         return np.asarray(c[:, None] * np.einsum("l,cli->ci", self.weights, scaled))
 
     def taylor(self, terms: int) -> np.ndarray:
-        """Taylor coefficients at c = 1, as many as given but no more than m; (terms, m)."""
+        """Taylor coefficients of the l_i at c = 1; at most m of them; (terms, m)."""
         row, rows = self.slopes(np.ones(1)), []
         for k in range(min(terms, len(self.points))):
             rows.append(row)
@@ -86,9 +87,10 @@ def slope_basis(degree: int) -> SlopeBasis:
 
 
 def _points(lagrangian: ca.Function, force: ca.Function | None) -> ca.Function:
-    """(t, h, x, x', sizes) -> L̂, its derivatives with h F added (2d,), their Jacobian, and the sizes that round them.
+    """(t, h, x, x', terms) -> L̂, its derivatives with h F added (2d,), their Jacobian, and sizes of their terms (2d,).
 
-    `sizes` (2d,) are those of the terms that were summed to (x, x'), which may cancel.
+    `terms` (2d,) are the sizes of the terms that were summed to (x, x'), which may cancel.  EPS times the sizes returned
+    is the roundoff of the derivatives.
     """
     d = lagrangian.size1_in(1)
     t, h, x, slope = ca.SX.sym("t"), ca.SX.sym("h"), ca.SX.sym("x", d), ca.SX.sym("slope", d)
@@ -104,21 +106,21 @@ def _points(lagrangian: ca.Function, force: ca.Function | None) -> ca.Function:
 class Interval:
     """The equations of one interval: Functions of (s, x, p, t, h).
 
-    s (d, m) are the slopes; with k constraints s (d + k, m + 1) holds the impulses Λ in its last rows, and (h v_1, μ)
-    in its last column.
+    s (d, m) are the slopes.  With k constraints s is (d + k, m + 1): the last k rows hold the impulses Λ, and the last
+    column holds (h v_1, μ).
 
     Attributes
     ----------
     system : -> R, ∂R/∂s
-    check : -> |R| over its roundoff floor, action of the interval, sizes of the terms that p_1 sums (d,)
+    check : -> |R| over its roundoff floor, action of the interval, sizes of the terms of p_1 (d,)
     end : -> x_1, p_1, Taylor coefficients of the velocity at the end (d, terms)
-    settled : -> s, with zeros for slopes that are only rounding of what a constraint holds
+    denoised : -> s, with zeros in place of slopes that are roundoff only; without constraints s itself
     """
 
     system: ca.Function
     check: ca.Function
     end: ca.Function
-    settled: ca.Function
+    denoised: ca.Function
 
     def jacobian(self) -> ca.Function:
         """∂(x_1, p_1)/∂(x_0, p_0) of the step, (2d, 2d), by the implicit function theorem on R = 0."""
@@ -139,7 +141,7 @@ class Interval:
         return ca.Function("step_jacobian", at, [direct + along(ca.vec(at[0]), *at[1:], response)])
 
     def stretched(self) -> Interval:
-        """The same with the stretch λ as last component of x (see the module); its slopes are zero."""
+        """The same equations with the stretch λ as last component of x (see the module); its slopes are zero."""
         (rows, columns), d = self.system.size_in(0), self.system.size1_in(1)
         s, x, p = ca.SX.sym("s", rows + 1, columns), ca.SX.sym("x", d + 1), ca.SX.sym("p", d + 1)
         t, h, stretch = ca.SX.sym("t"), ca.SX.sym("h"), x[d]
@@ -149,9 +151,9 @@ class Interval:
         (path, by_path), (ratio, action, summed), (end, momentum, velocity) = (
             part(*inputs) for part in (self.system, self.check, self.end)
         )
-        settled = ca.SX(s)
-        settled[others] = ca.vec(self.settled(*inputs))
-        residual, by_s = ca.vec(s), ca.SX.eye(s.numel())  # whose rows are in the order of the columns, for QR
+        denoised = ca.SX(s)
+        denoised[others] = ca.vec(self.denoised(*inputs))
+        residual, by_s = ca.vec(s), ca.SX.eye(s.numel())  # rows in the order of the columns, for QR
         residual[others], by_s[others, others] = path, by_path
         gained = ca.gradient(action, stretch)
         momentum, summed = ca.vertcat(momentum, p[d] + gained), ca.vertcat(summed, ca.fabs(p[d]) + ca.fabs(gained))
@@ -165,14 +167,14 @@ class Interval:
             function("system", residual, by_s),
             function("check", ratio, action, summed),
             function("end", ca.vertcat(end, stretch), momentum, velocity),
-            function("settled", settled),
+            function("denoised", denoised),
         )
 
 
 def interval(
     lagrangian: ca.Function, force: ca.Function | None, constraint: ca.Function | None, method: Galerkin
 ) -> Interval:
-    """Write the equations of one interval (see the module) as SX Functions."""
+    """Build the equations of one interval (see the module) as SX Functions."""
     d, m, element, basis = lagrangian.size1_in(1), method.degree, method.element, slope_basis(method.degree)
     q, w, b = element.points, element.weights[:, None], basis.weights
     values, slopes = basis.values(q), basis.slopes(q)
@@ -193,16 +195,16 @@ def interval(
     terms = end_terms @ ca.DM(b).T + f_size @ ca.DM(abs(values)) + g_size @ ca.DM(abs(slopes))
     taylor = basis.taylor(TAYLOR)
     velocity = (s @ ca.DM(taylor).T) / ca.repmat(h ** ca.DM(range(1, len(taylor) + 1)).T, d, 1)
-    terms, settled = ca.vec(terms), unknowns
+    terms, denoised = ca.vec(terms), unknowns
     if constraint is not None:
-        held = _held(lagrangian, constraint, method, unknowns, x, end, t, h)
-        own = ca.jacobian(ca.vec(s), ca.vec(unknowns))
-        residual = own.T @ residual + held.equations
-        by_s = own.T @ by_s @ own + ca.jacobian(held.equations, ca.vec(unknowns))
+        added = _constrained_equations(lagrangian, constraint, method, unknowns, x, end, t, h)
+        selection = ca.jacobian(ca.vec(s), ca.vec(unknowns))
+        residual = selection.T @ residual + added.equations
+        by_s = selection.T @ by_s @ selection + ca.jacobian(added.equations, ca.vec(unknowns))
         largest = ca.mmax(ca.fabs(ca.horzcat(x, unknowns[:d, :])))
-        noise = RESTING * largest * ca.sum2(ca.fabs(by_s)[:, _moving(unknowns.shape, d)])
-        terms, end, end_terms = own.T @ terms + held.terms + noise, held.momentum, held.momentum_terms
-        settled = held.settled
+        noise = LARGEST_LAST_STEP * largest * ca.sum2(ca.fabs(by_s)[:, _path_unknowns(unknowns.shape, d)])
+        terms, end, end_terms = selection.T @ terms + added.terms + noise, added.momentum, added.momentum_terms
+        denoised = added.denoised
 
     def function(name: str, *outputs: ca.SX) -> ca.Function:
         return ca.Function(name, [unknowns, x, p, t, h], [ca.densify(output) for output in outputs])
@@ -211,44 +213,45 @@ def interval(
         function("system", residual, by_s),
         function("check", ca.fabs(residual) / (EPS * terms + TINY), action @ ca.DM(w), end_terms),
         function("end", x + s @ ca.DM(b), end, velocity),
-        function("settled", settled),
+        function("denoised", denoised),
     )
 
 
 @dataclass(frozen=True)
-class _Held:
-    """What a constraint adds to the equations of one interval.
+class _ConstrainedEquations:
+    """The terms and equations that a constraint adds to those of one interval.
 
-    The equations have the shape of s: R_j and the constraint at a node in one column, and the momentum and the tangent
-    velocity of the end in the last.  So QR mixes no components that do not depend on each other, and a component that
-    rests among moving ones stays exactly at rest.
+    The equations have the shape of s.  Each column but the last holds R_j and the constraint at a node, and the last one
+    holds the equations of p_1 and of the tangent velocity at the end.  In this order QR mixes no components that do not
+    depend on each other.
 
     Attributes
     ----------
-    equations : ((d + k) (m + 1),), column by column
-    terms : sizes of what these sum
-    momentum, momentum_terms : (d,), p_1 and the sizes of what it sums
-    settled : the unknowns, with zeros for slopes whose part of every momentum is lost in the rounding of its terms
+    equations : ((d + k) (m + 1),), column by column: the work of the impulses, to be added to R, and the new equations
+    terms : sizes of the terms of these
+    momentum, momentum_terms : (d,), p_1 and the sizes of its terms
+    denoised : the unknowns, with zeros in place of slopes that are roundoff only: those whose contributions to all
+        momenta are below EPS times `LARGEST_LAST_STEP` of the terms there.  So a component at rest stays at rest
     """
 
     equations: ca.SX
     terms: ca.SX
     momentum: ca.SX
     momentum_terms: ca.SX
-    settled: ca.SX
+    denoised: ca.SX
 
 
-def _held(
+def _constrained_equations(
     lagrangian: ca.Function,
     constraint: ca.Function,
     method: Galerkin,
     unknowns: ca.SX,
     x: ca.SX,
-    unheld: ca.SX,
+    free_momentum: ca.SX,
     t: ca.SX,
     h: ca.SX,
-) -> _Held:
-    """Hold a constraint at the nodes; `unheld` is the momentum at the end without it."""
+) -> _ConstrainedEquations:
+    """Impose a constraint at the nodes; `free_momentum` is p_1 without the impulses of the constraint."""
     d, m, nodes = x.numel(), method.degree, method.element.nodes
     basis = slope_basis(m)
     values, b = basis.values(nodes), basis.weights
@@ -257,29 +260,30 @@ def _held(
     g = constraint(when, where)
     at = ca.Function("g", [when, where], [g, ca.densify(ca.jacobian(g, where)), ca.densify(ca.jacobian(g, when))])
     x_at = ca.repmat(x, 1, m + 1) + s @ ca.DM(values).T
-    held = [at(t + h * c, x_at[:, a]) for a, c in enumerate(nodes)]
-    slopes = [slope for _, slope, _ in held]
+    evaluated = [at(t + h * c, x_at[:, a]) for a, c in enumerate(nodes)]
+    slopes = [slope for _, slope, _ in evaluated]
     pushes = ca.horzcat(*(slopes[a].T @ impulses[:, a] for a in range(m)))
     pushed = ca.horzcat(*(ca.fabs(slopes[a]).T @ ca.fabs(impulses[:, a]) for a in range(m)))
-    by_node = ca.repmat(ca.DM(b).T, m, 1) - ca.DM(values[:m])  # of δ = ψ_j: at the end less at the node
-    before = unheld + ca.sum2(pushes)
+    by_node = ca.repmat(ca.DM(b).T, m, 1) - ca.DM(values[:m])  # ψ_j at the end minus ψ_j at the node
+    before = free_momentum + ca.sum2(pushes)
     rate = ca.SX.sym("v", d)
     momentum = ca.substitute(ca.gradient(lagrangian(t + h, x_at[:, m], rate), rate), rate, v)
-    fastest = ca.vertcat(*(ca.mmax(ca.fabs(unknowns[i, :])) for i in range(d)))  # h v may pass through zero
+    fastest = ca.vertcat(*(ca.mmax(ca.fabs(unknowns[i, :])) for i in range(d)))  # largest slopes; h v_1 alone may be zero
     masses = ca.fabs(ca.jacobian(momentum, last))
-    mass = masses @ fastest
+    largest_momenta = masses @ fastest
     normal = slopes[m].T @ mu
-    sizes = ca.repmat(ca.fabs(x), 1, m + 1) + ca.fabs(s) @ ca.DM(abs(values)).T  # x may pass through zero, too
-    at_nodes = ca.horzcat(*(value for value, _, _ in held[1:]))
-    at_end = ca.vertcat(momentum - before - normal, slopes[m] @ v + held[m][2])
+    sizes = ca.repmat(ca.fabs(x), 1, m + 1) + ca.fabs(s) @ ca.DM(abs(values)).T  # terms of x, which may cancel
+    at_nodes = ca.horzcat(*(value for value, _, _ in evaluated[1:]))
+    at_end = ca.vertcat(momentum - before - normal, slopes[m] @ v + evaluated[m][2])
     work_terms = pushed @ ca.fabs(by_node)
     node_terms = ca.horzcat(*(ca.fabs(slope) @ sizes[:, a] for a, slope in enumerate(slopes) if a))
-    momentum_terms = mass + ca.fabs(momentum) + ca.fabs(unheld) + ca.sum2(pushed) + ca.fabs(slopes[m]).T @ ca.fabs(mu)
-    parts = masses / ca.repmat(EPS * RESTING * momentum_terms + TINY, 1, d)
+    momentum_terms = largest_momenta + ca.fabs(momentum) + ca.fabs(free_momentum)
+    momentum_terms += ca.sum2(pushed) + ca.fabs(slopes[m]).T @ ca.fabs(mu)
+    parts = masses / ca.repmat(EPS * LARGEST_LAST_STEP * momentum_terms + TINY, 1, d)
     largest = ca.vertcat(*(ca.mmax(parts_of_one) for parts_of_one in ca.horzsplit(parts)))
     moving = ca.fabs(unknowns[:d, :]) * ca.repmat(largest, 1, m + 1) > 1
-    end_terms = ca.vertcat(momentum_terms, ca.fabs(slopes[m]) @ fastest / h + ca.fabs(held[m][2]))
-    return _Held(
+    end_terms = ca.vertcat(momentum_terms, ca.fabs(slopes[m]) @ fastest / h + ca.fabs(evaluated[m][2]))
+    return _ConstrainedEquations(
         ca.vec(ca.horzcat(ca.vertcat(pushes @ by_node, at_nodes), at_end)),
         ca.vec(ca.horzcat(ca.vertcat(work_terms, node_terms), end_terms)),
         momentum,
@@ -289,41 +293,42 @@ def _held(
 
 
 def _spread(by_x: np.ndarray, by_slope: np.ndarray, d: int) -> ca.DM:
-    """Coefficients of (x, x') at the quadrature points, alike for all components: (2 d r, d columns), sparse."""
+    """Coefficients of (x, x') at the quadrature points, the same for all components; (2 d r, d columns), sparse."""
     pairs = np.stack((by_x, by_slope), axis=1).reshape(2 * len(by_x), -1)
     return ca.sparsify(ca.DM(np.kron(pairs, np.eye(d))))
 
 
 def _solved(matrix: ca.MX, rhs: ca.MX, shape: tuple[int, int], dimension: int) -> ca.MX:
-    """Solution of the linear equations of an interval; those of one component alone are alike."""
+    """Solution of the linear equations of an interval; those of a single component need no scaling."""
     if shape[0] == 1:
         return ca.solve(matrix, rhs, "qr", NO_CUTOFF)
-    return solve_scaled(matrix, rhs, _moving(shape, dimension))
+    return solve_scaled(matrix, rhs, _path_unknowns(shape, dimension))
 
 
-def _moving(shape: tuple[int, int], dimension: int) -> list[int]:
-    """Which of the unknowns, counted column by column, move the path: all but the impulses."""
+def _path_unknowns(shape: tuple[int, int], dimension: int) -> list[int]:
+    """Numbers of the unknowns that are slopes or velocities, not impulses, counted column by column."""
     rows, columns = shape
     return [rows * j + i for j in range(columns) for i in range(dimension)]
 
 
 def newton_iteration(system: ca.Function, positions: int) -> ca.Function:
-    """(s, x, p, t, h) -> s where R = 0, number of iterations: Newton's method, at most 2^`DOUBLINGS` iterations.
+    """Newton's method for R = 0, at most 2^`DOUBLINGS` iterations: (s, x, p, t, h) -> s, number of iterations.
 
-    Steps that converge quadratically, |ds| = c |ds_before|², end when the next, |ds| (|ds| / |ds_before|)², would be
-    below roundoff, or when near it they no longer shrink; all relative to the size of the component.  Under a
-    constraint that is the size of its slopes, which the tangent velocity has to fit.  So many of x are `positions`,
-    but no stretch.  Each doubling does the iterations of the one before, and does them again if they did not end: of
-    all conditionals only a few are evaluated.
+    Steps are measured relative to the sizes of the components; under a constraint, to the sizes of their slopes, to
+    which the tangent velocity has to be accurate.  Where steps converge quadratically, |ds| = c |ds_before|², the next
+    one will be |ds| (|ds| / |ds_before|)².  The iteration ends when this estimate is below `SMALLEST_STEP`, or when
+    steps below `NEARLY_CONVERGED` no longer shrink.  The first so many components of x are `positions`; a stretch is
+    none.  Each doubling runs the iterations of the one before, and runs them again if they did not end, so that only
+    few conditionals are evaluated.
     """
     names = system.name_in()[:5]
     inputs = [ca.MX.sym(name, *system.size_in(i)) for i, name in enumerate(names)]
     (rows, m), d = inputs[0].shape, inputs[1].numel()
     s, ds, x, before = ca.SX.sym("s", rows, m), ca.SX.sym("ds", rows, m), ca.SX.sym("x", d), ca.SX.sym("before")
     largest = ca.mmax(ca.fabs(ca.horzcat(x, s[:d, :])[:positions, :]))
-    least = ca.fabs(x) if rows == d else ca.repmat(RESTING * largest, d, 1)
+    least = ca.fabs(x) if rows == d else ca.repmat(LARGEST_LAST_STEP * largest, d, 1)
     size = [least[i] + ca.mmax(ca.fabs(s[i, :])) + ca.mmax(ca.fabs(ds[i, :])) + TINY for i in range(d)]
-    relative = ca.mmax(ca.fabs(ds[:d, :]) / ca.repmat(ca.vertcat(*size), 1, m))  # not of impulses, which follow
+    relative = ca.mmax(ca.fabs(ds[:d, :]) / ca.repmat(ca.vertcat(*size), 1, m))  # impulses, which follow from the path, are left out
     large = relative * ca.fmin(1, relative / before) ** 2 > SMALLEST_STEP  # false if it is not a number
     stalled = ca.logic_and(ca.logic_and(before > 0, before <= NEARLY_CONVERGED), relative > before / 2)
     unfinished = ca.logic_and(large, ca.logic_not(stalled))

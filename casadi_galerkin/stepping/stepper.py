@@ -96,7 +96,7 @@ class Stepper:
         guess = (velocity * ca.repmat(h ** (powers + 1), d, 1)) @ basis.T
         impulses = ca.MX(self._shape[0] - d, self._shape[1])
         s, iterations = newton(ca.densify(ca.vertcat(guess, impulses)), x, p, t, h)
-        s = self.interval.settled(s, x, p, t, h)
+        s = self.interval.denoised(s, x, p, t, h)
         ends = self.interval.end(s, x, p, t, h)
         return ca.Function("step", [x, p, velocity, t, h], [*ends, s, iterations])
 
