@@ -16,13 +16,13 @@ Lent = TypeVar("Lent")
 
 
 class ObjectPool(Generic[Lent]):
-    """A pool of objects that calls write to: each call gets an idle one, or a new one.
+    """A pool of objects that calls write to: each call borrows an idle one, or a new one.
 
-    It goes back after the call, but not after an interrupt, which may have left it half written.
+    It is returned after the call, except after an interrupt, which may have left it in an inconsistent state.
 
     Parameters
     ----------
-    make : makes a new one
+    make : makes a new object
     """
 
     def __init__(self, make: Callable[[], Lent]) -> None:
@@ -30,16 +30,16 @@ class ObjectPool(Generic[Lent]):
 
     @contextmanager
     def lend(self) -> Iterator[Lent]:
-        """Lend one to a block."""
+        """Lend an object to a block."""
         try:
             lent = self._idle.pop()
-        except IndexError:  # none yet, or all lent to other threads
+        except IndexError:  # none was made yet, or all are lent to other threads
             lent = self._make()
         try:
             yield lent
-        except SystemError:  # what an interrupt becomes that meets CasADi's own code
+        except SystemError:  # an interrupt within CasADi's own code
             raise
-        except Exception:  # a failed solve; an interrupt is none
+        except Exception:  # a failed solve; KeyboardInterrupt is not an Exception
             self._idle.append(lent)
             raise
         self._idle.append(lent)
@@ -51,29 +51,29 @@ class Evaluator:
     Parameters
     ----------
     function : Function
-    bound : arrays for inputs and outputs by name; what is bound is neither passed nor returned
+    bound : arrays by name that inputs and outputs are read from and written to; these are neither passed nor returned
 
     Attributes
     ----------
-    inputs, outputs : arrays of what is not bound, by name
+    inputs, outputs : arrays of the other inputs and outputs, by name
     """
 
     def __init__(self, function: ca.Function, bound: Mapping[str, np.ndarray] | None = None) -> None:
-        self._function = function  # the buffer does not keep it alive
+        self._function = function  # the buffer does not hold a reference to it
         self._buffer, self._run = function.buffer()
         self.inputs, self.outputs = dict[str, np.ndarray](), dict[str, np.ndarray]()
-        for names, own, size, bind in (
+        for names, unbound, size, bind in (
             (function.name_in(), self.inputs, function.nnz_in, self._buffer.set_arg),
             (function.name_out(), self.outputs, function.nnz_out, self._buffer.set_res),
         ):
             for i, name in enumerate(names):
                 array: Any = bound.get(name) if bound else None
                 if array is None:
-                    array = own[name] = np.zeros(size(i))
+                    array = unbound[name] = np.zeros(size(i))
                 bind(i, memoryview(array))
 
     def run(self) -> None:
-        """Evaluate from and to all arrays, without a look at whether it was aborted."""
+        """Evaluate on all arrays, without a check whether the evaluation was aborted."""
         with fork_waits:
             self._run()
 
@@ -84,16 +84,16 @@ class Evaluator:
         with one_thread():
             try:
                 self.run()
-            except SystemError as error:  # an interrupt that IPOPT was stopped by
+            except SystemError as error:  # an interrupt that stopped IPOPT
                 raise error.__cause__ or error from None
-            except RuntimeError as error:  # and fatrop
+            except RuntimeError as error:  # an interrupt that stopped fatrop
                 raise KeyboardInterrupt if str(error) == "KeyboardInterrupt" else error from None
-        if self._buffer.ret():  # aborted, as CasADi's QR does on a small pivot: the arrays hold an earlier answer
+        if self._buffer.ret():  # aborted, as by CasADi's QR at a small pivot: the outputs are those of an earlier call
             for array in self.outputs.values():
                 array[:] = np.nan
         return [array.copy() for array in self.outputs.values()]
 
     @property
     def stats(self) -> dict[str, Any]:
-        """What CasADi tells of the last call."""
+        """CasADi's statistics of the last call."""
         return dict(self._buffer.stats())

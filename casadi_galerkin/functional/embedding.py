@@ -1,11 +1,12 @@
 """E, Eᵀ and Eᵀ blockdiag(·) E as CasADi Functions of the `Numbering` alone: embed, integrate, assemble.
 
-They use E as its two factors, a selection of each interval's node values and the dense matrices of the reference
-`Element`.  Because the step is an input of the pulled-back Lagrangian, nothing in them depends on the mesh, and they
-are kept for the next Lagrangian.
+They use E as the product of two factors: the selection of each interval's node values, and the dense matrices of the
+reference `Element`.  Because the step is an input of the pulled-back Lagrangian, they do not depend on the mesh, and
+they are cached for other Lagrangians.
 
-Velocities are taken from differences to the interval's first value, and its gradient from the sum of the others
-(the columns of l_j' sum to zero): roundoff then stays near 1e-14 at 1e5 intervals instead of growing with 1/h.
+Slopes are computed from differences to the first value of the interval, and the gradient by that value from the sum of
+the others (the columns of l_j' sum to zero).  Roundoff then stays near 1e-14 at 1e5 intervals instead of growing with
+1/h.
 
 Local node values are arranged as a matrix of shape (d N, m + 1): column a is node a of all intervals, component
 fastest.  Points are numbered the same way: quadrature point slowest, then interval, then component.
@@ -31,7 +32,7 @@ def _times(left: ca.MX, right: np.ndarray | ca.DM) -> ca.MX:
 
 
 def _contributions(target: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Split a sum by target into rounds of distinct targets: (positions, sorted targets) of each round."""
+    """Split a sum into rounds in which no target occurs twice: (positions, sorted targets) of each round."""
     order = np.argsort(target, kind="stable")
     ordered = target[order]
     group = np.flatnonzero(np.append(True, ordered[1:] != ordered[:-1]))
@@ -56,13 +57,13 @@ def embedding(numbering: Numbering) -> ca.Function:
 
 @dataclass(frozen=True)
 class Embedded:
-    """A path in symbols, and what E makes of it; the same for all Lagrangians.
+    """Symbols of a path, and its values and slopes at the quadrature points; the same for all Lagrangians.
 
     Attributes
     ----------
     symbols : unknowns, start, end and mesh by name
-    u : the numbering's vector, of the first three
-    joints : (N + 1,), those of the mesh, stretched where the duration is free
+    u : the vector u of the numbering, made of unknowns, start and end
+    joints : (N + 1,), the mesh, stretched where the duration is free
     duration : scalar, from the first joint to the last
     points : t (1, N r), h (1, N r), x (d, N r), x' (d, N r)
     """
@@ -85,7 +86,7 @@ def embedded(numbering: Numbering) -> Embedded:
     *values, mesh = symbols.values()
     u = ca.vertcat(*values)
     joints, steps, duration = mesh, mesh[1:] - mesh[:-1], mesh[-1] - mesh[0]
-    if numbering.stretched:  # what the steps are does not depend on when they are
+    if numbering.stretched:  # the steps do not depend on the time of the start
         stretch = ca.exp(symbols["unknowns"][-1])
         joints, steps, duration = mesh[0] + stretch * (mesh - mesh[0]), stretch * steps, stretch * duration
     t = ca.repmat(joints[:-1], 1, len(points)) + _times(steps, points[None, :])
@@ -94,25 +95,25 @@ def embedded(numbering: Numbering) -> Embedded:
 
 
 def _side_by_side(numbering: Numbering, *values: ca.MX) -> ca.MX:
-    """Values (rows, N r) each -> (rows N, r), one beside the other."""
+    """Values (rows, N r) each -> (rows N, r) each, concatenated horizontally."""
     return ca.horzcat(*(ca.reshape(a, a.shape[0] * numbering.intervals, -1) for a in values))
 
 
 def gathered(numbering: Numbering, entries: np.ndarray, values: ca.MX) -> ca.MX:
-    """Sums by unknown of values that stand, column by column, for these entries of u."""
+    """Values that belong, column by column, to these entries of u, summed for every unknown."""
     unknown = np.flatnonzero(entries < numbering.free)
     rows, columns = entries[unknown].tolist(), unknown.tolist()
     selection = ca.DM(ca.Sparsity.triplet(numbering.free, len(entries), rows, columns), 1.0)
-    return ca.densify(ca.mtimes(ca.MX(selection), ca.vec(values)))  # an unknown that has none has a zero
+    return ca.densify(ca.mtimes(ca.MX(selection), ca.vec(values)))  # zero for an unknown without values
 
 
 def _slopes(numbering: Numbering) -> list[ca.MX]:
-    """Symbols for values that multiply x and x', (d, N r)."""
+    """Symbols of the coefficients of δx and δx', (d, N r) each."""
     return [ca.MX.sym(name, numbering.dimension, numbering.points) for name in ("fx", "fv")]
 
 
 def _integrated(numbering: Numbering, fx: ca.MX, fv: ca.MX) -> ca.MX:
-    """Eᵀ of values (d, N r) that multiply x and x', summed by unknown."""
+    """Eᵀ times the coefficients (d, N r) of δx and δx', summed for every unknown."""
     element = numbering.method.element
     w, r = element.weights[:, None], len(element.points)
     both = _side_by_side(numbering, fx, fv)
@@ -123,7 +124,7 @@ def _integrated(numbering: Numbering, fx: ca.MX, fv: ca.MX) -> ca.MX:
 
 @lru_cache(CACHE_SIZE)
 def integration(numbering: Numbering) -> ca.Function:
-    """Eᵀ: values fx, fv (d, N r) that multiply x and x' -> their sum by unknown."""
+    """Eᵀ: coefficients fx, fv (d, N r) of δx and δx' -> their sums for every unknown."""
     slopes = _slopes(numbering)
     return ca.Function("integration", slopes, [_integrated(numbering, *slopes)], ["fx", "fv"], ["gradient"])
 
@@ -138,10 +139,10 @@ def summation(numbering: Numbering) -> ca.Function:
 
 @lru_cache(CACHE_SIZE)
 def variation(numbering: Numbering) -> ca.Function:
-    """From an integrand f and its gradient fx, fv: its sum, momenta, the gradient, and sizes of the terms that it sums.
+    """From an integrand f and its gradient fx, fv: the action, momenta, gradient, and sums of the sizes of its terms.
 
     Momenta (d, N + 1) are -∂S/∂x_0 at the first joint and ∂S_k/∂x_{k+1}, of interval k, at the others.  The
-    roundoff of a sum is a few eps of the sum of the sizes of its terms.
+    roundoff of a sum is a few eps times the sum of the sizes of its terms.
     """
     element, d, (fx, fv) = numbering.method.element, numbering.dimension, _slopes(numbering)
     w, f = element.weights[:, None], ca.MX.sym("f", 1, numbering.points)
@@ -158,8 +159,8 @@ def variation(numbering: Numbering) -> ca.Function:
 def joint_time_derivatives(numbering: Numbering, *derivatives: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
     """∂S/∂t_i, ∂²S/∂t_i² and ∂²S/∂t_i∂t_{i+1} by the joints, at fixed node values.
 
-    From derivatives (1, N r) of an integrand by t, h, tt, th and hh.  With the parts s of an interval from a to b,
-    t = (1 - s) a + s b and h = b - a.
+    `derivatives` (1, N r) are those of the integrand by t, h, tt, th and hh.  On an interval from a to b,
+    t = (1 - s) a + s b and h = b - a, with the fraction s.
     """
     w, s = numbering.method.element.weights, numbering.method.element.points
     zero, late, early = 0 * w, w * s, w * (1 - s)
@@ -180,7 +181,7 @@ def assembly(
     symmetric: bool,
     blocks: tuple[tuple[int, int], ...],
 ) -> ca.Function:
-    """Eᵀ blockdiag(·) E and Eᵀ: gradient fx, fv and Jacobian at the points -> sparse matrix and sum by unknown.
+    """Eᵀ blockdiag(·) E and Eᵀ: gradient fx, fv and Jacobian at the points -> sparse matrix and gradient.
 
     The Jacobian is one matrix per block, (entries of the (d, d) pattern, N r).  Each interval contributes a dense
     (m + 1) by (m + 1) grid of cells with that pattern, and neighbors overlap in the joint:
@@ -202,7 +203,7 @@ def assembly(
     )  # node pair slowest, then interval, then entry of the pattern
     pattern = hessian_pattern(numbering, colind, row, symmetric)
     values = entries.get_nz(False, pattern.first.tolist())
-    for positions, places in pattern.others:  # in the joints; in place, where sums of matrices would copy all of them
+    for positions, places in pattern.others:  # overlaps at joints; added in place, as a sum of matrices would copy all
         where = places.tolist()
         values.nz[where] = values.nz[where] + entries.nz[positions.tolist()]
     matrix, slopes = ca.MX(pattern.sparsity, values), _slopes(numbering)
@@ -213,13 +214,13 @@ def assembly(
 
 @dataclass(frozen=True)
 class Pattern:
-    """Where the entries of ∇²S come from.
+    """The sparsity of ∇²S, and the entries of all intervals that are summed to each of its nonzeros.
 
     Attributes
     ----------
     sparsity : Sparsity, square and symmetric
-    first : position among the entries of all intervals of the one that starts each sum
-    others : (positions, places) of those that are added to it, in rounds
+    first : for each nonzero, the position of its first summand among the entries of all intervals
+    others : rounds of further summands: (their positions, the nonzeros that they are added to)
     """
 
     sparsity: ca.Sparsity
@@ -250,12 +251,12 @@ def _node_pairs(nodes: int, symmetric: bool) -> tuple[np.ndarray, np.ndarray]:
 def _hessian_entries(
     numbering: Numbering, colind: tuple[int, ...], row: tuple[int, ...], symmetric: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """For every entry of every local Hessian: its position among the computed ones, its place column-major."""
+    """For every entry of every local Hessian, its position among the computed ones and column-major index in ∇²S."""
     nodes, count = numbering.method.degree + 1, len(row)
     row_in, column_in = np.array(row), np.repeat(np.arange(len(colind) - 1), np.diff(colind))
-    transposed = np.lexsort((column_in, row_in))  # where an entry's mirror image stands
+    transposed = np.lexsort((column_in, row_in))  # position of the transposed entry
     b, a, entry = (index.ravel() for index in np.indices((nodes, nodes, len(row_in))))
-    order = np.lexsort((row_in[entry], a, column_in[entry], b))  # column-major, so that the final sort has little to do
+    order = np.lexsort((row_in[entry], a, column_in[entry], b))  # column-major, so that the final sort is fast
     a, b, entry = a[order], b[order], entry[order]
     low, high = np.minimum(a, b), np.maximum(a, b)
     pair = high * (high + 1) // 2 + low if symmetric else nodes * a + b

@@ -1,8 +1,8 @@
-"""Velocities at an end that are unknowns: those that belong to the momentum of the path there.
+"""Unknown velocities at an end, from the momentum of the path there.
 
-Where a velocity is given and its momentum depends on another one, that is an unknown beside the path
-(`functional.statement`).  Unlike a multiplier it need not enter linearly, nor L be defined where it is zero.  But its
-momentum is that of the path, -∂S/∂x_0 or ∂S/∂x_N, so that it follows from the path by the Legendre transform.
+Where the momentum of a given velocity depends on another velocity that is not given, the latter is an unknown beside
+the path (`functional.statement`).  Unlike a multiplier it need not enter linearly, and L may not be defined where it is
+zero.  But its momentum is that of the path, -∂S/∂x_0 or ∂S/∂x_N, so that the Legendre transform gives a first guess.
 """
 
 from __future__ import annotations
@@ -24,39 +24,39 @@ class EndVelocities:
     Parameters
     ----------
     lagrangian : Function (t, x, v[, p]) -> scalar
-    given : (d,), whose velocities are given
-    joint : number of the joint there, 0 or -1
+    given : (d,), whether the velocity of each component is given
+    joint : number of the joint at the end, 0 or -1
 
     Attributes
     ----------
     given : components whose velocity is given
-    unknown : components whose velocity is not given, but occurs in a momentum that follows from given velocities
+    unknown : components whose velocity is not given, but on which the momentum of a given or unknown one depends
     """
 
     def __init__(self, lagrangian: ca.Function, given: tuple[bool, ...], joint: int) -> None:
         self._lagrangian, self.joint = lagrangian, joint
-        chosen = found = np.array(given)
+        is_given = reached = np.array(given)
         if any(given):
             symbols = lagrangian.sx_in()
             mass = ca.hessian(lagrangian(*symbols), symbols[2])[0]
             coupled = np.array(ca.DM(mass.sparsity(), 1.0).full(), dtype=bool)
             for _ in given:
-                found = found | coupled[found].any(axis=0)
-        self.given, self.unknown = (np.flatnonzero(which).tolist() for which in (chosen, found & ~chosen))
+                reached = reached | coupled[reached].any(axis=0)
+        self.given, self.unknown = (np.flatnonzero(which).tolist() for which in (is_given, reached & ~is_given))
 
     @cached_property
     def _transform(self) -> ca.Function:
-        """(t, (x, v, p), unknown velocities) -> their momenta, mass matrix; v has the others."""
+        """(t, (x, v, p), unknown velocities) -> their momenta, mass matrix; v holds the other velocities."""
         t, x, v, *p = self._lagrangian.sx_in()
-        own, mixed = ca.SX.sym("own", len(self.unknown)), v[:]
-        mixed[self.unknown] = own
-        lagrangian = self._lagrangian(t, x, mixed, *p)
-        return legendre_transform(ca.Function("of_unknown", [t, ca.vertcat(x, v, *p), own], [lagrangian]))
+        unknown, velocity = ca.SX.sym("unknown", len(self.unknown)), v[:]
+        velocity[self.unknown] = unknown
+        lagrangian = self._lagrangian(t, x, velocity, *p)
+        return legendre_transform(ca.Function("of_unknown", [t, ca.vertcat(x, v, *p), unknown], [lagrangian]))
 
     def of_momentum(
         self, t: float, x: np.ndarray, v: np.ndarray, momentum: np.ndarray, parameters: tuple[np.ndarray, ...]
     ) -> np.ndarray:
-        """The unknown velocities that have the momentum of a path at the end.
+        """The unknown velocities whose momentum is that of a path at the end.
 
         Parameters
         ----------
@@ -74,6 +74,6 @@ _kept = lru_cache(2 * CACHE_SIZE)(EndVelocities)
 
 
 def end_velocities(problem: BoundaryProblem) -> list[EndVelocities]:
-    """The velocities at the start and at the end of a problem; those of the last problems are kept."""
+    """The velocities at the start and at the end of a problem, cached."""
     stated = [tuple(value is not None for value in getattr(problem, f"{end}_velocity")) for end in ENDS]
     return [_kept(problem.lagrangian, given, -k) for k, given in enumerate(stated)]

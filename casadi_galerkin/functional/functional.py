@@ -1,7 +1,7 @@
 """The one graph: the discrete functional S = ∫ L(t, x̄, dx̄/dt) Δ_w t, its gradient and its Hessian.
 
-The paper's sentence is the code: embed, evaluate pointwise, integrate.  With E the constant matrix that takes
-the node values to (x, x') at the quadrature points, and L̂ the Lagrangian pulled back to the reference interval,
+As in the paper: embed, evaluate pointwise, integrate.  With E the constant matrix that takes the node values to (x, x')
+at the quadrature points, and L̂ the Lagrangian pulled back to the reference interval,
 
     S    = Σ w_k L̂(E X̄)_k
     ∇S   = Eᵀ [ w_k ∇L̂ ]                      discrete Euler-Lagrange equations, (euler1) and (euler2) of the paper
@@ -10,13 +10,14 @@ the node values to (x, x') at the quadrature points, and L̂ the Lagrangian pull
 L̂, ∇L̂ and ∇²L̂ are SX Functions of one point (`pointwise`), mapped over all points; nothing is differentiated
 through the graph.  E, Eᵀ and Eᵀ blockdiag(·) E depend on the numbering alone (`embedding`).
 
-What a problem says more than L is further terms of the same sum:
+Whatever else a problem states beside L is a further term of the same sum:
 
     S̄  =  S  +  φ(x_0, x_N)  +  μ·ψ(x_0, x_N)  +  Σ Λ_a·g(t_a, x_a)  +  E T
                 end action      end conditions    holonomic constraints   given energy, free duration
 
-The middle three are sums over places (`local_terms`); the last makes the duration T an unknown.  A force is no term
-of S̄ but adds its virtual work to the equations (`pointwise`); below, ∇S stands for all rows, ∇²S for their Jacobian.
+The middle three are sums over single places (`local_terms`); the last makes the duration T an unknown.  A force is not
+a term of S̄, but adds its virtual work to the equations (`pointwise`).  Below, ∇S are all equations of the unknowns, and
+∇²S is their Jacobian.
 """
 
 from __future__ import annotations
@@ -46,30 +47,30 @@ from casadi_galerkin.functional.pointwise import pointwise
 
 Parts: TypeAlias = tuple[dict[str, ca.MX], list[str], list[ca.MX]]  # inputs beside the symbols; names; outputs
 
-MANY = 1000  # points from which rows pay within one solve: they take some 25 us an instruction to build
+MANY = 1000  # points from which `by_rows` is faster within one solve: building it takes some 25 us per instruction
 
 
 class Functional:
     """The discrete functional of a Lagrangian: its expressions, and the Functions made of them.
 
     Every Function takes (unknowns, start, end, mesh[, parameters][, given]), some of them one input more; `start` and
-    `end` hold the fixed components only.  A Function is built when it is first asked for, and kept.
+    `end` hold the fixed components only.  Each Function is built when it is first used, and cached.
 
     Parameters
     ----------
     lagrangian : Function (t, x, v[, p]) -> scalar
     numbering : Numbering
-    mapping : `one_by_one`, which is quick to build, or `by_rows`, which is quick to evaluate; many points always go
-        by rows
+    mapping : `one_by_one`, which is fast to build, or `by_rows`, which is fast to evaluate and always used for many
+        points
     force : Function of the same arguments -> (d,), or None
     terms : LocalTerms that are added
-    given : number of values that the terms take beside the parameters; the last of a free duration is its energy
+    given : number of values that the terms take beside the parameters; with a free duration the last is the energy
 
     Attributes
     ----------
     pointwise : Pointwise, L̂ and its derivatives at one point
-    symmetric : whether ∇²S is
-    pattern_key : what the sparsity of ∇²S follows from, but for the further terms
+    symmetric : whether ∇²S is symmetric
+    pattern_key : arguments of `hessian_pattern`, which determine the sparsity of ∇²S without the further terms
     build_seconds : float, spent on building so far
     """
 
@@ -97,7 +98,7 @@ class Functional:
 
     @cached_property
     def _embedded(self) -> Embedded:
-        """The embedded symbols, kept: all Functions must have the same, even where the cache has dropped them."""
+        """The embedded symbols, kept here because all Functions must share them, even when the cache drops them."""
         return embedded(self.numbering)
 
     @cached_property
@@ -149,13 +150,13 @@ class Functional:
     def _first(self) -> list[ca.MX]:
         """L̂ and its first derivatives at all points.
 
-        One by one, so little is solved that building them apart would cost more than it saves.
+        With `one_by_one` there are few solves, and separate expressions would cost more to build than they save.
         """
         return self._second[:3] if self._mapping is one_by_one else self._at_points(self.pointwise.first)
 
     @cached_property
     def _terms(self) -> list[list[ca.MX]]:
-        """What the local terms are at all of their places."""
+        """The local terms evaluated at all of their places."""
         if not self.terms:
             return []
         parameters, given = (ca.vertcat(*symbols) for symbols in (self._parameters, self._given))
@@ -164,7 +165,7 @@ class Functional:
 
     @cached_property
     def _stretch(self) -> tuple[ca.MX, ca.MX]:
-        """The duration's own row, ∂S/∂τ + E T with τ = log T, and the derivatives of all rows by τ."""
+        """The equation of the duration, ∂S/∂τ + E T with τ = log T, and the derivatives of all equations by τ."""
         by_stretch = ca.MX(ca.Sparsity.unit(self.numbering.free, self.numbering.free - 1))
         action, energy = summation(self.numbering)(self._first[0]), self._given[0][-1]
         row = ca.jtimes(action, self.symbols["unknowns"], by_stretch) + energy * self._embedded.duration
@@ -172,7 +173,7 @@ class Functional:
         return row, ca.densify(ca.jtimes(ca.vertcat(rows, row), self.symbols["unknowns"], by_stretch))
 
     def _with_terms(self, total: ca.MX) -> ca.MX:
-        """All rows, from those of the integral."""
+        """All equations, from those of the integral."""
         for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
             total += term.gathered(self.numbering, rows)
         if self.numbering.stretched:
@@ -181,7 +182,7 @@ class Functional:
 
     @cached_property
     def action(self) -> ca.MX:
-        """S̄ but for its multipliers and the energy: scalar."""
+        """S̄ without the terms of multipliers and of the energy; scalar."""
         return sum((ca.sum1(ca.sum2(added)) for added, _, _ in self._terms), summation(self.numbering)(self._first[0]))
 
     @cached_property
@@ -191,7 +192,7 @@ class Functional:
 
     @cached_property
     def first_variation(self) -> list[ca.MX]:
-        """The action with that of the ends, momenta at the joints, ∇S by the free values ξ, sizes of what that sums."""
+        """The action with the end action, momenta at the joints, ∇S by the unknowns ξ, and the sizes of its terms."""
         action, momenta, gradient, sizes = variation(self.numbering).call(self._first)
         for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
             sizes += term.gathered(self.numbering, ca.fabs(rows))
@@ -210,7 +211,7 @@ class Functional:
 
     @cached_property
     def _further(self) -> ca.MX | None:
-        """What the further terms add to ∇²S."""
+        """The part of ∇²S of the further terms and of the free duration; None where there are none."""
         added = [term.matrix(self.numbering, at[2]) for term, at in zip(self.terms, self._terms, strict=True)]
         if self.numbering.stretched:
             column, last = self._stretch[1], self.numbering.free - 1
@@ -226,14 +227,14 @@ class Functional:
         - hessian : -> ∇²S, sparse
         - derivatives : -> matrix ∇²S, gradient ∇S
         - summary : -> action S; momentum (d, N + 1), -∂S/∂x_0 and then ∂S_k/∂x_{k+1} of every interval; gradient ∇S;
-          terms, the sizes of what the gradient sums
+          terms, the sums of the sizes of the gradient's terms
         - joint_time_derivatives : -> by_joint ∂S/∂t_i, the jumps of the energy; twice_by_joint ∂²S/∂t_i²; by_neighbors
           ∂²S/∂t_i∂t_{i+1}; all at fixed node values
-        - inertia_weighted : with inertia -> matrix ∇²S with ∂²L/∂v² times that
+        - inertia_weighted : with inertia -> matrix ∇²S with ∂²L/∂v² multiplied by it
         - curvature : with left z and right y -> signed zᵀ∇²S y, positive sum of the sizes of its terms
         - sensitivity : with direction of the parameters -> change of ∇S along it
         - product : with direction of the unknowns -> change of ∇S along it, ∇²S times the direction, summed over the
-          points: rounding of the entries of ∇²S is not in it
+          points, so that it has no rounding of the entries of ∇²S
         """
         builders: dict[str, Callable[[], Parts]] = {
             "action": lambda: ({}, ["action"], [self.action]),
@@ -275,7 +276,7 @@ class Functional:
         return {"direction": direction}, ["change"], [change]
 
     def _along(self, function: ca.Function, *directions: ca.MX) -> list[ca.MX]:
-        """What a Function of the points and of changes of (x, x') there gives along directions of the unknowns."""
+        """A Function of the points and of changes of (x, x') there, evaluated for directions of the unknowns."""
         fixed = ca.MX.zeros(self.numbering.size - self.numbering.free, 1)
         changes = [ca.vertcat(*embedding(self.numbering).call([ca.vertcat(way, fixed)])) for way in directions]
         return list(one_by_one(function, self.numbering.points, self._shared).call([*self._at, *changes]))
@@ -287,12 +288,12 @@ class Functional:
         return {"direction": direction}, ["change"], [ca.densify(change)]  # few rows may depend on parameters
 
     def keep(self, name: str, build: Callable[[], Parts]) -> ca.Function:
-        """Build a Function of the graph when it is first asked for."""
+        """A Function of the graph, built when it is first used."""
         if name not in self._functions:
             began = time.perf_counter()
             further, names, outputs = build()
             symbols = self.symbols | further
-            expressions = symbols | dict(zip(names, outputs, strict=True))  # taken faster by name than in lists
+            expressions = symbols | dict(zip(names, outputs, strict=True))  # passed faster by name than in lists
             self._functions[name] = ca.Function(name.split()[0], expressions, list(symbols), names)
             self.build_seconds += time.perf_counter() - began
         return self._functions[name]

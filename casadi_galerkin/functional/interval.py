@@ -41,8 +41,8 @@ from casadi_galerkin.problems.linear_equations import NO_CUTOFF, solve_scaled
 DOUBLINGS = 4  # doublings of the number of Newton iterations, to at most 16; 1 to 8 were needed, most for large steps
 # estimated relative Newton step that is no longer taken; the estimate was measured up to 60 times too small
 SMALLEST_STEP = 0.01 * EPS
-# The last step that Newton's method takes is at most this part of the largest component.  The rounding of this step, EPS
-# times its size, is spread by QR to all components, also to those at rest.
+# The last step that Newton's method takes is at most this part of the largest component.  QR spreads the rounding of
+# this step, EPS times its size, to all components, also to those at rest.
 LARGEST_LAST_STEP = SMALLEST_STEP ** (1 / 3)
 NEARLY_CONVERGED = 1e-8  # relative Newton step after which only rounding can keep the next one from being far smaller
 TAYLOR = 2  # Taylor terms of the velocity that predict the next interval; with more, large steps found other solutions
@@ -89,8 +89,8 @@ def slope_basis(degree: int) -> SlopeBasis:
 def _points(lagrangian: ca.Function, force: ca.Function | None) -> ca.Function:
     """(t, h, x, x', terms) -> L̂, its derivatives with h F added (2d,), their Jacobian, and sizes of their terms (2d,).
 
-    `terms` (2d,) are the sizes of the terms that were summed to (x, x'), which may cancel.  EPS times the sizes returned
-    is the roundoff of the derivatives.
+    `terms` (2d,) are the sizes of the terms that were summed to (x, x'), which may cancel.  The roundoff of the
+    derivatives is EPS times the sizes returned.
     """
     d = lagrangian.size1_in(1)
     t, h, x, slope = ca.SX.sym("t"), ca.SX.sym("h"), ca.SX.sym("x", d), ca.SX.sym("slope", d)
@@ -221,7 +221,7 @@ def interval(
 class _ConstrainedEquations:
     """The terms and equations that a constraint adds to those of one interval.
 
-    The equations have the shape of s.  Each column but the last holds R_j and the constraint at a node, and the last one
+    The equations have the shape of s.  Each column but the last holds R_j and the constraint at a node; the last one
     holds the equations of p_1 and of the tangent velocity at the end.  In this order QR mixes no components that do not
     depend on each other.
 
@@ -268,7 +268,7 @@ def _constrained_equations(
     before = free_momentum + ca.sum2(pushes)
     rate = ca.SX.sym("v", d)
     momentum = ca.substitute(ca.gradient(lagrangian(t + h, x_at[:, m], rate), rate), rate, v)
-    fastest = ca.vertcat(*(ca.mmax(ca.fabs(unknowns[i, :])) for i in range(d)))  # largest slopes; h v_1 alone may be zero
+    fastest = ca.vertcat(*(ca.mmax(ca.fabs(unknowns[i, :])) for i in range(d)))  # h v_1 alone may pass through zero
     masses = ca.fabs(ca.jacobian(momentum, last))
     largest_momenta = masses @ fastest
     normal = slopes[m].T @ mu
@@ -281,14 +281,14 @@ def _constrained_equations(
     momentum_terms += ca.sum2(pushed) + ca.fabs(slopes[m]).T @ ca.fabs(mu)
     parts = masses / ca.repmat(EPS * LARGEST_LAST_STEP * momentum_terms + TINY, 1, d)
     largest = ca.vertcat(*(ca.mmax(parts_of_one) for parts_of_one in ca.horzsplit(parts)))
-    moving = ca.fabs(unknowns[:d, :]) * ca.repmat(largest, 1, m + 1) > 1
+    significant = ca.fabs(unknowns[:d, :]) * ca.repmat(largest, 1, m + 1) > 1
     end_terms = ca.vertcat(momentum_terms, ca.fabs(slopes[m]) @ fastest / h + ca.fabs(evaluated[m][2]))
     return _ConstrainedEquations(
         ca.vec(ca.horzcat(ca.vertcat(pushes @ by_node, at_nodes), at_end)),
         ca.vec(ca.horzcat(ca.vertcat(work_terms, node_terms), end_terms)),
         momentum,
         momentum_terms,
-        ca.vertcat(unknowns[:d, :] * moving, unknowns[d:, :]),
+        ca.vertcat(unknowns[:d, :] * significant, unknowns[d:, :]),
     )
 
 
@@ -328,7 +328,7 @@ def newton_iteration(system: ca.Function, positions: int) -> ca.Function:
     largest = ca.mmax(ca.fabs(ca.horzcat(x, s[:d, :])[:positions, :]))
     least = ca.fabs(x) if rows == d else ca.repmat(LARGEST_LAST_STEP * largest, d, 1)
     size = [least[i] + ca.mmax(ca.fabs(s[i, :])) + ca.mmax(ca.fabs(ds[i, :])) + TINY for i in range(d)]
-    relative = ca.mmax(ca.fabs(ds[:d, :]) / ca.repmat(ca.vertcat(*size), 1, m))  # impulses, which follow from the path, are left out
+    relative = ca.mmax(ca.fabs(ds[:d, :]) / ca.repmat(ca.vertcat(*size), 1, m))  # without the impulses
     large = relative * ca.fmin(1, relative / before) ** 2 > SMALLEST_STEP  # false if it is not a number
     stalled = ca.logic_and(ca.logic_and(before > 0, before <= NEARLY_CONVERGED), relative > before / 2)
     unfinished = ca.logic_and(large, ca.logic_not(stalled))

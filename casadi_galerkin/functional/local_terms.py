@@ -1,8 +1,9 @@
-"""What a problem adds to the action at single places: at the two ends, or at every node.
+"""Terms of the functional at single places: at the two ends, or at every node.
 
-A term is a small SX Function of a few entries y of the vector u, at K places alike.  Its `rows` are what it adds to the
-stationarity conditions of these entries, and its `jacobian` their derivative.  End actions, conditions on the ends and
-holonomic constraints are such terms; with a multiplier μ among y, the rows of μ·g(x) are (μ·∂g/∂x, g).
+A term is a small SX Function of a few entries y of the vector u, the same Function at K places.  Its `rows` are added
+to the stationarity conditions of these entries, and its `jacobian` is the derivative of the rows by y.  End actions,
+end conditions and holonomic constraints are such terms; with a multiplier μ among y, the rows of μ·g(x) are
+(μ·∂g/∂x, g).
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ class LocalTerm:
 
     Attributes
     ----------
-    function : Function (y (n), t (q), parameters, given) -> added, rows (n,), jacobian (n, n), sparse.  Added to the
-        functional are the action of the ends and, if there is more, the work of given momenta, which no action counts
-    entries : (n, K), which entries of u stand for y at every place
-    times : (q K, N + 1), the times of every place as sums of joints
-    symmetric : whether the jacobian is: whether the rows are the gradient of a function
+    function : Function (y (n), t (q), parameters, given) -> added, rows (n,), jacobian (n, n), sparse.  `added` are the
+        end action and, if there is a second entry, the work of given momenta, which `Trajectory.action` leaves out
+    entries : (n, K), entries of u that are y at every place
+    times : (q K, N + 1), matrix from the joints to the times of every place
+    symmetric : whether the jacobian is symmetric, that is, whether the rows are the gradient of a function
     """
 
     function: ca.Function
@@ -35,7 +36,7 @@ class LocalTerm:
     symmetric: bool
 
     def evaluated(self, u: ca.MX, joints: ca.MX, parameters: ca.MX, given: ca.MX) -> list[ca.MX]:
-        """What is added (1 or 2, K), rows (n, K) and nonzeros of the jacobian (nnz, K)."""
+        """`added` (1 or 2, K), rows (n, K) and nonzeros of the jacobian (nnz, K)."""
         size, count = self.entries.shape
         y = ca.reshape(u.get_nz(False, self.entries.ravel(order="F").tolist()), size, count)
         t = ca.reshape(ca.mtimes(ca.MX(self.times), joints), self.function.size1_in(1), count)
@@ -45,11 +46,11 @@ class LocalTerm:
         return [added, rows, ca.reshape(ca.MX(jacobian.nz[:]), -1, count)]
 
     def gathered(self, numbering: Numbering, rows: ca.MX) -> ca.MX:
-        """Sums of rows (n, K) by unknown."""
+        """Rows (n, K) summed for every unknown."""
         return gathered(numbering, self.entries.ravel(order="F"), rows)
 
     def _pattern(self, numbering: Numbering) -> tuple[ca.Sparsity, np.ndarray]:
-        """Sparsity of what the term adds to the matrix, and where its nonzeros are among those of all places."""
+        """Sparsity of the term's part of ∇²S, and the positions of its nonzeros among those of all places."""
         row, column = (np.array(index, dtype=int) for index in self.function.sparsity_out(2).get_triplet())
         rows, columns = self.entries[row].ravel(order="F"), self.entries[column].ravel(order="F")
         kept = np.flatnonzero((rows < numbering.free) & (columns < numbering.free))
@@ -58,10 +59,10 @@ class LocalTerm:
         return ca.Sparsity(numbering.free, numbering.free, starts.tolist(), rows[order].tolist()), order
 
     def sparsity(self, numbering: Numbering) -> ca.Sparsity:
-        """Sparsity of what the term adds to the matrix."""
+        """Sparsity of the term's part of ∇²S."""
         return self._pattern(numbering)[0]
 
     def matrix(self, numbering: Numbering, jacobian: ca.MX) -> ca.MX:
-        """What the term adds to the matrix, from the nonzeros of its jacobian at all places."""
+        """The term's part of ∇²S, from the nonzeros of its jacobian at all places."""
         sparsity, order = self._pattern(numbering)
-        return ca.MX(sparsity, ca.vec(ca.vec(jacobian).get_nz(False, order.tolist())))  # of none it is a row
+        return ca.MX(sparsity, ca.vec(ca.vec(jacobian).get_nz(False, order.tolist())))  # an empty one is a row

@@ -1,4 +1,4 @@
-"""A Function of one point, evaluated at many: one after the other, or by rows of points."""
+"""Evaluation of a Function of one point at many points: one after the other, or by rows of points."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from casadi_galerkin.functional.numbering import CACHE_SIZE
 
 PointMap: TypeAlias = Callable[[ca.Function, int, tuple[int, ...]], ca.Function]
 
-ROW = 400  # points in a row: 1.5 to 4 times faster than one by one from 24 on, and values that stay in the cache
+ROW = 400  # points in a row; rows are 1.5 to 4 times faster from 24 points on, and these values still fit in the cache
 
 
 @lru_cache(4 * CACHE_SIZE)
 def one_by_one(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Function:
-    """Map a Function over `count` points; inputs in `shared` are the same at all of them, and cost a wrapper.
+    """Map a Function over `count` points; inputs in `shared` are the same at all of them, which needs a wrapper.
 
-    A map of maps is built in half the time, and evaluated in the same.
+    A map of maps is built in half the time of a single map, and evaluated in the same time.
     """
     if shared:
         return f.map(f.name(), "serial", count, list(shared), [])
@@ -32,8 +32,8 @@ def one_by_one(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Functi
 def by_rows(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Function:
     """Map an SX Function over points by evaluating each of its instructions for a row of points at once.
 
-    Dispatching an instruction takes CasADi 3 ns, computing it less than one.  What remains beside the rows, fewer
-    points than there are rows, is evaluated one by one.
+    Dispatching an instruction takes CasADi 3 ns, computing it less than one.  The points that do not fill a row, fewer
+    than there are rows, are evaluated one by one.
     """
     if any(f.instruction_id(k) == ca.OP_CALL for k in range(f.n_instructions())):
         return one_by_one(f, count, shared)
@@ -55,7 +55,7 @@ def _inputs(f: ca.Function, count: int, shared: tuple[int, ...]) -> list[ca.MX]:
 
 
 def _row(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Function:
-    """All points of an SX Function at once: its instructions, with a row for every number."""
+    """All points of an SX Function at once: its instructions, applied to rows instead of numbers."""
     inputs = _inputs(f, count, shared)
     given = [ca.vertsplit(a) for a in inputs]
     results: list[list[ca.MX]] = [[ca.MX()] * f.size1_out(i) for i in range(f.n_out())]

@@ -1,4 +1,4 @@
-"""Which unknown is which value of a path: the numbering that graphs, arrays and answers share."""
+"""The numbering of the unknowns of a path, which graphs, arrays and solutions have in common."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 
 CACHE_SIZE = 8  # a graph of 1e5 intervals holds some 100 MB
 
-Data = tuple[np.ndarray, ...]  # what a path is found for: start, end, mesh and, if there are some, parameters, given
+Data = tuple[np.ndarray, ...]  # inputs beside the unknowns: start, end, mesh and, if there are some, parameters, given
 
 
 @dataclass(frozen=True)
 class Numbering:
-    """Which entry of the vector u stands for which value of the path: X̄ = P ξ + c as a numbering.
+    """The correspondence of the entries of a vector u and the values of a path: X̄ = P ξ + c as a numbering.
 
     u holds the unknowns ξ, then the fixed components of the start, then those of the end.  ξ holds the free values of
-    the path in the order of time, then the multipliers, and last, where the duration is free, what stretches the mesh.
+    the path in the order of time, then the multipliers and, where the duration is free, the logarithm of the stretch of
+    the mesh.
 
     Parameters
     ----------
@@ -28,7 +29,7 @@ class Numbering:
     intervals : int, N
     dimension : int, d
     fixed_start, fixed_end : indices of the components that are given at the ends
-    pinned_start, pinned_end : those of them that are unknowns all the same, as a term pins them where they are given
+    imposed_start, imposed_end : those of them that are unknowns nevertheless, which an equation of a term fixes
     periodic : bool, whether the last joint is the first one; `fixed_start` then holds for both
     multipliers : int, unknowns beside the path
     stretched : bool, whether the duration is unknown; the last of ξ is the logarithm of its ratio to that of the mesh
@@ -39,15 +40,15 @@ class Numbering:
     dimension: int
     fixed_start: tuple[int, ...]
     fixed_end: tuple[int, ...]
-    pinned_start: tuple[int, ...]
-    pinned_end: tuple[int, ...]
+    imposed_start: tuple[int, ...]
+    imposed_end: tuple[int, ...]
     periodic: bool
     multipliers: int
     stretched: bool
 
     @cached_property
     def of_ends(self) -> np.ndarray:
-        """Number of each position at the ends among those given, of the start and then the end; -1 if not; (2, d)."""
+        """Numbers of the positions at the ends among the given ones, of start and then end; -1 if not given; (2, d)."""
         ends, starts = np.full((2, self.dimension), -1), len(self.fixed_start)
         ends[0, list(self.fixed_start)] = np.arange(starts)
         ends[1, list(self.fixed_end)] = starts + np.arange(len(self.fixed_end))
@@ -57,11 +58,11 @@ class Numbering:
 
     @cached_property
     def of_nodes(self) -> np.ndarray:
-        """Entry of u at every node in the order of time; (N m + 1, d)."""
+        """Entries of u of the values at every node in the order of time; (N m + 1, d)."""
         nodes = np.zeros((self.intervals * self.method.degree + 1, self.dimension), dtype=np.int64)
         given = np.zeros(nodes.shape, dtype=bool)
         given[[0, -1]] = self.of_ends >= 0
-        given[0, list(self.pinned_start)] = given[-1, list(self.pinned_end)] = False
+        given[0, list(self.imposed_start)] = given[-1, list(self.imposed_end)] = False
         free = ~given[: self.distinct]
         nodes[: self.distinct][free] = np.arange(self.positions)
         nodes[[0, -1]] = np.where(given[[0, -1]], self.free + self.of_ends, nodes[[0, -1]])
@@ -71,26 +72,26 @@ class Numbering:
 
     @cached_property
     def component(self) -> np.ndarray:
-        """Component of the path that every entry of u is a value of; (size,)."""
+        """Component of the path to which every entry of u belongs; (size,)."""
         component = np.zeros(self.size, dtype=np.int64)
         component[self.of_nodes] = np.arange(self.dimension)
         return component
 
     @cached_property
     def place(self) -> np.ndarray:
-        """Where every free value stands among the node values, component fastest; (positions,)."""
+        """Position of every free value among the node values, component fastest; (positions,)."""
         return np.unique(self.of_nodes, return_index=True)[1][: self.positions]  # of a periodic joint the first
 
     @cached_property
     def distinct(self) -> int:
-        """Number of nodes that are not others under another name: all, but for a periodic path's last one."""
+        """Number of distinct nodes: all, except the last one of a periodic path, which is the first."""
         return self.intervals * self.method.degree + (0 if self.periodic else 1)
 
     @cached_property
     def positions(self) -> int:
         """Number of free values of the path."""
-        pinned = len(self.pinned_start) + len(self.pinned_end)
-        return self.distinct * self.dimension - len(self.fixed_start) - len(self.fixed_end) + pinned
+        imposed = len(self.imposed_start) + len(self.imposed_end)
+        return self.distinct * self.dimension - len(self.fixed_start) - len(self.fixed_end) + imposed
 
     @cached_property
     def free(self) -> int:
@@ -104,7 +105,7 @@ class Numbering:
 
     @property
     def local(self) -> np.ndarray:
-        """Entry of u at every local node; (m + 1, N, d)."""
+        """Entries of u of the values at every local node; (m + 1, N, d)."""
         m = self.method.degree
         return np.asarray(self.of_nodes[m * np.arange(self.intervals)[None, :] + np.arange(m + 1)[:, None]])
 
@@ -116,7 +117,7 @@ class Numbering:
 
 @lru_cache(CACHE_SIZE)
 def kept(numbering: Numbering) -> Numbering:
-    """The first numbering that was equal to this one, with what it has found out."""
+    """An equal numbering made before, if there is one, with its cached properties."""
     return numbering
 
 

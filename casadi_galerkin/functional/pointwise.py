@@ -1,10 +1,11 @@
 """The pulled-back Lagrangian at one point, with its derivatives, as SX Functions.
 
-On the reference interval, with the slope x' = h v, the Lagrangian is L̂(t, h, x, x') = h L(t, x, x'/h).  It holds the
-step, so that the sum over an interval needs no factor h, and nothing linear in the graph depends on the mesh.
+On the reference interval, with the slope x' = h v, the Lagrangian is L̂(t, h, x, x') = h L(t, x, x'/h).  It contains the
+step h, so that the sum over an interval needs no factor h, and the linear parts of the graph do not depend on the mesh.
 
-A force adds its virtual work h F·δx (Lagrange-d'Alembert): what multiplies δx is then ∂L̂/∂x + h F(t, x, x'/h).  No
-function has this as its gradient, so that its Jacobian, J below, is no longer symmetric; without a force J = ∇²L̂.
+A force adds its virtual work h F·δx (Lagrange-d'Alembert), so that the coefficients of the variation (δx, δx') are
+(∂L̂/∂x + h F(t, x, x'/h), ∂L̂/∂x').  With a force they are not the gradient of a function, and their Jacobian J is not
+symmetric; without a force J = ∇²L̂.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ def pulled_back(lagrangian: ca.Function, t: ca.SX, h: ca.SX, x: ca.SX, slope: ca
 
 
 class Pointwise:
-    """L̂(t, h, x, x'[, p]) at one point, what multiplies (δx, δx') in its variation and in the work, and their Jacobian.
+    """L̂(t, h, x, x'[, p]) at one point, the coefficients of (δx, δx') in its variation, and their Jacobian J.
 
     Parameters
     ----------
@@ -34,8 +35,8 @@ class Pointwise:
 
     Attributes
     ----------
-    symmetric : whether J is, which it is without a force
-    pattern : Sparsity (d, d), symmetric, that holds every block of J
+    symmetric : whether J is symmetric, which it is without a force
+    pattern : Sparsity (d, d), symmetric, that contains the patterns of all blocks of J
     blocks : which of (0, 0), (0, 1), (1, 0), (1, 1) are not structurally zero; 0 stands for x and 1 for x'
     kinetic : whether no ∂²L̂/∂x'_i² is structurally zero
     """
@@ -60,7 +61,7 @@ class Pointwise:
         self.blocks = tuple(key for key, cell in self._cells.items() if cell.nnz())
         if not self.blocks:
             raise ValueError("the Lagrangian is linear in x and v: no path makes its action stationary, or all do")
-        self.pattern = ca.Sparsity.diag(d)  # the matrix must have a diagonal even where L ignores a component
+        self.pattern = ca.Sparsity.diag(d)  # ∇²S must have a diagonal even where L does not depend on a component
         for key in self.blocks:
             sparsity = self._cells[key].sparsity()
             self.pattern = self.pattern + sparsity + sparsity.T
@@ -69,12 +70,12 @@ class Pointwise:
 
     @cached_property
     def first(self) -> ca.Function:
-        """L̂, and what multiplies δx and δx': ∂L̂/∂x + h F and ∂L̂/∂x'."""
+        """L̂, and the coefficients of δx and δx': ∂L̂/∂x + h F and ∂L̂/∂x'."""
         return self._function("first", {"f": self._value, **self._slopes})
 
     @cached_property
     def derivatives(self) -> ca.Function:
-        """What `first` has, and J in the order of `blocks`, each the column of its entries in `pattern`.
+        """The outputs of `first`, and J in the order of `blocks`, each of them a column of the entries of `pattern`.
 
         They are one Function, because a call costs as much as evaluating a small Lagrangian.
         """
@@ -82,9 +83,9 @@ class Pointwise:
 
     @cached_property
     def without_repetition(self) -> ca.Function:
-        """What `derivatives` has, without the instructions that repeat, a tenth to a quarter of them.
+        """The outputs of `derivatives`, without common subexpressions, a tenth to a quarter of all instructions.
 
-        Finding them takes longer than one solve saves by it.
+        To find them takes longer than one solve saves.
         """
         return self._function("derivatives", self._all, cse=True)
 
@@ -104,8 +105,8 @@ class Pointwise:
 
     @cached_property
     def supplied(self) -> ca.Function | None:
-        """∂L̂/∂t - h F·v, by which the energy falls, and its derivatives by x and x'; None where the energy is kept."""
-        if self.symmetric and not self.derivatives.jac_sparsity(0, 0).nnz():  # L̂ by t; `depends_on` takes far longer
+        """The decrease of energy, ∂L̂/∂t - h F·v, and its derivatives by x and x'; None where it is conserved."""
+        if self.symmetric and not self.derivatives.jac_sparsity(0, 0).nnz():  # L̂ by t; `depends_on` is far slower
             return None
         falls = ca.gradient(self._value, self._inputs["t"])
         if not self.symmetric:

@@ -1,12 +1,20 @@
-"""What a boundary problem states, as one functional: its Lagrangian and force, and the terms that its ends add.
+"""The functional of a boundary problem: its Lagrangian and force, and the terms of its ends and constraints.
 
-ends          φ(x_0, x_N) + p_0·x_0 - p_N·x_N + μ·ψ(x_0, x_N), with given momenta p_0 and p_N
-velocities    where v is given at an end, ∂L/∂v is the momentum there, and the term is that of a given momentum if it
-              depends on nothing else.  Velocities that it depends on, but that are not given, are further unknowns.
-              For their components, too, ∂L/∂v is the momentum: that of the natural condition or, where the position is
-              given, that of the path.  Such a position is then an unknown, too, and an equation says what it is
-constraints   Λ_a·g(t_a, x_a) at every node whose position is not given; Λ is an impulse, λ times its share of time
-phase         σ n·(x_0 - c), for a periodic path of given energy: x_0 stays in the plane through c across n
+The terms are
+
+    φ(x_0, x_N) + p_0·x_0 - p_N·x_N + μ·ψ(x_0, x_N)      end action, given momenta p_0 and p_N, end conditions
+    Λ_a·g(t_a, x_a)                                      a constraint, at every node whose position is not given
+    σ n·(x_0 - c)                                        the phase of a periodic path of given energy
+
+with multipliers μ, Λ_a and σ.  Λ_a is an impulse, the multiplier λ of the continuous problem times a share of time.
+The last term keeps x_0 in the plane through c with normal n.
+
+A given velocity gives the momentum ∂L/∂v of its component at that end.  If this momentum depends on given velocities
+only, the term is that of a given momentum.  If it also depends on velocities that are not given, these are further
+unknowns.  Each of them has one more equation, which says that ∂L/∂v of its component is the momentum there.  Where the
+position is not given, that is the momentum of the natural condition.  Where the position is given, it is the momentum
+of the path, -∂S/∂x_0 or ∂S/∂x_N.  The position is then an unknown, so that its row of ∇S states this, and the equation
+x = given is imposed on it (`imposed` below).
 """
 
 from __future__ import annotations
@@ -26,11 +34,11 @@ from casadi_galerkin.functional.numbering import Numbering
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem, is_given
 from casadi_galerkin.problems.problem import END_MOTIONS
 
-AT_REST = 1e-3  # speed at the start over the largest, below which the start tells no phase
+AT_REST = 1e-3  # speed at the start over the largest one below which the start does not determine the phase
 
 
 def functional_of(problem: BoundaryProblem, method: Galerkin, intervals: int, mapping: PointMap) -> Functional:
-    """Build the functional of a problem on so many intervals."""
+    """Build the functional of a problem on a number of intervals."""
     statement = _Statement(problem, method, intervals)
     return Functional(
         problem.lagrangian, statement.numbering, mapping, problem.force, statement.terms(), len(given_values(problem))
@@ -43,7 +51,7 @@ def has_phase(problem: BoundaryProblem) -> bool:
 
 
 def refuse_free_phase(name: str, problem: BoundaryProblem) -> None:
-    """Refuse a free phase for what has no one guess that fixes it."""
+    """Refuse a problem with a free phase where there is no guess that fixes it; `name` is what refuses it."""
     if has_phase(problem):
         raise ValueError(
             f"{name} takes no periodic problem of given energy: its paths have a phase that only a guess fixes; give "
@@ -52,7 +60,7 @@ def refuse_free_phase(name: str, problem: BoundaryProblem) -> None:
 
 
 def phase_plane(path: PiecewisePolynomial) -> np.ndarray:
-    """Normal and point, (2d,), of the plane through the start of a path across its velocity, by component sizes."""
+    """Normal and point, (2d,), of the plane through the start of a path, orthogonal to its scaled velocity."""
     sizes = path.sizes
     speeds = np.linalg.norm(path(path.mesh, 1) / sizes[:, None], axis=0)
     if not speeds[0] > AT_REST * np.max(speeds):
@@ -65,11 +73,11 @@ def phase_plane(path: PiecewisePolynomial) -> np.ndarray:
 
 
 def turned_back(problem: BoundaryProblem, path: PiecewisePolynomial, plane: np.ndarray | None) -> str | None:
-    """Say so if a periodic path of given energy comes back to where its phase is fixed against the way it left.
+    """The message that a periodic path of given energy returns to its start with reversed velocity; else None.
 
-    That is at a plane, or at the one component that its start fixes.  All other momenta are equal there, and a given
-    energy leaves two values for this one: the multiplier of the plane, or of the component, else zero, makes up for a
-    momentum that has changed its sign.
+    The phase is fixed by a plane or by the one given component of the start.  All other momenta are equal at both ends,
+    and the given energy leaves two values for the momentum across the plane or of the component.  Where that momentum
+    has changed its sign, the multiplier of the plane, or of the component, is not zero.
     """
     if not problem.periodic or problem.energy is None:
         return None
@@ -87,7 +95,7 @@ def turned_back(problem: BoundaryProblem, path: PiecewisePolynomial, plane: np.n
 
 
 def given_values(problem: BoundaryProblem, plane: np.ndarray | None = None) -> np.ndarray:
-    """What the terms take beside the parameters: given velocities and momenta, the plane (n, c), the energy."""
+    """Given values that are inputs of the terms: velocities and momenta at the ends, the plane (n, c), the energy."""
     values = [value for name in END_MOTIONS for value in getattr(problem, name) if value is not None]
     if has_phase(problem):
         values += [0.0] * (2 * problem.dimension) if plane is None else plane.tolist()
@@ -111,27 +119,38 @@ def refuse_points(method: Galerkin) -> None:
 def rows_of_ends(
     problem: BoundaryProblem, method: Galerkin, plane: np.ndarray | None
 ) -> tuple[ca.Function, list[list[int]]]:
-    """(x_0, x_N, η) -> rows (2d + k,) of the terms of the ends, with all given values put in; k of them are η's own.
+    """(x_0, x_N, η) -> derivatives (2d + k,) of the terms of the ends by (x_0, x_N, η), with all given values inserted.
 
-    Also the components at the start and at the end whose given positions are equations of the term.
+    η (k,) are the multipliers and the unknown velocities.  Also returns the components at the start and at the end
+    whose given positions are imposed by equations (see the module).
     """
     statement, d, given = _Statement(problem, method, 1), problem.dimension, given_values(problem, plane)
-    x, pinned = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], statement.pinned
+    x, imposed = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], statement.imposed
     if has_phase(problem):
-        multiplier = ca.SX.sym("own")
+        multiplier = ca.SX.sym("eta")
         rows = statement._phase()(ca.vertcat(x[0], multiplier), 0, problem.parameters or [], given)[1]
-        return ca.Function("rows", [*x, multiplier], [ca.vertcat(rows[:d], ca.SX.zeros(d), rows[d])]), pinned
+        return ca.Function("rows", [*x, multiplier], [ca.vertcat(rows[:d], ca.SX.zeros(d), rows[d])]), imposed
     if statement.at_ends is None:
-        return ca.Function("rows", [*x, ca.SX(0, 1)], [ca.SX.zeros(2 * d)]), pinned
+        return ca.Function("rows", [*x, ca.SX(0, 1)], [ca.SX.zeros(2 * d)]), imposed
     term = statement.at_ends[0]
-    places = [problem.start[i] for i in pinned[0]] + [problem.end[i] for i in pinned[1]]
-    own = ca.SX.sym("own", term.size1_in(0) - 2 * d - len(places))
-    rows = term(ca.vertcat(*x, own, *places), problem.t_span, problem.parameters or [], given)[1]
-    return ca.Function("rows", [*x, own], [rows[: 2 * d + own.numel()]]), pinned
+    positions = [problem.start[i] for i in imposed[0]] + [problem.end[i] for i in imposed[1]]
+    eta = ca.SX.sym("eta", term.size1_in(0) - 2 * d - len(positions))
+    rows = term(ca.vertcat(*x, eta, *positions), problem.t_span, problem.parameters or [], given)[1]
+    return ca.Function("rows", [*x, eta], [rows[: 2 * d + eta.numel()]]), imposed
 
 
 class _Statement:
-    """The terms of a problem, and the numbering that holds their multipliers."""
+    """The terms of a problem, and the numbering of the unknowns with their multipliers.
+
+    Attributes
+    ----------
+    velocities : EndVelocities at the start and at the end
+    imposed : components at the start and at the end whose given positions are unknowns, fixed by equations of a term
+    constrained : numbers of the nodes at which the constraint is imposed
+    constraints : number of constraints
+    at_ends : Function of the term of the ends, and whether its jacobian is symmetric; None where there is no such term
+    numbering : Numbering
+    """
 
     def __init__(self, problem: BoundaryProblem, method: Galerkin, intervals: int) -> None:
         self.problem, self.method, self.intervals = problem, method, intervals
@@ -143,14 +162,14 @@ class _Statement:
         d, last = problem.dimension, intervals * method.degree
         self.velocities = end_velocities(problem)
         fixed = zip(self.velocities, (start, end), strict=True)
-        self.pinned = [[i for i in velocities.unknown if i in given] for velocities, given in fixed]
+        self.imposed = [[i for i in velocities.unknown if i in given] for velocities, given in fixed]
         self.constrained = np.arange(len(start) == d, last + (not problem.periodic and len(end) < d))
         self.constraints = 0 if problem.constraint is None else problem.constraint.size1_out(0)
         self.at_ends = self._ends()
         multipliers = self.constraints * len(self.constrained) + has_phase(problem)
-        multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d - sum(map(len, self.pinned))
+        multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d - sum(map(len, self.imposed))
         stretched = problem.energy is not None
-        ends = start, end, tuple(self.pinned[0]), tuple(self.pinned[1])
+        ends = start, end, tuple(self.imposed[0]), tuple(self.imposed[1])
         self.numbering = Numbering(method, intervals, d, *ends, problem.periodic, multipliers, stretched)
 
     @cached_property
@@ -160,15 +179,15 @@ class _Statement:
 
     @cached_property
     def given(self) -> ca.SX:
-        """Symbols of the `given_values`."""
+        """Symbols of `given_values`."""
         return ca.SX.sym("given", len(given_values(self.problem)))
 
     def terms(self) -> tuple[LocalTerm, ...]:
-        """All terms, their multipliers one after the other."""
+        """All terms; their multipliers are numbered in the same order."""
         numbering, terms = self.numbering, []
         multipliers = np.arange(numbering.positions, numbering.positions + numbering.multipliers)
         count = len(self.constrained)
-        if self.constraints and count:  # one interval of degree 1 between given ends has no node left to hold
+        if self.constraints and count:  # one interval of degree 1 between given ends has no free node
             of_constraints = multipliers[: self.constraints * count].reshape(count, self.constraints)
             multipliers = multipliers[self.constraints * count :]
             entries = np.concatenate((numbering.of_nodes[self.constrained], of_constraints), axis=1).T
@@ -179,30 +198,31 @@ class _Statement:
             terms.append(LocalTerm(self._phase(), entries, ca.DM(0, self.intervals + 1), True))
         if self.at_ends is not None:
             function, symmetric = self.at_ends
-            given = [numbering.free + ends[pinned] for ends, pinned in zip(numbering.of_ends, self.pinned, strict=True)]
+            ends = zip(numbering.of_ends, self.imposed, strict=True)
+            given = [numbering.free + numbers[imposed] for numbers, imposed in ends]
             entries = np.concatenate((*numbering.of_nodes[[0, -1]], multipliers, *given))[:, None]
-            ends = ca.DM(ca.Sparsity.triplet(2, self.intervals + 1, [0, 1], [0, self.intervals]), 1.0)
-            terms.append(LocalTerm(function, entries, ends, symmetric))
+            times = ca.DM(ca.Sparsity.triplet(2, self.intervals + 1, [0, 1], [0, self.intervals]), 1.0)
+            terms.append(LocalTerm(function, entries, times, symmetric))
         return tuple(terms)
 
     def _function(self, name: str, y: ca.SX, t: ca.SX, added: ca.SX, rows: ca.SX) -> ca.Function:
-        """A term's Function, see `LocalTerm`."""
+        """The Function of a term, see `LocalTerm`."""
         outputs = [ca.densify(added), ca.densify(rows), ca.jacobian(rows, y)]
         return ca.Function(name, [y, t, self.parameters, self.given], outputs)
 
     def _called(self, function: ca.Function, *arguments: ca.SX) -> ca.SX:
-        """A callable of the problem, which takes the parameters where there are some."""
+        """A callable of the problem at these arguments and, where there are some, the parameters."""
         return function(*arguments, *([] if self.problem.parameters is None else [self.parameters]))
 
     def _constraint(self) -> ca.Function:
         t, x, impulse = ca.SX.sym("t"), ca.SX.sym("x", self.problem.dimension), ca.SX.sym("impulse", self.constraints)
         assert self.problem.constraint is not None
-        missed = self._called(self.problem.constraint, t, x)
-        rows = ca.vertcat(ca.jtimes(missed, x, impulse, True), missed)
+        residual = self._called(self.problem.constraint, t, x)
+        rows = ca.vertcat(ca.jtimes(residual, x, impulse, True), residual)
         return self._function("constraint", ca.vertcat(x, impulse), t, ca.SX(0), rows)
 
     def _node_times(self) -> ca.DM:
-        """Times of the constrained nodes as sums of joints."""
+        """Matrix from the joints to the times of the constrained nodes."""
         m, count = self.method.degree, len(self.constrained)
         interval = np.minimum(self.constrained // m, self.intervals - 1)
         part = np.array(self.method.element.nodes)[self.constrained - m * interval]
@@ -221,10 +241,11 @@ class _Statement:
         return self._function("phase", ca.vertcat(x, multiplier), ca.SX(0, 1), ca.SX(0), rows)
 
     def _ends(self) -> tuple[ca.Function, bool] | None:
-        """The Function of the ends, and whether its jacobian is symmetric; None where nothing is said of them.
+        """The Function of the ends, and whether its jacobian is symmetric; None where no term states anything of them.
 
-        Of y = (x_0, x_N, μ, velocities that are not given but have a part in a momentum that follows from one, and the
-        given positions that are pinned).
+        Its y are x_0 and x_N, the multipliers μ of the end conditions, the unknown velocities at the start and at the
+        end, and the given values of the positions that are imposed.  Its rows are, in this order, the derivatives by
+        x_0 and x_N, the end conditions, the equations of the unknown velocities, and zeros for the given values.
         """
         problem, d = self.problem, self.problem.dimension
         if not any(is_given(getattr(problem, name)) for name in (*END_MOTIONS, "end_action", "end_conditions")):
@@ -241,27 +262,28 @@ class _Statement:
             unknowns.append(multipliers)
             rows += ca.jtimes(further, positions, multipliers, True)
         symmetric = True
-        places: list[ca.SX] = []
-        for k, (end, pinned) in enumerate(zip(self.velocities, self.pinned, strict=True)):
+        given_positions: list[ca.SX] = []
+        for k, (end, imposed) in enumerate(zip(self.velocities, self.imposed, strict=True)):
             given, unknown = end.given, end.unknown
-            velocities, place, v = ca.SX.sym("v", len(unknown)), ca.SX.sym("x", len(pinned)), stated[END_MOTIONS[k]]
+            velocities, positions_here = ca.SX.sym("v", len(unknown)), ca.SX.sym("x", len(imposed))
+            v = stated[END_MOTIONS[k]]
             v[unknown] = velocities
             momentum = (-1) ** k * self._momentum(t[k], x[k], v)
-            natural = [momentum[i] - rows[k * d + i] for i in unknown if i not in pinned]
-            further = ca.vertcat(further, *natural, *(x[k][i] - place[j] for j, i in enumerate(pinned)))
-            for i in (*given, *pinned):
+            natural = [momentum[i] - rows[k * d + i] for i in unknown if i not in imposed]
+            further = ca.vertcat(further, *natural, *(x[k][i] - positions_here[j] for j, i in enumerate(imposed)))
+            for i in (*given, *imposed):
                 rows[k * d + i] = momentum[i]
-            unknowns, places = [*unknowns, velocities], [*places, place]
+            unknowns, given_positions = [*unknowns, velocities], [*given_positions, positions_here]
             if unknown or ca.jacobian(momentum[given], positions).nnz():
                 symmetric = False
             else:
                 work += sum(momentum[i] * x[k][i] for i in given)
-        rows = ca.vertcat(rows, further, ca.SX.zeros(sum(map(len, self.pinned))))
+        rows = ca.vertcat(rows, further, ca.SX.zeros(sum(map(len, self.imposed))))
         added = ca.vertcat(action, work)
-        return self._function("ends", ca.vertcat(positions, *unknowns, *places), t, added, rows), symmetric
+        return self._function("ends", ca.vertcat(positions, *unknowns, *given_positions), t, added, rows), symmetric
 
     def _stated_motions(self) -> dict[str, ca.SX]:
-        """The velocities and momenta given at the ends by name, (d,) each; zero where none is."""
+        """The velocities and momenta given at the ends by name, (d,) each; zero where none is given."""
         given, zero = iter(ca.vertsplit(self.given)), ca.SX(0.0)
         return {
             name: ca.vertcat(*(zero if value is None else next(given) for value in getattr(self.problem, name)))

@@ -1,16 +1,17 @@
-"""What CasADi shares with the whole process: the threads of its OpenBLAS, locks of its own, and ``sys.stderr``.
+"""Process-wide state of CasADi: the threads of its OpenBLAS, its own locks, and ``sys.stderr``.
 
-From some 250,000 multiplications on it shares a product among all cores.  Those of a Newton iteration are small: on two
-cores it was no faster and took twice the processor time, and beside another busy pool of threads, such as SciPy's, a
-solve took 22 ms instead of 3.  Other users of the library are not asked, so the number is put back.
+From some 250,000 multiplications on, OpenBLAS computes a product on all cores.  The products of a Newton iteration are
+small: two cores were no faster and took twice the processor time, and beside another busy pool of threads, such as
+SciPy's, a solve took 22 ms instead of 3.  So a solve uses one thread, and restores the number for other users after it.
 
-CasADi runs without Python's own lock, lets one thread at a time into IPOPT, and takes short locks of its own whenever
-an expression or a Function is made, evaluated or deleted.  A process that is forked beside a thread that holds one
-finds it taken for ever: beside first solves 2 of 60 forked children hung.  So a fork waits for the solves of other
-threads, with all that they build, and for evaluations; not for `transcribe`, nor for what is deleted outside of solves.
+CasADi releases Python's global lock, admits one thread at a time to IPOPT, and takes short locks whenever an expression
+or a Function is made, evaluated or deleted.  If a process is forked while another thread holds such a lock, the lock
+stays taken in the child: during first solves 2 of 60 forked children hung.  So a fork waits for the solves of other
+threads, including what they build, and for evaluations.  It does not wait for `transcribe`, nor for deletions outside
+of solves.
 
-Its LDLᵀ writes a line to ``sys.stderr`` for every pivot that is exactly zero, and no option stops it.  The package
-measures what such a factorization gives and takes another where it is useless, so the line says nothing.
+CasADi's LDLᵀ writes a line to ``sys.stderr`` for every pivot that is exactly zero, and no option prevents it.  The
+package checks the solution of such a factorization and uses another one where it is useless, so the line is suppressed.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ def _functions() -> tuple[Callable[[], int], Callable[[int], object]]:
     path = Path(ca.__file__).parent / LIBRARY
     if not path.exists():
         return lambda: 1, lambda _: None
-    library = ctypes.PyDLL(str(path))  # the one that is loaded already; no fork comes into a call, nor into its locks
+    library = ctypes.PyDLL(str(path))  # loaded already; PyDLL keeps the global lock, so no fork happens within a call
     return library.openblas_get_num_threads, library.openblas_set_num_threads
 
 
@@ -42,10 +43,10 @@ count, use = _functions()
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let products use one thread; within another such block, nothing changes."""
+    """Let OpenBLAS use one thread; a nested block changes nothing."""
     several = count()
     if several == 1:
-        yield  # another thread may be at work, and will put the number back
+        yield  # another thread may be solving, and will restore the number
         return
     try:
         use(1)
@@ -65,10 +66,10 @@ ZERO_PIVOT = "LDL factorization has zeros in D"
 
 
 class _Filter:
-    """Stands for a stream and passes on all but CasADi's lines on zero pivots, which come in several parts."""
+    """A stream that passes on everything except CasADi's lines on zero pivots, which it writes in several parts."""
 
     def __init__(self, stream: TextIO) -> None:
-        self.stream, self._line, self.inside = stream, "", 0  # blocks that are under way
+        self.stream, self._line, self.inside = stream, "", 0  # number of open blocks
 
     def write(self, text: str) -> int:
         """Pass on whole lines."""
@@ -79,7 +80,7 @@ class _Filter:
         return len(text)
 
     def finish(self) -> None:
-        """Pass on a line that was begun."""
+        """Pass on an unfinished line."""
         if self._line:
             self.stream.write(self._line)
             self._line = ""
@@ -90,19 +91,19 @@ class _Filter:
 
 @contextmanager
 def without_zero_pivots() -> Iterator[None]:
-    """Let ``sys.stderr`` have no lines on zero pivots; within another such block, nothing changes.
+    """Suppress lines on zero pivots on ``sys.stderr``; a nested block changes nothing.
 
-    It takes no lock, which an interrupt could leave taken.  What another thread may leave is the filter: it passes on
-    all else, and the next to leave takes it away.
+    It takes no lock, which an interrupt could leave taken.  Another thread may therefore leave the filter in place,
+    where it passes on all other lines; the next block to end removes it.
     """
     now: object = sys.stderr
-    own = now if isinstance(now, _Filter) else _Filter(sys.stderr)
+    stream_filter = now if isinstance(now, _Filter) else _Filter(sys.stderr)
     try:
-        own.inside += 1
-        sys.stderr = cast(TextIO, own)
+        stream_filter.inside += 1
+        sys.stderr = cast(TextIO, stream_filter)
         yield
     finally:
-        own.inside -= 1
-        if own.inside <= 0 and sys.stderr is cast(TextIO, own):
-            own.finish()
-            sys.stderr = own.stream
+        stream_filter.inside -= 1
+        if stream_filter.inside <= 0 and sys.stderr is cast(TextIO, stream_filter):
+            stream_filter.finish()
+            sys.stderr = stream_filter.stream

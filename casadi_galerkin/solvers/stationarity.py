@@ -1,13 +1,13 @@
-"""The stationarity conditions ∇S(ξ) = 0 of one discrete functional: all that Newton's method needs, in three steps.
+"""The stationarity conditions ∇S(ξ) = 0 of one discrete functional, and the three steps of Newton's method for them.
 
     newton_step      ξ, data                                 ->  ∇S, ∇²S; step, softest_direction, sizes, norm
     simplified_step  ξ, data, ∇²S, step, sizes, damping      ->  simplified, length, nonlinearity
     verification     ξ, data, ∇²S, softest_direction         ->  S, momenta, residual, regularity
 
-In each of them a Function of the functional's one graph evaluates, and one of the `LinearSolver`, which serves all
-Lagrangians whose ∇²S has the same sparsity, solves or measures.  The `Stationarity` holds both; nobody writes to it, so
-it may be shared.  The arrays that a solve writes belong to a `Linearization`, which one solve has for itself: what one
-Function writes is where the others read.
+In each step, a Function of the functional's graph evaluates, and a Function of the `LinearSolver` solves or measures.
+A `LinearSolver` serves all Lagrangians whose ∇²S has the same sparsity.  A `Stationarity` holds the functional and the
+linear solver; it is immutable and may be shared.  The arrays that a solve writes to belong to a `Linearization`, which
+only one solve uses at a time.  The outputs of one Function and the inputs of another with the same name are one array.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
 Built = TypeVar("Built")
 
 ACCEPTED = 50.0  # accepted residual over its roundoff floor; correct solutions were measured at 0.01 to 5
-SIGN_SAMPLES = 4  # random choices of the signs of rounding errors, from which the effect of rounding is estimated
+SIGN_SAMPLES = 4  # number of random choices of the signs of rounding errors for an estimate of their effect
 
 
 class Iterate(NamedTuple):
@@ -40,9 +40,10 @@ class Iterate(NamedTuple):
     ----------
     unknowns : ξ
     step : -∇²S⁻¹ ∇S
-    sizes : sizes that the unknowns are measured by
-    norm : largest entry of the step relative to them; NaN where the step is not finite
-    matrix, softest_direction : nonzeros of ∇²S, and the solution for a generic right-hand side
+    sizes : sizes of the unknowns, see `Stationarity.sizes`
+    norm : largest entry of the step relative to the sizes; NaN where the step is not finite
+    matrix : nonzeros of ∇²S at the point
+    softest_direction : solution of the linear equations with ∇²S for a generic right-hand side
     """
 
     unknowns: np.ndarray
@@ -63,9 +64,10 @@ class Stationarity:
     Attributes
     ----------
     linear_solver : LinearSolver for the functional's Hessian
-    linear_methods : how ∇²S is solved with: LDLᵀ, and QR where that fails; QR alone where ∂²L/∂v_i² is structurally
-        zero for some i, or where ∇²S is not symmetric, as with a force
-    variational : whether the conditions are those of an action that may be lowered, under conditions if there are some
+    linear_methods : names of the factorizations of ∇²S: LDLᵀ, and QR where that fails; QR alone where ∂²L/∂v_i² is
+        structurally zero for some i, or where ∇²S is not symmetric, as with a force
+    variational : whether the conditions are those of a (constrained) minimum of an action: ∇²S is symmetric, and the
+        duration is given
     """
 
     def __init__(self, functional: Functional) -> None:
@@ -77,13 +79,13 @@ class Stationarity:
 
     @cached_property
     def unforced(self) -> Stationarity | None:
-        """The conditions of the same functional without its force; None where there is none."""
+        """The conditions of the same functional without its force; None where there is no force."""
         functional = self.functional.unforced
         return None if functional is None else Stationarity(functional)
 
     @contextmanager
     def linearization(self, linear_solver: str | None = None) -> Iterator[Linearization]:
-        """Lend the arrays of an earlier solve, or new ones, to a solve.
+        """Lend a `Linearization` to one solve: that of an earlier solve, or a new one.
 
         Parameters
         ----------
@@ -110,12 +112,19 @@ class Stationarity:
         return np.array(gradient).ravel(), np.array(floor).ravel()
 
     def sizes(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
-        """What each unknown is measured by: the size of its component in the path, or one where that is zero."""
+        """Size of every unknown: that of its component in the path, or one where that is zero; (n,)."""
         return np.array(self.linear_solver.sizes(joined(unknowns, data))[0]).ravel()
 
 
 class Linearization:
-    """The arrays of one solve: ∇S, ∇²S and what was found with them at the last iterate.
+    """The arrays of one solve, which its methods overwrite.
+
+    ∇S (`gradient`) is that of the last point at which a method evaluated it: `newton_step`, `relinearize`,
+    `simplified_step`, `terms` and `verification` do.  ∇²S (`matrix`) is that of the last `newton_step` or
+    `relinearize`, the weighted one of the last `weight_inertia`, or the one restored by `return_to`; the other methods
+    keep it.  The softest direction is that of the last `newton_step` or `return_to`.  `solve`, `refined` and
+    `rounding_effects` solve with the present ∇²S, and `simplified_step` with the present ∇²S and a new ∇S.
+    `evaluate` has arrays of its own.
 
     Attributes
     ----------
@@ -134,38 +143,38 @@ class Linearization:
         self._data: Data | None = None
 
     def keep(self, key: str, build: Callable[[], Built]) -> Built:
-        """A CasADi solver, built when it is first asked for: two solves must not share one."""
+        """A CasADi solver, built when it is first used; kept here because two solves must not share one."""
         if key not in self._kept:
             self._kept[key] = build()
         return cast(Built, self._kept[key])
 
     @property
     def gradient(self) -> np.ndarray:
-        """∇S as it was last evaluated."""
+        """∇S at the point where it was last evaluated; (n,)."""
         return self._arrays["gradient"]
 
     @property
     def matrix(self) -> np.ndarray:
-        """Nonzeros of ∇²S as it was last evaluated."""
+        """Nonzeros of the present ∇²S, see the class."""
         return self._arrays["matrix"]
 
     def _array(self, name: str, size: int) -> np.ndarray:
-        """The array of a name, made when it is first asked for."""
+        """The array with a name, made when it is first used."""
         if name not in self._arrays:
             self._arrays[name] = np.zeros(size)
         return self._arrays[name]
 
     def _bind(self, key: tuple[str, ...], function: ca.Function) -> Evaluator:
-        """Let a Function read and write the arrays of the names of its inputs and outputs."""
+        """Bind the inputs and outputs of a Function to the arrays with their names."""
         self._evaluators[key] = evaluator = Evaluator(function, self._arrays)
         self._arrays |= evaluator.inputs | evaluator.outputs
         return evaluator
 
     def _evaluate(self, name: str, unknowns: np.ndarray, data: Data) -> None:
-        """Evaluate one of the functional's own Functions on the arrays of the names of its inputs and outputs."""
+        """Evaluate one of the functional's own Functions on the arrays with the names of its inputs and outputs."""
         evaluator = self._evaluators.get((name,)) or self._bind((name,), self.stationarity.functional.function(name))
         if data is not self._data:  # the same tuple in all iterations
-            self._data = None  # an interrupt may come between two arrays
+            self._data = None  # until all arrays are written, because an interrupt may come between two
             for key, values in zip(self._inputs, data, strict=True):
                 self._arrays[key][:] = values
             self._data = data
@@ -179,46 +188,53 @@ class Linearization:
             key = build.__name__, method
             evaluator = self._evaluators.get(key) or self._bind(key, build(method))
             for name in (*measures, "defect") if method != METHODS[0] else ():
-                arrays[name][:] = np.nan  # what stays where CasADi's QR gives up
+                arrays[name][:] = np.nan  # CasADi's QR leaves the outputs unchanged where it fails
             evaluator.run()
             if arrays["defect"][0] <= 0:
                 return
             if not np.isfinite(self.gradient).all():
                 break
         solved = math.isfinite(arrays["defect"][0]) and np.any(arrays[step])
-        if not solved:  # CasADi's QR answers a rank-deficient system with zeros
+        if not solved:  # for a singular matrix CasADi's QR returns zeros
             for name in measures:
                 arrays[name][:] = np.nan
 
     def newton_step(self, unknowns: np.ndarray, data: Data) -> Iterate:
-        """The Newton step and its measures; its norm is NaN where the Hessian is singular to the last digit.
+        """Evaluate ∇S and ∇²S at a point, and solve for the Newton step.
 
-        `matrix` is then ∇²S at this point.
+        The norm of the step is NaN where ∇²S is singular to the last digit.
         """
         self._evaluate("derivatives", unknowns, data)
         self._solve(self.stationarity.linear_solver.newton_step, "step", "norm")
         arrays = self._arrays
-        left = arrays["matrix"].copy(), arrays["softest_direction"].copy()
-        return Iterate(unknowns, arrays["step"].copy(), arrays["sizes"].copy(), arrays["norm"].item(), *left)
+        matrix, softest_direction = arrays["matrix"].copy(), arrays["softest_direction"].copy()
+        step, sizes, norm = arrays["step"].copy(), arrays["sizes"].copy(), arrays["norm"].item()
+        return Iterate(unknowns, step, sizes, norm, matrix, softest_direction)
 
     def return_to(self, at: Iterate) -> None:
         """Restore ∇²S and the softest direction of an earlier iterate."""
         self._arrays["matrix"][:], self._arrays["softest_direction"][:] = at.matrix, at.softest_direction
 
     def relinearize(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
-        """Evaluate ∇S and ∇²S, which `gradient` and `matrix` then are; returns a copy of ∇S."""
+        """Evaluate ∇S and ∇²S at a point; returns a copy of ∇S."""
         self._evaluate("derivatives", unknowns, data)
         return self.gradient.copy()
 
     def terms(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
-        """Sizes of what every entry of ∇S sums, (n,), without a change of ∇²S."""
+        """Sums of the sizes of the terms of every entry of ∇S, (n,); evaluates ∇S, but not ∇²S."""
         self._evaluate("summary", unknowns, data)
         return self._arrays["terms"].copy()
 
     def simplified_step(
         self, unknowns: np.ndarray, data: Data, at: Iterate, damping: float
     ) -> tuple[np.ndarray, float, float]:
-        """Simplified Newton step: the gradient at a trial point, the Hessian at the last iterate `at`.
+        """Simplified Newton step: the gradient at a trial point, the Hessian at the last iterate.
+
+        Parameters
+        ----------
+        unknowns : trial point
+        at : the last iterate, whose ∇²S is the present one
+        damping : factor of the Newton step that led to the trial point
 
         Returns
         -------
@@ -229,11 +245,11 @@ class Linearization:
             self._array(name, np.size(value))[:] = value
         self._evaluate("gradient", unknowns, data)
         self._solve(self.stationarity.linear_solver.simplified_step, "simplified", "length", "nonlinearity")
-        found, length, nonlinearity = (self._arrays[name] for name in ("simplified", "length", "nonlinearity"))
-        return found.copy(), length.item(), nonlinearity.item()
+        step, length, nonlinearity = (self._arrays[name] for name in ("simplified", "length", "nonlinearity"))
+        return step.copy(), length.item(), nonlinearity.item()
 
     def verification(self, unknowns: np.ndarray, data: Data) -> tuple[float, np.ndarray, float, float]:
-        """S, momenta at the joints, residual and regularity; Hessian and softest direction are of the last iterate."""
+        """S, momenta at the joints and residual at a point; regularity of ∇²S at the last iterate."""
         self._evaluate("summary", unknowns, data)
         key = ("verification",)
         (self._evaluators.get(key) or self._bind(key, self.stationarity.linear_solver.verification)).run()
@@ -242,19 +258,19 @@ class Linearization:
         return action.item(), momentum.copy(), residual.item(), regularity.item()
 
     def evaluate(self, name: str, unknowns: np.ndarray, data: Data, *further: np.ndarray) -> list[np.ndarray]:
-        """Evaluate one of the functional's own Functions, without a change of ∇S and ∇²S; returns copies."""
+        """Evaluate one of the functional's own Functions without changing ∇S and ∇²S; returns copies."""
         key = name, "apart"
         if key not in self._evaluators:
             self._evaluators[key] = Evaluator(self.stationarity.functional.function(name))
         return self._evaluators[key](unknowns, *data, *further)
 
     def weight_inertia(self, unknowns: np.ndarray, data: Data, factor: float) -> None:
-        """Evaluate ∇²S with ∂²L/∂v² times a factor; a large one makes ∇²S positive definite where ∂²L/∂v² is."""
+        """Evaluate ∇²S with ∂²L/∂v² multiplied by a factor; a large one makes it positive definite where ∂²L/∂v² is."""
         self._array("inertia", 1)[:] = factor
         self._evaluate("inertia_weighted", unknowns, data)
 
     def solve(self, *rhs: np.ndarray, transposed: bool = False) -> list[np.ndarray]:
-        """Solutions of ∇²S y = -b, or (∇²S)ᵀ y = -b, with the last `matrix`; not finite where that is singular."""
+        """Solutions of ∇²S y = -b, or (∇²S)ᵀ y = -b, with the present `matrix`; not finite where that is singular."""
         columns, linear = len(rhs), self.stationarity.linear_solver
         for method in self.methods:
             key = "solutions", method, str(columns), str(transposed)
@@ -265,24 +281,24 @@ class Linearization:
             if defect[0] <= 0:
                 break
         else:
-            if not np.any(y):  # CasADi's QR answers a rank-deficient system with zeros
+            if not np.any(y):  # for a singular matrix CasADi's QR returns zeros
                 y[:] = np.nan
         return list(y.reshape(columns, -1))
 
     def refined(self, unknowns: np.ndarray, data: Data, *rhs: np.ndarray) -> list[np.ndarray]:
-        """Solutions of ∇²S y = -b with ∇²S at `unknowns`, as it was left, refined once.
+        """Solutions of ∇²S y = -b with one step of iterative refinement; the present ∇²S is that at `unknowns`.
 
-        What they leave of b is summed over the points: where ∇²S is nearly singular, rounding of its entries moves
-        solutions a thousand times further than that of the terms they sum.
+        The residual is summed over the points, without the entries of ∇²S: where ∇²S is nearly singular, the rounding
+        of its entries changes the solutions a thousand times more than the rounding of the terms at the points.
         """
         first = self.solve(*rhs)
-        left = [b + self.evaluate("product", unknowns, data, y)[0] for y, b in zip(first, rhs, strict=True)]
-        return [y + further for y, further in zip(first, self.solve(*left), strict=True)]
+        residuals = [b + self.evaluate("product", unknowns, data, y)[0] for y, b in zip(first, rhs, strict=True)]
+        return [y + correction for y, correction in zip(first, self.solve(*residuals), strict=True)]
 
     def rounding_effects(self, terms: np.ndarray) -> np.ndarray:
-        """What errors of the equations of these sizes do to the unknowns, for `SIGN_SAMPLES` choices of random signs.
+        """Changes of the unknowns, with the present ∇²S, by errors of the equations of sizes `terms` and random signs.
 
-        ∇²S is the last `matrix`; (SIGNS, n).
+        Returns one change for each of `SIGN_SAMPLES` choices of the signs, (SIGN_SAMPLES, n).
         """
         signs = np.random.default_rng(len(terms)).choice((-1.0, 1.0), (SIGN_SAMPLES, len(terms)))
         return np.array(self.solve(*(signs * terms)))
