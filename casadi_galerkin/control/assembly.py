@@ -1,9 +1,9 @@
-"""What of the graph follows from the `Chain` alone, as CasADi Functions: from ξ to all places, and from there back.
+"""The linear parts of the graph of an optimization, which depend on the `Chain` only, as CasADi Functions.
 
-With A, Ê, Θ and Λ of the `ChainEmbedding` they take ξ to A ξ, multipliers λ to Θᵀλ, and what the pointwise functions
-return at the places to f, G, ∇f, ∇G and ∇²f̄, see `graph`.  What is known or returned at places of one kind is one
-matrix, with a column for every place.  They hold all that is large, and are kept for the next problem with the same
-chain.
+With A, Ê, Θ and Λ of the `ChainEmbedding`, they map ξ to A ξ, the multipliers λ to Θᵀλ, and the outputs of the
+pointwise functions to f, G, ∇f, ∇G and ∇²f̄, see `graph`.  The inputs, or the outputs, at all places of one kind are one
+matrix with a column for every place.  These Functions are the large part of the graph, and they are cached for problems
+with the same chain.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import TypeAlias
 import casadi as ca
 
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.embedding import ChainEmbedding, Places
+from casadi_galerkin.control.embedding import ChainEmbedding, PlaceLayout
 from casadi_galerkin.functional.numbering import CACHE_SIZE
 
-Pattern: TypeAlias = tuple[int, int, tuple[int, ...], tuple[int, ...]]  # the arguments of a ca.Sparsity, to be kept by
+Pattern: TypeAlias = tuple[int, int, tuple[int, ...], tuple[int, ...]]  # arguments of a ca.Sparsity, hashable
 
 
 def pattern_of(matrix: ca.SX) -> Pattern:
@@ -39,13 +39,13 @@ def symbols(chain: Chain) -> tuple[ca.MX, ca.MX]:
 
 
 def _at_places(name: str, chain: Chain, rows: Sequence[int]) -> list[ca.MX]:
-    """Symbols of one matrix for each kind of place, with so many rows."""
-    return [ca.MX.sym(name, r, place.count) for r, place in zip(rows, matrices(chain).places, strict=True)]
+    """Symbols of one matrix for each kind of place; `rows` are their numbers of rows."""
+    return [ca.MX.sym(name, r, place.count) for r, place in zip(rows, matrices(chain).inputs, strict=True)]
 
 
 def _returned(name: str, chain: Chain) -> list[ca.MX]:
-    """Symbols of what belongs to the rows that the pointwise functions return."""
-    return _at_places(name, chain, [place.width for place in matrices(chain).returned])
+    """Symbols with the shapes of the outputs of the pointwise functions."""
+    return _at_places(name, chain, [place.width for place in matrices(chain).outputs])
 
 
 def _gradients(chain: Chain) -> list[ca.MX]:
@@ -54,7 +54,7 @@ def _gradients(chain: Chain) -> list[ca.MX]:
 
 
 def _gradients_of_costs(chain: Chain) -> tuple[list[ca.MX], ca.MX]:
-    """Symbols of ∇c_k at the kinds of places with costs, and [w_k ∇c_k] of all places, made of these."""
+    """Symbols of ∇c_k at the kinds of places with costs, and the vector [w_k ∇c_k] of all places."""
     gradients, given = _gradients(chain), matrices(chain).with_costs
     of_all = [a if k in given else ca.MX.zeros(*a.shape) for k, a in enumerate(gradients)]
     of_all[0] *= ca.repmat(_weights(chain), gradients[0].size1(), 1)
@@ -62,19 +62,19 @@ def _gradients_of_costs(chain: Chain) -> tuple[list[ca.MX], ca.MX]:
 
 
 def _weights(chain: Chain) -> ca.MX:
-    """The quadrature weights w_k at the points; at other places they are one."""
+    """The quadrature weights w_k at the points; at other places the weights are one."""
     return ca.MX(ca.repmat(ca.DM(chain.method.element.weights).T, 1, chain.intervals))
 
 
 def _blocks(chain: Chain, patterns: tuple[Pattern, ...]) -> tuple[list[ca.MX], ca.MX]:
-    """Symbols of the nonzeros of matrices at all kinds of places, and blockdiag(·) of these."""
+    """Symbols of the nonzeros of one matrix per place, for all kinds of places, and their blockdiag(·)."""
     entries = _at_places("entries", chain, [len(row) for *_, row in patterns])
-    kinds = zip(patterns, matrices(chain).places, strict=True)
+    kinds = zip(patterns, matrices(chain).inputs, strict=True)
     blocks = [block for pattern, place in kinds for block in [ca.Sparsity(*pattern)] * place.count]
     return entries, ca.MX(ca.diagcat(*blocks), ca.veccat(*entries))
 
 
-def _split(stacked: ca.MX, places: Sequence[Places]) -> list[ca.MX]:
+def _split(stacked: ca.MX, places: Sequence[PlaceLayout]) -> list[ca.MX]:
     """Cut a long vector into one matrix for each kind of place."""
     parts = ca.vertsplit(stacked, [0, *(place.last for place in places)])
     return [ca.reshape(part, place.width, place.count) for part, place in zip(parts, places, strict=True)]
@@ -82,16 +82,16 @@ def _split(stacked: ca.MX, places: Sequence[Places]) -> list[ca.MX]:
 
 @lru_cache(CACHE_SIZE)
 def embedding(chain: Chain) -> ca.Function:
-    """(unknowns, data) -> A ξ, what is known at all kinds of places."""
+    """(unknowns, data) -> A ξ, the inputs at all kinds of places."""
     given, made = symbols(chain), matrices(chain)
-    return ca.Function("embedding", [*given], _split(ca.mtimes(made.matrix, ca.vertcat(*given)), made.places))
+    return ca.Function("embedding", [*given], _split(ca.mtimes(made.matrix, ca.vertcat(*given)), made.inputs))
 
 
 @lru_cache(CACHE_SIZE)
 def summation(chain: Chain) -> ca.Function:
     """c_k at the kinds of places with costs -> f."""
     made = matrices(chain)
-    costs = [ca.MX.sym("costs", 1, made.places[k].count) for k in made.with_costs]
+    costs = [ca.MX.sym("costs", 1, made.inputs[k].count) for k in made.with_costs]
     return ca.Function("summation", costs, [ca.sum2(ca.horzcat(_weights(chain) * costs[0], *costs[1:]))])
 
 
@@ -122,10 +122,10 @@ def jacobian(chain: Chain, patterns: tuple[Pattern, ...]) -> ca.Function:
 def multiplication(chain: Chain) -> ca.Function:
     """(φ, λ) -> φ w_k, then (Θᵀλ)_k, at all kinds of places, and Λᵀλ."""
     made, factor, multipliers = matrices(chain), ca.MX.sym("factor"), ca.MX.sym("multipliers", chain.equations)
-    weights = [factor * _weights(chain), *[factor] * (len(made.places) - 1)]
-    along = _split(ca.mtimes(made.test, multipliers), made.returned)
+    weights = [factor * _weights(chain), *[factor] * (len(made.inputs) - 1)]
+    local_multipliers = _split(ca.mtimes(made.test, multipliers), made.outputs)
     linear = ca.mtimes(made.linear.T, multipliers)
-    return ca.Function("multiplication", [factor, multipliers], [*weights, *along, linear])
+    return ca.Function("multiplication", [factor, multipliers], [*weights, *local_multipliers, linear])
 
 
 @lru_cache(CACHE_SIZE)
@@ -147,21 +147,22 @@ def hessian(chain: Chain, patterns: tuple[Pattern, ...]) -> ca.Function:
 
 @lru_cache(CACHE_SIZE)
 def verification(chain: Chain, patterns: tuple[Pattern, ...]) -> ca.Function:
-    """What is told of a point beside f and G -> the action, sizes of terms, ∇f̄, and the Hamiltonian of every interval.
+    """The rest of a `Report` but f and G: the action, two sizes of every equation, ∇f̄, and the Hamiltonian.
 
-    The sizes are sums, for every equation, of those of its terms, and of what cancels in these.  It takes unknowns and
-    data; what is known at the quadrature points, the action there, and the derivative of f̄ by the step; ∇c_k at the
-    kinds of places with costs; at all kinds of places e_k, the nonzeros of ∇e_k, and (Θᵀλ)_k; and Λᵀλ.
+    The first size of an equation is the sum of the sizes of its terms.  The second is the sum of the sizes of the terms
+    of these, Σ |∂e/∂z| |z|, which may cancel.  The Hamiltonian has one value per interval.  The inputs are unknowns and
+    data; the inputs at the quadrature points, the action there, and the derivative of f̄ by the step; ∇c_k at the kinds
+    of places with costs; at all kinds of places e_k, the nonzeros of ∇e_k, and (Θᵀλ)_k; and Λᵀλ.
     """
     made, (unknowns, data) = matrices(chain), symbols(chain)
     points = made.points
     z, actions, by_step = (ca.MX.sym("points", r, points.count) for r in (points.width, 1, 1))
     (gradients, weighted), (entries, derivatives) = _gradients_of_costs(chain), _blocks(chain, patterns)
-    rows, along = _returned("rows", chain), _returned("multipliers", chain)
+    rows, local_multipliers = _returned("rows", chain), _returned("multipliers", chain)
     linear, everything = ca.MX.sym("linear", chain.unknowns), ca.fabs(ca.vertcat(unknowns, data))
     test, others = ca.fabs(made.test.T), ca.mtimes(ca.fabs(made.linear), everything[: chain.unknowns])
     canceled = ca.mtimes(ca.fabs(derivatives), ca.mtimes(ca.fabs(made.differentiated), everything))
-    slopes = weighted + ca.mtimes(derivatives.T, ca.veccat(*along))
+    slopes = weighted + ca.mtimes(derivatives.T, ca.veccat(*local_multipliers))
     durations = z[int(points.row("duration")[0, 0]), :]
     outputs = [
         ca.sum2(_weights(chain) * actions),
@@ -170,5 +171,5 @@ def verification(chain: Chain, patterns: tuple[Pattern, ...]) -> ca.Function:
         ca.mtimes(made.derivative.T, slopes) + linear,
         ca.sum1(ca.reshape(by_step / durations, -1, chain.intervals)),
     ]
-    inputs = [unknowns, data, z, actions, by_step, *gradients, *rows, *entries, *along, linear]
+    inputs = [unknowns, data, z, actions, by_step, *gradients, *rows, *entries, *local_multipliers, linear]
     return ca.Function("verification", inputs, [*map(ca.densify, outputs)])

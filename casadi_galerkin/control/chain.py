@@ -1,14 +1,15 @@
-"""Which entry of one long vector stands for what: the unknowns and the equations of an optimization, stage by stage.
+"""The numbering of the unknowns and of the equations of an optimization, stage by stage.
 
-All that an optimizer chooses and all that it is given are one vector ξ = (unknowns, data).  The unknowns form a chain
-of N + 1 stages: at every joint the state (x, p and the free constants: durations and parameters), and on the interval
-after it what is chosen there, the path's values at the other nodes, the controls and the impulses of a constraint.  The
-velocities at the two ends are chosen beside the first state and the last.  The equations of a stage are those that tie
-the next state to it, and then the others.
+All unknowns and all data of an optimization are one vector ξ = (unknowns, data).  The unknowns form a chain of N + 1
+stages.  At every joint there is a state: x, p and the free constants, which are durations and parameters.  The other
+unknowns of a stage belong to the interval after the joint: the values of the path at the other nodes, the controls, and
+the impulses of a constraint.  The velocities at the two ends are further unknowns of the first and of the last stage.
+The equations of a stage are first those that determine the next state, and then all others.
 
-The values of the path at the end of an interval and the state after it are different unknowns.  Where the path jumps,
-the law of the jump ties them instead of their equality: the velocity just before is chosen on the interval, too, which
-has the momentum that arrives, and with which the law, and a waypoint that is a function, say what comes after.
+The value of the path at the end of an interval and the state after it are different unknowns, which an equation makes
+equal.  Where the path jumps, the law of the jump replaces this equation.  It depends on the velocity just before the
+jump, and so does a waypoint that is a function.  This velocity is then a further unknown of the interval, determined by
+the momentum with which the path arrives.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ Layout = Mapping[str, tuple[int, ...]]  # the shapes of named arrays, in their o
 
 
 def numbered(layouts: Iterable[Layout], first: int = 0) -> dict[str, np.ndarray]:
-    """Number the entries of named arrays, one layout after the other; (times a name comes, *shape) for every name."""
+    """Number the entries of named arrays, layout by layout; for every name (number of layouts that have it, *shape)."""
     parts: dict[str, list[np.ndarray]] = {}
     for layout in layouts:
         for name, shape in layout.items():
@@ -47,7 +48,7 @@ def length(layout: Layout) -> int:
 
 
 def kinds_of(arrays: Mapping[str, np.ndarray], alike: Iterable[Sequence[str]], count: int) -> np.ndarray:
-    """Number the kinds of so many entries of named arrays: one for each component of arrays that are alike."""
+    """Number the kinds of `count` entries: one for each component (last index) of the arrays of a group in `alike`."""
     kinds, offset = np.empty(count, dtype=np.int64), 0
     for names in alike:
         for name in names:
@@ -57,7 +58,7 @@ def kinds_of(arrays: Mapping[str, np.ndarray], alike: Iterable[Sequence[str]], c
 
 
 def largest_of(values: np.ndarray, kinds: np.ndarray) -> np.ndarray:
-    """Largest of the values of every kind; what is not a number is passed over."""
+    """Largest of the values of every kind, NaN ignored."""
     largest = np.zeros(kinds.max() + 1)
     np.fmax.at(largest, kinds, values)
     return largest
@@ -66,46 +67,50 @@ def largest_of(values: np.ndarray, kinds: np.ndarray) -> np.ndarray:
 class Chain:
     """Numbering of ξ, and of the equations, of a control problem on N intervals.
 
-    It depends on what the problem has, but not on its callables and numbers, and is kept for the next problem like it:
-    see `chain_of`.
+    It depends on the components, controls and constraints that the problem has, but not on its callables and values.
+    It is cached for problems that are equal in this respect, see `chain_of`.
 
     Parameters
     ----------
     method : Galerkin
     intervals : N
-    dimension, mechanical, controls, parameters, constraints, path_constraints, conditions : numbers of components, of
-        those with an equation of motion, of controls, parameters, holonomic constraints, path constraints and end
-        conditions
-    terminal_cost : whether there is one
+    dimension, mechanical : numbers of all components, and of the components with an equation of motion
+    controls, parameters, constraints, path_constraints, conditions : numbers of controls, parameters, holonomic
+        constraints, path constraints and end conditions
+    terminal_cost : whether there is a terminal cost
     free : which of "durations" and "parameters" are unknowns
     hold : whether controls are constant on every interval
     breaks : numbers of the joints at the breakpoints
-    crossings : for each of those where the velocity counts, see `ControlProblem.crossings`, the number of the joint,
-        whether it has a jump, and the number of conditions
+    crossings : for each breakpoint with a jump or a condition on the velocity, see `ControlProblem.crossings`, the
+        number of the joint, whether the path jumps there, and the number of conditions
 
     Attributes
     ----------
-    crossed : (K,), numbers of the joints crossed
-    jumped : (K,), which of these have a jump
-    phases : (N,), number of the phase with a duration of its own that every interval lies in
+    crossed : (K,), numbers of the joints of the crossings
+    jumped : (K,), whether the path jumps there
+    phases : (N,), number of the phase to which every interval belongs; phases have free durations of their own
     unknowns, equations, size : numbers of unknowns, of equations, and of entries of ξ
     fields : name -> entries of ξ: "x" (N + 1, d), "momentum" (N + 1, mechanical), "nodes" (N, m, d), the values at the
         nodes after the first, "controls" (N, points, n), "impulses" (N, m, constraints) at these nodes and
         "start_impulse" (constraints,), "start_velocity", "end_velocity" (mechanical,), "velocity" (K, mechanical)
-        before the joints crossed, "durations" (N + 1, phases) and "parameters" (N + 1, count), alike at all joints, and
-        "begin", "left", "part", "sizes"
-    rows : name -> equations: "x", "momentum", "constants" tie (N, ...) states; "motion" (N, m, mechanical) are those of
-        the nodes before the last, "rates" (N, m, others); "path" (N, r, count); "constraint" (N, m, constraints) and
-        "start_constraint" are a constraint, "start_tangent" and "end_tangent" its rate; "start", "end" (mechanical,);
-        "ends"; "arrival" (K, mechanical) are the momenta that arrive at the joints crossed, "waypoint 0" and so on the
-        functions there
-    arrivals : (N, mechanical), equations of the momenta that the intervals end with
-    departures : (N + 1, mechanical), equations of the momenta that the intervals begin with, and of the last one
-    kinds, unknown_kinds : (equations,), equal where equations compare the same quantities, and (unknowns,), where
-        unknowns are values of the same quantity
+        before the crossings, "durations" (N + 1, phases) and "parameters" (N + 1, count), equal at all joints.  And
+        data: "begin" (1,), the time of the start; "left" and "part" (N,), the time from the start of the phase to the
+        interval, and the length of the interval, both over the duration of the phase; "sizes" (mechanical,), the units
+        of the momenta
+    rows : name -> equations: "x", "momentum", "constants" (N, ...) determine the next states; "motion"
+        (N, m, mechanical) are the equations of motion of the nodes before the last; "rates" (N, m, others); "path"
+        (N, r, count); "constraint" (N, m, constraints) and "start_constraint" are a constraint, "start_tangent" and
+        "end_tangent" its time derivative; "start", "end" (mechanical,) are ∂L/∂v = p at the ends; "ends" are the end
+        conditions; "arrival" (K, mechanical) are the momenta before the crossings, and "waypoint 0" and so on the
+        conditions there
+    arrivals : (N, mechanical), equations of the momenta at the ends of the intervals
+    departures : (N + 1, mechanical), equations of the momenta at the starts of the intervals, and of the last momentum
+    kinds : (equations,), equal for equations whose terms are the same quantity
+    unknown_kinds : (unknowns,), equal for unknowns that are values of the same quantity
     motions : slice of the kinds that are equations of motion
-    stages : for every stage the numbers of its states, of what else is unknown there, and of its other equations
-    control_times : where the controls of an interval stand, in parts of it; one value in the middle where they are held
+    stages : for every stage the numbers of its states, of its other unknowns, and of its equations that do not
+        determine the next state
+    control_times : fractions of an interval at which its controls are given; held controls have one value, at 1/2
     """
 
     def __init__(
@@ -208,31 +213,31 @@ class Chain:
         return bool(self.fields[name].size and self.fields[name].ravel()[0] < self.unknowns)
 
     def pack(self, values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Unknowns and data out of one array per field."""
+        """Unknowns and data from one array per field."""
         everything = np.zeros(self.size)
         for name, index in self.fields.items():
             everything[index] = values[name]
         return everything[: self.unknowns], everything[self.unknowns :]
 
     def unpack(self, unknowns: np.ndarray, data: np.ndarray) -> dict[str, np.ndarray]:
-        """One array per field out of unknowns and data; constants once."""
+        """One array per field from unknowns and data; durations and parameters without the axis of the joints."""
         everything = np.concatenate((unknowns, data))
         values = {name: everything[index] for name, index in self.fields.items()}
         return values | {name: values[name][-1] for name in ("durations", "parameters")}
 
     def largest(self, terms: np.ndarray) -> np.ndarray:
-        """Largest of the terms of every kind of equation; what is not a number is passed over."""
+        """Largest of the terms of every kind of equation, NaN ignored."""
         return largest_of(terms, self.kinds)
 
     def units(self, sizes: np.ndarray) -> np.ndarray:
-        """What each equation is divided by: those of motion by S."""
+        """Unit of every equation: `sizes` for the equations of motion, else one."""
         units = np.ones(self.equations)
         for name in ("motion", "momentum", "start", "end", "arrival"):
             units[self.rows[name]] = sizes
         return units
 
     def path(self, values: dict[str, np.ndarray], mesh: np.ndarray) -> PiecewisePolynomial:
-        """The path, with other values before the joints where it jumps."""
+        """The path, with separate values before the joints where it jumps."""
         local = np.concatenate((values["x"][:-1, None], values["nodes"][:, :-1]), axis=1)
         everything = np.vstack((local.reshape(-1, self.dimension), values["x"][-1])).T
         jumped = self.crossed[self.jumped]
@@ -241,7 +246,7 @@ class Chain:
     def _jumping(
         self, mesh: np.ndarray, values: np.ndarray, joints: np.ndarray, before: np.ndarray
     ) -> PiecewisePolynomial:
-        """Node values (d, N m + 1) as a path, with other values (K, d) before some joints."""
+        """Node values (d, N m + 1) as a path, with separate values (K, d) before some joints."""
         m, arrivals = self.method.degree, None
         if len(joints):
             arrivals = values[:, m::m].copy()
@@ -250,7 +255,7 @@ class Chain:
 
     @cached_property
     def _rate_basis(self) -> np.ndarray:
-        """Polynomials that test the rates, at the nodes before the last; (m, m)."""
+        """Test polynomials of the rates at the nodes before the last; (m, m)."""
         return lagrange_values(np.array(gauss(self.method.degree).points), self.method.element.nodes[:-1])
 
     def costate(
@@ -258,33 +263,33 @@ class Chain:
     ) -> PiecewisePolynomial:
         """The multipliers of the equations of motion, and of the rates, as a path.
 
-        The latter are polynomials of degree m - 1 between the joints; at the joints they are those of the continuity,
-        and of the bounds where a breakpoint is passed.
+        Those of the rates are polynomials of degree m - 1 between the joints.  At the joints they are the multipliers
+        of the continuity of x, at a breakpoint with those of the bounds.
 
         Parameters
         ----------
         multipliers, bounds : of the equations, and of the bounds of the unknowns
-        arriving : (d, K), derivatives of the Lagrangian by the values before the joints crossed
+        arriving : (d, K), derivatives of the Lagrangian by x before the crossings
         mesh : (N + 1,)
         """
-        m, own = self.method.degree, slice(self.mechanical, None)
+        m, others = self.method.degree, slice(self.mechanical, None)
         motion = multipliers[self.rows["motion"]].reshape(self.intervals * m, self.mechanical)
         motion = np.vstack((motion, -multipliers[self.rows["momentum"][-1]]))
         rates = -self._rate_basis @ multipliers[self.rows["rates"]]
-        ends = -multipliers[self.rows["x"]][:, own]
+        ends = -multipliers[self.rows["x"]][:, others]
         rates[1:, 0] = ends[:-1]
-        rates[self.breaks, 0] -= bounds[self.fields["x"][self.breaks, own]]
+        rates[self.breaks, 0] -= bounds[self.fields["x"][self.breaks, others]]
         values = np.hstack((motion, np.vstack((rates.reshape(self.intervals * m, ends.shape[1]), ends[-1])))).T
         if len(self.breaks) == 0:
             return PiecewisePolynomial(mesh, self.method.element.nodes, values)
         before = np.hstack((motion[m * self.breaks], ends[self.breaks - 1]))
-        arrived = arriving[own].T + bounds[self.fields["nodes"][self.crossed - 1, -1, own]]
+        arrived = arriving[others].T + bounds[self.fields["nodes"][self.crossed - 1, -1, others]]
         before[np.isin(self.breaks, self.crossed)] = np.hstack((-multipliers[self.rows["arrival"]], arrived))
         return self._jumping(mesh, values, self.breaks, before)
 
 
 def chain_of(problem: ControlProblem, method: Galerkin, mesh: np.ndarray) -> Chain:
-    """The numbering of a problem on a mesh (N + 1,), the breakpoints of the problem among its joints."""
+    """The numbering of a problem on a mesh (N + 1,) that has the breakpoints of the problem among its joints."""
     limited, crossings = (problem.path_constraint, problem.end_conditions), problem.crossings
     path_constraints, conditions = (0 if given is None else len(given[1]) for given in limited)
     bounded = {"durations": problem.duration_bounds, "parameters": problem.parameter_bounds}

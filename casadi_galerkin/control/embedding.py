@@ -1,28 +1,29 @@
-"""The constant matrices that take the vector ξ of the `Chain` to every point, and back to the equations.
+"""The constant matrices from the vector ξ of the `Chain` to the inputs of the pointwise functions, and back.
 
-What the pointwise functions see is linear in ξ,
+The inputs of the pointwise functions are linear in ξ,
 
     (x, x', u, T, p, t_0, s, σ, S) at all quadrature points,    (x, v, p, t, S) at either end    =  A ξ,
 
-with reference slopes x' = h v, times t = t_0 + T s and steps h = T σ from the parts s of a phase's duration T.
-Derivatives are products with the columns of A:
+with reference slopes x' = h v.  Here t_0 is the start and T the duration of a phase, and s and σ are fractions of it:
+the time is t = t_0 + T s and the step h = T σ.  S are the units of the momenta.  The derivatives are products with
 
-    Ê = rows of A that are differentiated by, columns of the unknowns        (points <- unknowns)
-    Θ = the transposed test matrix,    Λ = what is linear in the unknowns     (equations <- points, unknowns).
+    Ê = the rows of A whose inputs depend on unknowns, and the columns of the unknowns     (inputs <- unknowns)
+    Θ = the transpose of the test matrix        (equations <- outputs of the pointwise functions)
+    Λ = the part that is linear in the unknowns     (equations <- unknowns).
 
-Θ sums the virtual work on every interval: the row of node a holds the quadrature weights times l_a and l_a'.  With Λ,
-these are the discrete Legendre transforms (a = 0 and m) and the control equations (a between),
+Θ sums the virtual work on every interval: its row of node a has the quadrature weights times l_a and l_a'.  Together
+with Λ, these are the discrete Legendre transforms (a = 0 and m) and the control equations (a between),
 
     p_i + Σ ( l_0 f + l_0' g ) = 0,      Σ ( l_a f + l_a' g ) = 0,      p_{i+1} - Σ ( l_m f + l_m' g ) = 0,
 
-which join to the discrete Lagrange-d'Alembert equations.  Momenta are measured in units S, the sizes of the terms of
-these equations, and the equations are divided by them.  A component that follows a rate of its own has no momentum:
-there Θ tests its defect z' - h ρ with the polynomials of degree m - 1.  Λ also ties every state to the value that the
-interval before ends with, x_{i+1} - X_m = 0.  A constraint adds its impulse GᵀΛ_a to the equation of every node but the
-first, and there to that of the velocity at the start.
+which together are the discrete Lagrange-d'Alembert equations.  Momenta are measured in units S, the sizes of the terms
+of these equations, and the equations are divided by S.  A component that follows a rate has no momentum: there Θ tests
+its defect z' - h ρ with the polynomials of degree m - 1.  Λ also makes every state equal to the value at the end of the
+interval before, x_{i+1} - X_m = 0.  A constraint adds its impulse GᵀΛ_a to the equation of every node but the first.
+There it adds it to the equation of the velocity at the start.
 
-Before a joint that is crossed with a law, Θ and Λ hold the law's values, x_{i+1} - X_+ = 0 and p_{i+1} - p_+ = 0, and
-p_- - Σ ( l_m f + l_m' g ) = 0, which says which velocity the law takes.
+At a crossing, with p_- before it and x_+ and p_+ after it, these equations are x_{i+1} - x_+ = 0 and p_{i+1} - p_+ = 0,
+and p_- - Σ ( l_m f + l_m' g ) = 0 determines the velocity just before the crossing.
 """
 
 from __future__ import annotations
@@ -52,14 +53,17 @@ def sparse(triplets: Iterable[Triplet], shape: tuple[int, int]) -> ca.DM:
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
-    """Places of one kind: how many there are, and what is known at each, or what the pointwise functions return there.
+class PlaceLayout:
+    """The layout of the inputs, or of the outputs, of a pointwise function at all places of one kind.
+
+    A kind of place is the quadrature points, either end, both ends together, the nodes, or one crossing.  The values at
+    one place are consecutive rows of A (inputs) or Θᵀ (outputs).
 
     Attributes
     ----------
     count : number of places
-    rows : name and length of what is known or returned, in this order
-    first : first row of A, or of Θᵀ, that belongs to them
+    rows : names and lengths of the inputs or outputs at one place, in their order
+    first : first row of the first place
     """
 
     count: int
@@ -68,16 +72,16 @@ class Places:
 
     @property
     def width(self) -> int:
-        """Rows at one place."""
+        """Number of rows of one place."""
         return sum(self.rows.values())
 
     @property
     def last(self) -> int:
-        """Row after theirs."""
+        """The row after those of the last place."""
         return self.first + self.count * self.width
 
     def row(self, name: str) -> np.ndarray:
-        """Rows of a name, (count, length)."""
+        """Rows of the input or output with a name, (count, length)."""
         names = list(self.rows)
         offset = sum(self.rows[other] for other in names[: names.index(name)])
         starts = self.first + offset + self.width * np.arange(self.count)
@@ -89,8 +93,9 @@ class ChainEmbedding:
 
     Attributes
     ----------
-    points, either_end, both_ends, nodes : Places
-    crossings : list of Places, one for each joint crossed
+    points, either_end, both_ends, nodes : layouts of the inputs at the quadrature points, at each end, at both ends
+        together, and at the nodes with a constraint
+    crossings : layouts of the inputs at each crossing
     """
 
     def __init__(self, chain: Chain) -> None:
@@ -98,60 +103,61 @@ class ChainEmbedding:
         d, mechanical, common = chain.dimension, chain.mechanical, {"parameters": chain.parameters}
         at_end = {"x": d, "velocity": mechanical, **common, "time": 1, "sizes": mechanical}
         when = {"duration": 1, **common, "begin": 1, "share": 1}
-        along = {"x": d, "slope": d, "controls": chain.controls, **when, "part": 1, "sizes": mechanical}
+        at_point = {"x": d, "slope": d, "controls": chain.controls, **when, "part": 1, "sizes": mechanical}
         both = {f"{name}{k}": at_end[name] for k in (0, 1) for name in ("x", "velocity")} | {**common, "time": 1}
         at_node = {"x": d, "impulse": chain.constraints, **when, "sizes": mechanical}
         r, m = len(chain.method.quadrature), chain.method.degree
-        self.points = Places(chain.intervals * r, along, 0)
-        self.either_end = Places(2, at_end, self.points.last)
+        self.points = PlaceLayout(chain.intervals * r, at_point, 0)
+        self.either_end = PlaceLayout(2, at_end, self.points.last)
         joined = chain.conditions > 0 or chain.terminal_cost
-        self.both_ends = Places(int(joined), both, self.either_end.last)
-        self.nodes = Places((chain.intervals * m + 1) * (chain.constraints > 0), at_node, self.both_ends.last)
+        self.both_ends = PlaceLayout(int(joined), both, self.either_end.last)
+        self.nodes = PlaceLayout((chain.intervals * m + 1) * (chain.constraints > 0), at_node, self.both_ends.last)
         crossing, first = {"x": d, "velocity": mechanical, **when, "sizes": mechanical}, self.nodes.last
         width = sum(crossing.values())
-        self.crossings = [Places(1, crossing, first + k * width) for k in range(len(chain.crossed))]
+        self.crossings = [PlaceLayout(1, crossing, first + k * width) for k in range(len(chain.crossed))]
 
     @property
-    def places(self) -> list[Places]:
-        """Kinds of places that there are."""
+    def inputs(self) -> list[PlaceLayout]:
+        """Layouts of the inputs at all kinds of places that exist."""
         kinds = (self.points, self.either_end, self.both_ends, self.nodes, *self.crossings)
         return [place for place in kinds if place.count]
 
     @property
     def with_costs(self) -> list[int]:
-        """Numbers of the kinds of places that have a cost: the points, and both ends where there is a terminal cost."""
+        """Indices in `inputs` of the kinds of places with a cost: the points and, with a terminal cost, both ends."""
         return [0, 2] if self.chain.terminal_cost else [0]
 
     @cached_property
-    def _returned(self) -> list[Places]:
-        """What the pointwise functions return at all kinds of places, whether there are such places or not.
+    def _all_outputs(self) -> list[PlaceLayout]:
+        """Layouts of the outputs of the pointwise functions at all kinds of places, also those that do not exist.
 
-        At a quadrature point these are f and g of the mechanical components, the defects of the others, and the path
-        constraints; at either end ∂L/∂v and the rate of the constraint; the conditions on both; at the nodes it and
-        its impulse; at the joints crossed x after, ∂L/∂v before and after, and the condition.
+        At a quadrature point the outputs are f and g of the mechanical components, the defects of the others, and the
+        path constraints; at either end ∂L/∂v and the time derivative of the constraint; at both ends the end
+        conditions; at the nodes the constraint and its impulse; at a crossing x after it, ∂L/∂v before and after it,
+        and the condition there.
         """
-        chain, dm, found, first = self.chain, self.chain.mechanical, list[Places](), 0
-        along = {"f": dm, "g": dm, "defect": chain.dimension - dm, "path": chain.path_constraints}
+        chain, dm, layouts, first = self.chain, self.chain.mechanical, list[PlaceLayout](), 0
+        at_point = {"f": dm, "g": dm, "defect": chain.dimension - dm, "path": chain.path_constraints}
         crossed = {"x": chain.dimension, "before": dm, "after": dm}
         for place, rows in (
-            (self.points, along),
+            (self.points, at_point),
             (self.either_end, {"momentum": dm, "tangent": chain.constraints}),
             (self.both_ends, {"conditions": chain.conditions}),
             (self.nodes, {"constraint": chain.constraints, "push": dm}),
             *zip(self.crossings, ({**crossed, "condition": k} for k in chain.conditions_there), strict=True),
         ):
-            found.append(Places(place.count, rows, first))
-            first = found[-1].last
-        return found
+            layouts.append(PlaceLayout(place.count, rows, first))
+            first = layouts[-1].last
+        return layouts
 
     @property
-    def returned(self) -> list[Places]:
-        """What the pointwise functions return at the kinds of places that there are."""
-        return [place for place in self._returned if place.count]
+    def outputs(self) -> list[PlaceLayout]:
+        """Layouts of the outputs at all kinds of places that exist."""
+        return [place for place in self._all_outputs if place.count]
 
     @cached_property
     def matrix(self) -> ca.DM:
-        """A: (all places) x ξ."""
+        """A: inputs at all places x ξ."""
         f, p, m = self.chain.fields, self.points, self.chain.method.degree
         element, r = self.chain.method.element, len(self.chain.method.quadrature)
         nodes = np.concatenate((f["x"][:-1, None], f["nodes"]), axis=1)[:, None]  # (N, 1, m + 1, d)
@@ -163,7 +169,7 @@ class ChainEmbedding:
             (p.row("slope").reshape(shape), nodes, basis[1]),
             (p.row("controls"), f["controls"][interval, k % f["controls"].shape[1]], 1.0),
             (p.row("part"), f["part"][interval][:, None], 1.0),
-            *self._along(p, interval, element.points[k]),
+            *self._times_and_parameters(p, interval, element.points[k]),
             (self.either_end.row("time")[1], f["durations"][-1], 1.0),
         ]
         velocities = f["start_velocity"], f["end_velocity"]
@@ -181,18 +187,18 @@ class ChainEmbedding:
             triplets += [
                 (self.nodes.row("x"), np.vstack((f["x"][:1], f["nodes"].reshape(-1, self.chain.dimension))), 1.0),
                 (self.nodes.row("impulse"), np.vstack((f["start_impulse"], impulses)), 1.0),
-                *self._along(self.nodes, np.append(0, interval), np.append(0.0, element.nodes[1:][a])),
+                *self._times_and_parameters(self.nodes, np.append(0, interval), np.append(0.0, element.nodes[1:][a])),
             ]
         for i, (place, before) in enumerate(zip(self.crossings, self.chain.crossed - 1, strict=True)):
             triplets += [
                 (place.row("x"), f["nodes"][before, -1], 1.0),
                 (place.row("velocity"), f["velocity"][i], 1.0),
-                *self._along(place, np.array([before]), np.ones(1)),
+                *self._times_and_parameters(place, np.array([before]), np.ones(1)),
             ]
-        return sparse(triplets, (self.places[-1].last, self.chain.size))
+        return sparse(triplets, (self.inputs[-1].last, self.chain.size))
 
-    def _along(self, place: Places, interval: np.ndarray, share: np.ndarray) -> list[Triplet]:
-        """Entries of A for the times of places, given as intervals (K,) and parts of these (K,); p and S there."""
+    def _times_and_parameters(self, place: PlaceLayout, interval: np.ndarray, share: np.ndarray) -> list[Triplet]:
+        """Entries of A for times, parameters and S at K places at the fractions `share` of their intervals."""
         f, phases = self.chain.fields, self.chain.phases[interval, None]
         earlier = np.arange(f["durations"].shape[1]) < phases
         return [
@@ -207,35 +213,35 @@ class ChainEmbedding:
 
     @cached_property
     def active(self) -> list[np.ndarray]:
-        """For every kind of place, which of its rows depend on unknowns."""
+        """For every kind of place, the numbers of the inputs that depend on unknowns."""
         depends = np.zeros(self.matrix.shape[0], dtype=bool)
         depends[self.matrix[:, : self.chain.unknowns].sparsity().row()] = True
-        parts = np.split(depends, [place.last for place in self.places[:-1]])
+        parts = np.split(depends, [place.last for place in self.inputs[:-1]])
         return [
             np.flatnonzero(part.reshape(place.count, -1).any(axis=0))
-            for part, place in zip(parts, self.places, strict=True)
+            for part, place in zip(parts, self.inputs, strict=True)
         ]
 
     @cached_property
     def differentiated(self) -> ca.DM:
-        """Rows of A that are differentiated by, of all places x ξ."""
+        """Rows of A of the inputs that depend on unknowns, at all places x ξ."""
         rows = [
             (place.first + place.width * np.arange(place.count)[:, None] + active).ravel()
-            for place, active in zip(self.places, self.active, strict=True)
+            for place, active in zip(self.inputs, self.active, strict=True)
         ]
         return self.matrix[np.concatenate(rows).tolist(), :]
 
     @cached_property
     def derivative(self) -> ca.DM:
-        """Ê: the same by unknowns only."""
+        """Ê: the same rows, columns of the unknowns only."""
         return self.differentiated[:, : self.chain.unknowns]
 
     @cached_property
     def test(self) -> ca.DM:
-        """Θᵀ: what the pointwise functions return, at all places x equations."""
+        """Θᵀ: outputs of the pointwise functions at all places x equations."""
         chain, rows, m = self.chain, self.chain.rows, self.chain.method.degree
         n, dm, element = chain.intervals, chain.mechanical, chain.method.element
-        points, either_end, both_ends, nodes, *crossings = self._returned
+        points, either_end, both_ends, nodes, *crossings = self._all_outputs
         weights, sign = element.weights[:, None], np.append(np.ones(m), -1.0)
         tests = weights * lagrange_values(np.array(gauss(m).points), element.points)
         works = np.concatenate((rows["motion"], chain.arrivals[:, None]), axis=1)[:, None]  # (N, 1, m + 1, dm)
@@ -261,7 +267,7 @@ class ChainEmbedding:
             after = [rows["x"][joint - 1], rows["arrival"][i], rows["momentum"][joint - 1], rows[f"waypoint {i}"]]
             signs = np.repeat([-1.0, 1.0, -1.0, 1.0], [len(part) for part in after])
             triplets.append((place.first + np.arange(place.width), np.concatenate(after), signs))
-        return sparse(triplets, (self._returned[-1].last, chain.equations))
+        return sparse(triplets, (self._all_outputs[-1].last, chain.equations))
 
     @cached_property
     def linear(self) -> ca.DM:

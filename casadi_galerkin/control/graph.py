@@ -6,8 +6,8 @@ With A, Ê, Θ and Λ of the `ChainEmbedding`, and at every place z_k the cost c
     equations   G  = Θ [e_k] + Λ ξ                ∇G = Θ blockdiag(∇e_k) Ê + Λ
     Lagrangian  f̄  = φ f + λ·G                    ∇²f̄ = Êᵀ blockdiag(∇²[φ w_k c_k + e_k·(Θᵀλ)_k]) Ê
 
-The multipliers λ are a discrete path: (Θᵀλ)_k = w_k (δx, δx') is its embedding at the point, weighted.  All but the
-pointwise functions is kept for the next problem with the same chain, see `assembly`.
+The multipliers λ are a discrete path, and (Θᵀλ)_k = w_k (δx, δx') is its embedding at the point, weighted.  Everything
+except the pointwise functions is cached for problems with the same chain, see `assembly`.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ import numpy as np
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.control import assembly
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.pointwise import places
+from casadi_galerkin.control.pointwise import pointwise_terms
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.problems.control_problem import ControlProblem
 
-RESTING = 1e-13  # terms of motion below this part of what cancels in them are its roundoff
+RESTING = 1e-13  # ratio of the two sizes of an equation of motion below which its terms are roundoff only
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,10 @@ class Report:
     Attributes
     ----------
     cost, action : f, and the discrete action of the Lagrangian alone
-    equations, sizes : G, and the largest sum of terms that an equation of every kind compares
-    slope : ∇f̄ but for the multipliers of the bounds
+    equations, sizes : G, and for every kind of equation the largest sum of the sizes of the terms of one
+    slope : ∇f̄ without the multipliers of the bounds
     hamiltonian : (N,), mean over each interval; without multipliers that of the cost alone
-    arriving : (d, K), derivatives of f̄ by the values before the joints crossed, as far as they count there
+    arriving : (d, K), derivatives by x before the crossings of the terms of f̄ there
     """
 
     cost: float
@@ -63,29 +63,30 @@ class ControlGraph:
     ----------
     unknowns, data : MX symbols
     cost, equations : MX expressions f and G
-    places : kinds of places
+    terms : PointwiseTerms of all kinds of places
+    inputs : MX expressions A ξ, the inputs at all kinds of places
     """
 
     def __init__(self, problem: ControlProblem, chain: Chain, mapping: PointMap) -> None:
         self.chain, self.embedding = chain, assembly.matrices(chain)
-        self.places = places(problem, self.embedding, mapping)
+        self.terms = pointwise_terms(problem, self.embedding, mapping)
         self.unknowns, self.data = assembly.symbols(chain)
-        self.at: list[ca.MX] = assembly.embedding(chain).call([self.unknowns, self.data])
+        self.inputs: list[ca.MX] = assembly.embedding(chain).call([self.unknowns, self.data])
         self.cost = assembly.summation(chain)(*self._of_costs("value"))
         self.equations = assembly.equations(chain)(self.unknowns, *self._rows)
 
     def _evaluate(self, name: str, *arguments: list[ca.MX]) -> list[ca.MX]:
         """Evaluate one pointwise Function at all kinds of places."""
-        return [getattr(place, name)(*given) for place, *given in zip(self.places, *arguments, strict=True)]
+        return [getattr(place, name)(*given) for place, *given in zip(self.terms, *arguments, strict=True)]
 
     def _of_costs(self, name: str) -> list[ca.MX]:
         """Evaluate one pointwise Function at the kinds of places with costs."""
-        return [getattr(self.places[k], name)(self.at[k]) for k in self.embedding.with_costs]
+        return [getattr(self.terms[k], name)(self.inputs[k]) for k in self.embedding.with_costs]
 
     @cached_property
     def _rows(self) -> list[ca.MX]:
         """[e_k]."""
-        return self._evaluate("equations", self.at)
+        return self._evaluate("equations", self.inputs)
 
     @cached_property
     def _gradients(self) -> list[ca.MX]:
@@ -95,15 +96,15 @@ class ControlGraph:
     @cached_property
     def _derivatives(self) -> list[ca.MX]:
         """Nonzeros of ∇e_k."""
-        return self._evaluate("jacobian", self.at)
+        return self._evaluate("jacobian", self.inputs)
 
     @cached_property
     def _patterns(self) -> tuple[assembly.Pattern, ...]:
         """Patterns of ∇e_k."""
-        return tuple(place.jacobian_pattern for place in self.places)
+        return tuple(place.jacobian_pattern for place in self.terms)
 
     def _function(self, name: str, outputs: list[ca.MX], *extra: ca.MX) -> ca.Function:
-        """A Function of (unknowns, data, ...); some have the names that the cache of fatrop has for them."""
+        """A Function of (unknowns, data, ...); some have names under which fatrop looks for them."""
         return ca.Function(name, [self.unknowns, self.data, *extra], outputs)
 
     @cached_property
@@ -119,16 +120,16 @@ class ControlGraph:
 
     @cached_property
     def _lagrangian(self) -> tuple[ca.MX, ca.MX, tuple[list[ca.MX], ...], ca.MX]:
-        """Symbols φ and λ, what the pointwise derivatives of f̄ are evaluated at, and Λᵀλ."""
+        """Symbols φ and λ, the arguments of the pointwise derivatives of f̄, and Λᵀλ."""
         factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", self.chain.equations)
         *at_places, linear = assembly.multiplication(self.chain).call([factor, multipliers])
-        count = len(self.places)
-        return factor, multipliers, (self.at, at_places[:count], at_places[count:]), linear
+        count = len(self.terms)
+        return factor, multipliers, (self.inputs, at_places[:count], at_places[count:]), linear
 
     @cached_property
     def _upper_hessian(self) -> ca.MX:
         """Upper half of ∇²f̄."""
-        patterns = tuple(place.hessian_pattern for place in self.places)
+        patterns = tuple(place.hessian_pattern for place in self.terms)
         return assembly.hessian(self.chain, patterns)(*self._evaluate("hessian", *self._lagrangian[2]))
 
     @cached_property
@@ -145,16 +146,16 @@ class ControlGraph:
 
     @cached_property
     def _verification(self) -> ObjectPool[Evaluator]:
-        """(unknowns, data, φ, λ) -> all that is told of a point."""
-        chain, (factor, multipliers, (at, weights, along), linear) = self.chain, self._lagrangian
+        """(unknowns, data, φ, λ) -> the arrays of a `Report`."""
+        chain, (factor, multipliers, (at, weights, local_multipliers), linear) = self.chain, self._lagrangian
         part = int(self.embedding.points.row("part")[0, 0])
-        at_points = at[0], *self.places[0].action_and_derivative(part)(at[0], weights[0], along[0])
-        at_places = *self._gradients, *self._rows, *self._derivatives, *along
+        at_points = at[0], *self.terms[0].action_and_derivative(part)(at[0], weights[0], local_multipliers[0])
+        at_places = *self._gradients, *self._rows, *self._derivatives, *local_multipliers
         given = [self.unknowns, self.data, *at_points, *at_places, linear]
-        told = assembly.verification(chain, self._patterns).call(given)
-        crossings = list(zip(self.places, at, weights, along, strict=True))[len(along) - len(chain.crossed) :]
+        values = assembly.verification(chain, self._patterns).call(given)
+        crossings = list(zip(self.terms, at, weights, local_multipliers, strict=True))[len(at) - len(chain.crossed) :]
         arriving = ca.densify(ca.veccat(*(place.lagrangian_gradient(*z)[: chain.dimension] for place, *z in crossings)))
-        outputs = [self.cost, self.equations, *told, arriving]
+        outputs = [self.cost, self.equations, *values, arriving]
         verification = self._function("verification", outputs, factor, multipliers)
         return ObjectPool(lambda: Evaluator(verification))
 
@@ -164,8 +165,8 @@ class ControlGraph:
         given = np.zeros(chain.equations) if multipliers is None else multipliers
         with self._verification.lend() as evaluate:
             cost, equations, action, *terms, slope, hamiltonian, arriving = evaluate(unknowns, data, np.ones(1), given)
-        # The terms of a component that stands still are roundoff of its slopes: what cancels in the slopes measures it.
-        # Those of another are measured without it.
+        # The terms of a component at rest are only roundoff of its slopes, which is measured by the sizes of the terms
+        # that cancel in the slopes.  The sizes of other components do not include these.
         moving, canceled = map(chain.largest, terms)
         resting = np.isfinite(canceled) & (moving <= RESTING * canceled)
         sizes = np.fmax(moving, canceled)

@@ -1,14 +1,14 @@
-"""The terms of an optimization at one quadrature point, and at the two ends, as SX Functions with their derivatives.
+"""The terms of an optimization at one place of every kind, as SX Functions with their derivatives.
 
 At a quadrature point, with L̂(t, h, x, x') = h L(t, x, x'/h), the cost and the rows of the equations are
 
     c = h ℓ(t, x, v, u),        e = [ (∂L̂/∂x + h F) / S,  ∂L̂/∂x' / S,  z' - h ρ,  g ],
 
-with z the components that follow the rates ρ; at either end e = ∂L/∂v(t, x, v) / S.  Of both ends together, c = τ is
-the terminal cost, and conditions on them are the rows.  A holonomic constraint is held at the nodes by impulses Λ, with
-e = [ g,  GᵀΛ / S ] there and G = ∂g/∂x; at either end e = G v + ∂g/∂t, where velocities are tangent.  At a joint
-crossed with a law, (x, v) -> (x_+, v_+), the rows are e = [ x_+,  p / S,  p_+ / S,  w ] with p = ∂L/∂v on either side,
-and w the function that is bounded there.
+with z the components that follow the rates ρ.  At either end e = ∂L/∂v(t, x, v) / S.  At both ends together, c = τ is
+the terminal cost, and e are the end conditions.  A holonomic constraint g is imposed at the nodes by impulses Λ: there
+e = [ g,  GᵀΛ / S ] with G = ∂g/∂x, and at either end G v + ∂g/∂t is appended to e, so that velocities are tangent.  At
+a crossing with a law of the jump, (x, v) -> (x_+, v_+), e = [ x_+,  p / S,  p_+ / S,  w ], with p = ∂L/∂v before it and
+p_+ after it, and w the function that is bounded there.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.control.assembly import Pattern, pattern_of
-from casadi_galerkin.control.embedding import ChainEmbedding, Places
+from casadi_galerkin.control.embedding import ChainEmbedding, PlaceLayout
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.pointwise import pulled_back
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -35,14 +35,16 @@ NO_TERM = ca.SX(1, 1)  # structurally zero
 
 @dataclass(frozen=True)
 class PointwiseTerms:
-    """The pointwise Functions at one kind of place, and how many such places there are.
+    """The pointwise Functions at the places of one kind.
+
+    Each Function takes the inputs z of all places, (len(z), count), and for some weights and multipliers at all places.
 
     Parameters
     ----------
     mapping : how a Function is evaluated at all places
     count : number of places
-    z : SX, what is known at the place
-    active : rows of z that are differentiated by
+    z : SX symbols of the inputs at one place
+    active : numbers of the inputs that depend on unknowns; derivatives are by these
     rows, cost, action : SX expressions in z
     """
 
@@ -59,8 +61,8 @@ class PointwiseTerms:
         return self.z[self.active.tolist()]
 
     def _function(self, inputs: list[ca.SX], *outputs: ca.SX) -> Callable[..., Any]:
-        """A Function of one place, evaluated at all of them."""
-        if not any(output.nnz() for output in outputs):  # as of second derivatives of what is linear
+        """A Function of one place, evaluated at all places."""
+        if not any(output.nnz() for output in outputs):  # such as second derivatives of linear rows
             return lambda *_: ca.MX(outputs[0].numel(), self.count)
         dense = [output if output.is_dense() else ca.densify(output) for output in outputs]
         function = ca.Function("terms", inputs, dense)
@@ -69,17 +71,17 @@ class PointwiseTerms:
 
     @cached_property
     def value(self) -> Callable[..., ca.MX]:
-        """Cost of (z), one per place."""
+        """(z) -> cost, one per place."""
         return self._function([self.z], self.cost)
 
     @cached_property
     def gradient(self) -> Callable[..., ca.MX]:
-        """Gradient of the cost, of (z)."""
+        """(z) -> gradient of the cost."""
         return self._function([self.z], ca.gradient(self.cost, self._by))
 
     @cached_property
     def equations(self) -> Callable[..., ca.MX]:
-        """Rows of (z)."""
+        """(z) -> rows."""
         return self._function([self.z], self.rows)
 
     @cached_property
@@ -93,12 +95,12 @@ class PointwiseTerms:
 
     @cached_property
     def jacobian(self) -> Callable[..., ca.MX]:
-        """Nonzeros of the derivatives of the rows, of (z)."""
+        """(z) -> nonzeros of the derivatives of the rows."""
         return self._function([self.z], ca.vertcat(*self._jacobian.nonzeros()))
 
     @cached_property
     def _lagrangian(self) -> tuple[list[ca.SX], ca.SX]:
-        """Inputs (z, weight, multipliers), and the weighted cost with the multiplied rows."""
+        """Symbols (z, weight, multipliers), and the Lagrangian weight · cost + multipliers · rows."""
         weight, multipliers = ca.SX.sym("weight"), ca.SX.sym("multipliers", self.rows.numel())
         return [self.z, weight, multipliers], weight * self.cost + ca.dot(multipliers, self.rows)
 
@@ -123,14 +125,14 @@ class PointwiseTerms:
         return self._function(inputs, ca.gradient(value, self._by))
 
     def action_and_derivative(self, row: int) -> Callable[..., tuple[ca.MX, ca.MX]]:
-        """(z, weight, multipliers) -> action, and derivative of the Lagrangian by one row of z."""
+        """(z, weight, multipliers) -> action, and derivative of the Lagrangian by one input."""
         inputs, value = self._lagrangian
         return self._function(inputs, self.action, ca.jacobian(value, self.z[row]))
 
 
-def places(problem: ControlProblem, embedding: ChainEmbedding, mapping: PointMap) -> list[PointwiseTerms]:
-    """The terms at all kinds of places that there are."""
-    make: dict[Places, Callable[..., Terms]] = {
+def pointwise_terms(problem: ControlProblem, embedding: ChainEmbedding, mapping: PointMap) -> list[PointwiseTerms]:
+    """The terms at all kinds of places that exist."""
+    make: dict[PlaceLayout, Callable[..., Terms]] = {
         embedding.points: _at_points,
         embedding.either_end: _at_either_end,
         embedding.both_ends: _at_both_ends,
@@ -140,20 +142,20 @@ def places(problem: ControlProblem, embedding: ChainEmbedding, mapping: PointMap
             for place, crossing in zip(embedding.crossings, problem.crossings, strict=True)
         },
     }
-    found = []
-    for place, active in zip(embedding.places, embedding.active, strict=True):
+    all_terms = []
+    for place, active in zip(embedding.inputs, embedding.active, strict=True):
         z = ca.SX.sym("z", place.width)
         terms = make[place](problem, *ca.vertsplit(z, np.cumsum([0, *place.rows.values()]).tolist()))
-        found.append(PointwiseTerms(mapping, place.count, z, active, **terms))
-    return found
+        all_terms.append(PointwiseTerms(mapping, place.count, z, active, **terms))
+    return all_terms
 
 
 def _given(problem: ControlProblem, p: ca.SX) -> list[ca.SX]:
     return [] if problem.parameters is None else [p]
 
 
-def _at_points(problem: ControlProblem, *at: ca.SX) -> Terms:
-    x, slope, u, duration, p, begin, share, part, sizes = at
+def _at_points(problem: ControlProblem, *inputs: ca.SX) -> Terms:
+    x, slope, u, duration, p, begin, share, part, sizes = inputs
     t, h, given = begin + duration * share, duration * part, _given(problem, p)
     mechanical, others = slice(problem.mechanical), slice(problem.mechanical, None)
     state = (t, x, slope / h, u, *given)
@@ -167,33 +169,33 @@ def _at_points(problem: ControlProblem, *at: ca.SX) -> Terms:
     return {"rows": ca.vertcat(*rows), "cost": h * problem.running_cost(*state), "action": action}
 
 
-def _at_either_end(problem: ControlProblem, *at: ca.SX) -> Terms:
-    x, v, p, t, sizes = at
+def _at_either_end(problem: ControlProblem, *inputs: ca.SX) -> Terms:
+    x, v, p, t, sizes = inputs
     given = _given(problem, p)
     rows = [ca.gradient(problem.lagrangian(t, x, _filled(v, x), *given), v) / sizes]
     if problem.constraint is not None:
-        held = problem.constraint(t, x, *given)
-        rows.append(ca.mtimes(ca.jacobian(held, x), v) + ca.jacobian(held, t))
+        g = problem.constraint(t, x, *given)
+        rows.append(ca.mtimes(ca.jacobian(g, x), v) + ca.jacobian(g, t))
     return {"rows": ca.vertcat(*rows)}
 
 
-def _at_both_ends(problem: ControlProblem, *at: ca.SX) -> Terms:
-    x0, v0, x1, v1, p, t = at
+def _at_both_ends(problem: ControlProblem, *inputs: ca.SX) -> Terms:
+    x0, v0, x1, v1, p, t = inputs
     last, given, conditions = (x1, _filled(v1, x1)), _given(problem, p), problem.end_conditions
     rows = ca.SX(0, 1) if conditions is None else conditions[0](x0, _filled(v0, x0), *last, *given)
     cost = {} if problem.terminal_cost is None else {"cost": problem.terminal_cost(t, *last, *given)}
     return {"rows": rows, **cost}
 
 
-def _at_nodes(problem: ControlProblem, *at: ca.SX) -> Terms:
-    x, impulse, duration, p, begin, share, sizes = at
-    assert problem.constraint is not None, "this place is where there is one"
-    held = problem.constraint(begin + duration * share, x, *_given(problem, p))
-    return {"rows": ca.vertcat(held, ca.mtimes(ca.jacobian(held, x).T, impulse) / sizes)}
+def _at_nodes(problem: ControlProblem, *inputs: ca.SX) -> Terms:
+    x, impulse, duration, p, begin, share, sizes = inputs
+    assert problem.constraint is not None, "there are such places only with a constraint"
+    g = problem.constraint(begin + duration * share, x, *_given(problem, p))
+    return {"rows": ca.vertcat(g, ca.mtimes(ca.jacobian(g, x).T, impulse) / sizes)}
 
 
-def _at_crossing(problem: ControlProblem, *at: ca.SX, crossing: Crossing) -> Terms:
-    x, v, duration, p, begin, share, sizes = at
+def _at_crossing(problem: ControlProblem, *inputs: ca.SX, crossing: Crossing) -> Terms:
+    x, v, duration, p, begin, share, sizes = inputs
     t, given, before = begin + duration * share, _given(problem, p), (x, _filled(v, x))
     after = before if crossing.jump is None else crossing.jump(*before, *given)
     rows = [after[0], *(_momentum(problem, t, state, given) / sizes for state in (before, after))]
@@ -203,12 +205,12 @@ def _at_crossing(problem: ControlProblem, *at: ca.SX, crossing: Crossing) -> Ter
 
 
 def _momentum(problem: ControlProblem, t: ca.SX, state: tuple[ca.SX, ca.SX], given: list[ca.SX]) -> ca.SX:
-    """∂L/∂v of the mechanical components where the state (x, v) holds expressions."""
+    """∂L/∂v of the mechanical components at a state (x, v) of expressions."""
     symbols = [ca.SX.sym(name, problem.dimension) for name in ("x", "v")]
     momentum = ca.gradient(problem.lagrangian(t, *symbols, *given), symbols[1])
     return ca.substitute(momentum[: problem.mechanical, 0], ca.vertcat(*symbols), ca.densify(ca.vertcat(*state)))
 
 
 def _filled(v: ca.SX, x: ca.SX) -> ca.SX:
-    """Velocities of all components; zero, which nothing may depend on, where a component follows a rate."""
+    """Velocities of all components, with zeros for those that follow a rate, on whose velocities nothing depends."""
     return v if v.numel() == x.numel() else ca.vertcat(v, ca.SX(x.numel() - v.numel(), 1))
