@@ -1,4 +1,4 @@
-"""The verbs for every kind of problem: solve it, build its graph to solve it often, make a Function of the solve."""
+"""The functions for every kind of problem: `solve`, `transcribe` for many solves, and `solution_function`."""
 
 from __future__ import annotations
 

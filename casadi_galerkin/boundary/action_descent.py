@@ -1,12 +1,12 @@
-"""A start for Newton's method where it finds none: lower the action on a mesh that follows the path.
+"""A guess for Newton's method where others fail: descent of the action on a mesh that is adapted to the path.
 
-Two things make a near-collision hard.  A step that is long compared with the distance to a singularity lands on its
-other side, where the action may be lower; and the time of the passage is a valley of the action that is nearly flat
-and sharply curved, because x at fixed times is far from linear in a shift of the path in time.
+A near-collision is difficult for two reasons.  A step that is longer than the distance to a singularity leads to its
+other side, where the action may be lower.  And the action hardly depends on the time of the passage: along shifts of
+the path in time it has a nearly flat, sharply curved valley, because x at fixed times depends on a shift nonlinearly.
 
-Against the first, steps are short and damped by added inertia, and after every few the mesh is drawn to where the
-path turns.  Against the second, after each step the joints alone are moved, at fixed x, so as to even out the jumps of
-the energy, ∂S/∂t_i = 0.
+Against the first, steps are short and damped by added inertia, and after every few steps the mesh is refined where the
+path turns.  Against the second, after each step the joints alone are moved, at fixed x, to reduce the jumps of the
+energy, ∂S/∂t_i = 0.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.deadline import seconds_left
 
-MESHES, STEPS = 80, 3  # at most, and between two of them
-RELAXED = 1e-13  # promised relative gain of the action below which there is none
-MOST = 1e12  # inertia at which no step will be found
-LEAP = 0.03  # longest step, relative to the size of the path: longer ones do not stay on their side of a singularity
+MESHES, STEPS = 80, 3  # largest number of meshes, and steps on each
+RELAXED = 1e-13  # predicted relative decrease of the action at which the descent ends
+MOST = 1e12  # largest inertia that is tried
+LEAP = 0.03  # longest step relative to the size of the path: longer ones may cross a singularity
 SQUEEZE = 0.5  # largest relative change of an interval in one step
-MOST_INTERVALS = 120  # a path on its way needs no more; its front moves on
+MOST_INTERVALS = 120  # largest number of intervals during a descent
 
 
 def descend(
@@ -38,9 +38,9 @@ def descend(
 
     Parameters
     ----------
-    transcribed : joints -> Transcription for as many intervals, of the path's degree
+    transcribed : joints -> Transcription of the path's degree for as many intervals
     path : PiecewisePolynomial that meets the ends
-    tol : relative size of what the path may leave out on an interval
+    tol : largest relative truncation error on an interval
 
     Raises
     ------
@@ -78,11 +78,12 @@ def lowered(
     ----------
     transcription : Transcription, for any mesh of as many intervals as `path` has
     path : PiecewisePolynomial of the transcription's degree
-    inertia : added to the factor on ∂²L/∂v² (Levenberg and Marquardt in the kinetic metric), more if it is too little
+    inertia : first value that is added to the factor of ∂²L/∂v² (Levenberg-Marquardt damping in the kinetic metric); it
+        is increased until a step succeeds
 
     Returns
     -------
-    the path it leads to, the same one where no step promises a gain; and the inertia to begin the next one with
+    the path after the step, or the same one where no decrease is predicted; and the inertia for the next step
 
     Raises
     ------

@@ -1,13 +1,13 @@
-"""A boundary problem that is solved often and to a tolerance: the mesh of one path is where the next begins.
+"""A boundary problem that is solved often and to a tolerance: each solve begins on the mesh of the first path.
 
-A mesh and a degree that resolve one path mostly resolve those of other ends and parameters.  So what the first path
-was found on is kept, and later ones are solved on it.  The error of each is estimated; where it is too large, the
-same refinement that `solve` runs goes on from there.
+A mesh and a degree that resolve one path mostly resolve the paths for other ends and parameters.  So the mesh of the
+first path is kept, and later paths are solved on it.  The error of each is estimated; where it is too large, the
+refinement of `solve` continues from there.
 
-An earlier path is more than a guess, because its own problem is known.  Its node values are taken as they are, with the
-new ends: the first Newton step then is the tangent of the family of paths.  A path bent to the new ends instead was
-measured to need up to twice the iterations, or to be lost.  Where Newton's method does not follow in one step, it
-follows in several: ends, times and parameters are moved little by little (continuation).
+An earlier path is more than a guess, because the problem that it solves is known.  Its node values are taken unchanged,
+except for the new ends: then the first Newton step is the tangent of the family of paths.  With a path that was bent to
+meet the new ends, Newton's method was measured to need up to twice the iterations, or to fail.  Where it does not
+converge in one step, ends, times and parameters are moved in several steps (continuation).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, newton
 
-STEPS = 1, 2, 4, 8  # in which the data of one path are moved to those of another
+STEPS = 1, 2, 4, 8  # numbers of steps in which the data of one path are moved to those of another
 
 
 class AdaptiveTranscription:
@@ -147,18 +147,18 @@ class AdaptiveTranscription:
         except LimitReached:
             raise
         except ConvergenceError:
-            pass  # what the first path is found by may find this one
+            pass  # the strategies for a first path may find this one
         return refinement.run(coarse, guess)
 
     def _followed(self, refinement: BoundaryRefinement, known: Trajectory) -> Trajectory:
-        """The path that a known one of other given values leads to, on its mesh: with its Morse index, if possible.
+        """The path that continues a known one of other given values on its mesh, if possible with the same Morse index.
 
-        Another index tells of another branch.  It stays where the smallest steps lead to it, too: beyond a conjugate
-        point.
+        Another index may be that of another branch, so that smaller steps are tried.  If the smallest steps give it as
+        well, the continuation has passed a conjugate point, and the path is returned.
         """
         found: Trajectory | ConvergenceError
         constrained = refinement.graphs.problem.constraint is not None
-        for steps in STEPS[:1] if constrained else STEPS:  # halfway, ends may miss the constraint
+        for steps in STEPS[:1] if constrained else STEPS:  # intermediate ends may violate the constraint
             try:
                 found = refinement.resume(self._moved(refinement, known, steps))
             except LimitReached:

@@ -1,9 +1,9 @@
-"""Whether paths of neighboring problems lie on one branch: how the action changes from one to the other.
+"""Whether paths of neighboring problems lie on one branch, judged by the change of the action and the Morse index.
 
-Along a smooth family of critical points the action changes by its partial derivatives by the data alone, since its
+Along a smooth family of critical points, the action changes by its partial derivatives by the data only, since its
 derivatives by the path vanish: dS = p_N·dx_N - p_0·dx_0 - E_N dt_N + E_0 dt_0 + ∂S/∂p·dp.  Where S is convex or concave
-between two of them, its change lies between those that the slopes at both promise.  A path of another branch has
-another action.  And it may have another Morse index, which changes along a family at conjugate points only.
+between two of them, its change lies between the first-order predictions from both.  A path of another branch has
+another action.  It may also have another Morse index, which changes along a family at conjugate points only.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import section_times
 from casadi_galerkin.solution.trajectory import Trajectory
 
-ROUGH = 1e-6  # part of the action that may be the error of a coarse mesh
+ROUGH = 1e-6  # relative error of the action that is allowed for a coarse mesh
 
 
 @dataclass(frozen=True)
 class BranchPoint:
-    """Where a path stands in a family: given values, Morse index, action and its slopes by the given values.
+    """A path as a point of a family: given values, Morse index, action and its derivatives by the given values.
 
     The last two are NaN under constraints and end conditions, and where no action is stationary.
     """
@@ -40,7 +40,7 @@ class BranchPoint:
     slopes: np.ndarray
 
     def on_other_branch(self, other: BranchPoint) -> bool:
-        """Whether two neighbors lie on different branches."""
+        """Whether two neighboring points lie on different branches."""
         step = self.values - other.values
         here, there = float(self.slopes @ step), float(other.slopes @ step)
         allowed = (abs(here) + abs(there)) / 2 + ROUGH * (abs(self.action) + abs(other.action))
@@ -56,17 +56,17 @@ def jumps(paths: Mapping[int, Trajectory]) -> dict[int, int]:
         return {}
     problems = [cast(BoundaryProblem, path.problem) for path in paths.values()]
     numbers, values = list(paths), np.array([data_vector(problem) for problem in problems])
-    spread, apart = np.ptp(values, axis=0), dict[int, int]()
-    places: list[BranchPoint] = []
+    spread, on_other_branch = np.ptp(values, axis=0), dict[int, int]()
+    points: list[BranchPoint] = []
     graphs = GraphCache(problems[0], by_rows)
     for k, (number, path) in enumerate(paths.items()):
         graph = graphs.for_problem(problems[k]).transcription(path.method, path.t)
-        places.append(_branch_point(graph, path, values[k]))
+        points.append(_branch_point(graph, path, values[k]))
         if k > 0:
             i = nearest(values[k], values[:k], spread)
-            if places[k].on_other_branch(places[i]):
-                apart[number] = numbers[i]
-    return apart
+            if points[k].on_other_branch(points[i]):
+                on_other_branch[number] = numbers[i]
+    return on_other_branch
 
 
 def _branch_point(graph: Transcription, path: Trajectory, values: np.ndarray) -> BranchPoint:

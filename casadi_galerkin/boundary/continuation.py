@@ -37,13 +37,15 @@ from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.1, 1e-9  # of the arc length, in which the path counts by its size
+FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.1, 1e-9  # arc lengths, in which the path is relative to its size
 CONVERGED_STEP = 1e-8  # last Newton step after which the next one is at roundoff
-# |ṡ| at a fold over its change from the point before to that after; s is then exact to its square
+# |ṡ| at a fold over its change between the points before and after it; the error of s is of the order of its square
 FOLD_TOLERANCE = 1e-8
-LEAST = 1e-7  # size of a component over the path's change up to the target at its first rate: it may begin at zero
-ITERATIONS = 20  # to a fold, which rounding may keep from its level
-POINTS = 1000  # of a branch
+# least size of a component, relative to the change of the path up to the target at its first rate: components may
+# begin at zero
+LEAST = 1e-7
+ITERATIONS = 20  # most iterations for a fold; rounding may prevent FOLD_TOLERANCE
+POINTS = 1000  # most points of a branch
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,14 +196,14 @@ class Point:
 
 
 class BranchFollower(Curve[Solution]):
-    """The following of a branch, under way."""
+    """The state of a continuation along a branch."""
 
     def __init__(self, transcription: Transcription, target: np.ndarray) -> None:
         self.transcription, self.stationarity = transcription, transcription.stationarity
         self.first, self.target = np.array(transcription.problem.parameters), target
         self.direction = target - self.first
         self.weights = np.ones(transcription.numbering.free + 1)
-        self._farthest = np.zeros(transcription.numbering.free)  # nodes of a path as far out as any on the branch
+        self._farthest = np.zeros(transcription.numbering.free)  # largest |ξ| of each unknown on the branch so far
 
     def parameters(self, z: np.ndarray) -> np.ndarray:
         """Parameters at a point z, exact at both ends."""
@@ -217,7 +219,7 @@ class BranchFollower(Curve[Solution]):
         return self.transcription.for_problem(self.problem(z)).data(self.transcription.mesh)
 
     def directions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The Newton step at fixed s, and how ξ follows s."""
+        """The Newton step at fixed s, and the derivative dξ/ds."""
         unknowns, data = z[:-1], self.data(z)
         with self.stationarity.linearization() as at:
             (rate,) = at.evaluate("sensitivity", unknowns, data, self.direction)
@@ -232,7 +234,7 @@ class BranchFollower(Curve[Solution]):
         with self.stationarity.linearization() as at:
             at.newton_step(unknowns, data)
             solution = verified(at, unknowns, data, iteration, "continuation")
-        # a component may be zero up to rounding: the solver makes it zero
+        # a component may be zero up to rounding: Newton's method makes it zero
         if solution is None and iteration == CORRECTOR_ITERATIONS:
             with suppress(SolveFailure):
                 solution = damped_newton(self.stationarity, unknowns, data)
@@ -241,17 +243,17 @@ class BranchFollower(Curve[Solution]):
         return solution
 
     def weigh(self, z: np.ndarray) -> None:
-        """Measure the path by the largest sizes that it has had on the branch, up to this point, and by `LEAST`."""
+        """Set the weights of the path from its largest sizes on the branch up to this point, at least `LEAST`."""
         self._farthest = np.maximum(self._farthest, np.abs(z[:-1]))
         sizes = self.stationarity.sizes(self._farthest, self.data(z))
         self.weights[:-1] = 1 / (len(sizes) * sizes**2)
 
     def path(self, z: np.ndarray) -> PiecewisePolynomial:
-        """The path that a point stands for."""
+        """The path of a point z."""
         return self.transcription.emb(z[:-1], self.data(z))
 
     def run(self, guess: Guess | None) -> Branch:
-        """Walk until the target, or the start, is met."""
+        """Follow the branch until the target or the start is reached."""
         start = self.transcription.critical_point(guess=guess)
         z = np.append(start.solution.unknowns, 0.0)
         follow, positions = self.directions(z)[1], self.transcription.numbering.positions
@@ -271,7 +273,7 @@ class BranchFollower(Curve[Solution]):
         )
 
     def steps(self, point: Point) -> Iterator[Point]:
-        """Points one after the other, the steps as long as Newton's method allows."""
+        """Successive points; the steps are as long as the corrector converges."""
         step = FIRST_STEP
         for _ in range(POINTS):
             found, step = self.step(point, step)
@@ -292,7 +294,7 @@ class BranchFollower(Curve[Solution]):
         while step > SMALLEST_STEP:
             predicted, normal = point.z + step * tangent, tangent
             end = float(np.clip(predicted[-1], 0.0, 1.0))
-            if predicted[-1] != end:  # it would step over the end: meet it instead
+            if predicted[-1] != end:  # a step beyond the end is shortened to it
                 share = (end - point.z[-1]) / tangent[-1]
                 predicted, normal = point.z + share * tangent, np.append(np.zeros(len(point.z) - 1), 1.0)
                 predicted[-1] = end
@@ -303,10 +305,10 @@ class BranchFollower(Curve[Solution]):
                     found = CriticalPoint(solution, self.problem(z), self.path(z))
                     trajectory = self.transcription.trajectory(found, 0.0)
                     following = self.tangent(z, tangent)
-                    if self.length(following) > 0:  # of a path that grows without bound it is not a number
+                    if self.length(following) > 0:  # NaN for a path that grows without bound
                         return Point(z, following, trajectory), min(STEP_GROWTH * step, LONGEST_STEP)
             except ConjugatePointError:
-                pass  # it landed on a fold
+                pass  # the point is at a fold
             step *= STEP_REDUCTION
         raise ConvergenceError(
             f"the branch cannot be followed beyond the parameters {self.parameters(point.z)}: no step is short enough. "
@@ -325,7 +327,7 @@ class BranchFollower(Curve[Solution]):
                 break
             share = 0.5 if iteration % 3 == 2 else rates[0] / (rates[0] - rates[1])
             answer = self.corrected(ends[0] + share * (ends[1] - ends[0]), tangent, LONGEST_STEP)
-            if answer is None:  # it is too near to where another branch crosses
+            if answer is None:  # too near to a crossing with another branch
                 break
             z = answer[0]
             rate = self.tangent(z, tangent)[-1]

@@ -1,6 +1,6 @@
-"""How wrong a path between two ends is: by Newton steps in a higher degree, and by what rounding does to it.
+"""Error estimates of a path between two ends: from Newton steps in a higher degree, and of its roundoff.
 
-Both are right only as far as the mesh resolves the path's variations, too: see `agreement`.
+Both hold only where the mesh resolves also the variations of the path: see `agreement`.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 
 LEAST_AGREEMENT = 0.95  # agreement below which a given mesh does not resolve the variations
-LARGEST_RATIO = 0.9  # largest ratio of the two Newton steps of an estimate that their series is summed with
-FORCES = 3  # by which two degrees are compared: in one of them alone they may agree by chance
+LARGEST_RATIO = 0.9  # largest ratio of two Newton steps with which their geometric series is summed
+FORCES = 3  # number of forces with which two degrees are compared: with one alone they may agree by chance
 SMALL_RESPONSE = 1e-6  # responses below this part of the largest mean response count as this part of it
-ROUNDING = 0.2  # of eps: what rounding to the nearest double changes in the root mean square
+ROUNDING = 0.2  # root mean square of the error of rounding to the nearest double, over eps
 
 
 def discretization_error(
@@ -26,23 +26,23 @@ def discretization_error(
 ) -> tuple[float, PiecewisePolynomial]:
     """Largest error of a path of a lower degree than the graph's, relative to the size of its components.
 
-    The first Newton step from it on the same mesh estimates its error, in the joints as well as between them, and the
-    second tells how far to trust the first: both are summed as a geometric series.  Where the duration is free, a step
-    of it counts by how far the path moves in that time.
+    The first Newton step from it on the same mesh estimates its error, at the joints and between them.  With the second
+    step it is extrapolated as a geometric series.  Where the duration is free, a step of the duration counts as the
+    distance that the path moves in that time.
 
     Parameters
     ----------
-    refined : whether to refine the variations, which counts where the Hessian is nearly singular
+    refined : whether to refine the responses iteratively, which matters where the Hessian is nearly singular
 
     Returns
     -------
-    the error, infinity where a step is not finite; and the variations under some forces where the first step leads
+    the error, infinity where a step is not finite; and the responses to some forces at the point of the first step
     """
     nodes = graph.method.element.nodes
     unknowns, data = graph.on_path(path)
 
     def moved(step: np.ndarray) -> float:
-        """Largest change of the path by a step."""
+        """Largest relative change of the path by a step."""
         change = graph.change(step)
         if graph.numbering.stretched:
             times = path.times(nodes[:-1])
@@ -73,9 +73,9 @@ def agreement(
     variations determines it instead.  Every degree then finds some path, with a small estimated error.  But the degrees
     differ in how stiffly they hold it.
 
-    Taken is the ratio of the mean changes over the nodes, because single ones may be large in a layer that the
-    variations alone have, for the force and the component for which it is least.  A change that is small among all
-    counts as `SMALL_RESPONSE` of them.
+    It is the smallest ratio, over all forces and components, of the mean responses over the nodes.  Means are taken
+    because single responses may be large in a layer that the path itself does not have.  A small mean counts as
+    `SMALL_RESPONSE` times the largest.
     """
     if not graph.numbering.positions:
         return 1.0  # nothing can vary
@@ -93,7 +93,7 @@ def agreement(
 
 
 def _generic_forces(graph: BoundaryGraph, path: PiecewisePolynomial) -> np.ndarray:
-    """The virtual work ∫ F·δx dt of some smooth forces F(t), the same in all degrees, per unknown; (FORCES, n)."""
+    """Virtual work ∫ F·δx dt for each unknown of smooth forces F(t) that are the same in all degrees; (FORCES, n)."""
     numbering, element, steps = graph.numbering, graph.method.element, np.diff(path.mesh)
     times, weights = path.times(element.nodes[:-1]), element.weights @ element.values
     of_nodes = np.append(np.outer(steps, weights[:-1]), 0.0)
@@ -106,17 +106,17 @@ def _generic_forces(graph: BoundaryGraph, path: PiecewisePolynomial) -> np.ndarr
 
 
 def _joined(graph: BoundaryGraph, path: PiecewisePolynomial, steps: list[np.ndarray]) -> PiecewisePolynomial:
-    """Changes of a path by some steps, all components of one after those of another."""
+    """Changes of a path by several steps as one path: the components of the first step, then of the next."""
     changes = np.concatenate([graph.change(step) for step in steps])
     return PiecewisePolynomial(path.mesh, graph.method.element.nodes, changes)
 
 
 def roundoff_error(graph: BoundaryGraph, point: CriticalPoint) -> float:
-    """Estimate what rounding does to a path, relative to the size of its components.
+    """Estimate the roundoff error of a path, relative to the size of its components.
 
-    It is the root mean square, over a few choices of random signs, of the largest |∇²S⁻¹ r|, where every r_i is
-    `ROUNDING` times eps and the terms that the i-th equation sums.  The true error was measured at 0.1 to 5 times
-    that, or less by luck and symmetry.
+    It is the root mean square, over a few choices of random signs, of the largest |∇²S⁻¹ r|, where every |r_i| is
+    `ROUNDING` times eps times the sizes of the terms of the i-th equation.  The true error was measured at 0.1 to 5
+    times that, or less by chance or symmetry.
     """
     unknowns, data = point.solution.unknowns, point.solution.data
     with graph.stationarity.linearization() as at:
@@ -129,7 +129,7 @@ def roundoff_error(graph: BoundaryGraph, point: CriticalPoint) -> float:
 
 
 def error_between_ends(graph: BoundaryGraph, path: PiecewisePolynomial) -> float:
-    """Estimate the error of a path of the graph's degree; no less than 1 less its `agreement`, where that is poor."""
+    """Estimate the error of a path of the graph's degree: where `agreement` is poor, at least 1 minus that."""
     error, varied = discretization_error(graph.higher, path)
     agreed = agreement(graph, path, varied)
     return error if agreed >= LEAST_AGREEMENT else max(error, 1 - agreed)

@@ -1,4 +1,4 @@
-"""Why a boundary problem was not solved: what happened, where in time, how far it got, and what to try."""
+"""Reports of a boundary problem that was not solved: the failure, its time, the last iterate, and what to try."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from casadi_galerkin.solvers.stationarity import Stationarity, joined
 
 
 def not_finite(functional: Functional, unknowns: np.ndarray, data: Data) -> str:
-    """Say when the Lagrangian, or a derivative of it or of the force, first is not finite; or that no time is left."""
+    """The message when the Lagrangian or a derivative is first not finite, or how a free duration has changed."""
     pointwise, numbering, parameters = functional.pointwise, functional.numbering, functional.parameters_of(data)
     joints, points = joints_of(numbering, unknowns, data), numbering.method.element.points
     if not np.all(joints[:-1] < joints[1:]):
@@ -67,7 +67,7 @@ def conjugate(solution: Solution, path: PiecewisePolynomial, quotient: float) ->
 def explained(
     stationarity: Stationarity, failure: SolveFailure, path: PiecewisePolynomial, data: Data
 ) -> ConvergenceError:
-    """Report what a solver failed at; `path` is its last iterate."""
+    """Report the failure of a solver; `path` is its last iterate."""
     unknowns, numbering = failure.unknowns, stationarity.functional.numbering
     g, floor = stationarity.gradient_and_floor(unknowns, data)
     with np.errstate(invalid="ignore"):  # where both are infinite, or a free duration is

@@ -1,4 +1,4 @@
-"""A first path for a refinement: ways to find one, in the order of their cost."""
+"""Strategies to find the first path of a refinement, in the order of their cost."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import damped_newton
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton, rescues
 
-ITERATIONS = 40  # of Newton's method from an earlier path; where it took more it was measured to wander
+ITERATIONS = 40  # most iterations of Newton's method from an earlier path; with more it was measured to move far away
 DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
-MORE = 4  # times as many intervals as the coarse mesh has: where that is too coarse for any path, this was enough
-GUESS_INTERVALS = 200  # from which a guess is left as it is
+MORE = 4  # factor on the intervals of a coarse mesh that is too coarse for any path; it was always enough
+GUESS_INTERVALS = 200  # largest number of intervals of a mesh that resolves a guess
 # truncation error of a guess on a first mesh: loose for corners and noise, tight for layers
 COARSE_RESOLUTION, FINE_RESOLUTION = 0.1, 1e-6
 
@@ -38,7 +38,7 @@ Find: TypeAlias = Callable[[], CriticalPoint]
 
 @dataclass(frozen=True)
 class Strategy:
-    """A way to a first path."""
+    """A strategy to find a first path, and its name in reports."""
 
     name: str
     find: Find
@@ -57,29 +57,29 @@ def warm_newton(solver: SolverLike) -> SolverLike:
 def guess_on_resolving_mesh(
     graphs: GraphCache, method: Galerkin, guess: Guess | None, mesh: np.ndarray, tol: float
 ) -> PiecewisePolynomial:
-    """A guess on joints on which it is resolved to a tolerance: where it turns sharply, so may the path."""
+    """A guess on a mesh that resolves it to a tolerance, because the path may turn sharply where the guess does."""
     interpolated = partial(graphs.transcription(method, mesh).guess_on_mesh, guess)
     if not callable(guess):
-        return interpolated(mesh)  # there is nothing between the values of an array
+        return interpolated(mesh)  # an array has no values between its nodes
     return resolving_interpolant(interpolated, mesh, tol, GUESS_INTERVALS, graphs.problem.breakpoints)
 
 
 def _smoothed(guess: PiecewisePolynomial) -> PiecewisePolynomial:
-    """The cubic polynomial nearest to a guess, which has none of the guess's corners and noise."""
+    """The least-squares cubic polynomial of a guess, without its corners and noise."""
     times, (first, last) = guess.times(guess.nodes[:-1]), guess.mesh[[0, -1]]
     parts = (2 * times - first - last) / (last - first)
     return PiecewisePolynomial(guess.mesh, guess.nodes, legval(parts, legfit(parts, guess.values.T, 3)))
 
 
 def _distance(guess: PiecewisePolynomial, point: CriticalPoint) -> float:
-    """How far a path is from the guess, over the guess's size, at the same parts of its duration."""
+    """Distance of a path from the guess, at the same fractions of their durations, relative to the guess's size."""
     path = point.polynomial
     times = map_times(guess.times(guess.nodes[:-1]), guess.mesh[[0, -1]], path.mesh[[0, -1]])
     return relative_distance(path(times), guess.values)
 
 
 def _near(guess: PiecewisePolynomial, find: Find) -> CriticalPoint:
-    """Refuse a path far from the guess: another one was meant."""
+    """Find a path, and refuse it if it is far from the guess."""
     point = find()
     distance = _distance(guess, point)
     if distance > FAR_FROM_GUESS:
@@ -89,7 +89,7 @@ def _near(guess: PiecewisePolynomial, find: Find) -> CriticalPoint:
 
 
 def _nearest(guess: PiecewisePolynomial, first: Find, others: Iterable[Find]) -> CriticalPoint:
-    """The path of the first way; where that is far from the guess, of another one that leads near it, if any does."""
+    """The path of the first function or, if that is far from the guess, of another one that finds a path near it."""
     point = first()
     if _distance(guess, point) > FAR_FROM_GUESS:
         for find in others:
@@ -106,12 +106,12 @@ def first_path_strategies(
     solver: SolverLike,
     intermediate_path: Callable[[GraphCache, np.ndarray, Guess | None], CriticalPoint],
 ) -> Iterator[Strategy]:
-    """Ways to a first path, in the order in which they are tried.
+    """Strategies to find a first path, in the order in which they are tried.
 
-    They are Newton's method on the coarse mesh, with a guess also from that smoothed, and on a mesh that resolves it;
-    its rescues on the coarse mesh; a homotopy in the force or, without a force and a guess, in the time span, its paths
-    found by `intermediate_path`; a descent of the action with moving joints; and whatever `solver` tries.  With a
-    guess, a path near it is taken before one that is far from it, which is another one.
+    First Newton's method on the coarse mesh; with a guess also from the smoothed guess, and on a mesh that resolves the
+    guess.  Then its rescues on the coarse mesh; a homotopy in the force or, without a force and a guess, in the time
+    span, whose paths `intermediate_path` finds; a descent of the action with moving joints; and finally `solver`
+    itself.  With a guess, a path near it is preferred to one that is far from it.
     """
     given, name, problem = (
         guess_on_resolving_mesh(graphs, method, guess, mesh, COARSE_RESOLUTION),
@@ -162,7 +162,7 @@ def first_path_strategies(
 def _by_descent(
     graphs: GraphCache, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike
 ) -> CriticalPoint:
-    """Lower the action of a guess until Newton's method takes over."""
+    """Lower the action from a guess, and continue with Newton's method."""
     transcribed = partial(graphs.transcription, default_method(DESCENT_DEGREE), mapping=by_rows)
     path = descend(transcribed, transcribed(mesh).guess_on_mesh(guess, mesh), DESCENT_TOLERANCE)
     mesh = resized_mesh(path.mesh, len(path.mesh) - 1, graphs.problem.breakpoints)  # descending moves the joints

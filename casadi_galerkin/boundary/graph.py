@@ -1,4 +1,4 @@
-"""A boundary problem on N intervals as one CasADi graph: its inputs, its unknowns, and the critical points found."""
+"""A boundary problem on N intervals as one CasADi graph: its inputs, its unknowns, and its critical points."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from casadi_galerkin.solvers.stationarity import Stationarity, joined
 
 Graph = TypeVar("Graph", bound="BoundaryGraph")
 
-REGULAR = 1e-9  # `Solution.regularity` above which the second variation need not be looked at
-FREE = [np.nan]  # what stands for a position that is not given
+REGULAR = 1e-9  # `Solution.regularity` above which the second variation need not be computed
+FREE = [np.nan]  # value of a position that is not given
 
 
 @dataclass(frozen=True)
 class CriticalPoint:
-    """What a solver found: its solution, the problem it was found for, and the path it stands for."""
+    """A critical point: the solution of a solver, the problem that it solves, and its path."""
 
     solution: Solution
     problem: BoundaryProblem
@@ -71,7 +71,7 @@ class BoundaryGraph:
 
     @property
     def higher(self) -> BoundaryGraph:
-        """The graph of the degree that tells what this one misses; built once for all problems varied from one."""
+        """The graph of the higher degree for the error estimate; built once for all problems varied from one."""
         if not self._higher:
             method = higher_degree_method(self.method.degree)
             self._higher.append(BoundaryGraph(self.problem, method, self.mesh, self._mapping))
@@ -87,7 +87,7 @@ class BoundaryGraph:
         return DiscreteCalculus(self.method, self.mesh)
 
     def emb(self, unknowns: np.ndarray, data: Data) -> PiecewisePolynomial:
-        """The path x̄ that unknowns stand for."""
+        """The path x̄ of unknowns ξ."""
         values = joined(unknowns, data)[self.numbering.of_nodes]
         return PiecewisePolynomial(joints_of(self.numbering, unknowns, data), self.method.element.nodes, values.T)
 
@@ -99,7 +99,7 @@ class BoundaryGraph:
         solver: SolverLike = newton,
         verbose: int = 0,
     ) -> CriticalPoint:
-        """Find the node values of the path, without what `trajectory` adds.
+        """Find the node values of the path, without the checks and quantities that `trajectory` adds.
 
         Parameters are those of `varied` and of `solve`.
         """
@@ -128,7 +128,7 @@ class BoundaryGraph:
         return self.unknowns(path.at(self.method.element.nodes).T, data), data
 
     def refuse_conjugate(self, point: CriticalPoint) -> None:
-        """Raise if the second variation vanishes at a critical point, where the solver saw that it may."""
+        """Raise if the second variation, computed only if the regularity is small, vanishes at a critical point."""
         if not point.solution.regularity > REGULAR:
             self.check_second_variation(point)
 
@@ -140,8 +140,8 @@ class BoundaryGraph:
 
     def guess_on_mesh(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:
         """Put a guess on a mesh, bent to meet the ends."""
-        own = np.array_equal(mesh, self.mesh)
-        calculus = self._calculus if own else DiscreteCalculus(self.method, mesh)
+        same = np.array_equal(mesh, self.mesh)
+        calculus = self._calculus if same else DiscreteCalculus(self.method, mesh)
         return calculus.emb(self._guess(guess, calculus, self.data(mesh)).T)
 
     def change(self, step: np.ndarray) -> np.ndarray:
@@ -157,7 +157,7 @@ class BoundaryGraph:
         return self.problem.varied(changes, span)
 
     def data(self, joints: np.ndarray, plane: np.ndarray | None = None) -> Data:
-        """Values of all inputs of the graph but the unknowns.
+        """Values of all inputs of the graph except the unknowns.
 
         Parameters
         ----------
@@ -175,14 +175,14 @@ class BoundaryGraph:
         return phase_plane(path) if has_phase(self.problem) else None
 
     def plane_in(self, data: Data) -> np.ndarray | None:
-        """The plane that the data hold, if one is needed: before the energy, which comes last."""
+        """The plane among the data, if one is needed; it stands before the energy, which is last."""
         return data[-1][-2 * self.problem.dimension - 1 : -1] if has_phase(self.problem) else None
 
     def unknowns(self, values: np.ndarray, data: Data) -> np.ndarray:
-        """Unknowns ξ out of node values (N m + 1, d): those of the critical point if they are its node values.
+        """Unknowns ξ from node values (N m + 1, d); for the node values of a critical point they are its unknowns.
 
-        Velocities at the ends are those of the path's momenta there, and multipliers, which enter linearly, those that
-        the Newton step from there finds.
+        Unknown velocities at the ends follow from the momenta of the path there.  Multipliers, which enter linearly,
+        are taken from one Newton step.
         """
         numbering = self.numbering
         unknowns = np.zeros(numbering.free)
@@ -199,7 +199,7 @@ class BoundaryGraph:
         return unknowns
 
     def _velocities_of_ends(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
-        """Unknown velocities at the ends, of the path's momenta there."""
+        """Unknown velocities at the ends, from the momenta of the path there."""
         path, parameters, given = self.emb(unknowns, data), self.functional.parameters_of(data), data[-1]
         momenta, found = np.array(self.functional.function("summary")(unknowns, *data)[1]), []
         for end in self._end_velocities:

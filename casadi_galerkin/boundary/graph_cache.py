@@ -18,10 +18,10 @@ from casadi_galerkin.solvers.solver import SolverLike
 
 
 class GraphCache:
-    """Graphs that are built at their first use, and kept; it counts the iterations of all solves.
+    """Graphs that are built at their first use and kept; also counts the iterations of all solves.
 
-    `mapping` is how L is evaluated at the points, as for `Functional`, unless a graph is asked for with another;
-    `verbose` is that of all solves.
+    `mapping` is how L is evaluated at the points, as for `Functional`, unless `transcription` is called with another;
+    `verbose` applies to all solves.
     """
 
     def __init__(self, problem: BoundaryProblem, mapping: PointMap = one_by_one, verbose: int = 0) -> None:
@@ -30,8 +30,8 @@ class GraphCache:
         self._transcriptions: dict[tuple[Galerkin, int], Transcription] = {}
 
     def for_problem(self, problem: BoundaryProblem, verbose: int = 0) -> GraphCache:
-        """The same graphs for a problem that is `varied` from this one's; what is built for it is kept here, too."""
-        if problem.parameters != self.problem.parameters:  # other masses, perhaps
+        """The same graphs for a problem that is `varied` from this one's; new graphs are kept for both."""
+        if problem.parameters != self.problem.parameters:  # masses may depend on them
             check_mass(problem)
         other = copy(self)
         other.problem, other.iterations, other.verbose = problem, 0, verbose

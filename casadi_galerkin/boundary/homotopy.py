@@ -1,10 +1,10 @@
 """Homotopy from the path of an easier problem: under a small share of the force, or over a short time.
 
-Where a force rules the motion, as in ε x'' = F(t, x, x') with a small ε, the path has layers whose places nobody knows
-before.  Under a small share of the force, which is a large ε, it has none.  Without a force the path over a short time
-is nearly the straight line, and there are no conjugate points.  Newton's method finds either from any guess.  As the
-share grows, layers form and conjugate points are passed, and the mesh is refined for each path before the next share
-is tried.
+Where a force dominates the motion, as in ε x'' = F(t, x, x') with a small ε, the path has layers at places that are not
+known in advance.  Under a small share of the force, which corresponds to a large ε, it has none.  Without a force, the
+path over a short time is nearly the straight line, and there are no conjugate points.  Newton's method finds both from
+any guess.  As the share grows, layers form and conjugate points are passed.  So the mesh is refined for each path
+before the next share is tried.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.problems.problem import map_times, with_values
 from casadi_galerkin.solution.errors import ConvergenceError
 
-GROWTH, LEAST_GROWTH = 10.0, 1.02  # factor by which a share first grows, and below which the path is lost
-LEAST = 1e-8  # share that is tried last: where even that is too much, no share will do
-MOST = 100  # shares that are tried
+GROWTH, LEAST_GROWTH = 10.0, 1.02  # first factor by which a share grows, and the factor below which the path is lost
+LEAST = 1e-8  # smallest share that is tried
+MOST = 100  # largest number of shares that are tried
 
 
 def path_by_homotopy(
@@ -36,10 +36,10 @@ def path_by_homotopy(
 
     Parameters
     ----------
-    levels : Levels of the problem
+    graphs : GraphCache of the problem
     under : `with_scaled_force` or `with_scaled_time_span`
-    guess : PiecewisePolynomial of the problem
-    roughly : (levels, mesh, guess) -> the path from there, on a mesh that resolves it
+    guess : guess of the path of the problem
+    intermediate_path : (graphs, mesh, guess) -> the path from this guess, on a mesh that resolves it
     """
     share, growth, known = 1 / GROWTH, GROWTH, 0.0
     for _ in range(MOST):

@@ -1,4 +1,4 @@
-"""Whether velocities follow from momenta: the mass matrix ∂²L/∂v², before anything is solved."""
+"""The check, before any solve, that the mass matrix ∂²L/∂v² is regular, so that momenta determine velocities."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GENERIC = 0.1, 0.4, 0.7  # fractions of a bent line between the ends, at which t
 def check_mass(problem: BoundaryProblem) -> None:
     """Refuse a Lagrangian whose mass matrix is singular at all of some generic points between the ends.
 
-    Under a constraint it may be: what the constraint holds need have no mass.
+    Under a constraint it may be singular, because components that the constraint determines need no mass.
     """
     if problem.constraint is not None:
         return

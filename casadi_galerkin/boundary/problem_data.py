@@ -1,6 +1,6 @@
-"""Problems that differ in given values only: how far apart they are, what lies between them, a path of one for another.
+"""Problems that differ in their given values only: distances, interpolation, and a path of one as a guess for another.
 
-The given values of a problem, its ends, times, parameters, velocities, momenta and energy, are one vector.
+The given values of a problem are its ends, times, parameters, velocities, momenta and energy, as one vector.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ Given = tuple[float | None, ...] | float | None
 
 
 def _given(problem: BoundaryProblem) -> dict[str, tuple[float | None, ...]]:
-    """All that is given, by name; None where a component is free."""
+    """All given values by name; None where a component is free."""
     values: dict[str, Given] = {name: getattr(problem, name) for name in VARIED}
     return {name: value if isinstance(value, tuple) else (value,) for name, value in values.items() if is_given(value)}
 
@@ -37,7 +37,7 @@ def data_vector(problem: BoundaryProblem) -> np.ndarray:
 
 
 def interpolated_problem(one: BoundaryProblem, other: BoundaryProblem, share: float) -> BoundaryProblem:
-    """The problem whose given values are a share of the way from one problem's to another's."""
+    """The problem with given values interpolated linearly between those of two problems; `share` is 0 at `one`."""
     start, end = ((1 - share) * a + share * b for a, b in zip(one.t_span, other.t_span, strict=True))
     before, after = _given(one), _given(other)
     changes: dict[str, object] = {}
@@ -62,6 +62,6 @@ def ends_replaced(values: np.ndarray, problem: BoundaryProblem) -> np.ndarray:
 
 
 def nearest(values: np.ndarray, known: np.ndarray, spread: np.ndarray) -> int:
-    """Number of the vector of given values, of those in the rows of `known`, that is nearest in units of a spread."""
-    apart = (known - values) / np.where(spread > 0, spread, 1.0)
-    return int(np.argmin(np.sum(apart**2, axis=1)))
+    """Number of the row of `known` that is nearest to `values`, with distances in units of `spread`."""
+    difference = (known - values) / np.where(spread > 0, spread, 1.0)
+    return int(np.argmin(np.sum(difference**2, axis=1)))

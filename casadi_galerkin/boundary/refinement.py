@@ -1,17 +1,19 @@
 """From a tolerance to a degree and a mesh.
 
-The degree follows from the tolerance alone, the mesh from the path: solve, read off where the Legendre coefficients
-have not decayed, spread the intervals so that they have (`mesh_adaptation`), solve again from the last path.  Once they
-have, the path is put into the space of a higher degree on the same mesh, and Newton steps there, the whole path at
-once, estimate its error in the joints and between them: measured 0.9 to 1.1 times the true error on the
-reference problems, 0.4 to 15 times near collisions.  Legendre coefficients alone miss the error in the joints, the
-strong Euler-Lagrange residual needs the norm of an inverse to become one.  Only a path that passes is returned.
+The degree follows from the tolerance alone, the mesh from the path.  Solve, estimate the truncation error from the
+decay of the Legendre coefficients on every interval, equidistribute it (`mesh_adaptation`), and solve again from the
+last path, until the truncation error is below the tolerance.  Then estimate the error of the path: Newton steps of the
+whole path, in the space of a higher degree on the same mesh, give its error at the joints and between them.  This was
+measured at 0.9 to 1.1 times the true error on the reference problems, and at 0.4 to 15 times near collisions.  The
+Legendre coefficients alone do not show the error at the joints, and the strong Euler-Lagrange residual would have to be
+multiplied by the norm of an inverse.  Only a path whose estimated error is below the tolerance is returned.
 
-A coarse mesh may also tie a path by what it does not resolve.  So forces must move the path alike in both degrees
-(`agreement`), or every interval is halved.
+A mesh may be too coarse for the variations of a path even if it resolves the path.  So the responses of the path to
+the same forces must agree in both degrees (`agreement`), or every interval is halved.
 
-Where the Hessian is nearly singular, this error is a multiple of what the path leaves out, and has the shape of the
-softest variation, not that of its cause.  A new mesh therefore spreads what is left out, scaled to the error.
+Where the Hessian is nearly singular, the error is a multiple of the truncation error and has the shape of the softest
+variation, which does not show where the truncation error is large.  A new mesh therefore equidistributes the truncation
+error, scaled to the size of the estimated error.
 """
 
 from __future__ import annotations
@@ -52,7 +54,7 @@ from casadi_galerkin.solvers.newton import NEWTON
 from casadi_galerkin.solvers.solver import SolverLike
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 
-FIRST_NODES = 64  # of the first mesh, whatever the degree: what it does not see may be missed, what it does costs time
+FIRST_NODES = 64  # nodes of the first mesh at any degree: fewer may miss features of the path, more cost time
 TRUNCATION_FLOOR = 1e-14  # truncation error that rounding of the node values alone suggests
 ROUNDOFF_MARGIN = 0.1  # share of the tolerance below which rounding, some eps / regularity, need not be estimated
 ILL_CONDITIONED = 1e4  # roundoff floor over eps from which the message blames the problem's conditioning
@@ -62,16 +64,19 @@ MOST_HALVINGS = 8  # most meshes that are halved because the two degrees disagre
 # meshes on which the agreement stays within a factor: then it is not due to the mesh, as where a mass vanishes
 STEADY_MESHES, STEADY_FACTOR = 3, 1.02
 FLOOR_FACTOR = 10.0  # times the roundoff floor: a smaller error no longer falls with the mesh
-LEAST, MOST = 0.1, 1e6  # parts that an interval is split into for the energy it misses; a mesh splits by less at once
-SHORTEST = 1e-13  # interval over the duration at which a refinement stops: a double has three digits more
-CROWDED = 1e-6  # interval over the duration from which a refused mesh is said to crowd at a place
+# bounds of the number of parts into which an interval is split for its energy imbalance; a new mesh splits by less
+LEAST_SPLIT, MOST_SPLIT = 0.1, 1e6
+SHORTEST = 1e-13  # interval over the duration at which a refinement stops: doubles have three digits more
+CROWDED = 1e-6  # interval over the duration below which the error raised names the time of the shortest interval
 # interval, over the distance to the nearer end, at which a refinement stops as well: times are rounded
 TIME_ROUNDING = 1e5 * EPS
 # distance over the duration within which a breakpoint may be the cause of an error that stays
 BREAKPOINT_DISTANCE = 1e-2
-CROWD, SHORT = 20, 1e-3  # intervals, in this part of the duration, among which rounding hides a kink
-INTERMEDIATE = 1e-3, 500  # tolerance and most intervals of the intermediate paths of a homotopy
-INDICATOR_PATIENCE = 3  # meshes in a row on which an error indicator may stay large before the refinement stops
+# A large error on more than so many intervals, which together take less than this part of the duration, is that of a
+# kink at a place that rounding hides.
+CROWD_SIZE, CROWD_LENGTH = 20, 1e-3
+INTERMEDIATE = 1e-3, 500  # tolerance and largest number of intervals for the intermediate paths of a homotopy
+INDICATOR_PATIENCE = 3  # successive meshes on which an error indicator may stay large at one place before an error
 TRUNCATION_PATIENCE = 12  # the same for Legendre coefficients, while intervals are moved to where these are large
 NOT_SMOOTH = (
     "Either L is not smooth there: name that time in the breakpoints of the problem. Or the path passes through a "
@@ -80,7 +85,7 @@ NOT_SMOOTH = (
 
 
 class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
-    """One refinement of the problem of some levels under way; the other arguments are those of `solve`."""
+    """One refinement of the problem of a `GraphCache`; the other arguments are those of `solve`."""
 
     roundoff_level = 0.0
 
@@ -94,14 +99,15 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     ) -> None:
         super().__init__(tol, limits, graphs.verbose)
         self.graphs, self.method = graphs, method
-        self.built = graphs.build_seconds  # before this refinement
+        self.built = graphs.build_seconds  # until now, for earlier refinements
         self.solver, self.warm_solver = solver, warm_newton(solver)
 
     def refine(self, level: CriticalPoint) -> tuple[CriticalPoint, float]:
-        """Refine as the base class does, without what other first paths have left."""
-        self.seen: dict[str, tuple[float, float, float, int]] = {}
-        self.agreements: list[float] = []  # of the degrees about how far forces move the path, on each mesh
-        self.nearest: dict[str, float] = {}  # smallest errors so far, by what they were estimated from
+        """Refine as the base class does, with the records of earlier first paths deleted."""
+        # by source: the last error, its time and interval length, and on how many meshes it stayed there
+        self.stagnation: dict[str, tuple[float, float, float, int]] = {}
+        self.agreements: list[float] = []  # `agreement` of the two degrees on each mesh
+        self.smallest_errors: dict[str, float] = {}  # smallest errors so far, by their source
         return super().refine(level)
 
     @property
@@ -110,21 +116,26 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         return self.graphs.iterations
 
     def solved(self, level: CriticalPoint) -> tuple[PiecewisePolynomial, int, float]:
-        """The path of one level, iterations of the solver on it, and the residual it left."""
+        """The path of one level, the solver's iterations, and the residual that they left."""
         return level.polynomial, level.solution.iterations, level.solution.residual
 
     def path(self, level: CriticalPoint, error: float) -> Path:  # noqa: ARG002
-        """The path of a level, which was verified on its own mesh only."""
+        """The path of a level, as a Path: its error is not below the tolerance."""
         return Path(level.polynomial)
 
     def estimate(self, level: CriticalPoint) -> Estimate[np.ndarray]:
-        """What the path leaves out on every interval; where that is below the tolerance, its error."""
+        """Estimate the error of a path, and the errors of the intervals that the next mesh equidistributes.
+
+        The estimate is the first of these that is above the tolerance: the truncation error; an error indicator that
+        does not depend on the equations; the difference to a path of higher degree, together with roundoff; and the
+        disagreement of the responses to forces.  Only the difference to a higher degree is trusted as an error.
+        """
         path = level.polynomial
-        left_out = truncation_error(path)
-        largest = float(np.max(left_out))
+        truncation = truncation_error(path)
+        largest = float(np.max(truncation))
         if largest > max(self.tol, TRUNCATION_FLOOR):
-            self.check_stagnation(level, "Legendre coefficients", left_out, TRUNCATION_PATIENCE)
-            return Estimate(largest, False, "Legendre coefficients", left_out)
+            self.check_stagnation(level, "Legendre coefficients", truncation, TRUNCATION_PATIENCE)
+            return Estimate(largest, False, "Legendre coefficients", truncation)
         floor = self.floor(level)
         higher = self.graph(path).higher
         error, varied = discretization_error(higher, path, refined=floor > 0)
@@ -134,19 +145,19 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             floor, EPS * np.max(np.abs(mesh)) / (mesh[-1] - mesh[0]) if stretched else 0.0
         )
         indicators = scaled_indicators(self.graphs.problem, path, level.momentum)
-        source, missed = max(indicators.items(), key=lambda item: float(np.max(item[1])))
-        if np.max(missed) > self.tol:
-            self.check_stagnation(level, source, missed, INDICATOR_PATIENCE)
-            return Estimate(float(np.max(missed)), False, source, self._left_out_for(missed))
+        source, indicator = max(indicators.items(), key=lambda item: float(np.max(item[1])))
+        if np.max(indicator) > self.tol:
+            self.check_stagnation(level, source, indicator, INDICATOR_PATIENCE)
+            return Estimate(float(np.max(indicator)), False, source, self._errors_for_imbalance(indicator))
         error = max(error, float(np.max(indicators["force"])))
         if error <= self.tol and not self.degrees_agree(level, varied, floor):
-            halved = np.full(len(left_out), TARGET * self.tol * 2.0 ** (self.method.degree + 1))
+            halved = np.full(len(truncation), TARGET * self.tol * 2.0 ** (self.method.degree + 1))
             return Estimate(1 - self.agreements[-1], False, "responses to forces", halved)
-        left_out *= error / max(np.max(left_out), 1e-300)
-        return Estimate(error, True, f"degree {higher.method.degree}", left_out)
+        truncation *= error / max(np.max(truncation), 1e-300)
+        return Estimate(error, True, f"degree {higher.method.degree}", truncation)
 
     def stopped(self, reason: str, level: CriticalPoint, error: float, hint: str = HINT) -> LimitReached:
-        """Say how far it got; where times are so far from zero that their rounding may be why, that."""
+        """Report the error reached; where times are so far from zero that their rounding may be the cause, say so."""
         mesh = level.polynomial.mesh
         latest, duration = float(np.max(np.abs(mesh))), mesh[-1] - mesh[0]
         if latest > duration and EPS * latest > self.tol * duration:
@@ -154,7 +165,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         return super().stopped(reason, level, error, hint)
 
     def floor(self, level: CriticalPoint) -> float:
-        """What rounding does to the path, zero where that is far below the tolerance; refuses a tolerance below it."""
+        """The roundoff error of the path, or zero where it is far below the tolerance; refuses a tolerance below it."""
         regularity = level.solution.regularity
         if ROUNDOFF_MARGIN * self.tol * regularity > EPS:
             return 0.0
@@ -171,19 +182,23 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             raise self.stopped(reason, level, floor)
         return floor
 
-    def _left_out_for(self, missed: np.ndarray) -> np.ndarray:
-        """Errors that split intervals in proportion to their energy imbalance, which at a kink falls like h."""
+    def _errors_for_imbalance(self, imbalance: np.ndarray) -> np.ndarray:
+        """Errors that make a new mesh split intervals in proportion to their energy imbalance.
+
+        At a kink the imbalance falls in proportion to h, but a mesh splits an interval by the root of order m + 1 of
+        its error over the target.
+        """
         target = TARGET * self.tol
-        return np.asarray(target * np.clip(missed / target, LEAST, MOST) ** (self.method.degree + 1))
+        return np.asarray(target * np.clip(imbalance / target, LEAST_SPLIT, MOST_SPLIT) ** (self.method.degree + 1))
 
     def graph(self, path: PiecewisePolynomial) -> Transcription:
         """The graph on the mesh of a path."""
         return self.graphs.transcription(self.method, path.mesh)
 
     def degrees_agree(self, level: CriticalPoint, varied: PiecewisePolynomial, floor: float) -> bool:
-        """Whether forces move the path alike in both degrees, or differently on every mesh.
+        """Whether the responses of the path to forces agree in both degrees; also where no mesh makes them agree.
 
-        Raises if the path belongs to a family.
+        Raises an error if the path belongs to a family.
         """
         graph = self.graph(level.polynomial)
         self.agreements.append(agreement(graph, level.polynomial, varied, refined=floor > 0))
@@ -199,19 +214,19 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     def improve(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> CriticalPoint:
         """Solve on the equidistributed mesh.
 
-        Where the last mesh did not halve the error, the path is less smooth than the method's order tells, and as many
-        intervals elsewhere would not do: there are more.  Only errors estimated from the same are compared.
+        Where the last mesh did not halve the error, the path is less smooth than the order of the method requires, and
+        the new mesh has more intervals than the last.  Only errors from the same source are compared.
         """
         path, order, breakpoints = level.polynomial, self.method.degree + 1, self.graphs.problem.breakpoints
-        nearest = self.nearest.get(estimate.source, math.inf)
-        fewest = FEWEST if estimate.error < nearest / 2 else len(path.mesh)
-        self.nearest[estimate.source] = min(nearest, estimate.error)
+        smallest = self.smallest_errors.get(estimate.source, math.inf)
+        fewest = FEWEST if estimate.error < smallest / 2 else len(path.mesh)
+        self.smallest_errors[estimate.source] = min(smallest, estimate.error)
         mesh = equidistributed(path.mesh, estimate.detail, order, self.tol, fewest=fewest, breakpoints=breakpoints)
         self.check_mesh(mesh, level, estimate)
         return self.graphs.solve(self.method, mesh, path, self.warm_solver)
 
     def check_mesh(self, mesh: np.ndarray, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> None:
-        """Stop before there are too many intervals, or some so short that nothing more can be learned there."""
+        """Stop where a mesh has too many intervals, or one that is too short for the precision of a double."""
         steps, duration = np.diff(mesh), mesh[-1] - mesh[0]
         inside = np.minimum(mesh[:-1] - mesh[0], mesh[-1] - mesh[1:])
         shortest = np.maximum(np.maximum(SHORTEST * duration, TIME_ROUNDING * inside), NEAREST * np.max(np.abs(mesh)))
@@ -226,15 +241,16 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         reason = f"the mesh would need {needs} for an error of {estimate.error:.1e}, {source}"
         raise self.stopped(reason, level, estimate.error)
 
-    def check_stagnation(self, level: CriticalPoint, source: str, missed: np.ndarray, patience: int) -> None:
+    def check_stagnation(self, level: CriticalPoint, source: str, errors: np.ndarray, patience: int) -> None:
         """Stop where an error at one place does not fall with the mesh, or is spread over many short intervals."""
-        mesh, worst, crowd = level.polynomial.mesh, float(np.max(missed)), missed > np.max(missed) / 2
-        hidden = np.count_nonzero(crowd) > CROWD and np.sum(np.diff(mesh)[crowd]) < SHORT * (mesh[-1] - mesh[0])
-        i = int(np.argmax(missed))
+        mesh, worst, crowd = level.polynomial.mesh, float(np.max(errors)), errors > np.max(errors) / 2
+        crowd_length = np.sum(np.diff(mesh)[crowd]) / (mesh[-1] - mesh[0])
+        hidden = np.count_nonzero(crowd) > CROWD_SIZE and crowd_length < CROWD_LENGTH
+        i = int(np.argmax(errors))
         when, step = (mesh[i] + mesh[i + 1]) / 2, mesh[i + 1] - mesh[i]
-        last, place, width, count = self.seen.get(source, (math.inf, 0.0, 0.0, 0))
+        last, place, width, count = self.stagnation.get(source, (math.inf, 0.0, 0.0, 0))
         count = count + 1 if worst > last / 2 and abs(when - place) <= width + step else 0
-        self.seen[source] = worst, when, step, count
+        self.stagnation[source] = worst, when, step, count
         if count == patience or hidden:
             where, not_smooth = f"near t = {when:.9g}", self.not_smooth(when, mesh[-1] - mesh[0])
             reason = f"an error of {worst:.1e} {where}, measured by the {source}, stays on any mesh. {not_smooth}"
@@ -255,7 +271,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     @property
     def local_solver(self) -> SolverLike:
-        """The solver from a known path: Newton's method with few iterations, unless another one is asked for."""
+        """The solver from a nearby path: Newton's method with few iterations, unless another solver was given."""
         return self.warm_solver if is_newton(self.solver) else self.solver
 
     def resume(self, level: CriticalPoint) -> Trajectory:
@@ -264,7 +280,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             return self.finish(*self.refine(level))
 
     def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:
-        """Refine the first path found that can be followed; values of a guess are those on this mesh."""
+        """Find a first path by one of several strategies, and refine it; an array as guess is one on this mesh."""
         guess = self.on_any_mesh(guess, mesh)
         failures: list[ConvergenceError] = []
         for strategy in first_path_strategies(
@@ -306,7 +322,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         return part.refine(graphs.solve(self.method, mesh, guess, self.warm_solver))[0]
 
     def on_any_mesh(self, guess: Guess | None, mesh: np.ndarray) -> Guess | None:
-        """A guess that other meshes take, too: values at the joints or nodes of this mesh become a path."""
+        """A guess that fits any mesh: arrays of values at the joints or nodes of this mesh become a path."""
         if isinstance(guess, tuple) and len(guess) == 2:
             return joined_by_lines(*guess, self.graphs.problem.dimension)
         if guess is None or callable(guess):
@@ -314,7 +330,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         return self.graphs.transcription(self.method, mesh).guess_on_mesh(guess, mesh)
 
     def finish(self, point: CriticalPoint, error: float) -> Trajectory:
-        """Make the accepted path a Trajectory, with the cost of the whole refinement."""
+        """The accepted path as a Trajectory, with the iterations and seconds of the whole refinement."""
         path = self.graph(point.polynomial).trajectory(point, 0.0)
         build_seconds = self.graphs.build_seconds
         return replace(

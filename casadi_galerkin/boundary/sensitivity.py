@@ -1,12 +1,12 @@
-"""Derivatives of solutions by their data: a whole solve as a CasADi Function, and the sensitivities of one path.
+"""Derivatives of solutions by their data: a solve as a CasADi Function, and the sensitivities of one path.
 
-Let ξ(d) solve ∇S(ξ, d) = 0 for the data d, ends and parameters.  Where ∇²S is regular, the implicit function theorem
-gives its derivative from the same matrix that Newton's method used:
+Let ξ(d) solve ∇S(ξ, d) = 0 for the data d, which are ends and parameters.  Where ∇²S is regular, the implicit function
+theorem gives its derivative from the same matrix that Newton's method used:
 
     ∇²S ∂ξ/∂d = -∂∇S/∂d.
 
-CasADi's rootfinder knows this rule and applies it to itself, so that `solution_function` has derivatives of any
-order CasADi allows, forward and reverse.  `sensitivity` is the rule by hand: one factorization, all data at once.
+CasADi's rootfinder applies this rule, so that `solution_function` has forward and reverse derivatives of any order.
+`sensitivity` applies the rule directly: one factorization for all data.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def boundary_function(
 def _check(problem: BoundaryProblem, stationarity: Stationarity) -> ca.Function:
     """(unknowns, *data) -> whether all residuals are within `ACCEPTED` of their floor; without derivatives.
 
-    Ends that are data may also leave a constraint, which no equation holds them to.
+    Ends that are data are also checked against a constraint, which no equation imposes on them.
     """
     floor = stationarity.floor
     symbols, names = floor.mx_in(), floor.name_in()
@@ -155,7 +155,7 @@ def at_joints(problem: BoundaryProblem, path: Trajectory) -> Sensitivity:
     solutions = transcription.stationarity.linear_solver.solutions("qr", data.numel(), transposed=False)
     by_data = ca.densify(ca.jacobian(gradient, data))
     change = solutions(matrix, by_data)[0]
-    change += solutions(matrix, ca.mac(matrix, change, by_data))[0]  # where rows differ in their units
+    change += solutions(matrix, ca.mac(matrix, change, by_data))[0]  # iterative refinement, for rows of different units
     unknowns, given = transcription.on_path(path.polynomial)
     derivative = np.array(ca.Function("sensitivity", list(symbols.values()), [change]).call([unknowns, *given])[0])
     fixed = np.eye(numbering.size - numbering.free, data.numel())

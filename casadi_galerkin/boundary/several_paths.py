@@ -1,13 +1,16 @@
 """Several stationary paths of one problem, without a guess.
 
-Curves of loaded paths are followed from what is known (`loaded_curve`); in between, Newton's method is begun from
-random smooth guesses.  Guesses alone, even with what is known divided out of the equations, were measured to find 5 of
-13 geodesics on a torus in 100 solves; with the curves all are found in 4 to 25.  Until something is known, the load
-that holds a guess in place is taken away: where the straight line led to nothing, 20 of 23 random problems of up to
-three components were solved so, and 5 by Newton's method from as many random guesses.  Wherever a curve comes near a
-path, the package's own Newton method takes over, and its answer is verified as every answer is.  A discrete action also
-has critical points that are no paths, zigzags of a coarse mesh, and makes single paths of a family: dropped is what a
-higher degree or the error indicators refute, and where the second variation vanishes up to the error.
+Curves of loaded paths are followed from the paths found so far (`loaded_curve`).  In between, Newton's method is
+started from random smooth guesses.  Guesses alone, even with deflation of the known paths, were measured to find 5 of
+13 geodesics on a torus in 100 solves; with the curves all are found in 4 to 25.  Until a path is found, curves begin at
+a guess: at first a load makes it an equilibrium, and the load is then removed.  Where Newton's method from the straight
+line failed, 20 of 23 random problems of up to three components were solved in this way, and 5 by Newton's method from
+as many random guesses.  Near a stationary path, the curve is left, and Newton's method of the package finds and
+verifies the path.
+
+A discrete action also has critical points that are not paths, such as zigzags of a coarse mesh.  And where the paths of
+a problem form a family, it has single critical points in its place.  So a critical point is dropped where a higher
+degree or the error indicators show a large error, and where its second variation vanishes up to the error.
 """
 
 from __future__ import annotations
@@ -44,12 +47,13 @@ if TYPE_CHECKING:
 Symmetry = Callable[[np.ndarray], ArrayLike]
 
 PATIENCE = 20  # solves in succession without a new path after which a search ends
-SEED = 0  # of the random guesses and loads: a search that is repeated gives the same paths
-SAME = 1e-6  # largest distance of two node values of one path found twice, in sizes of the component
-RESOLVED = 0.05  # largest estimated error of a path, in sizes of the component; of zigzags it is about one
-SOFT, ERRORS = 1e-3, 10.0  # relative second variation that is zero up to so many errors; regular ones are 1e-2 and more
+SEED = 0  # of the random guesses and loads, so that repeated searches give the same paths
+SAME = 1e-6  # largest distance of node values, in sizes of the component, at which two paths count as one
+RESOLVED = 0.05  # largest estimated relative error of a path; that of zigzags is about one
+# a second variation below SOFT and below ERRORS times the estimated error counts as zero; regular ones are above 1e-2
+SOFT, ERRORS = 1e-3, 10.0
 SMALLEST, LARGEST = -2.0, 5.0  # powers of two between which the amplitude of a random guess lies
-STIFFEST = 1e8  # largest entry of the Hessian over that at the paths; from there on roundoff rules
+STIFFEST = 1e8  # largest entry of the Hessian over that at the paths, above which roundoff dominates
 SHOWN = 6  # paths in a repr
 FINER = "a higher degree or more intervals may"
 
@@ -176,7 +180,7 @@ def paths(
 
 
 def _checked(symmetries: Sequence[Symmetry], transcription: Transcription) -> tuple[Symmetry, ...]:
-    """Refuse what does not take node values to node values; it is asked."""
+    """Refuse symmetries that do not map node values to node values; each is called once."""
     if not isinstance(symmetries, Sequence):
         raise TypeError(f"symmetries must be a sequence of callables of node values, got {symmetries!r}")
     values = transcription.guess_on_mesh(None, transcription.mesh).values
@@ -188,7 +192,7 @@ def _checked(symmetries: Sequence[Symmetry], transcription: Transcription) -> tu
 
 
 def _image(i: int, symmetry: Symmetry, values: np.ndarray) -> np.ndarray:
-    """Node values of what the i-th symmetry makes of a path; refuses what is none, as it may be of single paths."""
+    """Node values of the image of a path under the i-th symmetry; refuses results that are no node values."""
     image = real_array(f"what symmetries[{i}] returns", symmetry(values.copy()))
     if image.shape != values.shape:
         raise ValueError(f"symmetries[{i}] must return an array of shape {values.shape}, got {image.shape}")
@@ -196,7 +200,7 @@ def _image(i: int, symmetry: Symmetry, values: np.ndarray) -> np.ndarray:
 
 
 class Search:
-    """A search under way."""
+    """The state of a search."""
 
     def __init__(self, transcription: Transcription, symmetries: tuple[Symmetry, ...]) -> None:
         self.transcription, self.stationarity = transcription, transcription.stationarity
@@ -211,7 +215,7 @@ class Search:
         self.measure(transcription.guess_on_mesh(None, transcription.mesh).values)
 
     def measure(self, *values: np.ndarray) -> None:
-        """Take the sizes of components, of unknowns and of the Hessian from the largest of some paths."""
+        """Set the sizes of components, of unknowns and of the Hessian to their largest on some paths."""
         self.component_sizes = np.max([component_sizes(of_path) for of_path in values], axis=0)
         sizes = [self.stationarity.sizes(self.unknowns(of_path), self.data) for of_path in values]
         self.sizes = np.max(sizes, axis=0)
@@ -221,11 +225,11 @@ class Search:
         self.stiffest = max(self.stiffest, STIFFEST * largest if np.isfinite(largest) else np.inf)
 
     def unknowns(self, values: np.ndarray) -> np.ndarray:
-        """Unknowns ξ out of node values (d, N m + 1)."""
+        """Unknowns ξ from node values (d, N m + 1)."""
         return self.transcription.unknowns(values.T, self.data)
 
     def run(self, count: int) -> Paths:
-        """Search until there are so many paths, or `PATIENCE` solves have found no new one."""
+        """Search until `count` paths are found, or `PATIENCE` solves in succession have found no new one."""
         last = 0
         with progress("paths", count, "path") as advance:
             while len(self.found) < count and self.solves - last < PATIENCE:
@@ -247,7 +251,7 @@ class Search:
         return Paths(tuple(ordered), self.solves, self.unresolved, self.singular, stopped)
 
     def attempt(self) -> Iterator[Solution]:
-        """What the next solve finds, verified critical points that may be known."""
+        """Verified critical points of the next solve, which may be known already."""
         if self.solves == 1:
             try:
                 yield self.transcription.critical_point().solution
@@ -255,7 +259,7 @@ class Search:
                 self.failure = failure
                 self.singular += isinstance(failure, ConjugatePointError)
         elif not self.transcription.numbering.positions:
-            return  # all guesses are the straight line, and no load moves it
+            return  # without free positions there is no other guess, and no load
         elif not self.found:
             yield from self.along_residual_load()
         elif self.solves % 3:
@@ -279,13 +283,13 @@ class Search:
         return replace(solution, report="Newton, from a random guess")
 
     def along_residual_load(self) -> Iterator[Solution]:
-        """All that is met while the load is taken away that holds a random guess."""
+        """All paths on the curve from a random guess, which a load makes an equilibrium, as the load is removed."""
         with self.stationarity.linearization() as at:
             curve = residual_load_curve(at, self.guess(), self.data, self.stiffest)
             yield from curve.stationary_paths(-1.0, "Newton, along the load of a random guess")
 
     def along_a_load(self) -> Iterator[Solution]:
-        """All that a curve of loaded paths meets: first to one side of a path, in the next solve to the other."""
+        """All paths on a curve of loaded paths: to one side of a known path, and in the next solve to the other."""
         again = self.curves % 2
         if not again:
             self.start, self.begun = self.found[self.curves // 2 % len(self.found)]
@@ -304,11 +308,11 @@ class Search:
         return self.transcription.emb(unknowns, self.data).values
 
     def same(self, values: np.ndarray, others: np.ndarray) -> bool:
-        """Whether node values are those of one path found twice."""
+        """Whether two arrays of node values are the same path."""
         return bool(np.max(np.abs(values - others) / self.component_sizes[:, None]) < SAME)
 
     def consider(self, solution: Solution, seconds: float) -> None:
-        """Keep a critical point if it is new, regular, and a path."""
+        """Keep a critical point if it is new and regular, and its error is small."""
         polynomial = self.transcription.emb(solution.unknowns, solution.data)
         point = CriticalPoint(solution, self.transcription.problem, polynomial)
         if not self.is_new(solution.unknowns):
@@ -321,7 +325,7 @@ class Search:
             return
         error = path.estimate_error()
         if smallest_second_variation(self.stationarity, solution.unknowns, self.data) < min(SOFT, ERRORS * error):
-            self.singular += 1  # of a family that the mesh breaks up
+            self.singular += 1  # of a family, of which the discrete action has single critical points
             return
         if not error <= RESOLVED:
             self.unresolved += 1
@@ -330,7 +334,7 @@ class Search:
         self.measure(*(path.polynomial.values for path, _ in self.found))
 
     def is_new(self, unknowns: np.ndarray) -> bool:
-        """Remember a critical point with its images; whether none of them was known."""
+        """Record a critical point with its images under the symmetries; whether none of them was known."""
         values, numbering = self.values(unknowns), self.transcription.numbering
         same, known = [unknowns], [self.values(each) for each in self.known]
         for i, symmetry in enumerate(self.symmetries):
@@ -341,7 +345,7 @@ class Search:
         return len(new) == len(same)
 
     def no_path_error(self) -> ConvergenceError:
-        """Say why there is no path."""
+        """The error that says why there is no path."""
         path = None if self.failure is None else self.failure.path
         if self.unresolved:
             return ConvergenceError(

@@ -53,9 +53,9 @@ class Transcription(BoundaryGraph):
 
     Attributes
     ----------
-    numbering : Numbering, which unknown is which value of the path
+    numbering : Numbering of the unknowns
     functional : Functional, the one graph
-    stationarity : Stationarity, what the solvers take
+    stationarity : Stationarity, the equations that solvers take
     build_seconds : float, spent on building the graph so far
 
     Examples
@@ -186,12 +186,12 @@ def check_given(given: Mapping[str, object]) -> None:
 
 
 class SecondVariation:
-    """What tells how the action varies about a path, and its accuracy; pickled without the graph, which is built again.
+    """Second variation and error estimate of a path; pickled without the graph, which is built again when needed.
 
     Parameters
     ----------
     transcription : Transcription that found the path
-    problem : BoundaryProblem, with the ends and parameters that it was found for
+    problem : BoundaryProblem, with the ends and parameters of the path
     path : PiecewisePolynomial
     """
 
@@ -205,7 +205,7 @@ class SecondVariation:
         return built.for_problem(self._problem)
 
     def _at_path(self, graph: BoundaryGraph) -> tuple[Stationarity, np.ndarray, Data]:
-        """A graph's conditions, unknowns and data at the path."""
+        """The conditions of a graph, and its unknowns and data at the path."""
         return graph.stationarity, *graph.on_path(self._path)
 
     def difference(self) -> float:
@@ -217,9 +217,10 @@ class SecondVariation:
         return smallest_second_variation(*self._at_path(self._graph()))
 
     def negative(self) -> int | None:
-        """Number of negative eigenvalues, or None where there is no finite one, or where a higher degree has another.
+        """Number of negative eigenvalues; None where it is not finite, or is different in a higher degree.
 
-        Variations that are too short for the mesh are counted by degrees of freedom, of which a higher degree has more.
+        If variations too short for the mesh lower the action, the number grows with the degrees of freedom, and a
+        higher degree counts more.
         """
         problem, path, graph = self._problem, self._path, self._graph()
         index = negative_eigenvalues(*self._at_path(graph))

@@ -1,4 +1,4 @@
-"""The check of the point where the solver stopped: how far each constraint is violated."""
+"""Violations of the constraints at the point where the solver stopped."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's op
 # relative change of momenta below which a force cannot be told from zero; the solvers leave some 1e-12
 NEGLIGIBLE_MOMENTUM = 1e-10
 UNITS = "The solver's tolerances are absolute: take units in which cost, lengths, times and masses are near one"
-VANISHED = 1e-13  # part of its terms along the guess below which a component's are taken for their roundoff
+VANISHED = 1e-13  # terms of a component over those along the guess below which they are roundoff
 
 
 def equation_scales(chain: Chain, bounds: ProgramBounds, report: Report, before: np.ndarray) -> np.ndarray:
-    """Sizes that the equations are measured by.
+    """Sizes relative to which the residuals of the equations are measured.
 
-    Those of a component by the largest sum of terms that one of them has along the path, or along the guess
-    (`before`, by kind) where it has vanished and its terms are what rounding left of those; a path constraint or a
-    condition on the ends by the sizes of what its value is made of, |∇g||z|, or its finite bound.
+    For the equations of motion of a component it is the largest sum of the sizes of the terms of one of them along the
+    path.  Where the component has vanished, these terms are roundoff, and it is the sum along the guess (`before`, by
+    kind).  For a path constraint or an end condition g it is |∇g||z|, or its finite bound if that is larger.
     """
     sizes = np.where(report.sizes <= VANISHED * before, before, report.sizes)
     stated = chain.largest(bounds.sizes[1])
@@ -35,9 +35,9 @@ def violations(
 ) -> np.ndarray:
     """Violation of every equation, then of every unknown's bounds, relative to what is compared.
 
-    A value outside its bounds is compared with the largest of its kind: where IPOPT has no room between an equation and
-    a bound, it moves the bound by rounding, and that is all that is left of a value that should be zero.  Values that
-    are all but zero are compared with their bounds.
+    A value outside its bounds is compared with the largest of its kind, not with itself: where an equation and a bound
+    leave a single value, IPOPT moves the bound by rounding, and a value that should be zero is then as large as this
+    shift.  Where all values of a kind are nearly zero, they are compared with their bounds.
     """
     excess = _excess(report.equations, bounds.equations_lower, bounds.equations_upper)
     outside = _excess(unknowns, bounds.lower, bounds.upper)
@@ -50,5 +50,5 @@ def violations(
 
 
 def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """By how much values leave their bounds; infinite where they are not numbers."""
+    """Distances of values from their bounds; infinite where the values are not finite."""
     return np.asarray(np.where(np.isfinite(values), bound_excess(values, low, high), np.inf))

@@ -18,7 +18,7 @@ from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solvers.linear_solver import all_finite
 from casadi_galerkin.solvers.solver import Solver
 
-STATIONARY = 1e-6  # of the gradients that cancel; optima of the scenes were measured below 1e-9
+STATIONARY = 1e-6  # accepted gradient of the Lagrangian over the sizes of its terms; optima were measured below 1e-9
 
 
 def control_function(
@@ -37,7 +37,7 @@ def control_function(
     known = chain.pack(start.values)
     sizes = equation_scales(chain, bounds, transcription.graph.report(*known), start.sizes)
     first, data = (ca.MX(ca.DM(part)) for part in known)
-    checked_by = bounds_of(problem, chain, implied=True)  # ends that are data may leave a constraint
+    checked_by = bounds_of(problem, chain, implied=True)  # ends that are data may violate a constraint
     programmed = bounds.narrowed(BOUND_RELAXATION[solver.name])
     stated, narrow = ([ca.MX(ca.DM(side)) for side in b.sides] for b in (checked_by, programmed))
     inputs, allowed = {}, ca.MX(1)
@@ -49,7 +49,7 @@ def control_function(
             given = [value is not None for value in getattr(problem, name)]
             least, most = (ca.DM(side[given]) for side in np.array(problem.position_bounds))
             allowed = ca.logic_and(allowed, ca.mmin(ca.logic_and(least <= inputs[name], inputs[name] <= most)))
-        value = ca.if_else(number, inputs[name], 0.0)  # the solver refuses what is not a number
+        value = ca.if_else(number, inputs[name], 0.0)  # the solver refuses NaN
         if name == "parameters":
             data[(entries - chain.unknowns).tolist()] = value
         else:
@@ -78,7 +78,7 @@ def control_function(
 
 
 def _given(problem: ControlProblem, chain: Chain) -> dict[str, np.ndarray]:
-    """Entries of ξ that the problem gives, by name; names with none are left out."""
+    """Entries of ξ that the problem gives, by name; names without entries are left out."""
     f, mechanical = chain.fields, slice(chain.mechanical)
     stated = {
         "start": (f["x"][0], problem.start),
@@ -93,7 +93,7 @@ def _given(problem: ControlProblem, chain: Chain) -> dict[str, np.ndarray]:
 
 
 def _violation(graph: ControlGraph, sizes: np.ndarray) -> ca.Function:
-    """(ξ, data, λ, μ, bounds) -> largest violation of an equation or a bound, and of stationarity, of their terms."""
+    """(ξ, data, λ, μ, bounds) -> largest relative violations of equations and bounds, and of stationarity."""
     x, data, counts = graph.unknowns, graph.data, (graph.unknowns.numel(), len(sizes))
     given = [ca.MX.sym("given", counts[k]) for k in (1, 0, 0, 0, 1, 1)]
     multipliers, of_bounds, low, high, least, most = given

@@ -66,7 +66,7 @@ def refuse_derivatives(graph: ControlGraph, unknowns: np.ndarray, data: np.ndarr
 
 
 def name_equation(chain: Chain, row: int) -> tuple[str, float]:
-    """What an equation is called, and where it stands, in intervals since the start."""
+    """Name of an equation, and its place in intervals since the start."""
     names = {
         "x": "the continuity of x",
         "constants": "the continuity of the duration or parameter",
@@ -83,11 +83,11 @@ def name_equation(chain: Chain, row: int) -> tuple[str, float]:
     words = names[name.split()[0]]
     counted = words.endswith(("constraint", "condition"))
     label = f"{words} {found[-1]}" if counted else f"{words}[{shift + found[-1]}]"
-    return label, _place(chain, name, found) + (name in ("x", "momentum", "constants"))  # which tie the next state
+    return label, _place(chain, name, found) + (name in ("x", "momentum", "constants"))  # of the next state
 
 
 def name_unknown(chain: Chain, index: int) -> tuple[str, float]:
-    """What an unknown is called, and where it stands, in intervals since the start."""
+    """Name of an unknown, and its place in intervals since the start."""
     names = {
         "nodes": "x",
         "controls": "u",
@@ -110,7 +110,7 @@ def _found(arrays: dict[str, np.ndarray], number: int) -> tuple[str, tuple[int, 
 
 
 def _place(chain: Chain, name: str, found: tuple[int, ...]) -> float:
-    """Where an entry of a field or of the equations stands, in intervals since the start."""
+    """Place of an entry of a field or of the equations, in intervals since the start."""
     method = chain.method
     parts = {
         "nodes": method.element.nodes[1:],

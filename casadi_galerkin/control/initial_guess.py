@@ -1,4 +1,4 @@
-"""Where an optimization begins: a guess as a value for every field of the `Chain`, and the check that it is finite."""
+"""The starting point of an optimization: values for every field of the `Chain`, and the check that they are finite."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess, Values, check_finite_values, guess_values, meeting_ends, sampled
 
-SAME_FRACTION = 1e-12  # of the duration: rounding of joints that were stretched
+SAME_FRACTION = 1e-12  # distance over the duration at which joints are equal, up to the rounding of stretched ones
 
 
 def first_values(
@@ -26,11 +26,11 @@ def first_values(
     near: ControlTrajectory | None,
     longer: float = 1.0,
 ) -> dict[str, np.ndarray]:
-    """Values of all fields at a guess, within the bounds and with what is given as it is given; see `near_answer`.
+    """Values of all fields at a guess, within the bounds and with the given values; for `near` see `near_answer`.
 
     Without a guess the path is the straight line between the ends, and controls are zero, or the middle of their
-    bounds where these exclude zero.  Momenta and their units are not guessed: they are zeros and ones.  Free durations
-    are `longer` times those of the mesh, or as long as they may be; an earlier answer keeps its own.
+    bounds where these exclude zero.  Momenta are zero and their units one.  Free durations are `longer` times those of
+    the mesh, within their bounds; those of an earlier solution are kept.
     """
     path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical
@@ -80,7 +80,7 @@ def first_values(
 def _of_answer(
     answer: ControlTrajectory, near: ControlTrajectory | None, chain: Chain, calculus: DiscreteCalculus, now: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Node values and controls of an earlier answer, at the same fractions of the durations between the marks `now`."""
+    """Node values and controls of an earlier solution, at the same fractions of the phases between the times `now`."""
     if len(answer.x) != chain.dimension:
         raise ValueError(f"the guess must be a path of {counted(chain.dimension, 'component')}, got {len(answer.x)}")
     controls = len(answer.control.values)
@@ -101,7 +101,7 @@ def _arrivals(
     guess: Guess | None,
     path: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities before the joints crossed: those of an earlier answer, else as if it did not jump."""
+    """Positions and velocities before the crossings: of an earlier solution, or of a guess without jumps."""
     nodes, times = chain.crossed * chain.method.degree, calculus.node_times
     found, dm = path[nodes], chain.mechanical
     velocities = ((found - path[nodes - 1]) / (times[nodes] - times[nodes - 1])[:, None])[:, :dm]
@@ -113,7 +113,7 @@ def _arrivals(
 
 
 def near_answer(guess: Guess | None, chain: Chain, calculus: DiscreteCalculus) -> ControlTrajectory | None:
-    """The guess, if it has the same unknowns and equations at the same fractions of its duration, to start warm."""
+    """The guess, if it is a solution with the same unknowns, equations and fractions of the mesh, for a warm start."""
     if not (isinstance(guess, ControlTrajectory) and guess.method == calculus.method):
         return None
     shapes = [guess.polynomial.values.shape, guess.duals[0].shape, guess.duals[1].shape]
@@ -126,7 +126,7 @@ def near_answer(guess: Guess | None, chain: Chain, calculus: DiscreteCalculus) -
 
 
 def _resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
-    """Zero where the bounds hold it; else their middle, or the finite one."""
+    """Zero where it is within the bounds; else their middle, or the finite one."""
     return np.array(
         [
             0.0 if a <= 0 <= b else (a + b) / 2 if np.isfinite(b - a) else a if np.isfinite(a) else b
@@ -136,7 +136,7 @@ def _resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
 
 
 def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None) -> np.ndarray:
-    """Node values (N m + 1, d) that meet the fixed ends and keep within bounds."""
+    """Node values (N m + 1, d) that meet the fixed ends and are within bounds."""
     if guess is None:
         values = np.full((len(calculus.node_times), problem.dimension), _resting(*problem.position_bounds))
     else:
@@ -148,7 +148,7 @@ def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | No
 
 
 def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus, guess: Values | None) -> np.ndarray:
-    """Controls (N, points, n) within bounds, from a callable of time or an array at the points where they stand."""
+    """Controls (N, points, n) within bounds, from a callable of time or an array of values at these points."""
     if guess is None:
         return np.full((chain.intervals, len(chain.control_times), chain.controls), _resting(*problem.control_bounds))
     name, times = "the guess of the controls", times_at(calculus.mesh, chain.control_times)

@@ -1,14 +1,18 @@
-"""An error indicator for jumps in time inside of intervals, which two degrees with points on the same sides miss.
+"""An error indicator for jumps of the callables in time inside intervals.
+
+Two degrees whose quadrature points lie on the same sides of a jump make the same error, which their difference does not
+show.
 
 With the path, the controls and the multipliers found, the cost is ∫ I dt to first order, where
 
     I(t, z) = ℓ + λ·(∂L/∂x + F, ρ) + dλ/dt·(∂L/∂v, x) + μ·g,        z = (x, v, u, λ, dλ/dt, μ).
 
-Over the share of time that a quadrature point stands for (`jump_detection`), with z as it is at the point,
+Each quadrature point represents a share of the time, from a to b (`jump_detection`).  With z fixed at its values at
+the point,
 
     I(b, z) - I(a, z) = ∫ ∂I/∂t dt
 
-holds where I is smooth in time, however fast controls change.  A jump may move the cost by what it does to ∫ I dt.
+holds where I is smooth in time, however fast controls change.  A jump may change the cost as much as ∫ I dt.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Constrained optimization, all derivatives supplied: minimize f(ξ) within bounds on ξ and G(ξ), with IPOPT or fatrop.
 
-`solvers` solve ∇S = 0 to roundoff; this is its counterpart for costs and constraints.  What it returns is the
-solver's last point with the solver's own words; whether that point is an answer is judged by the caller, who knows
-what the rows of G mean.
+`solvers` solve ∇S = 0 to roundoff; this is the counterpart for costs and constraints.  It returns the last point and
+the status of the solver; the caller, who knows the meaning of the rows of G, verifies the point.
 """
 
 from __future__ import annotations
@@ -19,25 +18,26 @@ from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.solvers.deadline import limited
 
-ITERATION_LIMIT = 500  # the scenes take 5 to 100; a problem without a bound from below walks on for ever
-TOLERANCE = 1e-12  # of IPOPT's scaled optimality error; at 1e-10 costs were seen to be wrong by 3e-9
-ACCEPTABLE = 1e-9  # good enough where roundoff keeps IPOPT from TOLERANCE for ACCEPTABLE_ITERATIONS
+ITERATION_LIMIT = 500  # the scenes take 5 to 100; with an unbounded cost the iteration does not end
+TOLERANCE = 1e-12  # for IPOPT's scaled optimality error; with 1e-10 errors of the cost of 3e-9 were seen
+ACCEPTABLE = 1e-9  # accepted after ACCEPTABLE_ITERATIONS where roundoff keeps IPOPT from TOLERANCE
 ACCEPTABLE_ITERATIONS = 4
-# IPOPT's barrier counts bounds, not time.  With its default of 0.1 a fine mesh, which has many bounds, leaves the guess
-# far behind: the cart-pole of degree 8 on 60 intervals took 207 iterations and ended in another minimum; 19 with this.
+# IPOPT's barrier grows with the number of bounds.  With its default of 0.1 on a fine mesh, which has many bounds, the
+# first iterates move far from the guess: the cart-pole of degree 8 on 60 intervals took 207 iterations to another
+# minimum, and 19 with this.
 FIRST_BARRIER = 1e-2
-# From an optimum near by with its multipliers the barrier starts where it ends, and nothing is pushed off its bounds:
-# five problems with starts moved by 1 to 20 % took 2 to 8 iterations where the path alone took 5 to 14.
+# In a warm start, from a near optimum with its multipliers, the barrier starts at its final size, and values stay at
+# their bounds: five problems with starts moved by 1 to 20 % took 2 to 8 iterations, and 5 to 14 from the path alone.
 WARM_BARRIER = 1e-10
 PUSHES = [f"warm_start_{which}" for which in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")]
-# Of fatrop's error, which roundoff keeps above 1e-10 in one problem of ten; costs then differ from IPOPT's by 1e-9 to
-# 2e-8 of themselves, with the number of bounds that are met.
+# For fatrop's error, which roundoff keeps above 1e-10 in one problem of ten.  Costs then differ from IPOPT's by 1e-9 to
+# 2e-8 of themselves, growing with the number of active bounds.
 FATROP_TOLERANCE = 1e-9
-# Fatrop takes rows with smaller pivots, in units of the unknowns, for dependent.  Where it takes them wrongly it damps
-# its steps for ever, before the first iteration: with its own 1e-5 on lengths of 1e-6, with 1e-7 on constraints held
-# at many nodes.  With this, neither was seen; lengths of 1e-7 hang, and of 1e5 fail.
+# Fatrop treats rows with smaller pivots, in units of the unknowns, as dependent.  Where that is wrong it hangs before
+# the first iteration: with its default 1e-5 for lengths of 1e-6, with 1e-7 for constraints at many nodes.  With this
+# value neither was seen; lengths of 1e-7 hang, and lengths of 1e5 fail.
 PIVOT = 1e-6
-FATROP_WORDS = {"0": "Solve Succeeded", "1": "No Optimum Found"}  # fatrop returns numbers alone
+FATROP_WORDS = {"0": "Solve Succeeded", "1": "No Optimum Found"}  # fatrop returns only numbers
 BOUND_RELAXATION = {
     "ipopt": 0.0,
     "fatrop": 1e-8,
@@ -51,14 +51,14 @@ WARM = {
 
 @dataclass(frozen=True)
 class Optimum:
-    """Where the solver stopped.
+    """The last point of a solver.
 
     Attributes
     ----------
     unknowns, multipliers, bound_multipliers : ξ, the λ of the equations and the μ of the bounds on ξ (casadi's sign:
         f + λ·G + μ·ξ is stationary)
-    success : whether the solver itself calls it an optimum
-    status : its own words
+    success : whether the solver reports an optimum
+    status : its return status
     iterations : int
     """
 
@@ -71,10 +71,10 @@ class Optimum:
 
 
 def with_ipopt(graph: ControlGraph, warm: bool, verbose: int, given: Mapping[str, Any]) -> ca.Function:
-    """Build IPOPT for a program, to start warm or not, with the options given for it.
+    """Build IPOPT for a program, for warm starts or not, with the given options.
 
-    Bounds are held exactly (``bound_relax_factor`` 0): IPOPT's default lets them slip by 1e-8, which shows in the
-    cost of every problem that lives on its bounds.
+    Bounds are exact (``bound_relax_factor`` 0): IPOPT's default relaxes them by 1e-8, which changes the cost of every
+    problem with active bounds.
     """
     options = {
         "print_level": 5 if verbose > 1 else 0,
@@ -82,7 +82,7 @@ def with_ipopt(graph: ControlGraph, warm: bool, verbose: int, given: Mapping[str
         "tol": TOLERANCE,
         "acceptable_tol": ACCEPTABLE,
         "acceptable_iter": ACCEPTABLE_ITERATIONS,
-        "tiny_step_tol": 0.0,  # steps are tiny where roundoff keeps an optimum from TOLERANCE: no failure
+        "tiny_step_tol": 0.0,  # tiny steps, where roundoff keeps an optimum from TOLERANCE, are no failure
         "bound_relax_factor": 0.0,
         "mu_init": FIRST_BARRIER,
         "max_iter": ITERATION_LIMIT,
@@ -122,11 +122,11 @@ def _built(graph: ControlGraph, plugin: str, options: dict[str, Any]) -> ca.Func
 def optimize(
     solver: ObjectPool[Evaluator], guess: np.ndarray, data: np.ndarray, bounds: ProgramBounds, *duals: Any
 ) -> Optimum:
-    """Run the solver from a guess, to start warm with the multipliers of the bounds and of the equations."""
+    """Run the solver from a guess and, for a warm start, the multipliers of the bounds and of the equations."""
     with solver.lend() as run:
         x, _, _, of_bounds, of_equations, _ = run(guess, data, *bounds.sides, *(duals or (0.0, 0.0)))
         stats = run.stats
     status = str(stats["return_status"]).replace("_", " ")
     status = FATROP_WORDS.get(status, status)
-    found = np.where(bounds.lower == bounds.upper, bounds.lower, x)  # fatrop holds what is given as an equation
-    return Optimum(found, of_equations, of_bounds, bool(stats["success"]), status, int(stats["iter_count"]))
+    unknowns = np.where(bounds.lower == bounds.upper, bounds.lower, x)  # in fatrop given values are equations
+    return Optimum(unknowns, of_equations, of_bounds, bool(stats["success"]), status, int(stats["iter_count"]))

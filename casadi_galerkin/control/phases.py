@@ -1,9 +1,9 @@
-"""Breakpoints whose times are no unknowns of a refinement: left out of the problem, and named by the answer.
+"""Breakpoints with free times that a refinement leaves out of the problem, and adds to the solution again.
 
-Where nothing happens at a breakpoint with a free time, any time is as good as another.  As an unknown it would come to
-any of them, and move all joints beside it: to where a control switches between two points and leaves its bounds there,
-at a lower cost than the true one.  A refinement puts joints at switches itself, and they are the breakpoints of its
-answer.
+Where a breakpoint with a free time has neither a waypoint nor a jump, its time is not determined.  As an unknown it
+could take any value and would move all joints beside it.  The discrete cost is then lowest where a control switches
+between two points and exceeds its bounds there, below the true cost.  A refinement puts joints at switches itself, and
+these become the breakpoints of its solution.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 def with_joined_phases(problem: ControlProblem) -> ControlProblem:
     """The problem without the breakpoints that have a free time, and neither a waypoint nor a jump.
 
-    The durations of the phases beside them may be any within their bounds, so that of both together any within the sum.
+    The bounds of the duration of two joined phases are the sums of their bounds.
     """
     if problem.duration_bounds is None:
         return problem
@@ -33,14 +33,14 @@ def with_joined_phases(problem: ControlProblem) -> ControlProblem:
 
 
 def with_parted_phases(path: ControlTrajectory, problem: ControlProblem) -> ControlTrajectory:
-    """The answer to a problem with joined phases as one to the problem itself.
+    """The solution of a problem with joined phases as a solution of the original problem.
 
-    Every breakpoint that was left out comes to a switch, or where there is none to a joint: to the nearest one that the
-    bounds of the durations allow.
+    Every breakpoint that was left out is put at the nearest switch, or where there is none at the nearest joint, that
+    the bounds of the durations allow.
     """
     if len(problem.breakpoints) == len(path.problem.breakpoints):
         return path
-    assert problem.duration_bounds is not None, "else none is left out"
+    assert problem.duration_bounds is not None, "otherwise no breakpoint is left out"
     phases, kept = [*zip(*problem.duration_bounds, strict=True)], section_times(path.problem)
     times = map_times(np.array(section_times(problem)), section_times(with_joined_phases(problem)), kept)
     free = np.flatnonzero(~np.isin(times, kept))

@@ -1,4 +1,4 @@
-"""Bounds of the unknowns and of the equations, and whether they leave an optimizer anything to choose."""
+"""Bounds of the unknowns and of the equations, and checks that the equations are not more than the unknowns."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ class ProgramBounds:
 
     @property
     def sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """All of them."""
+        """Lower and upper bounds of the unknowns, then of the equations."""
         return self.lower, self.upper, self.equations_lower, self.equations_upper
 
     @cached_property
     def sizes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sizes of those that are finite, of the unknowns and of the equations."""
+        """Largest sizes of the finite bounds of every unknown, and of every equation."""
         finite = [np.where(np.isfinite(side), np.abs(side), 0.0) for side in self.sides]
         return np.fmax(*finite[:2]), np.fmax(*finite[2:])
 
     def narrowed(self, relaxed: float) -> ProgramBounds:
-        """Bounds that become these where a solver relaxes every bound b by this part of max(1, |b|)."""
+        """Bounds that become these after a solver relaxes every bound b by this part of max(1, |b|)."""
         if relaxed == 0:
             return self
         return ProgramBounds(*_narrowed(*self.sides[:2], relaxed), *_narrowed(*self.sides[2:], relaxed))
@@ -47,10 +47,10 @@ def _narrowed(low: np.ndarray, high: np.ndarray, relaxed: float) -> tuple[np.nda
 
 
 def bounds_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> ProgramBounds:
-    """Bounds of the unknowns and of the equations; what is given is a bound on both sides.
+    """Bounds of the unknowns and of the equations; for given values both bounds are equal.
 
-    Durations and parameters are bounded at the end, and their continuity holds the others.  Equations that the given
-    ends meet are left out, unless `implied` ones are to be checked as well.
+    Durations and parameters are bounded at the last joint only, because they are equal at all joints.  Equations that
+    given ends satisfy anyway are not imposed, unless `implied` is set.
     """
     fields, arriving = chain.fields, chain.fields["nodes"][chain.crossed - 1, -1]
     sides = np.full((2, chain.size), [[-np.inf], [np.inf]])
@@ -67,8 +67,8 @@ def bounds_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
             low, high = np.transpose(place)
             _limit(sides, index, (np.maximum(sides[0, index], low), np.minimum(sides[1, index], high)))
     equations = np.zeros((2, chain.equations))
-    there = [(f"waypoint {i}", crossing.condition) for i, crossing in enumerate(problem.crossings)]
-    for name, limited in (("path", problem.path_constraint), ("ends", problem.end_conditions), *there):
+    conditions = [(f"waypoint {i}", crossing.condition) for i, crossing in enumerate(problem.crossings)]
+    for name, limited in (("path", problem.path_constraint), ("ends", problem.end_conditions), *conditions):
         if limited is not None:
             _limit(equations, chain.rows[name], limited[1:])
     for rows in () if implied else _implied(problem, chain):
@@ -94,7 +94,7 @@ def _limit(sides: np.ndarray, index: np.ndarray, bounds: ArrayLike) -> None:
 
 
 def _implied(problem: ControlProblem, chain: Chain) -> list[np.ndarray]:
-    """Equations of a holonomic constraint that what is given at the ends meets already."""
+    """Equations of a holonomic constraint that the given positions or velocities at the ends satisfy already."""
     stated = [
         (problem.start, chain.rows["start_constraint"]),
         (problem.end, chain.rows["constraint"][-1, -1]),
@@ -105,7 +105,7 @@ def _implied(problem: ControlProblem, chain: Chain) -> list[np.ndarray]:
 
 
 def check_count(chain: Chain, bounds: ProgramBounds) -> None:
-    """Refuse more equations than unknowns, as a very coarse mesh has; what only passes states on is not counted."""
+    """Refuse more equations than unknowns, as on a very coarse mesh; equations of the next states are not counted."""
     passed = sum(states for states, *_ in chain.stages[1:]) + chain.mechanical
     equations = int(np.count_nonzero(bounds.equations_lower == bounds.equations_upper)) - passed
     unknowns = int(np.count_nonzero(bounds.lower < bounds.upper)) - passed
@@ -118,7 +118,7 @@ def check_count(chain: Chain, bounds: ProgramBounds) -> None:
 
 
 def check_stages(problem: ControlProblem, chain: Chain, bounds: ProgramBounds) -> None:
-    """Refuse what fatrop cannot take apart into stages, or takes for an error when it runs."""
+    """Refuse problems that fatrop cannot divide into stages, or refuses itself when it runs."""
     conditions = problem.end_conditions
     if conditions is not None and any(conditions[0].sparsity_jac(k, 0).nnz() for k in (0, 1)):
         raise ValueError(
@@ -128,9 +128,9 @@ def check_stages(problem: ControlProblem, chain: Chain, bounds: ProgramBounds) -
     states, others, counts = (np.array(column) for column in zip(*chain.stages, strict=True))
     row = unknown = 0
     for i, following in enumerate(np.append(states[1:], 0)):
-        own, row = row + following, row + following + counts[i]
+        begin, row = row + following, row + following + counts[i]
         first, unknown = unknown, unknown + states[i] + others[i]
-        equations = np.count_nonzero((bounds.equations_lower == bounds.equations_upper)[own:row])
+        equations = np.count_nonzero((bounds.equations_lower == bounds.equations_upper)[begin:row])
         equations += np.count_nonzero((bounds.lower == bounds.upper)[first:unknown])
         if equations > unknown - first:
             where = f"interval {i}" if i < chain.intervals else "the end"

@@ -1,6 +1,6 @@
-"""Retries of an optimization that finds nothing: IPOPT after fatrop, half of the guess, longer durations.
+"""Retries of an optimization that fails: IPOPT after fatrop, halfway between straight line and guess, longer durations.
 
-Iterations of failed solves are counted, and the report of the answer says what failed before it.
+Iterations of failed solves are counted, and the report of the solution names what failed before it.
 """
 
 from __future__ import annotations
@@ -18,16 +18,17 @@ from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 
-# Times the duration of a guess with which a free one begins where nothing is found from that: a path has to have the
-# time to swing.  Of 120 solves for least time, from guesses of 0.3 to 3 times what is natural, 103 are solved by it, 89
-# without; shorter steps than four were no better.
+# Factors on the free duration of a guess for the retries after a failure, because a path may need time to swing.  Of
+# 120 problems of least time, with guesses of 0.3 to 3 times a natural duration, 103 are solved with them and 89
+# without; smaller factors than four were no better.
 DURATION_FACTORS = 4.0, 16.0
-# Of 40 random guesses for an acrobot 35 lead to an optimum with half of their way from the straight line, 29 without.
+# Part of the way from the straight line to the guess for a retry: of 40 random guesses for an acrobot, 35 lead to an
+# optimum with this retry and 29 without.
 GUESS_SHARE = 0.5
 
 
 def with_ipopt_fallback(solver: Solver, solved: Callable[[Solver], ControlTrajectory]) -> ControlTrajectory:
-    """Solve, and where fatrop fails, which stalls more easily, solve with IPOPT; the report then names both."""
+    """Solve, and with IPOPT where fatrop fails, which stalls more easily; the report then names both."""
     try:
         return solved(solver)
     except ConvergenceError as failure:
@@ -72,13 +73,13 @@ def retry_from_other_guesses(
 
     Parameters
     ----------
-    problem, guess : what is solved, and from where
-    solved : what is found from a beginning
+    problem, guess : arguments of the solve
+    solved : solves from a `Beginning`
 
     Raises
     ------
     ConvergenceError
-        that of the guess, and what else was tried in vain
+        of the solve from the guess, with the other beginnings that were tried
     """
     tried, failures = list[str](), list[ConvergenceError]()
     for beginning in _beginnings(problem, guess):
@@ -90,7 +91,7 @@ def retry_from_other_guesses(
                 break
         except ValueError:
             if not failures:
-                raise  # elsewhere than at the guess, a callable need not be finite
+                raise  # at other beginnings than the guess, a callable need not be finite
         else:
             if not failures:
                 return path
@@ -106,9 +107,10 @@ def retry_from_other_guesses(
 
 
 def _beginnings(problem: ControlProblem, guess: Guess | None) -> list[Beginning]:
-    """The guess, and others in their order.
+    """The guess, and the other beginnings in their order.
 
-    An earlier answer is taken as it is.  So are durations without a bound: the cost may fall with them for ever.
+    There are none for an earlier solution, and no longer durations where these are unbounded, because the cost may then
+    decrease without a limit.
     """
     bounds, beginnings = problem.duration_bounds, [AS_GUESSED]
     if isinstance(guess, ControlTrajectory):
@@ -118,7 +120,7 @@ def _beginnings(problem: ControlProblem, guess: Guess | None) -> list[Beginning]
     if bounds is not None and np.isfinite(bounds[1]).all():
         last, longest = 1.0, float(np.max(np.divide(bounds[1], np.diff(section_times(problem)))))
         for factor in DURATION_FACTORS:
-            if min(factor, longest) >= 2 * last:  # else it is the same guess again
+            if min(factor, longest) >= 2 * last:  # else it is almost the same guess again
                 last = min(factor, longest)
                 beginnings.append(Beginning(longer=last))
     return beginnings

@@ -1,8 +1,9 @@
-"""Whether an optimum is a minimum: the second variation of the cost among the directions that keep what holds it.
+"""The second variation of the cost at an optimum, on the tangent space of its active constraints.
 
-What holds it are the equations, and the bounds and inequalities that are met; A are their gradients.  By Sylvester's
-law ∇²f̄ + AᵀA/δ has, for small δ, as many negative eigenvalues as ∇²f̄ has among the directions z with A z = 0.  In
-slopes in place of nodes, and with rows of A of length one, rounding hides the least of it.
+The active constraints are the equations, and the bounds and inequalities that are met with equality; A are their
+gradients.  By Sylvester's law, for small δ, ∇²f̄ + AᵀA/δ has as many negative eigenvalues as ∇²f̄ has on the directions z
+with A z = 0.  The effect of rounding is smallest with slopes as unknowns in place of node values, and rows of A of
+length one.
 """
 
 from __future__ import annotations
@@ -25,21 +26,21 @@ from casadi_galerkin.solution.cost_variation import RemainingError
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
 ACTIVE_TOLERANCE = 1e-6  # distance from a bound, over the size of the unknown, up to which the bound is active
-FLAT = 1e-6  # part of the cost; along a singular arc it hardly changes, and less than this tells nothing
-PENALTIES = 1e-7, 1e-9  # values of δ; where their counts differ, these are artifacts of δ, or of rounding
+FLAT = 1e-6  # relative change of the cost that counts as none, as along a singular arc
+PENALTIES = 1e-7, 1e-9  # values of δ; where their counts differ, the counts depend on δ or on rounding
 
 
 @dataclass(frozen=True)
 class CostVariation:
-    """How the cost varies about an optimum; pickled without the graph, which is built again.
+    """Second variation of the cost at an optimum; pickled without the graph, which is built again when needed.
 
     Attributes
     ----------
-    problem, method, mesh : what was solved
-    bounds : ProgramBounds of its program
-    optimum, data : where the solver stopped, with its multipliers, and what it was given
-    cost : its value
-    graph : ControlGraph, or None where it is to be built
+    problem, method, mesh : as they were solved
+    bounds : ProgramBounds of the program
+    optimum, data : the point where the solver stopped, with multipliers, and the data of the program
+    cost : cost of the optimum
+    graph : ControlGraph, or None before it is built again
     """
 
     problem: ControlProblem
@@ -55,9 +56,9 @@ class CostVariation:
         return self.graph or ControlGraph(self.problem, chain_of(self.problem, self.method, self.mesh), one_by_one)
 
     def negative(self) -> int | None:
-        """Number of independent directions that lower the cost; None where rounding hides it.
+        """Number of independent directions in which the cost decreases to second order; None where rounding hides it.
 
-        By more than `FLAT` of it, for moves as large as the path.
+        A relative decrease of at most `FLAT`, for changes as large as the path, is not counted.
         """
         graph, at, bounds = self._graph(), self.optimum, self.bounds
         chain = graph.chain
@@ -66,7 +67,7 @@ class CostVariation:
         slope = np.abs(np.array(graph.gradient(at.unknowns, self.data)[1]).ravel())
         terms = np.array(ca.mtimes(ca.fabs(gradients), sizes)).ravel()
         costs = slope @ sizes > NEGLIGIBLE_MOMENTUM * (np.abs(at.multipliers) @ terms)
-        multipliers = at.multipliers if costs else 0 * at.multipliers  # which then are what the solver leaves
+        multipliers = at.multipliers if costs else 0 * at.multipliers  # these are then errors of the solver
         hessian = graph.whole_hessian(at.unknowns, self.data, 1.0, multipliers)[1]
         low, high, least, most = bounds.sides
         free = np.flatnonzero(~_active(at.unknowns, low, high, at.bound_multipliers, sizes)).tolist()
@@ -88,7 +89,7 @@ class CostVariation:
         """None, because the curvatures of a cost have no common scale."""
 
     def remaining_error(self) -> RemainingError:
-        """How far the solver may have left the path from where it should be; see `estimate_remaining_error`."""
+        """Errors of path, durations and cost that the solver has left; see `estimate_remaining_error`."""
         return estimate_remaining_error(self._graph(), self.bounds, self.optimum, self.data)
 
     def __getstate__(self) -> dict[str, object]:
@@ -96,7 +97,7 @@ class CostVariation:
 
 
 def _sizes(chain: Chain, unknowns: np.ndarray) -> np.ndarray:
-    """Largest of all positions, controls, durations and parameters that are free; zero of what these determine."""
+    """Largest size of positions, of controls and of each free constant, for their entries; zero for other unknowns."""
     sizes = np.zeros(chain.unknowns)
     free = [[name] for name in ("durations", "parameters") if chain.is_free(name)]
     for names in (["x", "nodes"], ["controls"], *free):
@@ -106,9 +107,10 @@ def _sizes(chain: Chain, unknowns: np.ndarray) -> np.ndarray:
 
 
 def _slopes(chain: Chain, mesh: np.ndarray) -> ca.DM:
-    """The matrix that makes the nodes of an interval of its state and of slopes from there, and keeps all else.
+    """The matrix from slopes on the intervals, instead of node values, to the unknowns; all others stay the same.
 
-    The equations compare the nodes of an interval that is a part ε of the whole: AᵀA would keep ε² of what they say.
+    On an interval that is a part ε of the duration, the equations compare node values that differ by the order of ε,
+    and AᵀA would contain them only with a factor ε².
     """
     nodes, units = chain.fields["nodes"], np.ones(chain.unknowns)
     units[nodes] = (np.diff(mesh) / np.ptp(mesh))[:, None, None]
@@ -120,7 +122,7 @@ def _slopes(chain: Chain, mesh: np.ndarray) -> ca.DM:
 def _active(
     values: np.ndarray, low: np.ndarray, high: np.ndarray, multipliers: np.ndarray, sizes: np.ndarray
 ) -> np.ndarray:
-    """Which values are at an active bound: nearer to it than its multiplier is large, or very near."""
+    """Which values are at an active bound: those nearer to it than the size of its multiplier, or very near."""
     return np.asarray(
         np.minimum(values - low, high - values) <= np.maximum(np.abs(multipliers), ACTIVE_TOLERANCE * sizes)
     )

@@ -1,4 +1,4 @@
-"""Several starts of one optimization: a solver finds a local optimum, and another guess may lead to a better one."""
+"""Several starts of one optimization: each solve finds a local optimum, and another guess may lead to a better one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SAME = 1e-6  # relative difference of costs up to which two optima count as one
 def best_of(
     starts: int, problem: ControlProblem, guess: Guess | None, solve: Callable[..., ControlTrajectory]
 ) -> ControlTrajectory:
-    """Return the cheapest of the optima, with what all of them took; arguments and errors as of `optima_of`."""
+    """The optimum of least cost, with the iterations and seconds of all; arguments and errors as of `optima_of`."""
     optima, summary = optima_of(starts, problem, guess, solve)
     return replace(
         optima[0],
@@ -38,7 +38,7 @@ def best_of(
 def optima_of(
     starts: int, problem: ControlProblem, guess: Guess | None, solve: Callable[..., ControlTrajectory]
 ) -> tuple[list[ControlTrajectory], str]:
-    """Find the optima that a guess and random paths lead to, the cheapest first, and say how many were met.
+    """Optima from a guess and from random paths in the order of their costs, and a summary of the starts.
 
     A random path is a sum of waves that is bent to meet the ends.  Its size is that of the given ends, or one where
     these are zero.  The same number of starts always gives the same paths.  No start begins after the deadline.
@@ -48,7 +48,7 @@ def optima_of(
     starts : how often to solve, the first time from `guess`
     problem : ControlProblem
     guess : for the first start, as for `ControlTranscription.solve`
-    solve : what finds an optimum from a guess, or raises a ConvergenceError
+    solve : finds an optimum from a guess, or raises a ConvergenceError
 
     Raises
     ------
@@ -77,7 +77,7 @@ def optima_of(
             except (ConvergenceError, ValueError) as failure:
                 if k == 0 and isinstance(failure, ValueError):
                     raise
-                failures.append(failure)  # a random path may lead where a callable is not finite
+                failures.append(failure)  # on a random path a callable may not be finite
             advance(1)
             if seconds_left() <= 0:
                 break
@@ -91,14 +91,14 @@ def optima_of(
 
 
 def _most_often(failures: list[Exception]) -> str:
-    """What most failures say first."""
+    """The most frequent reason of the failures."""
     reasons = Counter(str(failure).split(" after ")[0] for failure in failures)
     ((reason, count),) = reasons.most_common(1)
     return reason if count == len(failures) else f"most often: {reason}"
 
 
 def distinct_optima(optima: list[ControlTrajectory]) -> list[ControlTrajectory]:
-    """Optima of different costs, out of some with rising costs."""
+    """Optima of different costs, from a list with increasing costs."""
     costs = np.array([optimum.cost for optimum in optima])
     new = np.append(True, np.diff(costs) > SAME * np.abs(costs[1:]) + TOLERANCE)
     return [optima[i] for i in np.flatnonzero(new)]

@@ -10,19 +10,19 @@ import numpy as np
 from casadi_galerkin.control.jumps_in_time import integrand
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
-AT_BOUND = 0.05  # of the bounds' distance: a switch is from one bound to the other within this
-PARTS = 32  # of a bracket, between which the switching function is taken for a line
+AT_BOUND = 0.05  # distance from a bound, over that of the bounds, below which a control is at the bound
+PARTS = 32  # parts of a bracket on each of which the switching function is interpolated linearly
 
 
 @dataclass(frozen=True)
 class Switch:
-    """A control goes from bound to bound.
+    """The switch of a control from bound to bound.
 
     Attributes
     ----------
-    when : time that its impulse ∫ u dt over the intervals around tells
+    when : its time, from the impulse ∫ u dt over the intervals around it
     joint : time of the nearest joint
-    due : time at which the switching function is zero; `when` if it is zero nowhere near
+    due : time of the zero of the switching function; `when` if there is none nearby
     """
 
     when: float
@@ -31,7 +31,7 @@ class Switch:
 
 
 def sides(u: np.ndarray, low: float, high: float) -> np.ndarray:
-    """For values of a control: 1 and -1 where it stays at its bounds for more than a point, else 0."""
+    """1 or -1 where values of a control are at the upper or lower bound at two successive points or more, else 0."""
     slack = AT_BOUND * (high - low)
     side = np.where(u >= high - slack, 1, np.where(u <= low + slack, -1, 0))
     near = np.concatenate(([0], side, [0]))
@@ -54,7 +54,7 @@ def switches(path: ControlTrajectory) -> list[Switch]:
 
 
 def switch(path: ControlTrajectory, i: int, first: int, last: int, before: float, after: float) -> Switch:
-    """The switch of control i within some intervals: its impulse there is that of a jump at the time sought."""
+    """The switch of control i within some intervals: a jump at this time would have the same impulse there."""
     r, steps = len(path.method.quadrature), np.diff(path.t)[first : last + 1]
     local = path.control.values[i].reshape(-1, r)[first : last + 1]
     means = local @ np.array(path.method.quadrature.weights)
@@ -64,7 +64,7 @@ def switch(path: ControlTrajectory, i: int, first: int, last: int, before: float
 
 
 def zero(path: ControlTrajectory, i: int, first: float, last: float) -> float:
-    """Where the switching function of control i changes its sign; NaN if it does not."""
+    """Time at which the switching function of control i changes its sign; NaN if it does not."""
     times = np.linspace(first, last, PARTS + 1)
     state = path(times), path(times, 1), path.control(times), path.costate(times)
     values = np.array(integrand(path).map(len(times))(times[None, :], *state, 0, 0)[2])[i]

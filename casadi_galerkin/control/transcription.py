@@ -1,8 +1,8 @@
 """Trajectory optimization: a control problem on N intervals as one nonlinear program, solved and verified.
 
-The unknowns are those of the `Chain`: states at the joints, the path's other values and the controls between them.  The
-equations are the discrete Lagrange-d'Alembert equations, and p = ∂L/∂v(t, x, v) of the velocities at the ends (discrete
-Legendre transform).  See `graph` for the derivatives.
+The unknowns are those of the `Chain`: the states at the joints, and the other values of the path and the controls
+between them.  The equations are the discrete Lagrange-d'Alembert equations, and p = ∂L/∂v(t, x, v) at the two ends
+(discrete Legendre transform).  See `graph` for the derivatives.
 """
 
 from __future__ import annotations
@@ -44,21 +44,21 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 
-WILD = 10.0  # terms along a guess over those on the straight line; noise has more, a way round has less
-UNMOVED = 1e-5  # part of the largest terms on the straight line below which it tells nothing of a component's motion
+WILD = 10.0  # largest ratio of terms along a guess to those on the straight line; only noise has more
+UNMOVED = 1e-5  # part of the largest terms on the straight line below which those of a component do not count
 SHORTEST = 1e-10  # interval over the duration; at 1e-9 to 1e-12 IPOPT was seen to fail, and at 1e-13 to be wrong
 NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
 
 
 @dataclass(frozen=True)
 class StartingPoint:
-    """Where a solve begins.
+    """The starting point of a solve.
 
     Attributes
     ----------
     values : one array for every field of the `Chain`
-    duals : multipliers of the bounds and of the equations to start warm from, or nothing
-    sizes : of the terms of every kind of equation
+    duals : multipliers of the bounds and of the equations for a warm start, or an empty tuple
+    sizes : sizes of the terms of every kind of equation
     """
 
     values: dict[str, np.ndarray]
@@ -80,7 +80,7 @@ class ControlTranscription:
 
     Attributes
     ----------
-    chain : Chain, which unknown is what
+    chain : Chain, the numbering of unknowns and equations
     graph : ControlGraph, the Functions
     bounds : ProgramBounds
     calculus : DiscreteCalculus of the joints
@@ -181,7 +181,7 @@ class ControlTranscription:
         return path
 
     def _remeshed(self, mesh: ArrayLike) -> DiscreteCalculus:
-        """The calculus of other joints, with the breakpoints at their places among them."""
+        """The calculus of other joints, with the breakpoints at the same indices."""
         calculus = remeshed(self.calculus, mesh, self.problem.breakpoints)
         breaks = np.searchsorted(calculus.mesh, self.problem.breakpoints)
         if not np.array_equal(breaks, self.chain.breaks):
@@ -201,7 +201,7 @@ class ControlTranscription:
         verbose: int,
         began: float,
     ) -> ControlTrajectory:
-        """What one solver finds from a starting point, verified."""
+        """The verified solution of one solver from a starting point."""
         chain = self.chain
         bounds = self.bounds if problem is self.problem else with_ends(self.bounds, problem, chain)
         unknowns, data = chain.pack(start.values)
@@ -257,13 +257,13 @@ class ControlTranscription:
         guess: Guess | None,
         beginning: Beginning = AS_GUESSED,
     ) -> StartingPoint:
-        """Where a solve from a guess begins.
+        """The starting point of a solve from a guess.
 
-        The equations of motion are measured by their terms along the guess, but by no more than `WILD` times those on
-        the straight line between the ends, so that the solver's tolerance, which is absolute, does not depend on units.
-        The terms of a wild guess are far too large.  Where the line hardly moves a component, as between ends that
-        differ by rounding, its terms there are far too small, and do not count.  With momenta of zero the equations of
-        the joints are the momenta.
+        The equations of motion are scaled by the sizes of their terms along the guess, so that the absolute tolerance
+        of the solver does not depend on units.  These sizes are limited to `WILD` times those on the straight line
+        between the ends, because the terms of a noisy guess are far too large.  Where a component hardly changes on the
+        line, as between ends that differ by rounding, its terms there are far too small and set no limit.  The momenta
+        of the guess are the residuals of the equations of the joints with momenta of zero.
         """
         chain, near = self.chain, near_answer(guess, self.chain, calculus)
         longer, share = beginning.longer, beginning.share
@@ -309,7 +309,7 @@ class ControlTranscription:
         return pool
 
     def _joints(self, values: dict[str, np.ndarray], mesh: np.ndarray) -> np.ndarray:
-        """The time scale with the durations found; exactly the mesh where the duration is given."""
+        """The joints with the durations found; exactly the mesh where the duration is given."""
         if self.problem.duration_bounds is None:
             return mesh
         marks = np.append(values["begin"], values["begin"] + np.cumsum(values["durations"]))
@@ -317,7 +317,7 @@ class ControlTranscription:
         return np.append(marks[phases] + values["durations"][phases] * values["left"], marks[-1])
 
     def _path_multipliers(self, multipliers: np.ndarray, joints: np.ndarray) -> ControlPath | None:
-        """Multipliers of the path constraints as functions of time: those of each point over its share of time."""
+        """Multipliers of the path constraints as functions of time: those of the points over their shares of time."""
         if not self.chain.path_constraints:
             return None
         shares = np.multiply.outer(np.diff(joints), self.method.element.weights)
@@ -340,13 +340,13 @@ class ControlTranscription:
 
 
 def _significant(sizes: np.ndarray, part: float) -> np.ndarray:
-    """The sizes of terms of all components; zero where they are not finite, or below this part of the largest."""
+    """The sizes of terms of all components; zero for those not finite, or at most this part of the largest."""
     finite = np.where(np.isfinite(sizes), sizes, 0.0)
     return np.where(finite > part * np.max(finite, initial=0.0), finite, 0.0)
 
 
 def _check_steps(mesh: np.ndarray) -> None:
-    """Refuse intervals so short that rounding of their terms, |x|/h, would hide what others miss."""
+    """Refuse intervals so short that rounding of their terms, |x|/h, hides the residuals of others."""
     steps = np.diff(mesh)
     i = int(np.argmin(steps))
     if steps[i] < SHORTEST * (mesh[-1] - mesh[0]):

@@ -1,7 +1,7 @@
 """The user's callables and numbers, checked.
 
-Callables are traced once into CasADi Functions of one point; what holds these can be pickled and compared by what it
-computes.
+Callables are traced once into CasADi Functions of one point.  Objects that hold these Functions can be pickled, and
+compared by the values that they compute.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
 
     Parameters
     ----------
-    name : what the user calls it, for messages
-    function : callable; a casadi Function is checked like any other, and an SX one of this layout returned as it is
+    name : its name in messages
+    function : callable; a casadi Function is checked like any other, and returned unchanged if it has this layout
     sizes : length of every argument, in order
     rows : expected length of the result, which may be a list; "any" for a vector of any length, or "scalar"
 
@@ -50,7 +50,7 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
         except RuntimeError as error:
             raise TypeError(f"{name} calls a casadi Function that has no derivatives, as a Callback alone") from error
     constants = (k for k, kind in enumerate(kinds) if kind == ca.OP_CONST)
-    if any(math.isnan(traced.instruction_constant(k)) for k in constants):  # as float() of a symbol, in math.cos(x)
+    if any(math.isnan(traced.instruction_constant(k)) for k in constants):  # such as float() of a symbol in math.cos(x)
         raise TypeError(
             f"{name} holds a constant that is not a number, as math.cos(x) gives for a CasADi symbol x. {ADVICE}"
         )
@@ -58,7 +58,7 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
 
 
 def _is_traced(function: Traceable, sizes: Mapping[str, int], rows: int | Rows) -> TypeGuard[ca.Function]:
-    """Whether it is what tracing it would give: an SX Function of columns, and one column, without structural zeros."""
+    """Whether a Function needs no tracing: an SX Function from columns to one column, without structural zeros."""
     if not (isinstance(function, ca.Function) and function.is_a("SXFunction")):
         return False
     inputs, output = [function.sparsity_in(i) for i in range(function.n_in())], function.sparsity_out(0)
@@ -69,7 +69,7 @@ def _is_traced(function: Traceable, sizes: Mapping[str, int], rows: int | Rows) 
 
 
 def _traced(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | Rows, shapes: str) -> ca.Function:
-    """What a callable computes, as a Function of columns."""
+    """A callable as a Function from columns to one column."""
     symbols = [ca.SX.sym(key, size) for key, size in sizes.items()]
     copies = {key: symbol[:] for key, symbol in zip(sizes, symbols, strict=True)}  # which it may change
     value = _called(name, function, copies, shapes)
@@ -88,7 +88,7 @@ def _traced(name: str, function: Traceable, sizes: Mapping[str, int], rows: int 
 
 
 def _check_function(name: str, function: ca.Function, sizes: Mapping[str, int], shapes: str) -> None:
-    """Refuse a Function of other inputs, of several outputs, or of symbols that are no inputs."""
+    """Refuse a Function with other inputs, with several outputs, or with free symbols."""
     got, expected = [function.numel_in(i) for i in range(function.n_in())], list(sizes.values())
     if got != expected:
         raise ValueError(
@@ -121,19 +121,19 @@ def _called(name: str, function: Traceable, arguments: Mapping[str, ca.SX], shap
 
 
 def _about_p(arguments: Mapping[str, object]) -> str:
-    """Why it is called with parameters p, or what it is called without them for."""
+    """A sentence on why the callable is called with or without parameters p."""
     if "p" in arguments:
         return ". It is called with p because parameters are given"
     return ". If it takes p, give parameters" if "v" in arguments else ""
 
 
 def _takes(function: Traceable, count: int) -> bool:
-    """Whether a callable can be called with so many arguments, as far as it tells."""
+    """Whether a callable accepts a number of arguments, as far as its signature is known."""
     try:
         inspect.signature(function).bind(*range(count))
     except TypeError:
         return False
-    except ValueError:  # it does not tell
+    except ValueError:  # it has no signature
         return True
     return True
 
@@ -151,20 +151,20 @@ def arguments(parameters: tuple[float, ...] | None, **sizes: int) -> dict[str, i
 
 
 def of_nothing(name: str, sizes: Mapping[str, int]) -> ca.Function:
-    """A Function of no values, for a callable that is left out."""
+    """A Function without values, for a callable that is left out."""
     symbols = [ca.SX.sym(key, size) for key, size in sizes.items()]
     return ca.Function(name, symbols, [ca.SX(0, 1)], list(sizes), ["value"])
 
 
 def trace_if(name: str, function: Traceable | None, sizes: Mapping[str, int], rows: int | Rows) -> ca.Function | None:
-    """`trace` what may be left out; None stays None."""
+    """`trace` a callable that may be left out, which is None."""
     return None if function is None else trace(name, function, sizes, rows)
 
 
 def trace_lagrangian(lagrangian: Traceable, sizes: Mapping[str, int], mechanical: int | None = None) -> ca.Function:
-    """Trace L(t, x, v[, p]) and check that it is regular at least by structure: every v[i] must occur.
+    """Trace L(t, x, v[, p]) and check that it depends on every v[i].
 
-    Of the `mechanical` first components only, where some follow rates; those of the others must not.
+    If `mechanical` is given, it must depend on the velocities of the first so many components, and on no others.
     """
     function = trace("lagrangian", lagrangian, sizes, "scalar")
     used = function.sparsity_jac(2, 0)
@@ -180,7 +180,7 @@ def trace_lagrangian(lagrangian: Traceable, sizes: Mapping[str, int], mechanical
 
 
 def with_parameters(function: ca.Function, parameters: tuple[float, ...] | None) -> ca.Function:
-    """Put the parameters p, which a callable takes last, into a Function; without either it is the same."""
+    """Insert the parameters p, the last argument of a callable; without parameters or Function nothing changes."""
     if parameters is None or function is None:
         return function
     symbols = function.sx_in()[:-1]

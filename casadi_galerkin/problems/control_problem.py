@@ -1,4 +1,4 @@
-"""What a trajectory optimization states: a forced Lagrangian system, a cost, bounds; checked before any solve.
+"""The statement of a trajectory optimization: a forced Lagrangian system, a cost, and bounds; checked before any solve.
 
 minimize    ∫ ℓ(t, x, v, u) dt + τ(t_N, x_N, v_N)
 subject to  d/dt ∂L/∂v - ∂L/∂x = F(t, x, v, u) + (∂c/∂x)ᵀ λ,     c(t, x) = 0,     dz/dt = ρ(t, x, v, u),
@@ -44,7 +44,7 @@ from casadi_galerkin.problems.crossings import (
 from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
 from casadi_galerkin.problems.problem import section_times, with_changes, with_values
 
-END_CONDITION_TOLERANCE = 1e-8  # of a condition that the ends given meet, as much as a solve may leave
+END_CONDITION_TOLERANCE = 1e-8  # accepted violation of a condition by given ends, as large as in a solve
 
 
 @dataclass(frozen=True, repr=False)
@@ -161,10 +161,10 @@ class ControlProblem:
         if _is_of_nothing(force):
             lagrangian = force = None
         if rates is None or _is_of_nothing(rates):
-            own = of_nothing("rates", sizes)
+            traced_rates = of_nothing("rates", sizes)
         else:
-            own = trace("rates", rates, sizes, "any")
-        mechanical = d - own.numel_out(0)
+            traced_rates = trace("rates", rates, sizes, "any")
+        mechanical = d - traced_rates.numel_out(0)
         if mechanical < 0:
             size = counted(d, "component")
             raise ValueError(f"rates must be those of at most all {size}, got {d - mechanical} values")
@@ -188,7 +188,7 @@ class ControlProblem:
             "duration_bounds": duration_bounds_of(duration_bounds, len(inner) + 1),
             "parameters": given,
             "parameter_bounds": parameter_bounds_of(parameter_bounds, given),
-            "rates": own,
+            "rates": traced_rates,
             "end_conditions": limited_values("end_conditions", end_conditions, both),
             "breakpoints": inner,
             "waypoints": passed,
@@ -233,12 +233,12 @@ class ControlProblem:
 
     @property
     def crossings(self) -> tuple[Crossing, ...]:
-        """Breakpoints where the velocity counts: those of jumps, and of waypoints that are functions."""
+        """Breakpoints at which the velocity is an unknown: those of jumps, and of waypoints that are functions."""
         return crossings_of(self.waypoints, self.jumps)
 
     @property
     def _along(self) -> list[ca.Function]:
-        """What acts, counts or bounds along the path, of (t, x, v, u)."""
+        """The force, rates, running cost and path constraint, Functions of (t, x, v, u)."""
         return [self.force, self.rates, self.running_cost, *(self.path_constraint or ())[:1]]
 
     @property
@@ -250,7 +250,7 @@ class ControlProblem:
     def found(
         self, t_span: tuple[float, float], parameters: tuple[float, ...] | None, breakpoints: tuple[float, ...]
     ) -> ControlProblem:
-        """Copy with the times and parameters that an optimization found, still free if they were; checks nothing."""
+        """Copy with the times and parameters of a solution, without checks; what was free stays free."""
         moved = dict(zip(self.breakpoints, breakpoints, strict=True))
         timed = {name: tuple((moved[t], what) for t, what in getattr(self, name)) for name in ("waypoints", "jumps")}
         return with_values(self, t_span=t_span, parameters=parameters, breakpoints=breakpoints, **timed)
@@ -265,7 +265,7 @@ class ControlProblem:
         return other
 
     def _check_dependence(self) -> None:
-        """Refuse callables that do not go together, or depend on what they must not; ends do not matter."""
+        """Refuse callables that exclude one another, or depend on arguments that they must not depend on."""
         if self.constraints and self.mechanical < self.dimension:
             raise ValueError("a constraint has no place beside rates: write it as a path_constraint (g, 0, 0)")
         if self.constraints and self.crossings:
@@ -277,10 +277,10 @@ class ControlProblem:
             ("end_conditions", (self.end_conditions or (None,))[0], [1, 3]),
             *((f"the {name} at t = {c.time:g}", f, [1]) for c in self.crossings for name, f in c.functions),
         ]
-        own = range(self.mechanical, self.dimension)
-        check_rates(of_velocities, own)
+        with_rates = range(self.mechanical, self.dimension)
+        check_rates(of_velocities, with_rates)
         for name in ("start_velocity", "end_velocity"):
-            for i in own:
+            for i in with_rates:
                 if getattr(self, name)[i] is not None:
                     raise ValueError(f"x[{i}] follows a rate: {name}[{i}] must be None, got {getattr(self, name)[i]}")
         check_controls(self._along, self.controls)
@@ -289,7 +289,7 @@ class ControlProblem:
         check_parameters([*self._along, *functions, self.lagrangian, self.constraint], self.parameter_bounds)
 
     def _meet_bounds(self) -> None:
-        """Put given ends that leave their bounds by rounding alone, of either end, on these."""
+        """Move given ends that are outside their bounds by rounding, of either end, to the bounds."""
         ends = np.array([self.start, self.end], dtype=float)  # NaN for None
         met = within_rounding(ends, *self.position_bounds, ends[::-1])
         for name, values in zip(("start", "end"), met, strict=True):
@@ -318,7 +318,7 @@ class ControlProblem:
             self._check_end_conditions(*self.end_conditions)
 
     def _check_end_state(self, name: str, t: float) -> None:
-        """Refuse a fully given state at an end off a path constraint on which controls have no say, or not tangent."""
+        """Refuse a given state at an end that violates a path constraint without controls, or is not tangent."""
         x, v = getattr(self, name), getattr(self, f"{name}_velocity")
         if None in (*x, *v):
             return
@@ -336,7 +336,7 @@ class ControlProblem:
                 )
 
     def _check_end_conditions(self, g: ca.Function, low: tuple[float, ...], high: tuple[float, ...]) -> None:
-        """Refuse a condition on the ends that what is given there violates."""
+        """Refuse an end condition that the given ends violate."""
         names = ("start", "start_velocity", "end", "end_velocity")
         given = [np.array(getattr(self, name), dtype=float) for name in names]  # NaN for None
         given += [] if self.parameters is None else [np.array(self.parameters)]
@@ -376,7 +376,7 @@ def _nothing(*_: ca.SX) -> float:
 
 
 def _is_of_nothing(function: object) -> bool:
-    """Whether it is `of_nothing`, which comes back where a field of a problem is replaced."""
+    """Whether it is the Function `of_nothing`, which is passed again where a field of a problem is replaced."""
     return isinstance(function, ca.Function) and function.n_out() == 1 and function.numel_out(0) == 0
 
 

@@ -14,7 +14,7 @@ from casadi_galerkin.calculus.numbers import counted, spanned
 from casadi_galerkin.calculus.piecewise_polynomial import times_at, times_within
 from casadi_galerkin.calculus.roundoff import EPS
 
-SAME_TIME = 4 * EPS  # of the largest time: what t_i + h q may be past the joint for q = 1
+SAME_TIME = 4 * EPS  # rounding of the joint t_i + h q with q = 1, relative to the largest time
 
 
 class ControlPath:
@@ -27,7 +27,7 @@ class ControlPath:
     Parameters
     ----------
     mesh : (N + 1,), the joints
-    points : (k,), where the values stand in the reference interval: the quadrature points, or one for held controls
+    points : (k,), points of the values in the reference interval: the quadrature points, or one for held controls
     values : (n, N k), controls at these points in the order of time
     rule : (r,), quadrature points of the reference interval
 
@@ -57,7 +57,7 @@ class ControlPath:
         return np.asarray(np.einsum("nkj,kj->nk", local, basis).reshape((len(self.values), *times.shape)))
 
     def __repr__(self) -> str:
-        """How many functions these are, and where they are given."""
+        """State the numbers of components, points and intervals."""
         size, points = counted(len(self.values), "component"), counted(len(self.points), "point")
         return (
             f"ControlPath of {size} at {points} in each of {counted(len(self.mesh) - 1, 'interval')} of "
@@ -66,7 +66,7 @@ class ControlPath:
 
     @property
     def times(self) -> np.ndarray:
-        """Where the values stand in time, (N k,)."""
+        """Times of the values, (N k,)."""
         return times_at(self.mesh, self.points)
 
     def at(self, s: np.ndarray) -> np.ndarray:
@@ -81,7 +81,7 @@ class ControlPath:
         return self.mesh[1:-1] + (SAME_TIME * np.max(np.abs(self.mesh)) if before else 0.0)
 
     def expression(self, t: ca.SX) -> ca.SX:
-        """The same as a CasADi expression of a scalar t, (n,): Lagrange's form, with values that switch at joints."""
+        """The same as a CasADi expression of a scalar t, (n,), in Lagrange form with values that switch at joints."""
         changes = self._changes.tolist()
 
         def switched(values: np.ndarray) -> ca.SX:

@@ -1,4 +1,4 @@
-"""The answer of a trajectory optimization: the path with its controls, costate and Hamiltonian."""
+"""The solution of a trajectory optimization: the path with its controls, costate and Hamiltonian."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ from casadi_galerkin.solution.trajectory import UNRESOLVED, Trajectory
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SMALL = 1e-6  # size over the largest component, below which a component may be an error of the solver alone
+SMALL = 1e-6  # size over that of the largest component below which a component may be an error of the solver only
 # relative change of the cost from which the summary reports it; optima near one have less than 1e-9
 REPORTED_COST_CHANGE = 1e-6
-REMAINDER_FACTOR = 10.0  # times the error that the solver leaves: a component that is no larger counts as zero
-CONTINUOUS = 1e-8  # of the largest control: what the solver leaves between two values that should agree
-SHOWN_OVERSHOOT = 1e-3  # of the bounds' width; less is no reason for another mesh
-SHOWN_EXCESS = 1e-8  # of the constraints' size; at the points as much is accepted
-ALONG = np.linspace(0.0, 1.0, 40)  # parts of an interval at which a line is drawn
+REMAINDER_FACTOR = 10.0  # size over the error that the solver leaves up to which a component counts as zero
+CONTINUOUS = 1e-8  # jump of a control over the largest control up to which it is an error of the solver
+SHOWN_OVERSHOOT = 1e-3  # overshoot over the width of the bounds above which the summary shows it
+SHOWN_EXCESS = 1e-8  # excess over the size of the constraint above which the summary shows it; solvers leave as much
+ALONG = np.linspace(0.0, 1.0, 40)  # fractions of an interval at which a line is drawn
 DOT = 3.0  # size of the dots of quadrature points, which are many
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class ControlTrajectory(Trajectory):
-    """An optimal path of a controlled system: a `Trajectory` with more to it.
+    """An optimal path of a controlled system: a `Trajectory` with its controls, costs and multipliers.
 
     Attributes
     ----------
     problem : ControlProblem
     cost : value of the discrete cost; stationary, and a minimum among paths near by where `morse_index` is 0
-    cost_error : estimated relative error of the cost, zero where it is zero but for rounding; None without a tolerance
+    cost_error : estimated relative error of the cost, zero where the cost is only roundoff; None without a tolerance
     control : callable, ``control(t)`` -> (number of controls,) + t.shape
     costate : multipliers λ of the equations of motion, and of the rates, as a path: ``costate(t)`` -> (d,) + t.shape.
         The cost of a small extra force (or rate) δF(t) is ∫ λ·δF dt to first order
@@ -108,28 +108,28 @@ class ControlTrajectory(Trajectory):
 
     @cached_property
     def _remaining_error(self) -> RemainingError:
-        """What the solver has left."""
-        assert self.second_variation is not None, "an optimum has one"
+        """The errors that the solver has left."""
+        assert self.second_variation is not None, "every optimum has one"
         return self.second_variation.remaining_error()
 
     @property
     def unseen_change(self) -> float:
-        """How much the cost may still change by, to first order along the Newton steps that the solver has left."""
+        """Change of the cost, to first order, by the next Newton steps from the point where the solver stopped."""
         return self._remaining_error.cost
 
     @cached_property
     def solver_error(self) -> float:
-        """Relative error of x and of free durations that the solver has left, from its next Newton steps.
+        """Relative error of x and of free durations that the solver has left, from the next Newton steps.
 
-        Found when first asked for.  It is large where the cost hardly depends on the path.
+        Computed when first used.  It is large where the cost hardly depends on the path.
         """
         return max(float(np.max(self._remaining_error.components / self.sizes)), self._remaining_error.durations)
 
     @cached_property
     def sizes(self) -> np.ndarray:
-        """What errors of the components are relative to, (d,): their largest values; one where these are zero.
+        """Sizes of the components, to which errors are relative, (d,): their largest values; one where these are zero.
 
-        It is one, too, where a component that should be zero has only what the solver leaves of it.
+        They are one as well for a component that should be zero and is only an error of the solver.
         """
         sizes = self.polynomial.sizes
         large = sizes >= SMALL * np.max(sizes)
@@ -186,7 +186,7 @@ class ControlTrajectory(Trajectory):
 
     @cached_property
     def dynamics_defect(self) -> np.ndarray:
-        """How far the equations of motion are missed between the points, one number per interval; (N,).
+        """Largest relative residual of the equations of motion between the points, for each interval; (N,).
 
         The largest |∂L/∂v(x̄, dx̄/dt) - p̂| at r + 2 Gauss points, over the largest momentum (or impulse) on the path,
         with p̂ the joint's momentum plus the impulse ∫ (∂L/∂x + F) dt since then.  Where a component follows a rate, its
@@ -210,8 +210,8 @@ class ControlTrajectory(Trajectory):
     def control_overshoot(self) -> np.ndarray:
         """Largest excess of the controls over their bounds between the points, over the bounds' width; (N,).
 
-        It is large where a control jumps inside an interval (bang-bang) and asks for a joint at the jump; the summary
-        shows it where it is.
+        It is large where a control jumps inside an interval (bang-bang), where a joint at the jump would help; the
+        summary then shows it.
         """
         low, high = (np.array(side)[:, None] for side in self.problem.control_bounds)
         width = np.where(np.isfinite(high - low) & (high > low), high - low, 1.0)
@@ -244,18 +244,18 @@ class ControlTrajectory(Trajectory):
         return np.asarray((bound_excess(values, low, high) / np.maximum(size, TINY)).max(axis=(0, 2), initial=0.0))
 
     def _motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """∂L/∂v and ∂L/∂x + F along the path, and what follows rates with these; (d, K) each."""
+        """∂L/∂v and ∂L/∂x + F along the path, and of other components their values and rates; (d, K) each."""
         pushes = np.empty((0, len(times))) if self.problem.constraint is None else self.multipliers(times)
         motion = equations_of_motion(self.problem, self.parameters).map(len(times))
         momentum, rate = motion(times[None, :], self(times), self(times, 1), self.control(times), pushes)
         return np.array(momentum), np.array(rate)
 
     def _constrained_motion(self) -> ca.Function | None:
-        """What the multipliers are found from, with the forces that the controls give."""
+        """The Function that gives the multipliers, with the forces of the optimized controls."""
         return None if self.problem.constraint is None else motion_of(self.problem, self._force())
 
     def table(self) -> dict[str, np.ndarray]:
-        """What a Trajectory has, controls and costate at the joints, after a jump there, by name."""
+        """The columns of a Trajectory, and controls and costate at the joints, after a jump there, by name."""
         return {
             **super().table(),
             **by_component("control", self.control(self.t)),
@@ -365,13 +365,13 @@ class ControlTrajectory(Trajectory):
         )
 
     def _accuracy(self) -> list[str]:
-        """A line on the errors of cost and path as far as they are known, or if this mesh does not resolve the path."""
+        """A line on the errors of cost and path, if they are known, or that this mesh does not resolve the path."""
         known = [(self.cost_error, "of the cost"), (self.error_estimate, "of the path")]
         errors = ", ".join(f"{error:.1e} {whose}" for error, whose in known if error is not None)
         return [f"  error       {errors}, estimated"] if errors else self._undetermined() or self._unresolved()
 
     def _undetermined(self) -> list[str]:
-        """Lines on errors that the solver has plainly left, in the cost or in a path that hardly changes it."""
+        """Lines on large errors that the solver has left in the cost, or in a path on which the cost hardly depends."""
         lines = []
         if self.unseen_change > REPORTED_COST_CHANGE * abs(self.cost):
             words = f"the cost may still change by {self.unseen_change:.1e}; the solver's tolerances are absolute"
@@ -382,12 +382,12 @@ class ControlTrajectory(Trajectory):
         return lines
 
     @property
-    def _left_out(self) -> np.ndarray:
-        """What the polynomials leave out, but nothing where the equations of motion hold between the points, too."""
-        return np.asarray(np.minimum(super()._left_out, self.dynamics_defect))
+    def _truncation_error(self) -> np.ndarray:
+        """Truncation error, or the defect of the equations of motion between the points where that is smaller."""
+        return np.asarray(np.minimum(super()._truncation_error, self.dynamics_defect))
 
     def _between_points(self) -> list[str]:
-        """Lines on what the points do not see: the defect, and what leaves its bounds there."""
+        """Lines on the residuals between the points: the defect, and the excess over bounds."""
         what = "momentum" if self.problem.mechanical else "value"
         lines = [f"  defect      {self._worst(self.dynamics_defect)}, of the largest {what}"]
         if np.max(self.control_overshoot) > SHOWN_OVERSHOOT:
@@ -397,6 +397,6 @@ class ControlTrajectory(Trajectory):
         return lines
 
     def _worst(self, values: np.ndarray) -> str:
-        """Largest of one value per interval, and where."""
+        """Largest of one value per interval, and its interval."""
         i = int(np.argmax(values))
         return f"{values[i]:.1e} between the points of [{self.t[i]:.4g}, {self.t[i + 1]:.4g}]"

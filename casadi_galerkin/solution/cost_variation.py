@@ -1,4 +1,4 @@
-"""How the cost varies about an optimum, and how far from it the solver may have stopped; computed on demand."""
+"""Second variation of the cost at an optimum, and the error that the solver has left; computed on demand."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class RemainingError:
 
 
 class CostVariation(SecondVariation, Protocol):
-    """How the cost varies about an optimum."""
+    """Second variation of the cost at an optimum."""
 
     def remaining_error(self) -> RemainingError:
         """Estimate the error that the solver has left."""

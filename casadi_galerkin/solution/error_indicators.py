@@ -1,19 +1,19 @@
-"""Three error indicators that are independent of the equations of a path and of the points of its error estimate.
+"""Three error indicators that depend neither on the equations of a path nor on the points of its error estimate.
 
-The balance of energy.  Along a true path the energy E = p·v - L changes by what L depends on time,
+The balance of energy.  Along a true path the energy E = p·v - L changes only as L depends on time,
 
     E(t_{i+1}) - E(t_i) = -∫ ∂L/∂t dt        on every interval,
 
-with p at the joints from the discrete Legendre transform.  A discrete path keeps it to the order of its error.  It does
-not where L has a kink that no joint meets, or where the mesh is too coarse to be believed.
+with p at the joints from the discrete Legendre transform.  A discrete path satisfies it up to the order of its error.
+It does not where L has a kink inside an interval, or where the mesh is far too coarse.
 
-The Lagrangian between points.  Along a path that its mesh resolves, L is nearly a polynomial on every interval: the
-one through its values at m + 1 points tells those at others.  Over a pole it is not.  There the path is alike on every
-scale and misses the same part of L's own size on any mesh, though energies on both sides may agree, and the action may
-converge.  So this part is accepted or not, whatever the tolerance.
+The Lagrangian between points.  Along a path that its mesh resolves, L is nearly a polynomial on every interval, and the
+polynomial through its values at m + 1 points predicts the others.  At a pole it does not.  There the path is
+self-similar, and the misfit is the same part of L on any mesh, although the energies on both sides may agree, and the
+action may converge.  So the accepted misfit does not depend on the tolerance.
 
-Jumps of the force.  Along the path f(t) = F(t, x̄, dx̄/dt) is smooth where F is.  A jump may change the momentum by what
-it does to ∫ f dt (`jump_detection`).
+Jumps of the force.  Along the path f(t) = F(t, x̄, dx̄/dt) is smooth where F is.  A jump may change the momentum by as
+much as it changes ∫ f dt (`jump_detection`).
 """
 
 from __future__ import annotations
@@ -43,25 +43,25 @@ FORCE_JUMP_SHARE = 0.1  # share of the tolerance that changes of a momentum by j
 ROUNDING_FACTOR = 10.0  # factor on roundoff floors: an imbalance below it may be rounding alone
 
 
-def energy_imbalance(kept: np.ndarray, scale: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """By how much every interval misses the balance of energy, over its scale; (N,), infinite where it is undefined.
+def energy_imbalance(conserved: np.ndarray, scale: np.ndarray, floor: np.ndarray) -> np.ndarray:
+    """Relative violation of the balance of energy, distributed to the intervals; (N,), infinite where it is undefined.
 
-    Any two joints are compared, relative to the larger of their scales: near a singularity energies are large, and
-    what goes wrong there shows between its two sides.  The worst difference is shared out among all intervals by
-    what changes there.
+    All pairs of joints are compared, relative to the larger of their scales: near a singularity energies are large, and
+    an error there shows in the energies on its two sides.  The largest difference is distributed to the intervals in
+    proportion to the changes on them.
 
     Parameters
     ----------
-    kept : (N + 1,), E + ∫ ∂L/∂t dt, the same at all joints of a true path
-    scale : (N + 1,), what `kept` is measured by: |p·v| + |E| + |v|ᵀ|∂²L/∂v²||v|, no less than its mean over time
-    floor : (N + 1,), what rounding may have done to `kept`, which is no miss
+    conserved : (N + 1,), E + ∫ ∂L/∂t dt, the same at all joints of a true path
+    scale : (N + 1,), sizes of the terms of `conserved`: |p·v| + |E| + |v|ᵀ|∂²L/∂v²||v|, at least their mean over time
+    floor : (N + 1,), roundoff of `conserved`, which is not counted
     """
-    if not np.all(np.isfinite(kept)):
-        return np.where(np.isfinite(kept[1:] + kept[:-1]), 0.0, np.inf)
+    if not np.all(np.isfinite(conserved)):
+        return np.where(np.isfinite(conserved[1:] + conserved[:-1]), 0.0, np.inf)
     order = np.argsort(scale)
-    least, most = (kept - floor)[order], (kept + floor)[order]
+    least, most = (conserved - floor)[order], (conserved + floor)[order]
     gaps = np.maximum(np.maximum.accumulate(least) - most, least - np.minimum.accumulate(most))
-    change = np.abs(np.diff(kept))
+    change = np.abs(np.diff(conserved))
     return max(float(np.max(gaps / scale[order])), 0.0) * change / max(float(np.max(change)), TINY)
 
 
@@ -78,9 +78,9 @@ def scaled_indicators(problem: Problem, path: PiecewisePolynomial, momentum: np.
 def error_indicators(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> tuple[np.ndarray, ...]:
     """Energy imbalance, misfit of L between points, and effect of jumps of the force, on each interval; (N,) each.
 
-    They are relative to the sizes of their terms; from the first two, the effect of rounding of the path is subtracted.
-    The balance is taken between breakpoints, because at a step of L in time the energy jumps.  The misfit of L is zero
-    where it is below `LAGRANGIAN_MISFIT`.
+    They are relative to the sizes of their terms; from the first two, the roundoff is subtracted.  The balance is that
+    between breakpoints, because the energy jumps where L jumps in time.  A misfit of L below `LAGRANGIAN_MISFIT` is set
+    to zero.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def _at_places(problem: Problem, function: ca.Function, *given: np.ndarray) -> l
     Parameters
     ----------
     function : Function of one place; the parameters of the problem, if there are some, are its last input
-    given : (..., K), all others
+    given : (..., K), all other inputs
     """
     count, values, shared = given[0].shape[-1], [a.ravel(order="F") for a in given], tuple[int, ...]()
     if problem.parameters is not None:
@@ -118,7 +118,7 @@ def _force_along(force: ca.Function) -> ca.Function:
 
 
 def _jumps_of_force(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> np.ndarray:
-    """By how much jumps of the force on every interval may change a momentum, over that and all impulses; (N,)."""
+    """Changes of a momentum by jumps of the force on every interval, relative to momentum and impulses; (N,)."""
     if problem.force is None:
         return np.zeros(len(path.mesh) - 1)
     detector, slopes = JumpDetector(path.mesh, gauss(path.degree)), differentiation_matrix(path.nodes)
@@ -146,7 +146,7 @@ def _rules(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @lru_cache(64)
 def _rounding(nodes: tuple[float, ...]) -> float:
-    """What rounding of values by a number at most does to their polynomial's derivative on [0, 1], over that number."""
+    """Largest change of the derivative of a polynomial on [0, 1] over the rounding errors of its node values."""
     return float(np.abs(differentiation_matrix(np.array(nodes))[0]).sum())
 
 
@@ -155,12 +155,12 @@ class _Sampled:
 
     Attributes
     ----------
-    steps : (N,), and `h` the same at all places, (N K,)
-    x, v, times : (d, N K) twice and (N K,)
+    steps, h : steps (N,), and the same repeated for all places (N K,)
+    x, v, times : positions and velocities (d, N K), and times (N K,)
     joints : numbers of the joints among the places, (N + 1,)
     terms : the pointwise Functions of L̂
-    derivatives : those of `terms.derivatives`: L̂, by x, by the slope, and the blocks of its Hessian, (N K, ...) each
-    between : (K, m + 2), from values at the points of the quadrature to those of their polynomial at the places
+    derivatives : outputs of `terms.derivatives`: L̂, its derivatives by x and x', and blocks of its Hessian, (N K, ...)
+    between : (K, points), matrix from values at the quadrature points to those of their polynomial at the places
     """
 
     def __init__(self, problem: Problem, path: PiecewisePolynomial) -> None:
@@ -169,7 +169,7 @@ class _Sampled:
         self.x, self.v = (values.reshape(len(values), -1) for values in path.at_parts(parts))
         self.h = np.repeat(self.steps, len(parts))
         self.joints = np.append(np.arange(0, len(self.h), len(parts)), len(self.h) - len(parts) + 1)  # the last end
-        first, last = path.mesh[[0, -1]]  # a step of L at either lies outside of all times
+        first, last = path.mesh[[0, -1]]  # a step of L at either end is outside all times
         self.times = np.clip(times_at(path.mesh, parts), np.nextafter(first, last), np.nextafter(last, first))
         self.terms = pointwise(problem.lagrangian, problem.force)
         self.derivatives = self.evaluate(self.terms.derivatives)
@@ -183,40 +183,40 @@ class _Sampled:
         return values.reshape(len(self.steps), -1)
 
     def at_points(self, values: np.ndarray) -> np.ndarray:
-        """Those of them that are at the m + 2 points of the quadrature; (N, m + 2)."""
+        """Values at the quadrature points only; (N, points)."""
         return self.by_interval(values)[:, 2 : 2 + len(self._weights)]
 
     def integral(self, values: np.ndarray) -> np.ndarray:
-        """∫ over every interval, of length 1, (N,)."""
+        """Integral over every interval, scaled to length 1; (N,)."""
         return np.asarray(self.at_points(values) @ self._weights)
 
 
-@np.errstate(invalid="ignore")  # of an infinite L
+@np.errstate(invalid="ignore")  # L may be infinite
 def _between_breakpoints(
     problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same without breakpoints."""
+    """Energy imbalance and misfit of L, see `error_indicators`, of a path without breakpoints."""
     sampled = _Sampled(problem, path)
-    kept, scale, floor = _energies(sampled, momentum)
-    return energy_imbalance(kept, scale, floor), _unresolved(sampled, scale, floor)
+    conserved, scale, floor = _energies(sampled, momentum)
+    return energy_imbalance(conserved, scale, floor), _unresolved(sampled, scale, floor)
 
 
 def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What `energy_imbalance` takes, at all joints."""
+    """The arguments of `energy_imbalance`, at all joints."""
     h, v, (lagrangian, work, slope, *blocks) = at.h[at.joints], at.v[:, at.joints], at.derivatives
     mass = h[:, None, None] * at.terms.mass([block[at.joints].T for block in blocks])
     kinetic, speed, sizes, masses = np.sum(momentum * v, axis=0), np.abs(v), at.path.sizes, np.abs(mass)
     energy = kinetic - lagrangian[at.joints, 0] / h + _correction(mass, momentum - slope[at.joints].T)
 
     pushed, duration = np.einsum("tij,jt->it", masses, speed), float(np.sum(at.steps))
-    local = np.abs(kinetic) + np.abs(energy) + np.sum(speed * pushed, axis=0)  # p·v may be a small difference of terms
+    local = np.abs(kinetic) + np.abs(energy) + np.sum(speed * pushed, axis=0)  # the terms of p·v may cancel
     at_rest = EPS * np.max(masses @ sizes @ sizes) / duration**2
     mean = float(at.steps @ (local[1:] + local[:-1])) / 2 / duration
     scale = np.maximum(local, max(mean, float(at_rest), TINY))
 
-    places = np.max(np.abs(at.path.local), axis=2)  # of values in an interval: the nearer to zero, the less rounded
+    places = np.max(np.abs(at.path.local), axis=2)  # largest value on an interval, which determines its roundoff
     rounding = _rounding(tuple(at.path.nodes.tolist()))
-    before = np.maximum(np.arange(len(at.joints)) - 1, 0)  # a momentum is that of the interval before its joint
+    before = np.maximum(np.arange(len(at.joints)) - 1, 0)  # a momentum belongs to the interval before its joint
     blurred = rounding * np.sum(places[:, before] * pushed, axis=0) / at.steps[before]
     pulled = np.sum(np.abs(at.x[:, at.joints] * work[at.joints].T), axis=0) / h
     floor = ROUNDING_FACTOR * EPS * (blurred + pulled + scale)
@@ -232,22 +232,22 @@ def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _unresolved(at: _Sampled, scale: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """Part of its size, or of the energies around, by which L is missed between points; (N,), 0 where resolved."""
+    """Misfit of L between points relative to L or to the energies around it; (N,), zero where it is small."""
     lagrangian = at.derivatives[0][:, 0] / at.h
-    missed = np.abs(at.by_interval(lagrangian) - at.at_points(lagrangian) @ at.between.T)
+    misfit = np.abs(at.by_interval(lagrangian) - at.at_points(lagrangian) @ at.between.T)
     size = np.maximum(np.max(np.abs(at.by_interval(lagrangian)), axis=1), np.maximum(scale[1:], scale[:-1]))
-    beyond = np.max(missed, axis=1) - np.maximum(floor[1:], floor[:-1])
-    part = np.where(np.isfinite(size), beyond / size, np.inf)
-    return np.where(part > LAGRANGIAN_MISFIT, part, 0.0)
+    above_floor = np.max(misfit, axis=1) - np.maximum(floor[1:], floor[:-1])
+    relative = np.where(np.isfinite(size), above_floor / size, np.inf)
+    return np.where(relative > LAGRANGIAN_MISFIT, relative, 0.0)
 
 
 def _correction(mass: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """δᵀ(∂²L/∂v²)⁻¹δ/2, which the energy of a momentum p has beyond p·v - L up to terms of third order; (K,).
+    """δᵀ(∂²L/∂v²)⁻¹δ/2, the energy of a momentum p minus (p·v - L) up to terms of third order; (K,).
 
     Parameters
     ----------
     mass : (K, d, d), ∂²L/∂v²
-    missing : (d, K), δ = p - ∂L/∂v at the path's own slope v
+    missing : (d, K), δ = p - ∂L/∂v at the velocity v of the path
     """
     scaled, scales = scaled_masses(mass)
     values, vectors = np.linalg.eigh(scaled)

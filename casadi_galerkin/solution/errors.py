@@ -1,4 +1,4 @@
-"""What is raised where a solve does not end in a verified answer."""
+"""Exceptions of solves that do not end in a verified solution."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ from casadi_galerkin.solution.path import Path
 
 
 class ConvergenceError(RuntimeError):
-    """A solve that did not end in a verified answer.
+    """A solve that did not end in a verified solution.
 
     Attributes
     ----------
-    path : the last path that the solve had reached, which can be called and plotted, but is no answer; None if there
-        is none
-    residual : float, its largest residual over that residual's roundoff floor; of an optimization its largest violation
+    path : the last path of the solve, which can be called and plotted, but is no solution; None if there is none
+    residual : float, the largest ratio of a residual to its roundoff floor; of an optimization the largest violation
         over the relative precision of a double
     iterations : int
 

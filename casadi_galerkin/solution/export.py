@@ -1,4 +1,4 @@
-"""Answers as tables of named columns, for other programs: a dict of lists, comma-separated values, NumPy's archive."""
+"""Solutions as tables of named columns, for other programs: a dict of lists, comma-separated values, NumPy archive."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 
 class Table(ABC):
-    """What has a table of named columns, all as long as one another, and can be saved as such.
+    """Base class of solutions that have a table of named columns of equal length.
 
     Examples
     --------
@@ -24,10 +24,10 @@ class Table(ABC):
 
     @abstractmethod
     def table(self) -> dict[str, np.ndarray]:
-        """The columns by name, (K,) each, of numbers or words."""
+        """The columns by name, (K,) each, of numbers or strings."""
 
     def to_dict(self) -> dict[str, list[Any]]:
-        """The columns by name as lists of Python's own numbers and words, such as JSON takes."""
+        """The columns by name as lists of Python's own numbers and strings, such as JSON takes."""
         return {name: column.tolist() for name, column in self.table().items()}
 
     def to_csv(self, file: str | Path) -> None:

@@ -1,4 +1,4 @@
-"""A guess in any of its forms, as an array of node values; and random ones."""
+"""Guesses in all their forms as arrays of node values, and random guesses."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.solution.path import Path
 
-MODES = 6  # of a random path
-FAR_FROM_GUESS = 0.5  # distance from a guess, over its size, from which a path is not the one that was meant
+MODES = 6  # number of waves of a random path
+FAR_FROM_GUESS = 0.5  # distance from a guess, over its size, above which a path counts as another one
 
 Values = Callable[[float], ArrayLike] | ArrayLike
 Guess = Values | Path | PiecewisePolynomial | tuple[Values | Path | PiecewisePolynomial, Values]  # times, or controls
@@ -42,8 +42,8 @@ def guessed(function: Callable[..., ArrayLike], times: np.ndarray, dimension: in
     """Values (d, K) of a guess: from one call with all times, if calls with three single times confirm it."""
     tried = [0, len(times) // 2, len(times) - 1]
     one_by_one = sampled("the guess", function, times[tried], dimension)
-    with suppress(Exception):  # which a callable of one time may raise
-        whole = np.asarray(function(times.copy()), dtype=float)  # it may write to what it is given
+    with suppress(Exception):  # a callable that takes one time may raise any error
+        whole = np.asarray(function(times.copy()), dtype=float)  # a copy, because the callable may change it
         fits = whole.shape == (dimension, len(times))
         if fits and np.allclose(whole[:, tried], one_by_one, rtol=1e-12, atol=0):
             return whole
@@ -53,8 +53,8 @@ def guessed(function: Callable[..., ArrayLike], times: np.ndarray, dimension: in
 def meeting_ends(values: np.ndarray, parts: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Bend a guess (K, d) to meet the fixed ends (2, d) by adding a straight line.
 
-    A component that is free at one end, NaN there, is moved as at the other; one that is free at both stays.  `parts`
-    (K,) are the times as parts of the whole time, from 0 to 1.
+    A component that is free at one end, NaN there, is moved as at the other end; one that is free at both ends is not
+    changed.  `parts` (K,) are the times as fractions of the duration, from 0 to 1.
     """
     moves = ends - values[:: len(values) - 1]
     free = np.isnan(moves)
@@ -88,13 +88,17 @@ def check_finite_values(name: str, values: np.ndarray, times: np.ndarray) -> Non
 
 
 def waves(random: np.random.Generator, sizes: np.ndarray, period: float = 2.0) -> Callable[[ArrayLike], np.ndarray]:
-    """A random smooth path, cosines of falling amplitude: a function of parts of the whole time, (d,) + their shape.
+    """A random smooth path, a sum of cosines of decreasing amplitude, as a function of fractions of the duration.
 
     Parameters
     ----------
-    random : from which amplitudes and phases are drawn
-    sizes : (d,), of the components
-    period : of the longest wave, over the whole time
+    random : generator of amplitudes and phases
+    sizes : (d,), sizes of the components
+    period : period of the longest wave, over the duration
+
+    Returns
+    -------
+    callable, fractions -> (d,) + fractions.shape
     """
     shape, modes = (len(sizes), MODES), np.arange(1, MODES + 1)
     factors = sizes[:, None] * random.normal(size=shape) / modes

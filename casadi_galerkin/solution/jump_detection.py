@@ -1,11 +1,12 @@
-"""Jumps of a function of time, found by comparing its values with its derivative; two degrees may miss them alike.
+"""Detection of jumps of a function of time, by comparing its values with the integral of its derivative.
 
-A quadrature point stands for a share of the time, its weight.  Over that share, from a to b,
+Each quadrature point represents a share of the interval, as long as its weight.  Over this share, from a to b,
 
     f(b) - f(a) = ∫ df/dt dt
 
-holds where f is smooth; what is missing is a jump.  As no rule knows when it is, an integral of f may be wrong by as
-much as the jump times b - a.  Two degrees with points on the same sides of it agree on what is wrong.
+holds where f is smooth; the difference of both sides is a jump.  Since its time within the share is unknown, the
+quadrature of f may have an error of the jump times b - a.  Two degrees whose points lie on the same sides of the jump
+make the same error, which their difference does not show.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.quadrature import Quadrature, gauss
 
-MARGIN = 1e-9  # part of an interval beside a joint where a jump is at the joint
-INNER = gauss(4)  # integrates df/dt over a share
+MARGIN = 1e-9  # part of an interval beside a joint that is left out, because a jump there is one at the joint
+INNER = gauss(4)  # rule for df/dt over a share
 
 
 class JumpDetector:
-    """Samples a function at K times, both ends included, in the share of time of each of the r points of a rule.
+    """Sampling of a function at K times, with both ends, in the share of time of each of the r points of a rule.
 
     Parameters
     ----------
@@ -35,13 +36,13 @@ class JumpDetector:
 
     @cached_property
     def parts(self) -> np.ndarray:
-        """Where the times stand in parts of an interval; (r K,)."""
+        """The times as fractions of an interval; (r K,)."""
         places = np.array([0.0, *INNER.points, 1.0])
         return np.asarray((self._edges[:-1, None] + np.diff(self._edges)[:, None] * places).ravel())
 
     @cached_property
     def times(self) -> np.ndarray:
-        """The times, inside of their intervals; (N r K,)."""
+        """The times, strictly inside their intervals; (N r K,)."""
         inside = np.nextafter(self._mesh[:-1], np.inf), np.nextafter(self._mesh[1:], -np.inf)
         early, late = (np.repeat(side, len(self.parts)) for side in inside)
         return np.asarray(np.clip(times_at(self._mesh, self.parts), early, late))

@@ -1,4 +1,4 @@
-"""What stops a refinement."""
+"""Limits of a refinement."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from casadi_galerkin.calculus.numbers import number
 
 @dataclass(frozen=True)
 class Limits:
-    """What stops a refinement that does not reach its tolerance; ``math.inf`` stops nothing.
+    """Limits at which a refinement stops if it has not reached its tolerance; ``math.inf`` is no limit.
 
     Parameters
     ----------
     intervals : largest number of intervals of a mesh
-    seconds : longest time: no mesh is begun after it, and Newton's method and IPOPT stop within one; fatrop, which
-        takes no such limit, ends its solve first
+    seconds : longest time.  No solve on a new mesh begins after it, and Newton's method and IPOPT stop during a solve;
+        fatrop has no such limit, and a solve by it is finished first
     levels : largest number of meshes, one for each level of the refinement
 
     Raises
@@ -47,7 +47,7 @@ class Limits:
 
 
 def check_tolerance(tol: float, name: str = "tol") -> float:
-    """Refuse a relative tolerance that is none."""
+    """Refuse a relative tolerance that is not between 0 and 1."""
     checked = number(tol)
     if checked is None or not 0 < checked < 1:
         raise ValueError(f"{name} must be a number between 0 and 1, got {tol!r}")

@@ -1,4 +1,4 @@
-"""A path that can be evaluated and drawn, whether it is an answer or only what a solve got to."""
+"""A path that can be evaluated and drawn: the base class of solutions, and the last path of a solve that failed."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from casadi_galerkin.solution.plotting import Pictured, plot_path, plot_plane, p
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SMOOTH = 200  # times on a path that make a smooth line
+SMOOTH = 200  # number of times at which a line is drawn to look smooth
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Path(Table, Pictured):
     """A path x̄(t) over its joints.
 
-    By itself it is no answer: the `path` of a ConvergenceError is what the solve had come to.
+    A Path that is no Trajectory is no solution: the `path` of a ConvergenceError is the last one of its solve.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Path(Table, Pictured):
 
     @cached_property
     def sizes(self) -> np.ndarray:
-        """What errors of the components are relative to, (d,): their largest values; one where these are zero."""
+        """Sizes of the components, to which errors are relative, (d,): their largest values; one for zero."""
         return self.polynomial.sizes
 
     def table(self) -> dict[str, np.ndarray]:
@@ -113,7 +113,7 @@ class Path(Table, Pictured):
         return plot_poses(poses, trail, axes)
 
     def _places(self, points: Callable[[np.ndarray], ArrayLike], times: np.ndarray) -> np.ndarray:
-        """Where the ends of the bars of a mechanism are at times (K,); (n, 2, K)."""
+        """Positions of the ends of the bars of a mechanism at times (K,); (n, 2, K)."""
         if not callable(points):
             raise TypeError(f"points must be a callable of positions, got {points!r}")
         places = real_array("the places that points returns", points(self(times)))
@@ -129,10 +129,10 @@ class Path(Table, Pictured):
         return self.polynomial.line(self._fine(least))
 
     def _fine(self, least: int = 2) -> np.ndarray:
-        """Times that make a smooth line, at least so many on every interval; all joints are among them."""
+        """Times of a smooth line, at least so many on every interval, with all joints."""
         return self.polynomial.times(np.linspace(0, 1, max(least, SMOOTH // (len(self.t) - 1)), endpoint=False))
 
     def __repr__(self) -> str:
-        """Say what it is and over which time."""
+        """State the size and the time of the path."""
         size, intervals = counted(len(self.x), "component"), counted(len(self.t) - 1, "interval")
         return f"Path of {size} on {spanned(self.t)}, degree {self.polynomial.degree} on {intervals}; not an answer"

@@ -1,4 +1,4 @@
-"""Draws arrays with Matplotlib, which is imported only when a plot is asked for; knows nothing of solves."""
+"""Plots of arrays with Matplotlib, which is imported only when something is plotted."""
 
 from __future__ import annotations
 
@@ -64,14 +64,14 @@ def axes_or_new(axes: Axes | None, size: tuple[float, float] = SIZE) -> Axes:
 
 
 class Pictured(ABC):
-    """What draws itself, and so shows its picture beside its words in a notebook."""
+    """Base class of results that can be plotted; a notebook shows their text and their plot."""
 
     @abstractmethod
     def plot(self) -> Axes:
         """Draw it; returns the Matplotlib axes."""
 
     def _repr_html_(self) -> str:
-        """Its words and its picture."""
+        """The text and the plot."""
         import matplotlib.pyplot as plt
         from matplotlib.figure import Figure
 
@@ -155,7 +155,7 @@ def _named(name: str, count: int, labels: Sequence[str] | None) -> Sequence[str]
     """Names of the components."""
     if labels is None:
         return [f"{name}[{i}]" for i in range(count)]
-    given = np.asarray(labels, dtype=object)  # by position; a set has none
+    given = np.asarray(labels, dtype=object)  # a set has no order, and is refused
     if given.shape != (count,) or not all(isinstance(label, str) for label in given):
         raise ValueError(f"labels of {name} must be {counted(count, 'name')}, one per component, got {labels!r}")
     names: list[str] = given.tolist()
@@ -262,12 +262,12 @@ def animate_linkage(
     drawn = axes.figure
     assert isinstance(drawn, Figure)
     drawn.draw_without_rendering()
-    drawn.set_layout_engine("none")  # laid out once; anew for every frame it took 0.2 s each
+    drawn.set_layout_engine("none")  # laid out only once, because it takes 0.2 s
     return FuncAnimation(drawn, frame, frames=len(times), interval=1000 * interval)
 
 
 Points: TypeAlias = Sequence[tuple[float, float]]
-LINE_STYLES: Sequence[tuple[str, Sequence[str], dict[str, Any]]] = (  # by name, and how a legend shows them
+LINE_STYLES: Sequence[tuple[str, Sequence[str], dict[str, Any]]] = (  # names, values, and options of the legend
     ("color", COLORS, {"linewidth": 3}),
     ("linestyle", ("-", "--", ":", "-."), {"color": "0.3", "linewidth": 1}),
     ("marker", ("o", "s", "^", "D", "v", "P", "*"), {"color": "0.3", "linestyle": "", "markersize": 4}),
@@ -294,7 +294,7 @@ def plot_work_precision(
     for k, (style, values, sample) in enumerate(LINE_STYLES):
         names = list(dict.fromkeys(key[k] for key, _ in lines))
         chosen.append({name: values[i % len(values)] for i, name in enumerate(names)})
-        if k == 0 or len([name for name in names if name]) > 1:  # one rule, or one solver, goes without saying
+        if k == 0 or len([name for name in names if name]) > 1:  # a single rule or solver is not named
             given: list[dict[str, Any]] = [sample | {style: chosen[k][name], "label": name} for name in names if name]
             entries += [Line2D([], [], **entry) for entry in given]
 

@@ -1,6 +1,7 @@
-"""The driver of every refinement: estimate the error, stop, or solve on a better mesh.
+"""The loop of every refinement: estimate the error, stop, or solve on a better mesh.
 
-What is estimated and how, and what a better mesh is, the wings say; the loop, its limits and its report are here.
+The error estimate and the better mesh are defined by the subclasses in `boundary` and `control`; the loop, its limits
+and its report are here.
 """
 
 from __future__ import annotations
@@ -28,14 +29,14 @@ Detail = TypeVar("Detail")
 
 @dataclass(frozen=True)
 class Estimate(Generic[Detail]):
-    """How wrong a path is.
+    """The estimated error of a path.
 
     Attributes
     ----------
     error : largest relative error
-    trusted : whether a path may be accepted for it; else it only says where a mesh is too coarse
-    source : what it was estimated from, in words
-    detail : what the next mesh is made from
+    trusted : whether a path may be accepted by it; otherwise it only shows where the mesh is too coarse
+    source : what the error was estimated from, in words
+    detail : the information for the next mesh
     """
 
     error: float
@@ -45,14 +46,14 @@ class Estimate(Generic[Detail]):
 
 
 class Refinement(ABC, Generic[Level, Detail]):
-    """One refinement under way, and what it has cost.
+    """The state of one refinement.
 
     Attributes
     ----------
-    roundoff_level : error below which one that no longer falls is at the roundoff floor
-    persistence : levels in a row that may come no nearer
+    roundoff_level : an error below it that does not fall to half is taken to be at the roundoff floor
+    persistence : largest number of levels in a row without a smaller error
     best : level of the smallest trusted error so far, and that error; where none is trusted yet, the last level
-    fruitless : levels in a row that came no nearer
+    fruitless : number of levels in a row without a smaller error
     """
 
     roundoff_level: float
@@ -72,7 +73,7 @@ class Refinement(ABC, Generic[Level, Detail]):
 
     @abstractmethod
     def estimate(self, level: Level) -> Estimate[Detail]:
-        """How wrong the path of a level is."""
+        """Estimate the error of the path of a level."""
 
     @abstractmethod
     def improve(self, level: Level, estimate: Estimate[Detail]) -> Level:
@@ -80,11 +81,11 @@ class Refinement(ABC, Generic[Level, Detail]):
 
     @abstractmethod
     def path(self, level: Level, error: float) -> Path:
-        """What is attached to the error where the refinement is stopped."""
+        """The path of a level, to be attached to the error where the refinement is stopped."""
 
     @abstractmethod
     def solved(self, level: Level) -> tuple[PiecewisePolynomial, int, float]:
-        """The path of one level, iterations of the solver on it, and the residual it left."""
+        """The path of one level, the solver's iterations, and the residual that they left."""
 
     def out_of_time(self) -> bool:
         """Whether the time is up."""
@@ -134,7 +135,7 @@ class Refinement(ABC, Generic[Level, Detail]):
             raise self.stopped(f"{self.limits.seconds:g} seconds have passed", *self.best)
 
     def stopped(self, reason: str, level: Level, error: float, hint: str = HINT) -> LimitReached:
-        """Say how far it got, and what to try; the best path is attached."""
+        """The error that reports the error reached and what to try, with the best path attached."""
         path = self.path(level, error)
         return LimitReached(
             f"tolerance {self.tol:g} was not reached: {reason}. The best path has {len(path.t) - 1} intervals "

@@ -1,4 +1,4 @@
-"""The answer: a path that can be evaluated everywhere, with its momenta, energy and the report of the solve."""
+"""The solution: a path that can be evaluated everywhere, with its momenta, energy and the report of the solve."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-UNBALANCED = 0.1  # part of its terms by which a balance of energy is missed from which a path is called unresolved
-UNRESOLVED = 1e-3  # part of a component that the polynomials leave out from which a path is called unresolved
+UNBALANCED = 0.1  # relative violation of the balance of energy above which a path is reported as not resolved
+UNRESOLVED = 1e-3  # relative truncation error above which a path is reported as not resolved
 
 
 class SecondVariation(Protocol):
-    """How the action, or the cost, varies about a path, found when it is asked for."""
+    """Second variation of the action, or of the cost, at a path; computed when it is first used."""
 
     def negative(self) -> int | None:
-        """Number of negative eigenvalues of the Hessian, or None where there is no finite one, or none is known."""
+        """Number of negative eigenvalues of the Hessian; None where it is not finite or not known."""
 
     def smallest(self) -> float | None:
-        """Smallest second variation relative to the sizes of its terms; None of a cost."""
+        """Smallest second variation relative to the sizes of its terms; None for a cost."""
 
 
 def index_in_words(path: Trajectory) -> str:
@@ -97,24 +97,24 @@ class Trajectory(Path):
     def estimate_error(self) -> float:
         """Estimate the relative error of x, at the joints and between them; kept as `error_estimate`.
 
-        The path is compared with one of a higher degree on the same mesh: with Newton steps from it where it joins two
-        ends, with steps from the same start otherwise.  The estimate is at least what the balance of energy is violated
-        by, relative to the energy's terms, what jumps of the force may change, and the part of L that its values at a
-        few points do not tell, where this is much: these show a kink or a singularity, which both degrees may miss.
-        For a path between two ends it is at least the relative difference of its variations in the two degrees, where
-        this shows that the mesh does not resolve them.  It is infinite where the higher degree has no answer.
+        The path is compared with one of a higher degree on the same mesh: by Newton steps from it for a path between
+        two ends, and by steps from the same start otherwise.  The estimate is at least each of three error indicators,
+        which show a kink or a singularity that both degrees may miss: the relative violation of the balance of energy;
+        the effect of jumps of the force; and, where it is large, the misfit of L between points.  For a path between
+        two ends it is also at least the relative difference of the responses to forces in the two degrees, where this
+        shows that the mesh does not resolve variations.  It is infinite where the higher degree has no solution.
 
         Raises
         ------
         TypeError
-            for a ControlTrajectory that was not solved to a tolerance, which alone tells its error
+            for a ControlTrajectory that was not solved to a tolerance; its error is estimated only during such a solve
         """
         if self.error_estimate is not None:
             return self.error_estimate
         if self.find_difference is None:
             kind = type(self).__name__
             raise TypeError(f"the error of a {kind} is estimated where it is solved to a tolerance: give tol")
-        error = max(self.find_difference(), *(float(np.max(missed)) for missed in self._indicators))
+        error = max(self.find_difference(), *(float(np.max(indicator)) for indicator in self._indicators))
         self.__dict__["error_estimate"] = error  # the class is frozen
         return error
 
@@ -125,21 +125,21 @@ class Trajectory(Path):
 
     @cached_property
     def morse_index(self) -> int | None:
-        """Number of negative eigenvalues of the action's Hessian, 0 for a local minimum; found when first asked for.
+        """Number of negative eigenvalues of the action's Hessian, 0 for a local minimum; computed when first used.
 
         It is None for a path that was found step by step; under a force, and where the momentum of a given velocity
-        depends on more than that, because the path is then a critical point of no action; where ∂²L/∂v² has a
+        depends on more than that, because the path is then not a critical point of an action; where ∂²L/∂v² has a
         negative eigenvalue at a joint, because the index then grows without bound as the mesh is refined; and where a
-        higher degree on the same mesh counts another number, because the mesh does not resolve the variations, or none
-        does.  Of an optimization it is that of the cost; see `ControlTrajectory`.
+        higher degree on the same mesh gives another number, because this mesh, or any mesh, does not resolve the
+        variations.  For an optimization it is that of the cost; see `ControlTrajectory`.
         """
         return None if self.second_variation is None else self.second_variation.negative()
 
     @cached_property
     def regularity(self) -> float | None:
-        """Smallest second variation relative to the sizes of its terms; found when first asked for.
+        """Smallest second variation relative to the sizes of its terms; computed when first used.
 
-        It is zero at a conjugate point, and tells how well the ends determine the path: errors are magnified by its
+        It is zero at a conjugate point, and shows how well the ends determine the path: errors are magnified by its
         inverse.  Under a force it is that of the equations' Jacobian, between its softest directions.  It is None for
         a path that was found step by step, and for one that was optimized.
         """
@@ -185,7 +185,7 @@ class Trajectory(Path):
         return values.reshape(len(values), *times.shape)
 
     def _constrained_motion(self) -> ca.Function | None:
-        """What the multipliers are found from, with the forces on this path; None where there is no constraint."""
+        """The Function that gives the multipliers, with the forces on this path; None where there is no constraint."""
         return motion_of(self.problem, self.problem.force)
 
     @cached_property
@@ -249,49 +249,49 @@ class Trajectory(Path):
         return animate_linkage(times, self._places(points, times), duration / count, axes, unit)
 
     def _accuracy(self) -> list[str]:
-        """A line on the error of x, if it is known, or if this mesh plainly does not resolve the path."""
+        """A line on the error of x, if it is known, or that this mesh does not resolve the path."""
         if self.error_estimate is None:
             return self._unresolved() or self._unbalanced()
         return [f"  error       {self.error_estimate:.1e}, estimated, relative to the size of each component"]
 
     def _unresolved(self) -> list[str]:
-        """A line on where this mesh plainly does not resolve the path, if anywhere."""
+        """A line with the largest truncation error, if it is large."""
         words = "about {:.0e} of x is left out {}; take more intervals or a higher degree"
-        return self._missed(self._left_out, UNRESOLVED, words)
+        return self._line_if_above(self._truncation_error, UNRESOLVED, words)
 
     @property
-    def _left_out(self) -> np.ndarray:
-        """What the polynomials leave out on every interval, (N,), relative to the sizes of the components."""
+    def _truncation_error(self) -> np.ndarray:
+        """Truncation error on every interval, (N,), relative to the sizes of the components."""
         return truncation_error(self.polynomial)
 
     def _unbalanced(self) -> list[str]:
-        """A line on a balance of energy that is plainly not kept: beside a singularity, no step may be too large."""
-        return self._missed(
+        """A line with the largest violation of the balance of energy, if it is large, as near a singularity."""
+        return self._line_if_above(
             self._indicators[0], UNBALANCED, "the balance of energy is missed by {:.0e} of its terms {}"
         )
 
-    def _missed(self, values: np.ndarray, accepted: float, words: str) -> list[str]:
-        """A line with the largest of one value per interval, and where it is, if it is more than what is accepted."""
+    def _line_if_above(self, values: np.ndarray, accepted: float, words: str) -> list[str]:
+        """A line with the largest of one value per interval, and its interval, if it is above the accepted one."""
         i = int(np.argmax(values))
         where = "between t = {} and {}".format(*told_apart(self.t[i], self.t[i + 1]))
         return [f"  NOT RESOLVED: {words.format(values[i], where)}"] if values[i] > accepted else []
 
     @property
     def _lagrangian(self) -> ca.Function:
-        """L(t, x, v) with the parameters put in."""
+        """L(t, x, v) with the parameters inserted."""
         return with_parameters(self.problem.lagrangian, self.parameters)
 
     def _kind(self) -> str:
-        """What the path is among its neighbors."""
+        """The kind of critical point, in words."""
         if self.morse_index is not None:
             return "a local minimum" if self.morse_index == 0 else f"a saddle of Morse index {self.morse_index}"
         least = "" if self.regularity is None else f", its smallest variation is {self.regularity:.0e} of its terms"
         return f"no Morse index{least}"
 
-    def _kept(self) -> str:
-        """How well the balance of energy is kept."""
-        missed = float(np.max(self._indicators[0]))
-        return f"{missed:.1e} of its terms" if missed > 0 else "rounding"
+    def _energy_balance(self) -> str:
+        """The violation of the balance of energy, in words."""
+        violation = float(np.max(self._indicators[0]))
+        return f"{violation:.1e} of its terms" if violation > 0 else "rounding"
 
     def __repr__(self) -> str:
         """Summarize path and solve in a few lines."""
@@ -301,7 +301,7 @@ class Trajectory(Path):
                 f"{counted(len(self.t) - 1, 'interval')}",
                 f"  method      {self.method}",
                 f"  action      {self.action:.15g}, {self._kind()}",
-                f"  energy      {self.energy[0]:.12g} at the start, its balance kept to {self._kept()}",
+                f"  energy      {self.energy[0]:.12g} at the start, its balance kept to {self._energy_balance()}",
                 *self._accuracy(),
                 f"  solver      {self.solver}, {counted(self.iterations, 'iteration')}, "
                 f"residual {self.residual:.1g} times its roundoff floor",
