@@ -244,15 +244,15 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     def check_stagnation(self, level: CriticalPoint, source: str, errors: np.ndarray, patience: int) -> None:
         """Stop where an error at one place does not fall with the mesh, or is spread over many short intervals."""
         mesh, worst, crowd = level.polynomial.mesh, float(np.max(errors)), errors > np.max(errors) / 2
-        crowd_length = np.sum(np.diff(mesh)[crowd]) / (mesh[-1] - mesh[0])
-        hidden = np.count_nonzero(crowd) > CROWD_SIZE and crowd_length < CROWD_LENGTH
+        duration, crowd_length = mesh[-1] - mesh[0], np.sum(np.diff(mesh)[crowd])
+        hidden = np.count_nonzero(crowd) > CROWD_SIZE and crowd_length < CROWD_LENGTH * duration
         i = int(np.argmax(errors))
         when, step = (mesh[i] + mesh[i + 1]) / 2, mesh[i + 1] - mesh[i]
         last, place, width, count = self.stagnation.get(source, (math.inf, 0.0, 0.0, 0))
         count = count + 1 if worst > last / 2 and abs(when - place) <= width + step else 0
         self.stagnation[source] = worst, when, step, count
         if count == patience or hidden:
-            where, not_smooth = f"near t = {when:.9g}", self.not_smooth(when, mesh[-1] - mesh[0])
+            where, not_smooth = f"near t = {when:.9g}", self.not_smooth(when, duration)
             reason = f"an error of {worst:.1e} {where}, measured by the {source}, stays on any mesh. {not_smooth}"
             raise self.stopped(reason, level, worst)
 
@@ -308,8 +308,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                     print(f"{strategy.name}: no path, {spent}")
             else:
                 way = strategy.name if first.solution.report == NEWTON else first.solution.report
-                told = not failures or way == path.solver
-                return path if told else replace(path, solver=f"{path.solver}; first path by {way}")
+                reported = not failures or way == path.solver
+                return path if reported else replace(path, solver=f"{path.solver}; first path by {way}")
         conjugate = [failure for failure in failures if isinstance(failure, ConjugatePointError)]
         raise (conjugate or failures)[-1]  # a singular Hessian tells more than that another way found nothing
 

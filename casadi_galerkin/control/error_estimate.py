@@ -212,8 +212,8 @@ class HigherDegree:
         """
         distance = self.change if self.change > FAR_FROM_GUESS else 0.0
         jumped = float(np.sum(self.jump_effects))
-        second_order = max(self.common_error, self.hamiltonian_variation) ** 2
-        return max(self.cost_change / (1 - SLOWEST), second_order, distance, jumped)
+        change, common, variation = self.cost_change / (1 - SLOWEST), self.common_error, self.hamiltonian_variation
+        return max(change, common**2, variation**2, distance, jumped)
 
     def better_mesh(self, tol: float, cost_tol: float) -> np.ndarray:
         """Joints, in the time of the path of higher degree, with which both errors should be below their tolerances."""

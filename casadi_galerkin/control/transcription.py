@@ -263,7 +263,7 @@ class ControlTranscription:
         of the solver does not depend on units.  These sizes are limited to `WILD` times those on the straight line
         between the ends, because the terms of a noisy guess are far too large.  Where a component hardly changes on the
         line, as between ends that differ by rounding, its terms there are far too small and set no limit.  The momenta
-        of the guess are the residuals of the equations of the joints with momenta of zero.
+        of the guess are minus the residuals of the equations of the joints with momenta of zero.
         """
         chain, near = self.chain, near_answer(guess, self.chain, calculus)
         longer, share = beginning.longer, beginning.share

@@ -277,8 +277,8 @@ def _constrained_equations(
     at_end = ca.vertcat(momentum - before - normal, slopes[m] @ v + evaluated[m][2])
     work_terms = pushed @ ca.fabs(by_node)
     node_terms = ca.horzcat(*(ca.fabs(slope) @ sizes[:, a] for a, slope in enumerate(slopes) if a))
-    momentum_terms = largest_momenta + ca.fabs(momentum) + ca.fabs(free_momentum)
-    momentum_terms += ca.sum2(pushed) + ca.fabs(slopes[m]).T @ ca.fabs(mu)
+    momentum_terms = largest_momenta + ca.fabs(momentum) + ca.fabs(free_momentum) + ca.sum2(pushed)
+    momentum_terms += ca.fabs(slopes[m]).T @ ca.fabs(mu)
     parts = masses / ca.repmat(EPS * LARGEST_LAST_STEP * momentum_terms + TINY, 1, d)
     largest = ca.vertcat(*(ca.mmax(parts_of_one) for parts_of_one in ca.horzsplit(parts)))
     significant = ca.fabs(unknowns[:d, :]) * ca.repmat(largest, 1, m + 1) > 1
