@@ -108,7 +108,7 @@ class Transcription(BoundaryGraph):
         ----------
         start, end : d numbers, with None exactly where the problem has None
         parameters : as many numbers as the problem has
-        guess : nothing (the straight line between the ends), a callable t -> (d,), which is called once for all times
+        guess : None (the straight line between the ends), a callable t -> (d,), which is called once for all times
             where it takes an array (K,) to (d, K), a pair (times, values) of arrays (K,) and (d, K), joined by lines,
             an array (d, N + 1) of values at the joints or (d, N m + 1) at all nodes, or an earlier Trajectory; a pair
             and a Trajectory over other times are stretched

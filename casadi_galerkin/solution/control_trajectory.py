@@ -56,7 +56,8 @@ class ControlTrajectory(Trajectory):
         upper bound acts, negative where a lower one does.  Raising the bounds by δ(t) changes the cost by -∫ μ·δ dt
     duals : (equations,) and (unknowns,), Lagrange multipliers of the discrete equations and of the bounds: with this
         trajectory as its guess, a solve with the same method on the same intervals starts warm.  A solve to a tolerance
-        leaves breakpoints out where nothing happens at a free time: with those left out, only another one starts warm
+        leaves out breakpoints with a free time and neither a waypoint nor a jump; where it has left some out, its
+        solution gives a warm start only to another solve to a tolerance
     hamiltonian : (N,), mean of I - v·∂I/∂v - dλ/dt·∂I/∂(dλ/dt) over each interval, where
         I = ℓ + λ·(∂L/∂x + F) + dλ/dt·∂L/∂v; of order 2m.  The same on all intervals where nothing depends on t and
         no waypoint or jump has a given time; zero as well where the duration is free, was found strictly inside
