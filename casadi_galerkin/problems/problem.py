@@ -69,9 +69,10 @@ def check_kind(problem: object, *kinds: type) -> None:
 def with_values(problem: Stated, **values: Any) -> Stated:
     """Copy with other values of some fields, already checked; unlike ``dataclasses.replace`` it traces nothing anew.
 
-    Where all values are the same it is the problem itself.
+    Where all values are the same, the signs of zeros included, it is the problem itself.
     """
-    if all(getattr(problem, name) == value for name, value in values.items()):
+    before = {name: getattr(problem, name) for name in values}
+    if before == values and str(before) == str(values):
         return problem
     other = copy(problem)
     vars(other).update(values)

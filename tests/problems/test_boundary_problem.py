@@ -204,6 +204,19 @@ def test_the_time_span_of_a_varied_problem_is_checked_and_may_be_left_out():
     assert problem.varied({"end": [2.0]}).t_span == (0.0, 2.0)
 
 
+def test_a_variation_by_the_sign_of_a_zero_is_one():
+    """On a branch cut the sign tells the side: the second parameter pushes as hard as the first, the other way."""
+    L = lambda t, x, v, p: v[0] ** 2 / 2 + ca.atan2(p[0], -1.0) * x[0]  # noqa: E731
+    above = cg.BoundaryProblem(L, (0.0, 1.0), [0.0], [0.0], parameters=[0.0])
+    assert above.varied({"parameters": [0.0]}) is above
+    below = above.varied({"parameters": [-0.0]})
+    assert str(below.parameters) == "(-0.0,)"
+    transcription = cg.transcribe(above, cg.Galerkin(2), 4)
+    one, other = (transcription.solve(parameters=p).x for p in ([0.0], [-0.0]))
+    np.testing.assert_allclose(one, -other, rtol=1e-12, atol=1e-14)
+    assert np.min(one) < -0.3  # -π/8 in the middle
+
+
 @pytest.mark.parametrize("name", ["breakpoints", "periodic", "lagrangian", "ends"])
 def test_what_cannot_be_varied_is_named(name):
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0.0, 2.0), [0.0], [1.0], breakpoints=[1.0])
