@@ -16,6 +16,10 @@ from casadi_galerkin.functional.threads import fork_waits
 state = script("state")
 
 
+def swinging(gravity):
+    return cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + gravity * ca.cos(x[0]), (0.0, 1.0), [0.0], [1.0])
+
+
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs a timer signal")
 @pytest.mark.filterwarnings("ignore:Exception ignored in PyObject_HasAttrString")  # from Python 3.13 on, an interrupt
 def test_solves_after_an_interrupt_are_right_whatever_it_stopped():
@@ -82,8 +86,8 @@ def test_a_process_forked_beside_a_solving_thread_solves_too():
     assert state.forks(2) == (0, 0)
 
 
-@pytest.mark.parametrize("kind", ["boundary", "control"])
-def test_a_fork_waits_for_what_a_solve_builds(monkeypatch, kind):
+@pytest.mark.parametrize("problem", [swinging(9.81), cart_pole()], ids=["boundary", "control"])
+def test_a_fork_waits_for_what_is_built(monkeypatch, problem):
     """What builds a Function may hold one of CasADi's locks, and a forked child would find it taken for ever."""
     free, built = [], ca.Function
 
@@ -97,9 +101,8 @@ def test_a_fork_waits_for_what_a_solve_builds(monkeypatch, kind):
             another.submit(taken).result()
         return built(*arguments)
 
-    transcription = swing(9.81) if kind == "boundary" else cg.transcribe(cart_pole(), cg.Galerkin(3), 4)
     monkeypatch.setattr(ca, "Function", function)
-    transcription.solve()
+    cg.transcribe(problem, cg.Galerkin(3), 4).solve()
     assert free
     assert not any(free)
 
@@ -109,8 +112,7 @@ def test_threads_may_share_transcriptions():
 
 
 def swing(gravity):
-    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + gravity * ca.cos(x[0]), (0.0, 1.0), [0.0], [1.0])
-    return cg.transcribe(problem, cg.Galerkin(4), 20)
+    return cg.transcribe(swinging(gravity), cg.Galerkin(4), 20)
 
 
 def test_solves_in_threads_give_the_same_as_one_after_the_other():

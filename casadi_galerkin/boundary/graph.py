@@ -55,11 +55,12 @@ class BoundaryGraph:
 
     def __init__(self, problem: BoundaryProblem, method: Galerkin, mesh: np.ndarray, mapping: PointMap) -> None:
         self.problem, self.method, self.mesh = problem, method, mesh
-        self.functional = functional_of(problem, method, len(mesh) - 1, mapping)
+        with fork_waits:
+            self.functional = functional_of(problem, method, len(mesh) - 1, mapping)
+            self.stationarity = Stationarity(self.functional)
+            self._end_velocities = end_velocities(problem)
         self.numbering = self.functional.numbering
-        self.stationarity = Stationarity(self.functional)
         self._mapping, self._higher = mapping, list[BoundaryGraph]()
-        self._end_velocities = end_velocities(problem)
 
     def for_problem(self: Graph, problem: BoundaryProblem) -> Graph:
         """The same graph for a problem that is `varied` from this one's; nothing is built."""

@@ -7,6 +7,7 @@ import numpy as np
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.pointwise import pointwise
+from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.legendre_transform import degenerate, refuse_degenerate
 
@@ -20,11 +21,13 @@ def check_mass(problem: BoundaryProblem) -> None:
     """
     if problem.constraint is not None:
         return
-    derived, (first, last) = pointwise(problem.lagrangian, problem.force), problem.t_span
+    (first, last), given = problem.t_span, [] if problem.parameters is None else [problem.parameters]
     start, end = (np.array([x or 0.0 for x in end]) for end in (problem.start, problem.end))
     rise, size, span = end - start, component_sizes(np.array([start, end]).T), last - first
     bend = size * np.cos(1.0 + np.arange(len(start)))
-    given, evaluator = [] if problem.parameters is None else [problem.parameters], Evaluator(derived.derivatives)
+    with fork_waits:
+        derived = pointwise(problem.lagrangian, problem.force)
+        evaluator = Evaluator(derived.derivatives)
     for share in GENERIC:
         t, x, slope = first + share * span, start + share * (rise + bend), rise + (1 - share) * bend
         blocks = evaluator(t, span, x, slope, *given)[3:]

@@ -106,7 +106,8 @@ class ControlTranscription:
         _check_steps(mesh)
         self.chain = chain_of(problem, method, mesh)
         self.calculus = DiscreteCalculus(method, mesh)
-        self.graph = ControlGraph(problem, self.chain, mapping)
+        with fork_waits:
+            self.graph = ControlGraph(problem, self.chain, mapping)
         self.bounds = bounds_of(problem, self.chain)
         check_count(self.chain, self.bounds)
         self._solvers: dict[str, ObjectPool[Evaluator]] = {}

@@ -7,8 +7,8 @@ SciPy's, a solve took 22 ms instead of 3.  So a solve uses one thread, and resto
 CasADi releases Python's global lock, admits one thread at a time to IPOPT, and takes short locks whenever an expression
 or a Function is made, evaluated or deleted.  If a process is forked while another thread holds such a lock, the lock
 stays taken in the child: during first solves 2 of 60 forked children hung.  So a fork waits for the solves of other
-threads, including what they build, and for evaluations.  It does not wait for `transcribe`, nor for deletions outside
-of solves.
+threads, for the graphs that are built, and for evaluations.  It does not wait for problems to be stated, nor for
+deletions outside of solves.
 
 CasADi's LDLᵀ writes a line to ``sys.stderr`` for every pivot that is exactly zero, and no option prevents it.  The
 package checks the solution of such a factorization and uses another one where it is useless, so the line is suppressed.
@@ -55,7 +55,7 @@ def one_thread() -> Iterator[None]:
         use(several)
 
 
-fork_waits = threading.RLock()  # held by every solve, and wherever buffers are evaluated
+fork_waits = threading.RLock()  # held by every solve, wherever a graph is built, and wherever buffers are evaluated
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(
         before=fork_waits.acquire, after_in_parent=fork_waits.release, after_in_child=fork_waits.release
