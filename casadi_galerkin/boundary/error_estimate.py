@@ -52,11 +52,9 @@ def discretization_error(
     with graph.stationarity.linearization() as at:
         (step,) = at.solve(at.relinearize(unknowns, data))
         there, forces = unknowns + step, _generic_forces(graph, path)
-        gradient = at.relinearize(there, data)
+        again, *varied = at.solve(at.relinearize(there, data), *forces)
         if refined:
-            (again,), varied = at.solve(gradient), at.refined(there, data, *forces)
-        else:
-            again, *varied = at.solve(gradient, *forces)
+            varied = at.refined(there, data, forces, varied)
     error = math.inf
     if np.isfinite([step, again]).all():
         first, second = moved(step), moved(again)
@@ -75,7 +73,7 @@ def agreement(
 
     It is the smallest ratio, over all forces and components, of the mean responses over the nodes.  Means are taken
     because single responses may be large in a layer that the path itself does not have.  A small mean counts as
-    `SMALL_RESPONSE` times the largest.
+    `SMALL_RESPONSE` times the largest.  `of_higher` and `refined` are those of `discretization_error`.
     """
     if not graph.numbering.positions:
         return 1.0  # nothing can vary
@@ -83,7 +81,9 @@ def agreement(
     with graph.stationarity.linearization() as at:
         at.relinearize(unknowns, data)
         forces = _generic_forces(graph, path)
-        varied = at.refined(unknowns, data, *forces) if refined else at.solve(*forces)
+        varied = at.solve(*forces)
+        if refined:
+            varied = at.refined(unknowns, data, forces, varied)
     of_lower = _joined(graph, path, varied)
     if not (np.isfinite(of_lower.values).all() and np.isfinite(of_higher.values).all()):
         return 0.0  # one of the Hessians is singular
@@ -121,10 +121,9 @@ def roundoff_error(graph: BoundaryGraph, point: CriticalPoint) -> float:
     unknowns, data = point.solution.unknowns, point.solution.data
     with graph.stationarity.linearization() as at:
         at.relinearize(unknowns, data)
-        moved = at.rounding_effects(ROUNDING * EPS * at.terms(unknowns, data)) / graph.stationarity.sizes(
-            unknowns, data
-        )
-    floor = float(np.sqrt(np.mean(np.max(np.abs(moved), axis=1) ** 2))) + EPS
+        moved = np.abs(at.rounding_effects(ROUNDING * EPS * at.terms(unknowns, data)))
+    largest = np.max(moved / graph.stationarity.sizes(unknowns, data), axis=1)
+    floor = float(np.sqrt(np.mean(largest**2))) + EPS
     return floor if math.isfinite(floor) else math.inf
 
 

@@ -189,6 +189,11 @@ class HigherDegree:
             return np.zeros(len(self.path.t) - 1)
         return np.array([self.of_cost(change) for change in jumps_in_time(self.path)])
 
+    @property
+    def jump_error(self) -> float:
+        """Relative error of the cost by all jumps in time."""
+        return float(np.sum(self.jump_effects))
+
     def remaining_error(self, path: ControlTrajectory) -> tuple[float, float]:
         """Relative errors of the cost and of the path that the solver leaves with one of the degrees."""
         return self.of_cost(path.unseen_change), path.solver_error
@@ -211,16 +216,15 @@ class HigherDegree:
         Where the two paths are far apart, their costs may agree by chance, and the distance of the paths is the error.
         """
         distance = self.change if self.change > FAR_FROM_GUESS else 0.0
-        jumped = float(np.sum(self.jump_effects))
         change, common, variation = self.cost_change / (1 - SLOWEST), self.common_error, self.hamiltonian_variation
-        return max(change, common**2, variation**2, distance, jumped)
+        return max(change, common**2, variation**2, distance, self.jump_error)
 
     def better_mesh(self, tol: float, cost_tol: float) -> np.ndarray:
         """Joints, in the time of the path of higher degree, with which both errors should be below their tolerances."""
         path, higher = self.path, self.higher
         order, target = path.method.degree + 1, TARGET * tol
         error = beyond_degree(higher, path.method.degree)
-        error *= max(self.change - float(np.sum(self.jump_effects)), 0.0) / max(np.max(error), 1e-300)
+        error *= max(self.change - self.jump_error, 0.0) / max(np.max(error), 1e-300)
         coarse, fine = (truncation_error(p.polynomial, path.sizes) for p in (path, higher))
         kinked = (fine > UNSMOOTH_RATIO * coarse) & (error > target)
         error[kinked] = target * (error[kinked] / target) ** (order / KINK_ORDER)

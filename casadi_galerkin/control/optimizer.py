@@ -38,10 +38,8 @@ FATROP_TOLERANCE = 1e-9
 # value neither was seen; lengths of 1e-7 hang, and lengths of 1e5 fail.
 PIVOT = 1e-6
 FATROP_WORDS = {"0": "Solve Succeeded", "1": "No Optimum Found"}  # fatrop returns only numbers
-BOUND_RELAXATION = {
-    "ipopt": 0.0,
-    "fatrop": 1e-8,
-}  # part of max(1, |b|) by which a solver relaxes bounds b; fatrop has no option for it
+# part of max(1, |b|) by which a solver relaxes bounds b; fatrop has no option for it
+BOUND_RELAXATION = {"ipopt": 0.0, "fatrop": 1e-8}
 WARM = {
     **dict.fromkeys(["mu_init", *PUSHES], WARM_BARRIER),
     "warm_start_init_point": "yes",

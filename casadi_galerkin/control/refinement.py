@@ -191,7 +191,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             return Estimate(np.inf, False, f"no answer of degree {method.degree}", None)
         detail = HigherDegree(level, higher)
         i = int(np.argmax(detail.jump_effects))
-        self.jump = float(np.mean(level.t[i : i + 2])) if np.sum(detail.jump_effects) > self.tol else None
+        self.jump = float(np.mean(level.t[i : i + 2])) if detail.jump_error > self.tol else None
         cost, path = detail.errors if detail.cost_error <= self.tol else (detail.cost_error, detail.error)
         self.known, self.cost_known = detail, min(self.cost_known, cost)
         return Estimate(cost if self.of_cost else path, True, f"degree {method.degree}", detail)

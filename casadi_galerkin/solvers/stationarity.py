@@ -13,7 +13,7 @@ only one solve uses at a time.  The outputs of one Function and the inputs of an
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -285,15 +285,16 @@ class Linearization:
                 y[:] = np.nan
         return list(y.reshape(columns, -1))
 
-    def refined(self, unknowns: np.ndarray, data: Data, *rhs: np.ndarray) -> list[np.ndarray]:
-        """Solutions of ∇²S y = -b with one step of iterative refinement; the present ∇²S is that at `unknowns`.
+    def refined(
+        self, unknowns: np.ndarray, data: Data, rhs: Iterable[np.ndarray], solutions: list[np.ndarray]
+    ) -> list[np.ndarray]:
+        """Solutions of ∇²S y = -b after one step of iterative refinement; the present ∇²S is that at `unknowns`.
 
         The residual is summed over the points, without the entries of ∇²S: where ∇²S is nearly singular, the rounding
         of its entries changes the solutions a thousand times more than the rounding of the terms at the points.
         """
-        first = self.solve(*rhs)
-        residuals = [b + self.evaluate("product", unknowns, data, y)[0] for y, b in zip(first, rhs, strict=True)]
-        return [y + correction for y, correction in zip(first, self.solve(*residuals), strict=True)]
+        residuals = [b + self.evaluate("product", unknowns, data, y)[0] for y, b in zip(solutions, rhs, strict=True)]
+        return [y + correction for y, correction in zip(solutions, self.solve(*residuals), strict=True)]
 
     def rounding_effects(self, terms: np.ndarray) -> np.ndarray:
         """Changes of the unknowns, with the present ∇²S, by errors of the equations of sizes `terms` and random signs.
