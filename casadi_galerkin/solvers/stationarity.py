@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple, TypeVar, cast
 
 import casadi as ca
@@ -189,7 +189,8 @@ class Linearization:
             evaluator = self._evaluators.get(key) or self._bind(key, build(method))
             for name in (*measures, "defect") if method != METHODS[0] else ():
                 arrays[name][:] = np.nan  # CasADi's QR leaves the outputs unchanged where it fails
-            evaluator.run()
+            with suppress(RuntimeError):  # how other linear solvers than QR report a singular matrix
+                evaluator.run()
             if arrays["defect"][0] <= 0:
                 return
             if not np.isfinite(self.gradient).all():
@@ -272,14 +273,16 @@ class Linearization:
     def solve(self, *rhs: np.ndarray, transposed: bool = False) -> list[np.ndarray]:
         """Solutions of ∇²S y = -b, or (∇²S)ᵀ y = -b, with the present `matrix`; not finite where that is singular."""
         columns, linear = len(rhs), self.stationarity.linear_solver
+        y = np.full(columns * linear.numbering.free, np.nan)
         for method in self.methods:
             key = "solutions", method, str(columns), str(transposed)
             if key not in self._evaluators:
                 solutions = linear.solutions(method, columns, transposed)
                 self._evaluators[key] = Evaluator(solutions, {"matrix": self.matrix})
-            y, defect = self._evaluators[key](np.concatenate(rhs))
-            if defect[0] <= 0:
-                break
+            with suppress(RuntimeError):  # as in `_solve`
+                y, defect = self._evaluators[key](np.concatenate(rhs))
+                if defect[0] <= 0:
+                    break
         else:
             if not np.any(y):  # for a singular matrix CasADi's QR returns zeros
                 y[:] = np.nan

@@ -129,6 +129,13 @@ def test_a_linear_solver_is_taken_to_a_tolerance_too():
     np.testing.assert_allclose(there.polynomial.values, here.polynomial.values, rtol=0, atol=CLOSED_FORM)
 
 
+@pytest.mark.parametrize("linear_solver", ["csparse", "lapacklu", "symbolicqr"])
+def test_a_singular_hessian_is_named_whatever_the_linear_solver(linear_solver):
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 4, (0, 1), [0], [0])  # the line is a path, without inertia
+    with pytest.raises(cg.ConjugatePointError, match="singular"):
+        cg.solve(problem, cg.Galerkin(3), 4, solver=cg.newton.with_options(linear_solver=linear_solver))
+
+
 @pytest.mark.parametrize("count", [1, 3])
 @pytest.mark.parametrize(
     ("solver", "words"),
