@@ -206,8 +206,10 @@ class _Statement:
         return tuple(terms)
 
     def _function(self, name: str, y: ca.SX, t: ca.SX, added: ca.SX, rows: ca.SX) -> ca.Function:
-        """The Function of a term, see `LocalTerm`."""
-        outputs = [ca.densify(added), ca.densify(rows), ca.jacobian(rows, y)]
+        """The Function of a term, see `LocalTerm`; LDLᵀ needs a symmetric pattern, which a branch need not have."""
+        jacobian = ca.jacobian(rows, y)
+        pattern = jacobian.sparsity() + jacobian.sparsity().T
+        outputs = [ca.densify(added), ca.densify(rows), ca.project(jacobian, pattern)]
         return ca.Function(name, [y, t, self.parameters, self.given], outputs)
 
     def _called(self, function: ca.Function, *arguments: ca.SX) -> ca.SX:

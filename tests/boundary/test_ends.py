@@ -452,3 +452,18 @@ def test_a_natural_condition_beside_a_given_velocity_is_met_where_a_mass_depends
     np.testing.assert_allclose(path.momentum[1, 0], 0, atol=1e-12)
     np.testing.assert_allclose(between.velocity[[2, 0], [0, -1]], [0.7, 0.3], rtol=1e-12)
     np.testing.assert_allclose(between.momentum[[1, 2], [0, -1]], 0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("ends", "expected"),
+    [
+        # a branch in x[0] of what depends on x[1]: the second derivatives have no symmetric pattern
+        ({"end_conditions": lambda x0, x1: ca.if_else(x1[0] > 0, x1[1] - 1, x1[1] - 2)}, [-1.0, 2.0]),
+        ({"end_action": lambda x0, x1: -(x1[0] ** 2) - ca.if_else(x1[0] > 0, 1, 2) * x1[1] ** 2}, [1.0, 0.0]),
+    ],
+    ids=["condition", "action"],
+)
+def test_ends_may_branch_in_a_component(ends, expected):
+    problem = ended(lambda t, x, v: ca.sumsqr(v) / 2, start=[-1.0, 0.0], end=[None, None], **ends)
+    path = cg.solve(problem, METHOD, 3)
+    np.testing.assert_allclose(path.x[:, -1], expected, rtol=0, atol=CLOSED_FORM)
