@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal, TypeAlias, TypeGuard
 
 import casadi as ca
@@ -19,6 +19,7 @@ from casadi_galerkin.calculus.numbers import number
 Traceable: TypeAlias = Callable[..., Any]  # a casadi Function is one
 Rows: TypeAlias = Literal["scalar", "any"]
 
+TRUTH_VALUES = frozenset({ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR})
 ADVICE = "Write it with CasADi's functions, such as casadi.cos and casadi.if_else, not with math or NumPy ones"
 
 
@@ -54,7 +55,21 @@ def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | 
         raise TypeError(
             f"{name} holds a constant that is not a number, as math.cos(x) gives for a CasADi symbol x. {ADVICE}"
         )
+    if TRUTH_VALUES.intersection(kinds):
+        _refuse_truth_values(name, traced, kinds)
     return traced
+
+
+def _refuse_truth_values(name: str, traced: ca.Function, kinds: Sequence[int]) -> None:
+    """Refuse values that are comparisons, whose derivatives are zero everywhere."""
+    written: dict[int, int] = {}  # place in the working memory -> the operation that wrote it last
+    for k, kind in enumerate(kinds):
+        if kind == ca.OP_OUTPUT and written[traced.instruction_input(k)[0]] in TRUTH_VALUES:
+            raise TypeError(
+                f"{name} must return numbers, got a comparison, which has no derivative: write x - 1 for x == 1, and "
+                "x with the bounds of its values for x <= 1"
+            )
+        written |= dict.fromkeys(traced.instruction_output(k), kind)
 
 
 def _is_traced(function: Traceable, sizes: Mapping[str, int], rows: int | Rows) -> TypeGuard[ca.Function]:

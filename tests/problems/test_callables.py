@@ -188,3 +188,23 @@ def test_a_callback_needs_derivatives():
         stated(plain)
     found, expected = (cg.solve(stated(sine), cg.Galerkin(4), 5).action for sine in (smooth, ca.sin))
     assert found == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
+@pytest.mark.parametrize(
+    "condition",
+    [lambda x: x[0] == 1, lambda x: ca.vertcat(x[1], x[0] <= 1), lambda x: ca.logic_and(x[0] > 0, x[1] > 0)],
+    ids=["equal", "one of two", "and"],
+)
+def test_a_comparison_is_no_condition(condition, symbol):
+    t, x = symbol.sym("t"), symbol.sym("x", 2)
+    for constraint in (lambda t, x: condition(x), ca.Function("constraint", [t, x], [condition(x)])):
+        with pytest.raises(TypeError, match=r"constraint must return numbers, got a comparison"):
+            oscillator_problem(
+                lagrangian=lambda t, x, v: ca.sumsqr(v) / 2, start=[1, 0], end=[0, 1], constraint=constraint
+            )
+
+
+def test_a_comparison_may_choose_a_value():
+    problem = oscillator_problem(lagrangian=lambda t, x, v: v[0] ** 2 / 2 - (x[0] > 0) * x[0] ** 2)
+    assert cg.solve(problem, cg.Galerkin(4), 2).residual <= 50
