@@ -93,8 +93,9 @@ class Sweep(Table):
         return self._stacked("cost")
 
     def table(self) -> dict[str, np.ndarray]:
-        """A row for each variation: why it failed, or an empty word; action, cost, duration, and both ends."""
+        """A row for each variation: why it failed, or an empty word; parameters, action, cost, duration, both ends."""
         size, failures = max((len(path.x) for path in self._paths.values()), default=0), self.failures
+        count = max((len(path.problem.parameters or ()) for path in self._paths.values()), default=0)
         names = [name for name in ("action", "cost") if any(hasattr(path, name) for path in self._paths.values())]
 
         def ends(name: str) -> dict[str, np.ndarray]:
@@ -104,6 +105,7 @@ class Sweep(Table):
 
         return {
             "failure": np.array([str(failures.get(i, "")) for i in range(len(self))]),
+            **by_component("p", self._rows(lambda path: path.problem.parameters or (), (count,)).T),
             **{name: self._rows(attrgetter(name)) for name in names},
             "duration": self._rows(lambda path: path.t[-1] - path.t[0]),
             **ends("x"),

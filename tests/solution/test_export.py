@@ -86,3 +86,10 @@ def test_a_sweep_has_a_row_for_a_failure_too():
     assert table["failure"][0] == ""
     assert "finite" in table["failure"][1]
     np.testing.assert_array_equal(np.isnan(table["end_x[0]"]), [False, True])
+
+
+def test_a_sweep_over_parameters_has_their_columns():
+    fall = cg.BoundaryProblem(lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0], (0, 1), [0], [0], parameters=[1.0])
+    over = [{"parameters": [2.0]}, {"guess": lambda t: [np.nan]}, {}]
+    table = cg.sweep(fall, over, cg.Galerkin(2), 2).table()
+    np.testing.assert_array_equal(table["p[0]"], [2.0, np.nan, 1.0])
