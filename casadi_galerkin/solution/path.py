@@ -18,7 +18,9 @@ from casadi_galerkin.solution.plotting import Pictured, plot_path, plot_plane, p
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SMOOTH = 200  # number of times at which a line is drawn to look smooth
+SMOOTH = 200  # least number of times at which a line is drawn to look smooth
+# number of times on every interval, as an oscillation needs, and the largest number in all, two per interval at least
+ON_INTERVAL, MOST = 20, 20_000
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -93,7 +95,7 @@ class Path(Table, Pictured):
         if len(given) != 2 or any(i is None or not 0 <= i < len(self.x) for i in given):
             raise ValueError(f"components must be two numbers from 0 to {len(self.x) - 1}, got {components!r}")
         chosen = list(components)
-        return plot_plane(self._line(20)[1][chosen], self.x[chosen], axes, labels or [f"x[{i}]" for i in chosen])
+        return plot_plane(self._line()[1][chosen], self.x[chosen], axes, labels or [f"x[{i}]" for i in chosen])
 
     def plot_poses(
         self, points: Callable[[np.ndarray], ArrayLike], axes: Axes | None = None, count: int = 8, apart: float = 0.0
@@ -124,13 +126,15 @@ class Path(Table, Pictured):
     def _title(self) -> str:
         return f"A path of degree {self.polynomial.degree} on {counted(len(self.t) - 1, 'interval')}, not an answer"
 
-    def _line(self, least: int = 2) -> tuple[np.ndarray, np.ndarray]:
-        """Times (K,) and positions (d, K) of a smooth line, both of them where it jumps; `least` as for `_fine`."""
-        return self.polynomial.line(self._fine(least))
+    def _line(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times (K,) and positions (d, K) of a smooth line, both of them where it jumps."""
+        return self.polynomial.line(self._fine())
 
-    def _fine(self, least: int = 2) -> np.ndarray:
-        """Times of a smooth line, at least so many on every interval, with all joints."""
-        return self.polynomial.times(np.linspace(0, 1, max(least, SMOOTH // (len(self.t) - 1)), endpoint=False))
+    def _fine(self) -> np.ndarray:
+        """Times of a smooth line, with all joints."""
+        intervals = len(self.t) - 1
+        count = max(2, min(ON_INTERVAL, MOST // intervals), SMOOTH // intervals)
+        return self.polynomial.times(np.linspace(0, 1, count, endpoint=False))
 
     def __repr__(self) -> str:
         """State the size and the time of the path."""

@@ -58,6 +58,8 @@ def panels(rows: int = 1, columns: int = 1, size: tuple[float, float] = SIZE, **
 def axes_or_new(axes: Axes | None, size: tuple[float, float] = SIZE) -> Axes:
     """Return the axes given, or those of a new figure of that size in inches."""
     if axes is not None:
+        if not callable(getattr(axes, "plot", None)):
+            raise TypeError(f"axes must be Matplotlib axes, got {axes!r}; all other arguments are given by name")
         return axes
     new: Axes = panels(size=size)
     return new

@@ -92,6 +92,13 @@ def test_phase_line_passes_the_joints_with_their_momenta(parameters):
     np.testing.assert_allclose(energy, path.energy[0], rtol=0, atol=1e-3)
 
 
+def test_a_line_follows_every_oscillation_of_a_long_path():
+    motion = cg.InitialProblem(lambda t, x, v: (v[0] ** 2 - x[0] ** 2) / 2, (0, 400), [1.0], velocity=[0.0])
+    x, p = cg.solve(motion, cg.Galerkin(16), 100).plot_phase().lines[0].get_xydata().T
+    halfway = np.hypot(x[1:] + x[:-1], p[1:] + p[:-1]) / 2
+    assert np.min(halfway) > 0.99  # the circle, and not chords across it
+
+
 def test_phase_portraits_of_several_paths_share_axes_in_different_colors():
     path = planar().solve()
     axes = path.plot_phase(0)
@@ -135,6 +142,7 @@ def test_a_way_through_the_plane_has_equal_axes_and_all_joints():
             r"labels of x and p must be 2 names.*got \('x',\)",
         ),
         (lambda path: path.plot_plane(labels=("x",)), ValueError, r"labels of x must be 2 names.*got \('x',\)"),
+        (lambda path: path.plot(["x", "y"]), TypeError, r"axes must be Matplotlib axes, got \['x', 'y'\]"),
         (lambda path: path.animate(rods, seconds=0), ValueError, "seconds must be a positive number, got 0"),
         (lambda path: path.animate(rods, seconds=-1.0), ValueError, r"seconds must be a positive number, got -1\.0"),
         (lambda path: path.animate(3), TypeError, "points must be a callable of positions, got 3"),
