@@ -178,8 +178,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                 if floor > ILL_CONDITIONED * EPS
                 else "doubles hold no more digits"
             )
-            reason = f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here, on any mesh: {cause}"
-            raise self.stopped(reason, level, floor)
+            reason = f"{self.tol:g} asked, {floor:.0e} is the roundoff floor here: {cause}"
+            hint = "Try a looser tolerance, or a method of higher degree, with fewer intervals and less roundoff"
+            raise self.stopped(reason, level, floor, hint)
         return floor
 
     def _errors_for_imbalance(self, imbalance: np.ndarray) -> np.ndarray:
