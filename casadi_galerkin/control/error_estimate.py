@@ -15,12 +15,13 @@ Some errors are common to both degrees, so that the difference does not show the
 - Bounds of positions, which hold at nodes only.  Where a path exceeds one by ε between nodes, the error of the path is
   about √ε.
 - Bounds of controls and path constraints, which hold at quadrature points only: see `unseen_excess`.
+- Controls as functions of time, which the equations see at the points only (`ControlTrajectory.control_misfit`).
 - The Hamiltonian, which is constant where nothing depends on time.  Its variation, times duration over cost, was
   measured to be of the order of D where both degrees switch at the same wrong time.
 - Jumps in time (`jumps_in_time`), whose effect is a lower bound of the errors of cost and path.
 - The error that the solver leaves (`solver_error`).
 
-The estimated error of the cost is at least the square of each of the first four.
+The estimated error of the cost is at least the square of each of the first five.
 
 The new mesh equidistributes the part of the finer path that degree m cannot represent.  Where a higher degree does not
 reduce this part, the path has a kink, and intervals are split as for a method of order 2.  Where a control switches
@@ -62,7 +63,7 @@ SWITCH_RESOLUTION = 0.05
 DIFFERING_ESTIMATES = 1e-4
 # distance over the duration below which switches are one, such as those of two controls at a breakpoint
 SAME_SWITCH = 1e-8
-POSITION_ROUNDOFF = 1e-15  # roundoff of positions relative to their size
+ROUNDOFF = 1e-15  # of positions and of impulses, relative to their sizes
 UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
 
 
@@ -76,7 +77,7 @@ def position_excess(path: ControlTrajectory) -> np.ndarray:
     low, high = (np.array(side)[:, None, None] for side in path.problem.position_bounds)
     positions = path.polynomial.values_at_parts(parts_of(path.method.degree))
     outside = bound_excess(positions, low, high) / path.sizes[:, None, None]
-    return np.asarray(np.max(np.where(outside > POSITION_ROUNDOFF, outside, 0.0), axis=(0, 2)))
+    return np.asarray(np.max(np.where(outside > ROUNDOFF, outside, 0.0), axis=(0, 2)))
 
 
 def bounded_values(path: ControlTrajectory, parts: np.ndarray) -> np.ndarray:
@@ -168,10 +169,16 @@ class HigherDegree:
         return np.asarray(np.maximum(np.sqrt(position_excess(self.path)), unseen_excess(self.path, self.higher)))
 
     @cached_property
+    def control_misfit(self) -> np.ndarray:
+        """Errors of the impulses because controls are known at points only, (N,): in both degrees."""
+        both = np.minimum(self.path.control_misfit, self.higher.control_misfit)
+        return np.asarray(np.where(both > ROUNDOFF, both, 0.0))
+
+    @cached_property
     def common_error(self) -> float:
-        """Error of the path that is common to both degrees: by switches at a wrong time, and by `bound_errors`."""
+        """Error of the path that is common to both degrees: by late switches, `bound_errors` and `control_misfit`."""
         late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.switches]
-        return float(max(*late, np.max(self.bound_errors), 0.0))
+        return float(max(*late, np.max(self.bound_errors), np.sum(self.control_misfit)))
 
     @cached_property
     def hamiltonian_variation(self) -> float:
@@ -228,7 +235,8 @@ class HigherDegree:
         coarse, fine = (truncation_error(p.polynomial, path.sizes) for p in (path, higher))
         kinked = (fine > UNSMOOTH_RATIO * coarse) & (error > target)
         error[kinked] = target * (error[kinked] / target) ** (order / KINK_ORDER)
-        first = np.maximum(self.bound_errors / tol, self.jump_effects / cost_tol) / TARGET  # falls in proportion to h
+        in_space = np.maximum(self.bound_errors, self.control_misfit)
+        first = np.maximum(in_space / tol, self.jump_effects / cost_tol) / TARGET  # falls in proportion to h
         error = np.maximum(error, target * first**order)
         mesh, error = self.widened(error, target)
         mesh = equidistributed(mesh, error, order, tol, FINEST, breakpoints=higher.problem.breakpoints)

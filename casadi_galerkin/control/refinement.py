@@ -5,8 +5,8 @@ Every mesh is solved twice: with degree m, and with degree m + 2 from a perturbe
 path.  Without it, the solver would stop at the first path wherever a change of the path hardly changes the cost, and
 the two would not differ.  From the perturbed path it returns to an isolated optimum, but not where many paths cost the
 same.  Estimated are the relative errors of cost and duration, and the largest error of x at the joints and between
-them, relative to the size of its component.  The error of the control is not estimated, nor whether the optimum is
-the global one.
+them, relative to the size of its component.  The error of the control is not estimated, but the path that it leads to
+between the quadrature points is; nor is it known whether the optimum is the global one.
 
 Where the solver finds no path, it tries again with every interval halved.  Where it finds none of degree m + 2, there
 is no error estimate, and the next mesh has every interval halved.  The same is done after several meshes that did not

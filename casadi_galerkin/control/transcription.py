@@ -22,6 +22,7 @@ from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import chain_of
 from casadi_galerkin.control.constraint_violation import FEASIBLE, violations
+from casadi_galerkin.control.continuous_controls import continuous_controls
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
@@ -210,10 +211,14 @@ class ControlTranscription:
         optimum = optimize(way, unknowns, data, bounds.narrowed(BOUND_RELAXATION[solver.name]), *start.duals)
         if optimum.status == INVALID:
             refuse_derivatives(self.graph, unknowns, data, mesh)
+        values = chain.unpack(optimum.unknowns, data)
+        path = chain.path(values, self._joints(values, mesh))
+        if optimum.success:
+            values["controls"] = continuous_controls(problem, chain, path, values)
+            optimum.unknowns[chain.fields["controls"]] = values["controls"]
         report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
         relative = violations(chain, bounds, optimum.unknowns, report, start.sizes)
-        values, violation = chain.unpack(optimum.unknowns, data), float(np.max(relative))
-        path = chain.path(values, self._joints(values, mesh))
+        violation = float(np.max(relative))
         if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
             raise explained(NAMES[solver.name], chain, optimum, report.cost, relative, path)
         off = off_constraint(problem, path)

@@ -195,17 +195,30 @@ class ControlTrajectory(Trajectory):
         """
         inner = gauss(len(self.method.quadrature) + 2)
         s, steps = np.array(inner.points), np.diff(self.t)
-        times = times_at(self.t, s)
-        momentum, rate = self._motion(times)
+        momentum, rate = self._motion(s)
         # ∫_0^{s_j} of the polynomial through the Gauss points, exact by the same rule scaled to [0, s_j]
         primitive = np.stack([a * (np.array(inner.weights) @ lagrange_values(s, a * s)) for a in s])
-        shape = (len(self.x), len(steps), len(s))
-        impulse = np.einsum("din,jn,i->dij", rate.reshape(shape), primitive, steps)
-        mechanical = self.problem.mechanical
-        at_joints = np.vstack((self.momentum[:mechanical], self.x[mechanical:]))
-        defect = np.abs(momentum.reshape(shape) - at_joints[:, :-1, None] - impulse).max(axis=2)
+        impulse = np.einsum("din,jn,i->dij", rate, primitive, steps)
+        at_joints = self._momenta
+        defect = np.abs(momentum - at_joints[:, :-1, None] - impulse).max(axis=2)
         size = np.abs(at_joints).max(axis=1) + np.abs(impulse).max(axis=(1, 2))
         return np.asarray((defect / np.where(size > 0, size, 1.0)[:, None]).max(axis=0))
+
+    @cached_property
+    def control_misfit(self) -> np.ndarray:
+        """Error of the impulse over each interval if the controls are taken as functions of time; (N,).
+
+        The difference of ∫ (∂L/∂x + F) dt along `control(t)` to its quadrature, which sees the controls at the points
+        only, over the largest momentum plus the sum of all impulses.  Where a component follows a rate, its value and
+        its rate take the places of momentum and force.  A path that is flown with these controls misses by about the
+        sum of all intervals.  It is of the order of the method, but large where controls turn over between the points,
+        as an angle does that is limited to one turn.
+        """
+        rule, steps = self.method.quadrature, np.diff(self.t)
+        rules = rule, gauss(len(rule) + 2)
+        impulse, finer = (self._motion(np.array(r.points))[1] @ np.array(r.weights) * steps for r in rules)
+        size = np.abs(self._momenta).max(axis=1) + np.abs(impulse).sum(axis=1)
+        return np.asarray((np.abs(finer - impulse) / np.where(size > 0, size, 1.0)[:, None]).max(axis=0))
 
     @cached_property
     def control_overshoot(self) -> np.ndarray:
@@ -244,12 +257,24 @@ class ControlTrajectory(Trajectory):
         size = np.max(sizes, axis=0)[:, None, None]
         return np.asarray((bound_excess(values, low, high) / np.maximum(size, TINY)).max(axis=(0, 2), initial=0.0))
 
-    def _motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """∂L/∂v and ∂L/∂x + F along the path, and of other components their values and rates; (d, K) each."""
+    @property
+    def _momenta(self) -> np.ndarray:
+        """Momenta at the joints, and of components that follow rates their values; (d, N + 1)."""
+        mechanical = self.problem.mechanical
+        return np.vstack((self.momentum[:mechanical], self.x[mechanical:]))
+
+    def _motion(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """∂L/∂v and ∂L/∂x + F at fractions (K,) of every interval, (d, N, K) each.
+
+        Where a component follows a rate, its value and its rate take their places.
+        """
+        times = times_at(self.t, parts)
         pushes = np.empty((0, len(times))) if self.problem.constraint is None else self.multipliers(times)
         motion = equations_of_motion(self.problem, self.parameters).map(len(times))
-        momentum, rate = motion(times[None, :], self(times), self(times, 1), self.control(times), pushes)
-        return np.array(momentum), np.array(rate)
+        x, v = (values.reshape(len(values), -1) for values in self.polynomial.at_parts(parts))
+        momentum, rate = motion(times[None, :], x, v, self.control.at(parts), pushes)
+        shape = len(x), -1, len(parts)
+        return np.array(momentum).reshape(shape), np.array(rate).reshape(shape)
 
     def _constrained_motion(self) -> ca.Function | None:
         """The Function that gives the multipliers, with the forces of the optimized controls."""

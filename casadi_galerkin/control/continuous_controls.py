@@ -1,0 +1,88 @@
+"""Controls that act alike, such as angles that differ by full turns, made continuous in time.
+
+Where many controls have the same effect, an optimizer may stop at another one at each quadrature point.  Path and cost
+are right, but the control as a function of time is not.  So from each point to the next, Newton's method looks for the
+control near the last one that has the same effect as the one found: the same force, rates, running cost and path
+constraints.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
+from casadi_galerkin.calculus.roundoff import TINY
+from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.problems.control_problem import ControlProblem
+
+# step of a control from one point to the next, over its range before, beyond which another control is looked for
+LONG_STEP = 0.1
+SAME = 1e-13  # difference of two effects, over their sizes, that is rounding
+NEWTON_STEPS = 12  # quadratic convergence takes half of them
+
+
+@lru_cache(8)
+def _effect(
+    force: ca.Function, rates: ca.Function, running_cost: ca.Function, constraint: ca.Function | None
+) -> ca.Function | None:
+    """(t, x, v, u[, p]) -> what a control does at a point, and its derivative by u; None if forces are affine in u."""
+    t, x, v, u, *p = force.sx_in()
+    moving = ca.vertcat(force(t, x, v, u, *p), rates(t, x, v, u, *p))
+    if not ca.jacobian(ca.jacobian(moving, u), u).nnz():
+        return None
+    others = [running_cost(t, x, v, u, *p), *([] if constraint is None else [constraint(t, x, v, u, *p)])]
+    effect = ca.vertcat(moving, *others)
+    return ca.Function("effect", [t, x, v, u, *p], [ca.densify(effect), ca.densify(ca.jacobian(effect, u))])
+
+
+def continuous_controls(
+    problem: ControlProblem, chain: Chain, path: PiecewisePolynomial, values: dict[str, np.ndarray]
+) -> np.ndarray:
+    """The controls (N, r, n) of one solution, each with the same effect as before, continuous where they can be.
+
+    A control is replaced by one at most half as far from the last one, and only within its bounds.
+
+    Parameters
+    ----------
+    path : the path found
+    values : one array for every field of the `Chain`
+    """
+    found = values["controls"]
+    controls = found.reshape(-1, chain.controls).copy()
+    if problem.hold or not controls.size:
+        return found
+    if np.all(np.abs(np.diff(controls, axis=0)) <= LONG_STEP * np.ptp(controls, axis=0)):
+        return found
+    limits = (problem.path_constraint or (None,))[0]
+    effect = _effect(problem.force, problem.rates, problem.running_cost, limits)
+    if effect is None:
+        return found
+    x, v = (a.reshape(len(a), -1) for a in path.at_parts(chain.control_times))
+    at, given = [times_at(path.mesh, chain.control_times)[None, :], x, v], []
+    if problem.parameters is not None:
+        given = [values["parameters"]]
+    wanted = np.array(
+        effect.map(len(controls))(*at, controls.T, *(np.tile(p[:, None], len(controls)) for p in given))[0]
+    )
+    sizes = np.max(np.abs(wanted), axis=1) + TINY
+    low, high = (np.array(bound) for bound in problem.control_bounds)
+
+    for k in range(1, len(controls)):
+        last, now = controls[k - 1], controls[k]
+        near = np.all(np.abs(now - last) <= LONG_STEP * np.ptp(controls[:k], axis=0))
+        if near or not np.all((low < now) & (now < high)):
+            continue
+        u = last.copy()
+        for _ in range(NEWTON_STEPS):
+            does, slope = (np.array(a) for a in effect(*(a[:, k] for a in at), u, *given))
+            missing = (wanted[:, k] - does.ravel()) / sizes
+            if not np.isfinite(missing).all() or np.max(np.abs(missing)) <= SAME:
+                break
+            u = u + np.linalg.lstsq(slope / sizes[:, None], missing, rcond=None)[0]
+        nearer = np.max(np.abs(u - last)) < np.max(np.abs(now - last)) / 2
+        if np.max(np.abs(missing)) <= SAME and nearer and np.all((low < u) & (u < high)):
+            controls[k] = u
+    return controls.reshape(found.shape)
