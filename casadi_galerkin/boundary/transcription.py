@@ -160,7 +160,8 @@ class Transcription(BoundaryGraph):
             solve_seconds=solve_seconds,
             method=self.method,
             problem=problem,
-            second_variation=variations,
+            find_index=variations.negative,
+            find_regularity=variations.smallest,
             find_difference=variations.difference,
         )
 

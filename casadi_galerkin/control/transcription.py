@@ -232,6 +232,7 @@ class ControlTranscription:
         others = np.zeros((chain.dimension - mechanical, len(joints)))
         momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
         rates = path.at_parts(np.array([0.0, 1.0]))[1][mechanical:, [0, -1], [0, 1]].T if len(others) else others.T
+        variation = CostVariation(problem, self.method, mesh, bounds, optimum, data, report.cost, self.graph)
         return ControlTrajectory(
             polynomial=path,
             momentum=tangent_at_joints(found, path, momentum),
@@ -243,7 +244,8 @@ class ControlTranscription:
             solve_seconds=time.perf_counter() - began - self.build_seconds,
             method=self.method,
             problem=found,
-            second_variation=CostVariation(problem, self.method, mesh, bounds, optimum, data, report.cost, self.graph),
+            find_index=variation.negative,
+            find_remaining_error=variation.remaining_error,
             cost=report.cost,
             control=self._over_time(joints, chain.control_times, values["controls"]),
             costate=chain.costate(multipliers, optimum.bound_multipliers, report.arriving, joints),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -21,9 +21,9 @@ from casadi_galerkin.problems.constrained_motion import motion_of
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.controlled_motion import equations_of_motion
 from casadi_galerkin.solution.control_path import ControlPath
-from casadi_galerkin.solution.cost_variation import CostVariation, RemainingError
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_path
+from casadi_galerkin.solution.remaining_error import RemainingError
 from casadi_galerkin.solution.trajectory import UNRESOLVED, Trajectory
 
 if TYPE_CHECKING:
@@ -105,13 +105,13 @@ class ControlTrajectory(Trajectory):
     end_velocity: np.ndarray
     arrival_velocity: np.ndarray
     cost_error: float | None = None
-    second_variation: CostVariation | None = None
+    find_remaining_error: Callable[[], RemainingError] | None = None
 
     @cached_property
     def _remaining_error(self) -> RemainingError:
         """The errors that the solver has left."""
-        assert self.second_variation is not None, "every optimum has one"
-        return self.second_variation.remaining_error()
+        assert self.find_remaining_error is not None, "every optimum has one"
+        return self.find_remaining_error()
 
     @property
     def unseen_change(self) -> float:

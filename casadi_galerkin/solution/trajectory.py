@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -32,16 +32,6 @@ if TYPE_CHECKING:
 
 UNBALANCED = 0.1  # relative violation of the balance of energy above which a path is reported as not resolved
 UNRESOLVED = 1e-3  # relative truncation error above which a path is reported as not resolved
-
-
-class SecondVariation(Protocol):
-    """Second variation of the action, or of the cost, at a path; computed when it is first used."""
-
-    def negative(self) -> int | None:
-        """Number of negative eigenvalues of the Hessian; None where it is not finite or not known."""
-
-    def smallest(self) -> float | None:
-        """Smallest second variation relative to the sizes of its terms; None for a cost."""
 
 
 def index_in_words(path: Trajectory) -> str:
@@ -91,7 +81,8 @@ class Trajectory(Path):
     method: Galerkin
     problem: Problem
     error_estimate: float | None = None
-    second_variation: SecondVariation | None = None
+    find_index: Callable[[], int | None] | None = None
+    find_regularity: Callable[[], float] | None = None
     find_difference: Callable[[], float] | None = None  # relative, to a path of a higher degree
 
     def estimate_error(self) -> float:
@@ -133,7 +124,7 @@ class Trajectory(Path):
         higher degree on the same mesh gives another number, because this mesh, or any mesh, does not resolve the
         variations.  For an optimization it is that of the cost; see `ControlTrajectory`.
         """
-        return None if self.second_variation is None else self.second_variation.negative()
+        return None if self.find_index is None else self.find_index()
 
     @cached_property
     def regularity(self) -> float | None:
@@ -143,7 +134,7 @@ class Trajectory(Path):
         inverse.  Under a force it is that of the equations' Jacobian, between its softest directions.  It is None for
         a path that was found step by step, and for one that was optimized.
         """
-        return None if self.second_variation is None else self.second_variation.smallest()
+        return None if self.find_regularity is None else self.find_regularity()
 
     @property
     def parameters(self) -> tuple[float, ...] | None:

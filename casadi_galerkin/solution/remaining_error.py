@@ -1,13 +1,10 @@
-"""Second variation of the cost at an optimum, and the error that the solver has left; computed on demand."""
+"""The error that a solver has left in an optimum."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
-
-from casadi_galerkin.solution.trajectory import SecondVariation
 
 
 @dataclass(frozen=True)
@@ -24,10 +21,3 @@ class RemainingError:
     components: np.ndarray
     durations: float
     cost: float
-
-
-class CostVariation(SecondVariation, Protocol):
-    """Second variation of the cost at an optimum."""
-
-    def remaining_error(self) -> RemainingError:
-        """Estimate the error that the solver has left."""
