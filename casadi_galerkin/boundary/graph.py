@@ -152,10 +152,7 @@ class BoundaryGraph:
 
     def varied(self, changes: Mapping[str, object], joints: np.ndarray) -> BoundaryProblem:
         """The problem with other given values on other joints; see its own `varied`."""
-        span = float(joints[0]), float(joints[-1])
-        if span == self.problem.t_span and all(value is None for value in changes.values()):
-            return self.problem
-        return self.problem.varied(changes, span)
+        return self.problem.varied(changes, (float(joints[0]), float(joints[-1])))
 
     def data(self, joints: np.ndarray, plane: np.ndarray | None = None) -> Data:
         """Values of all inputs of the graph except the unknowns.

@@ -67,13 +67,7 @@ def check_kind(problem: object, *kinds: type) -> None:
 
 
 def with_values(problem: Stated, **values: Any) -> Stated:
-    """Copy with other values of some fields, already checked; unlike ``dataclasses.replace`` it traces nothing anew.
-
-    Where all values are the same, the signs of zeros included, it is the problem itself.
-    """
-    before = {name: getattr(problem, name) for name in values}
-    if before == values and str(before) == str(values):
-        return problem
+    """Copy with other values of some fields, already checked; unlike ``dataclasses.replace`` it traces nothing anew."""
     other = copy(problem)
     vars(other).update(values)
     return other
@@ -88,9 +82,12 @@ def check_types(problem: object, method: object, *kinds: type) -> None:
 def with_changes(problem: Stated, changes: Mapping[str, Any], t_span: Sequence[float] | None) -> Stated:
     """Copy with another time span around the breakpoints, and other values by name.
 
-    They have None exactly where the problem has None; a value that is None as a whole changes nothing.
+    They have None exactly where the problem has None; a value that is None as a whole changes nothing.  Where nothing
+    is given, it is the problem itself.
     """
     span = problem.t_span if t_span is None else time_span(t_span)
+    if span == problem.t_span and all(value is None for value in changes.values()):
+        return problem
     values: dict[str, Any] = {"t_span": span}
     if span != problem.t_span:
         times_inside("breakpoints", problem.breakpoints, span)

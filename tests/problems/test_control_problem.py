@@ -294,7 +294,7 @@ def test_what_does_not_change_is_neither_traced_nor_checked_again():
     problem = double_integrator(start=[0.5], position_bounds=(0.0, 1.0))
     other = replace(problem, end=[0.25])
     assert (other.lagrangian, other.force) == (problem.lagrangian, problem.force)
-    assert problem.varied({"start": [0.5], "end": None}) is problem
+    assert problem.varied({"start": None, "end": None}) is problem
     assert problem.varied({"start": [0.25]}).start == (0.25,)
     with pytest.raises(ValueError, match=r"start\[0\] = 2.0 lies outside its position_bounds"):
         problem.varied({"start": [2.0]})
