@@ -47,9 +47,7 @@ def sparse(triplets: Iterable[Triplet], shape: tuple[int, int]) -> ca.DM:
     flat = [[a.ravel() for a in np.broadcast_arrays(*triplet)] for triplet in triplets]
     rows, columns, entries = (np.concatenate(parts) for parts in zip(*flat, strict=True))
     rows, columns, entries = (a[entries != 0] for a in (rows, columns, entries))
-    order = np.lexsort((rows, columns))
-    starts = np.searchsorted(columns[order], np.arange(shape[1] + 1))
-    return ca.DM(ca.Sparsity(*shape, starts.tolist(), rows[order].tolist()), entries[order])
+    return ca.DM.triplet(rows.tolist(), columns.tolist(), ca.DM(entries), *shape)
 
 
 @dataclass(frozen=True, eq=False)

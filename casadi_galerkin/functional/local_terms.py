@@ -54,9 +54,9 @@ class LocalTerm:
         row, column = (np.array(index, dtype=int) for index in self.function.sparsity_out(2).get_triplet())
         rows, columns = self.entries[row].ravel(order="F"), self.entries[column].ravel(order="F")
         kept = np.flatnonzero((rows < numbering.free) & (columns < numbering.free))
-        order = kept[np.lexsort((rows[kept], columns[kept]))]
-        starts = np.searchsorted(columns[order], np.arange(numbering.free + 1))
-        return ca.Sparsity(numbering.free, numbering.free, starts.tolist(), rows[order].tolist()), order
+        shape = numbering.free, numbering.free
+        sparsity, order = ca.Sparsity.triplet(*shape, rows[kept].tolist(), columns[kept].tolist(), False)
+        return sparsity, kept[np.array(order, dtype=int)]
 
     def sparsity(self, numbering: Numbering) -> ca.Sparsity:
         """Sparsity of the term's part of ∇²S."""
