@@ -17,7 +17,7 @@ import numpy as np
 
 from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.discrete_calculus import too_near
-from casadi_galerkin.calculus.mesh_adaptation import equidistributed, resized_mesh, truncation_error
+from casadi_galerkin.calculus.mesh_adaptation import equidistributed, parts_wanted, resized_mesh, truncation_error
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
@@ -58,7 +58,7 @@ def descend(
             break
         if seconds_left() < 0:
             raise ConvergenceError("the time was up before a path was found", Path(path))
-        mesh = equidistributed(path.mesh, error, len(path.nodes), tol, fewest=fewest)
+        mesh = equidistributed(path.mesh, parts_wanted(error, len(path.nodes), tol), fewest=fewest)
         if len(mesh) - 1 > MOST_INTERVALS:
             mesh = resized_mesh(mesh, MOST_INTERVALS)
         if np.any(too_near(mesh)):

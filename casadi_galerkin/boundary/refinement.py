@@ -34,8 +34,8 @@ from casadi_galerkin.calculus.discrete_calculus import NEAREST, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import (
     FEWEST,
-    TARGET,
     equidistributed,
+    parts_wanted,
     truncation_error,
 )
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -64,8 +64,6 @@ MOST_HALVINGS = 8  # most meshes that are halved because the two degrees disagre
 # meshes on which the agreement stays within a factor: then it is not due to the mesh, as where a mass vanishes
 STEADY_MESHES, STEADY_FACTOR = 3, 1.02
 FLOOR_FACTOR = 10.0  # times the roundoff floor: a smaller error no longer falls with the mesh
-# bounds of the number of parts into which an interval is split for its energy imbalance; a new mesh splits by less
-LEAST_SPLIT, MOST_SPLIT = 0.1, 1e6
 SHORTEST = 1e-13  # interval over the duration at which a refinement stops: doubles have three digits more
 CROWDED = 1e-6  # interval over the duration below which the error raised names the time of the shortest interval
 # interval, over the distance to the nearer end, at which a refinement stops as well: times are rounded
@@ -124,7 +122,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         return Path(level.polynomial)
 
     def estimate(self, level: CriticalPoint) -> Estimate[np.ndarray]:
-        """Estimate the error of a path, and the errors of the intervals that the next mesh equidistributes.
+        """Estimate the error of a path, and the numbers of parts into which the next mesh splits its intervals.
 
         The estimate is the first of these that is above the tolerance: the truncation error; an error indicator that
         does not depend on the equations; the difference to a path of higher degree, together with roundoff; and the
@@ -135,7 +133,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         largest = float(np.max(truncation))
         if largest > max(self.tol, TRUNCATION_FLOOR):
             self.check_stagnation(level, "Legendre coefficients", truncation, TRUNCATION_PATIENCE)
-            return Estimate(largest, False, "Legendre coefficients", truncation)
+            return Estimate(largest, False, "Legendre coefficients", self.parts(truncation))
         floor = self.floor(level)
         higher = self.graph(path).higher
         error, varied = discretization_error(higher, path, refined=floor > 0)
@@ -148,13 +146,13 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         source, indicator = max(indicators.items(), key=lambda item: float(np.max(item[1])))
         if np.max(indicator) > self.tol:
             self.check_stagnation(level, source, indicator, INDICATOR_PATIENCE)
-            return Estimate(float(np.max(indicator)), False, source, self._errors_for_imbalance(indicator))
+            parts = parts_wanted(indicator, 1, self.tol)  # at a kink it falls in proportion to the step
+            return Estimate(float(np.max(indicator)), False, source, parts)
         error = max(error, float(np.max(indicators["force"])))
         if error <= self.tol and not self.degrees_agree(level, varied, floor):
-            halved = np.full(len(truncation), TARGET * self.tol * 2.0 ** (self.method.degree + 1))
-            return Estimate(1 - self.agreements[-1], False, "responses to forces", halved)
+            return Estimate(1 - self.agreements[-1], False, "responses to forces", np.full(len(truncation), 2.0))
         truncation *= error / max(np.max(truncation), 1e-300)
-        return Estimate(error, True, f"degree {higher.method.degree}", truncation)
+        return Estimate(error, True, f"degree {higher.method.degree}", self.parts(truncation))
 
     def stopped(self, reason: str, level: CriticalPoint, error: float, hint: str = HINT) -> LimitReached:
         """Report the error reached; where times are so far from zero that their rounding may be the cause, say so."""
@@ -183,14 +181,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             raise self.stopped(reason, level, floor, hint)
         return floor
 
-    def _errors_for_imbalance(self, imbalance: np.ndarray) -> np.ndarray:
-        """Errors that make a new mesh split intervals in proportion to their energy imbalance.
-
-        At a kink the imbalance falls in proportion to h, but a mesh splits an interval by the root of order m + 1 of
-        its error over the target.
-        """
-        target = TARGET * self.tol
-        return np.asarray(target * np.clip(imbalance / target, LEAST_SPLIT, MOST_SPLIT) ** (self.method.degree + 1))
+    def parts(self, error: np.ndarray) -> np.ndarray:
+        """Numbers of parts into which intervals with these errors are to be split."""
+        return parts_wanted(error, self.method.degree + 1, self.tol)
 
     def graph(self, path: PiecewisePolynomial) -> Transcription:
         """The graph on the mesh of a path."""
@@ -218,11 +211,11 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         Where the last mesh did not halve the error, the path is less smooth than the order of the method requires, and
         the new mesh has more intervals than the last.  Only errors from the same source are compared.
         """
-        path, order, breakpoints = level.polynomial, self.method.degree + 1, self.graphs.problem.breakpoints
+        path, breakpoints = level.polynomial, self.graphs.problem.breakpoints
         smallest = self.smallest_errors.get(estimate.source, math.inf)
         fewest = FEWEST if estimate.error < smallest / 2 else len(path.mesh)
         self.smallest_errors[estimate.source] = min(smallest, estimate.error)
-        mesh = equidistributed(path.mesh, estimate.detail, order, self.tol, fewest=fewest, breakpoints=breakpoints)
+        mesh = equidistributed(path.mesh, estimate.detail, fewest=fewest, breakpoints=breakpoints)
         self.check_mesh(mesh, level, estimate)
         return self.graphs.solve(self.method, mesh, path, self.warm_solver)
 

@@ -112,23 +112,24 @@ def resized_mesh(mesh: np.ndarray, intervals: int, breakpoints: tuple[float, ...
     return spread_over(mesh, np.arange(len(mesh)), intervals, breakpoints)
 
 
+def parts_wanted(error: np.ndarray, order: int, tol: float) -> np.ndarray:
+    """Parts into which to split intervals with errors (N,) that fall with the step to the power `order`; (N,)."""
+    return np.asarray((error / (TARGET * tol)) ** (1.0 / order))
+
+
 def equidistributed(
     mesh: np.ndarray,
-    error: np.ndarray,
-    order: int,
-    tol: float,
+    parts: np.ndarray,
     finest: float = FINEST,
     fewest: int = FEWEST,
     breakpoints: tuple[float, ...] = (),
 ) -> np.ndarray:
-    """Joints of a new mesh on which every interval's error should be a fraction of the tolerance.
+    """Joints of a new mesh with intervals split as wanted, or nearly so: lengths of neighbors must not differ too much.
 
     Parameters
     ----------
     mesh : (N + 1,)
-    error : (N,), errors of the present intervals, which fall with the step to the power `order`
-    order : int
-    tol : tolerance
+    parts : (N,), numbers of parts into which intervals are to be split; where below one, they are joined
     finest : largest number of intervals that one is split into
     fewest : least number of intervals of the new mesh
     breakpoints : increasing times inside that are joints
@@ -137,8 +138,7 @@ def equidistributed(
     -------
     (N' + 1,) joints with the same ends; N' = N where that is about enough, so that no graph has to be rebuilt
     """
-    wanted = np.clip((error / (TARGET * tol)) ** (1.0 / order), 1 / COARSEST, finest)
-    density = wanted / np.diff(mesh)
+    density = np.clip(parts, 1 / COARSEST, finest) / np.diff(mesh)
     for i in range(1, len(density)):
         density[i] = max(density[i], density[i - 1] / NEIGHBORS)
     for i in range(len(density) - 2, -1, -1):
@@ -177,5 +177,7 @@ def resolving_interpolant(
         error = truncation_error(path)
         if np.max(error) <= tol or len(path.mesh) > most:
             break
-        path = interpolated(equidistributed(path.mesh, error, path.degree + 1, tol, breakpoints=breakpoints))
+        path = interpolated(
+            equidistributed(path.mesh, parts_wanted(error, path.degree + 1, tol), breakpoints=breakpoints)
+        )
     return path

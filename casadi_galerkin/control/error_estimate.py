@@ -38,7 +38,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, truncation_error
+from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, parts_wanted, truncation_error
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
@@ -229,25 +229,23 @@ class HigherDegree:
     def better_mesh(self, tol: float, cost_tol: float) -> np.ndarray:
         """Joints, in the time of the path of higher degree, with which both errors should be below their tolerances."""
         path, higher = self.path, self.higher
-        order, target = path.method.degree + 1, TARGET * tol
         error = beyond_degree(higher, path.method.degree)
         error *= max(self.change - self.jump_error, 0.0) / max(np.max(error), 1e-300)
         coarse, fine = (truncation_error(p.polynomial, path.sizes) for p in (path, higher))
-        kinked = (fine > UNSMOOTH_RATIO * coarse) & (error > target)
-        error[kinked] = target * (error[kinked] / target) ** (order / KINK_ORDER)
-        in_space = np.maximum(self.bound_errors, self.control_misfit)
-        first = np.maximum(in_space / tol, self.jump_effects / cost_tol) / TARGET  # falls in proportion to h
-        error = np.maximum(error, target * first**order)
-        mesh, error = self.widened(error, target)
-        mesh = equidistributed(mesh, error, order, tol, FINEST, breakpoints=higher.problem.breakpoints)
+        kinked = fine > UNSMOOTH_RATIO * coarse
+        parts = parts_wanted(error, path.method.degree + 1, tol)
+        parts = np.where(kinked & (parts > 1), parts_wanted(error, KINK_ORDER, tol), parts)
+        parts = np.maximum(parts, parts_wanted(np.maximum(self.bound_errors, self.control_misfit), 1, tol))
+        mesh, parts = self.widened(np.maximum(parts, parts_wanted(self.jump_effects, 1, cost_tol)))
+        mesh = equidistributed(mesh, parts, FINEST, breakpoints=higher.problem.breakpoints)
         return self.with_jumps(mesh, tol)
 
-    def widened(self, error: np.ndarray, target: float) -> tuple[np.ndarray, np.ndarray]:
-        """Mesh and errors without the narrow intervals around switches; an interval with a switch need not be split."""
+    def widened(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mesh and parts without the narrow intervals around switches; an interval with a switch need not be split."""
         mesh = self.higher.t
         steps = np.concatenate(([0.0], np.diff(mesh), [0.0]))
         narrow = steps[1:-1] < NARROW_RATIO * np.maximum(steps[:-2], steps[2:])
-        error, drop = error.copy(), np.zeros(len(mesh), dtype=bool)
+        parts, drop = parts.copy(), np.zeros(len(mesh), dtype=bool)
         for s in self.switches:
             times = (s.when, s.joint, s.due)
             first = max(int(np.searchsorted(mesh, min(times))) - 1, 0)
@@ -256,10 +254,10 @@ class HigherDegree:
                 first -= 1
             while last < len(narrow) - 1 and narrow[last]:
                 last += 1
-            error[first : last + 1] = np.minimum(error[first : last + 1], target)
+            parts[first : last + 1] = np.minimum(parts[first : last + 1], 1.0)
             drop[first + 1 : last + 1] |= narrow[first:last] | narrow[first + 1 : last + 1]
         keep = np.flatnonzero(~drop | np.isin(mesh, self.higher.problem.breakpoints))
-        return mesh[keep], np.maximum.reduceat(error, keep[:-1])
+        return mesh[keep], np.maximum.reduceat(parts, keep[:-1])
 
     def with_jumps(self, mesh: np.ndarray, tol: float) -> np.ndarray:
         """The mesh with joints at the switches, and on either side at the distance of the uncertainty of their times.
