@@ -1,7 +1,6 @@
 """The user's callables and numbers, checked.
 
-Callables are traced once into CasADi Functions of one point.  Objects that hold these Functions can be pickled, and
-compared by the values that they compute.
+Callables are traced once into CasADi Functions of one point.  Objects that hold these Functions can be pickled.
 """
 
 from __future__ import annotations
@@ -9,6 +8,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, Literal, TypeAlias, TypeGuard
 
 import casadi as ca
@@ -194,6 +194,7 @@ def trace_lagrangian(lagrangian: Traceable, sizes: Mapping[str, int], mechanical
     return function
 
 
+@lru_cache(64)  # so that what is derived from the Function, and kept by it, is found again
 def with_parameters(function: ca.Function, parameters: tuple[float, ...] | None) -> ca.Function:
     """Insert the parameters p, the last argument of a callable; without parameters or Function nothing changes."""
     if parameters is None or function is None:

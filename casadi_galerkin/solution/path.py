@@ -95,7 +95,8 @@ class Path(Table, Pictured):
         if len(given) != 2 or any(i is None or not 0 <= i < len(self.x) for i in given):
             raise ValueError(f"components must be two numbers from 0 to {len(self.x) - 1}, got {components!r}")
         chosen = list(components)
-        return plot_plane(self._line()[1][chosen], self.x[chosen], axes, labels or [f"x[{i}]" for i in chosen])
+        names = [f"x[{i}]" for i in chosen] if labels is None else labels
+        return plot_plane(self._line()[1][chosen], self.x[chosen], axes, names)
 
     def plot_poses(
         self, points: Callable[[np.ndarray], ArrayLike], axes: Axes | None = None, count: int = 8, apart: float = 0.0

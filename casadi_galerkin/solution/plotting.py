@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from html import escape
 from io import StringIO
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -186,7 +187,7 @@ def plot_gaps(times: np.ndarray, gaps: dict[str, np.ndarray], axes: Axes | None,
     Values that are zero, or too large for a logarithmic axis, are left out, and what has no others.
     """
     axes = axes_or_new(axes)
-    for color, (name, gap) in zip(COLORS, gaps.items(), strict=False):
+    for color, (name, gap) in zip(cycle(COLORS), gaps.items(), strict=False):
         shown = (gap > 0) & (gap < 1 / ZERO)
         if np.any(shown):
             axes.plot(times[shown], gap[shown], ".-", markersize=3, color=color, label=name)
@@ -214,7 +215,7 @@ def plot_branch(
 ) -> Axes:
     """Draw heights (K,) over values (K,), in parts by name, masks (K,), and folds (F, 2) as crosses."""
     axes = axes_or_new(axes)
-    for color, (name, chosen) in zip(COLORS, parts.items(), strict=False):
+    for color, (name, chosen) in zip(cycle(COLORS), parts.items(), strict=False):
         axes.plot(values[chosen], heights[chosen], ".-", color=color, label=name)
     if len(folds):
         axes.plot(*folds.T, "k+", markersize=12, label="fold")

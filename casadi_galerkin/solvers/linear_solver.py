@@ -103,7 +103,7 @@ class LinearSolver:
         return ca.solve(laplacian, ca.sign(ca.fabs(ca.densify(rhs))), "ldl") > 0
 
     def _defect(self, matrix: ca.MX, y: ca.MX, rhs: ca.MX) -> ca.MX:
-        """‖∇²S y + b‖₁ - LOCAL ‖b‖₁: the linear system is solved where this is at most zero."""
+        """‖∇²S y + b‖₁ - DEFECT_TOLERANCE ‖b‖₁: the linear system is solved where this is at most zero."""
         return ca.norm_1(ca.vec(ca.mac(matrix, y, rhs))) - DEFECT_TOLERANCE * ca.norm_1(ca.vec(rhs))  # sums keep a NaN
 
     def solutions(self, method: str, columns: int, transposed: bool) -> ca.Function:

@@ -64,7 +64,7 @@ class Solver:
     name: str
     _run: Callable[..., Solution]
     _check: Callable[[str, object], None]
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     def __call__(self, stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0) -> Solution:
         """Solve from a guess.

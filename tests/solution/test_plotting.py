@@ -6,7 +6,7 @@ import pytest
 from control_problems import plane
 
 import casadi_galerkin as cg
-from casadi_galerkin.solution.plotting import COLORS
+from casadi_galerkin.solution.plotting import COLORS, plot_branch
 
 pytestmark = pytest.mark.usefixtures("headless")
 
@@ -122,7 +122,7 @@ def test_a_component_that_is_not_there_is_refused(component):
 
 def test_a_way_through_the_plane_has_equal_axes_and_all_joints():
     path = planar().solve()
-    axes = path.plot_plane((1, 0), labels=("height in m", "width in m"))
+    axes = path.plot_plane((1, 0), labels=np.array(["height in m", "width in m"]))
     line, joints = axes.get_lines()
     np.testing.assert_array_equal(joints.get_xydata(), path.x[[1, 0]].T)
     assert axes.get_aspect() == 1.0
@@ -182,6 +182,12 @@ def test_a_branch_is_drawn_by_morse_index_with_its_folds():
     np.testing.assert_allclose(fold.get_xydata(), [[3.5138307, 1.1868]], rtol=1e-4)
     with pytest.raises(ValueError, match="parameter must be a whole number from 0 to 0, got 1"):
         branch.plot(lambda path: path(0.5)[0], parameter=1)
+
+
+def test_no_part_of_a_branch_is_left_out_for_want_of_a_color():
+    parts = {f"Morse index {i}": np.arange(9) == i for i in range(9)}
+    axes = plot_branch(np.arange(9.0), np.ones(9), parts, np.empty((0, 2)), None)
+    assert [line.get_label() for line in axes.get_lines()] == list(parts)
 
 
 def test_a_branch_without_morse_indices_is_drawn_as_one():

@@ -110,6 +110,7 @@ def test_options_are_kept_added_and_written_as_they_are_given():
     assert dict(both.options) == {"max_iter": 50, "tol": 1e-6}
     assert repr(both) == "cg.ipopt.with_options(max_iter=50, tol=1e-06)"
     assert eval(repr(both), {"cg": cg}) == both
+    assert {both: "kept"}[few.with_options(tol=1e-6)] == "kept"
     assert both.with_options(max_iter=3).options["max_iter"] == 3
 
 
