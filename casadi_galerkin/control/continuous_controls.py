@@ -14,13 +14,12 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
-from casadi_galerkin.calculus.roundoff import TINY
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.problems.control_problem import ControlProblem
 
 # step of a control from one point to the next, over its range before, beyond which another control is looked for
 LONG_STEP = 0.1
-SAME = 1e-13  # difference of two effects, over their sizes, that is rounding
+SAME = 1e-13  # difference of two effects, over the sizes of their terms, that is rounding
 NEWTON_STEPS = 12  # quadratic convergence takes half of them
 
 
@@ -28,14 +27,31 @@ NEWTON_STEPS = 12  # quadratic convergence takes half of them
 def _effect(
     force: ca.Function, rates: ca.Function, running_cost: ca.Function, constraint: ca.Function | None
 ) -> ca.Function | None:
-    """(t, x, v, u[, p]) -> what a control does at a point, and its derivative by u; None if forces are affine in u."""
+    """(u, t, x, v[, p]) -> what a control does at a point, and its derivative by u; None if forces are affine in u."""
     t, x, v, u, *p = force.sx_in()
     moving = ca.vertcat(force(t, x, v, u, *p), rates(t, x, v, u, *p))
     if not ca.jacobian(ca.jacobian(moving, u), u).nnz():
         return None
     others = [running_cost(t, x, v, u, *p), *([] if constraint is None else [constraint(t, x, v, u, *p)])]
     effect = ca.vertcat(moving, *others)
-    return ca.Function("effect", [t, x, v, u, *p], [ca.densify(effect), ca.densify(ca.jacobian(effect, u))])
+    return ca.Function("effect", [u, t, x, v, *p], [ca.densify(effect), ca.densify(ca.jacobian(effect, u))])
+
+
+@np.errstate(over="ignore", invalid="ignore")  # Newton's method may be lost
+def _same_effect(
+    effect: ca.Function, place: list[np.ndarray], wanted: np.ndarray, scale: np.ndarray, near: np.ndarray
+) -> np.ndarray | None:
+    """The control near another one that does what is wanted, by Newton's method with shortest steps; None if lost."""
+    u = near
+    for _ in range(NEWTON_STEPS):
+        does, slope = (np.array(a) for a in effect(u, *place))
+        missing, sizes = wanted - does.ravel(), np.abs(wanted) + np.abs(slope) @ np.abs(u)
+        if not np.isfinite(missing + sizes).all():
+            return None
+        if np.all(np.abs(missing) <= SAME * sizes):
+            return u
+        u = u + np.linalg.lstsq(slope / scale[:, None], missing / scale, rcond=None)[0]
+    return None
 
 
 def continuous_controls(
@@ -61,13 +77,12 @@ def continuous_controls(
     if effect is None:
         return found
     x, v = (a.reshape(len(a), -1) for a in path.at_parts(chain.control_times))
-    at, given = [times_at(path.mesh, chain.control_times)[None, :], x, v], []
+    at = [times_at(path.mesh, chain.control_times)[None, :], x, v]
     if problem.parameters is not None:
-        given = [values["parameters"]]
-    wanted = np.array(
-        effect.map(len(controls))(*at, controls.T, *(np.tile(p[:, None], len(controls)) for p in given))[0]
-    )
-    sizes = np.max(np.abs(wanted), axis=1) + TINY
+        at.append(np.tile(values["parameters"][:, None], len(controls)))
+    wanted = np.array(effect.map(len(controls))(controls.T, *at)[0])
+    scale = np.max(np.abs(wanted), axis=1)
+    scale = np.where(scale > 0, scale, 1.0)
     low, high = (np.array(bound) for bound in problem.control_bounds)
 
     for k in range(1, len(controls)):
@@ -75,14 +90,9 @@ def continuous_controls(
         near = np.all(np.abs(now - last) <= LONG_STEP * np.ptp(controls[:k], axis=0))
         if near or not np.all((low < now) & (now < high)):
             continue
-        u = last.copy()
-        for _ in range(NEWTON_STEPS):
-            does, slope = (np.array(a) for a in effect(*(a[:, k] for a in at), u, *given))
-            missing = (wanted[:, k] - does.ravel()) / sizes
-            if not np.isfinite(missing).all() or np.max(np.abs(missing)) <= SAME:
-                break
-            u = u + np.linalg.lstsq(slope / sizes[:, None], missing, rcond=None)[0]
-        nearer = np.max(np.abs(u - last)) < np.max(np.abs(now - last)) / 2
-        if np.max(np.abs(missing)) <= SAME and nearer and np.all((low < u) & (u < high)):
+        u = _same_effect(effect, [a[:, k] for a in at], wanted[:, k], scale, last)
+        if u is None or np.max(np.abs(u - last)) > np.max(np.abs(now - last)) / 2:
+            continue
+        if np.all((low < u) & (u < high)):
             controls[k] = u
     return controls.reshape(found.shape)

@@ -170,9 +170,9 @@ class HigherDegree:
 
     @cached_property
     def control_misfit(self) -> np.ndarray:
-        """Errors of the impulses because controls are known at points only, (N,): in both degrees."""
-        both = np.minimum(self.path.control_misfit, self.higher.control_misfit)
-        return np.asarray(np.where(both > ROUNDOFF, both, 0.0))
+        """Errors of the impulses because controls are known at points only, (N,)."""
+        misfit = self.path.control_misfit
+        return np.asarray(np.where(misfit > ROUNDOFF, misfit, 0.0))
 
     @cached_property
     def common_error(self) -> float:

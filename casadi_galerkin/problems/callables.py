@@ -64,12 +64,13 @@ def _refuse_truth_values(name: str, traced: ca.Function, kinds: Sequence[int]) -
     """Refuse values that are comparisons, whose derivatives are zero everywhere."""
     written: dict[int, int] = {}  # place in the working memory -> the operation that wrote it last
     for k, kind in enumerate(kinds):
-        if kind == ca.OP_OUTPUT and written[traced.instruction_input(k)[0]] in TRUTH_VALUES:
+        if kind != ca.OP_OUTPUT:
+            written |= dict.fromkeys(traced.instruction_output(k), kind)
+        elif written[traced.instruction_input(k)[0]] in TRUTH_VALUES:
             raise TypeError(
                 f"{name} must return numbers, got a comparison, which has no derivative: write x - 1 for x == 1, and "
                 "x with the bounds of its values for x <= 1"
             )
-        written |= dict.fromkeys(traced.instruction_output(k), kind)
 
 
 def _is_traced(function: Traceable, sizes: Mapping[str, int], rows: int | Rows) -> TypeGuard[ca.Function]:

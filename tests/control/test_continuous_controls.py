@@ -86,6 +86,19 @@ def test_turns_are_taken_away():
     np.testing.assert_allclose(turns, turns[0, 0], rtol=0, atol=1e-9)
 
 
+def test_turns_are_taken_away_where_a_component_of_the_force_is_rounding():
+    """Along a line the thrust has the angle 0 or π, and its other component is zero up to rounding."""
+    angles = np.repeat([[[0.0]], [[np.pi]]], 3, axis=0) + np.zeros((6, 4, 1))
+    turns = np.random.default_rng(1).integers(-3, 4, angles.shape)
+    problem = steered()
+    chain = cg.transcribe(problem, cg.Galerkin(4), 6).chain
+    path = cg.solve(problem, cg.Galerkin(4), 6).polynomial
+    found = continuous_controls(problem, chain, path, {"controls": angles + 2 * np.pi * turns}).ravel()
+    jumps = np.flatnonzero(np.abs(np.diff(found)) > 1e-9)
+    assert jumps.tolist() in ([], [11])  # a half turn may remain
+    np.testing.assert_allclose(np.cos(found), np.cos(angles).ravel(), rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("problem", [pendulum(3.0), minimum_time(), steered(control_bounds=(-10, 10))], ids=str)
 def test_controls_that_are_continuous_or_jump_between_bounds_are_kept(problem):
     path = cg.solve(problem, cg.Galerkin(4), 6)

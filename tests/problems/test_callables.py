@@ -193,8 +193,13 @@ def test_a_callback_needs_derivatives():
 @pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
 @pytest.mark.parametrize(
     "condition",
-    [lambda x: x[0] == 1, lambda x: ca.vertcat(x[1], x[0] <= 1), lambda x: ca.logic_and(x[0] > 0, x[1] > 0)],
-    ids=["equal", "one of two", "and"],
+    [
+        lambda x: x[0] == 1,
+        lambda x: ca.vertcat(x[1], x[0] <= 1),
+        lambda x: ca.vertcat(x[0] <= 1, x[1], x[0]),
+        lambda x: ca.logic_and(x[0] > 0, x[1] > 0),
+    ],
+    ids=["equal", "second of two", "first of three", "and"],
 )
 def test_a_comparison_is_no_condition(condition, symbol):
     t, x = symbol.sym("t"), symbol.sym("x", 2)
