@@ -15,13 +15,13 @@ Some errors are common to both degrees, so that the difference does not show the
 - Bounds of positions, which hold at nodes only.  Where a path exceeds one by ε between nodes, the error of the path is
   about √ε.
 - Bounds of controls and path constraints, which hold at quadrature points only: see `unseen_excess`.
-- Controls as functions of time, which the equations see at the points only (`ControlTrajectory.control_misfit`).
 - The Hamiltonian, which is constant where nothing depends on time.  Its variation, times duration over cost, was
   measured to be of the order of D where both degrees switch at the same wrong time.
 - Jumps in time (`jumps_in_time`), whose effect is a lower bound of the errors of cost and path.
 - The error that the solver leaves (`solver_error`).
+- Controls as functions of time, which the equations see at the points only (`ControlTrajectory.control_misfit`).
 
-The estimated error of the cost is at least the square of each of the first five.
+The estimated error of the cost is at least the square of each of the first four.
 
 The new mesh equidistributes the part of the finer path that degree m cannot represent.  Where a higher degree does not
 reduce this part, the path has a kink, and intervals are split as for a method of order 2.  Where a control switches
@@ -176,9 +176,9 @@ class HigherDegree:
 
     @cached_property
     def common_error(self) -> float:
-        """Error of the path that is common to both degrees: by late switches, `bound_errors` and `control_misfit`."""
+        """Error of the path that is common to both degrees: by switches at a wrong time, and by `bound_errors`."""
         late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.switches]
-        return float(max(*late, np.max(self.bound_errors), np.sum(self.control_misfit)))
+        return float(max(*late, np.max(self.bound_errors), 0.0))
 
     @cached_property
     def hamiltonian_variation(self) -> float:
@@ -214,7 +214,7 @@ class HigherDegree:
     @property
     def error(self) -> float:
         """Relative error of cost, duration and positions."""
-        return max(self.change, self.common_error, self.cost_error)
+        return max(self.change, self.common_error, self.cost_error, float(np.sum(self.control_misfit)))
 
     @property
     def cost_error(self) -> float:
