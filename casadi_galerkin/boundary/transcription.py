@@ -17,7 +17,7 @@ from casadi_galerkin.boundary.mass import check_mass
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.statement import turned_back
@@ -229,8 +229,7 @@ class SecondVariation:
             return None
         transform = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
         ends = np.array([0.0, 1.0])  # of every interval
-        x, v = (values.reshape(len(values), -1) for values in path.at_parts(ends))
-        return index if convex(transform, times_at(path.mesh, ends), x, v) else None
+        return index if convex(transform, *path.sampled(ends)) else None
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "_transcription": None}

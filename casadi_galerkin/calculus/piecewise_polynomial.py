@@ -121,6 +121,11 @@ class PiecewisePolynomial:
         derivatives = (local - local[:, :, :1]) @ slopes.T / (self.mesh[1:] - self.mesh[:-1])[:, None]
         return np.asarray(local @ values.T), np.asarray(derivatives)
 
+    def sampled(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Times (N K,), values and derivatives (d, N K) at these fractions (K,) of one interval after the other."""
+        values, derivatives = (a.reshape(len(a), -1) for a in self.at_parts(parts))
+        return times_at(self.mesh, parts), values, derivatives
+
     def at(self, nodes: np.ndarray) -> np.ndarray:
         """Node values (d, N m' + 1) on the same mesh with other nodes; without times, whose rounding would count."""
         if np.array_equal(nodes, self.nodes):

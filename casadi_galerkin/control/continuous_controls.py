@@ -13,7 +13,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.problems.control_problem import ControlProblem
 
@@ -76,8 +76,8 @@ def continuous_controls(
     effect = _effect(problem.force, problem.rates, problem.running_cost, limits)
     if effect is None:
         return found
-    x, v = (a.reshape(len(a), -1) for a in path.at_parts(chain.control_times))
-    at = [times_at(path.mesh, chain.control_times)[None, :], x, v]
+    times, x, v = path.sampled(chain.control_times)
+    at = [times[None, :], x, v]
     if problem.parameters is not None:
         at.append(np.tile(values["parameters"][:, None], len(controls)))
     wanted = np.array(effect.map(len(controls))(controls.T, *at)[0])

@@ -9,7 +9,6 @@ import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import lagrange_values
-from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes
 from casadi_galerkin.problems.bounds import bound_excess
@@ -128,8 +127,7 @@ class DrivenTrajectory(Trajectory):
         if self.problem.path_constraint is None:
             return np.empty((0, len(self.t) - 1, len(parts)))
         constraint = with_parameters(self.problem.path_constraint[0], self.parameters)
-        x, v = (a.reshape(len(a), -1) for a in self.polynomial.at_parts(parts))
-        times = times_at(self.t, parts)
+        times, x, v = self.polynomial.sampled(parts)
         values = np.array(constraint.map(len(times))(times[None, :], x, v, self.control.at(parts)))
         return values.reshape(len(values), len(self.t) - 1, len(parts))
 
@@ -158,10 +156,9 @@ class DrivenTrajectory(Trajectory):
 
         Where a component follows a rate, its value and its rate take their places.
         """
-        times = times_at(self.t, parts)
+        times, x, v = self.polynomial.sampled(parts)
         pushes = np.empty((0, len(times))) if self.problem.constraint is None else self.multipliers(times)
         motion = equations_of_motion(self.problem, self.parameters).map(len(times))
-        x, v = (values.reshape(len(values), -1) for values in self.polynomial.at_parts(parts))
         momentum, rate = motion(times[None, :], x, v, self.control.at(parts), pushes)
         shape = len(x), -1, len(parts)
         return np.array(momentum).reshape(shape), np.array(rate).reshape(shape)

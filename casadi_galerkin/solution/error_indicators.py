@@ -25,7 +25,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.buffers import Evaluator
@@ -125,8 +125,9 @@ def _jumps_of_force(problem: Problem, path: PiecewisePolynomial, momentum: np.nd
     local, steps = path.local, np.diff(path.mesh)
     bends = lagrange_values(path.nodes, detector.parts) @ slopes @ slopes
     accelerations = (local - local[:, :, :1]) @ bends.T / steps[:, None] ** 2
-    given = [values.reshape(len(values), -1) for values in (*path.at_parts(detector.parts), accelerations)]
-    forces, rates = (a.T for a in _at_places(problem, _force_along(problem.force), detector.times, *given))
+    _, x, v = path.sampled(detector.parts)
+    along = _at_places(problem, _force_along(problem.force), detector.times, x, v, accelerations.reshape(x.shape))
+    forces, rates = (a.T for a in along)
     sizes = np.where(np.isfinite(forces), np.abs(forces), 0.0)
     means = sizes.reshape(len(local), len(steps), -1).mean(axis=2)
     whole = np.max(np.abs(momentum), axis=1) + means @ steps
@@ -166,11 +167,11 @@ class _Sampled:
     def __init__(self, problem: Problem, path: PiecewisePolynomial) -> None:
         self.problem, self.path, self.steps = problem, path, path.mesh[1:] - path.mesh[:-1]
         parts, self._weights, self.between = _rules(path.degree)
-        self.x, self.v = (values.reshape(len(values), -1) for values in path.at_parts(parts))
+        times, self.x, self.v = path.sampled(parts)
         self.h = np.repeat(self.steps, len(parts))
         self.joints = np.append(np.arange(0, len(self.h), len(parts)), len(self.h) - len(parts) + 1)  # the last end
         first, last = path.mesh[[0, -1]]  # a step of L at either end is outside all times
-        self.times = np.clip(times_at(path.mesh, parts), np.nextafter(first, last), np.nextafter(last, first))
+        self.times = np.clip(times, np.nextafter(first, last), np.nextafter(last, first))
         self.terms = pointwise(problem.lagrangian, problem.force)
         self.derivatives = self.evaluate(self.terms.derivatives)
 
