@@ -113,11 +113,8 @@ def first_path_strategies(
     span, whose paths `intermediate_path` finds; a descent of the action with moving joints; and finally `solver`
     itself.  With a guess, a path near it is preferred to one that is far from it.
     """
-    given, name, problem = (
-        guess_on_resolving_mesh(graphs, method, guess, mesh, COARSE_RESOLUTION),
-        repr(solver),
-        graphs.problem,
-    )
+    problem, name = graphs.problem, repr(solver)
+    given = guess_on_resolving_mesh(graphs, method, guess, mesh, COARSE_RESOLUTION)
 
     @cache
     def finer() -> PiecewisePolynomial:
@@ -143,15 +140,11 @@ def first_path_strategies(
         forced = problem.force is not None
         free = guess is None and problem.energy is None and problem.constraint is None and not problem.breakpoints
         if forced or free:
-            under, words = (
-                (with_scaled_force, "under a growing force")
-                if forced
-                else (with_scaled_time_span, "over a growing time")
-            )
+            under = with_scaled_force if forced else with_scaled_time_span
+            words = "under a growing force" if forced else "over a growing time"
             start = graphs.transcription(method, fine).guess_on_mesh(guess, fine)
-            yield Strategy(
-                f"Newton's method {words}", partial(path_by_homotopy, graphs, under, start, intermediate_path)
-            )
+            find = partial(path_by_homotopy, graphs, under, start, intermediate_path)
+            yield Strategy(f"Newton's method {words}", find)
         if stationarity.variational and not stationarity.functional.numbering.multipliers:
             joints = resized_mesh(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
             yield Strategy("descent of the action", partial(_by_descent, graphs, method, joints, guess, brief))
