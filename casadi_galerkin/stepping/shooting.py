@@ -110,9 +110,9 @@ def shoot(
     first = tangent_momenta(problem, *at, roll.p[:, :1], shooting.velocity(roll)[:, None])
     roll = replace(roll, p=np.column_stack((first, roll.p[:, 1:])))
     path = trajectory(problem, shooting.stepper, roll, iterations, solver, build, seconds)
-    turned = turned_back(problem, path.polynomial, shooting.plane)
-    if turned is not None:
-        raise ConvergenceError(turned, Path(path.polynomial), shot.residual, iterations)
+    wrong = _other_end(problem, path) or turned_back(problem, path.polynomial, shooting.plane)
+    if wrong is not None:
+        raise ConvergenceError(wrong, Path(path.polynomial), shot.residual, iterations)
     return replace(path, action=action, residual=shot.residual, solver=solver + _far(guess, path))
 
 
@@ -120,6 +120,22 @@ def check_start(problem: BoundaryProblem, guess: Trajectory | None) -> None:
     """Refuse a guess that shooting cannot start from."""
     if guess is not None and (not isinstance(guess, Trajectory) or len(guess.x) != problem.dimension):
         raise TypeError(f"guess must be a Trajectory of {counted(problem.dimension, 'component')}, got {guess!r}")
+
+
+def _other_end(problem: BoundaryProblem, path: Trajectory) -> str | None:
+    """Why the path does not end where it must, if so: under a constraint the equations hold up to its normal.
+
+    Such a normal may meet the constraint again, as that of a sphere does at the antipode.
+    """
+    last, sizes = path.x[:, -1], path.polynomial.sizes
+    wanted = path.x[:, 0] if problem.periodic else np.array(problem.end, dtype=float)  # NaN for None
+    missed = float(np.max(np.abs(last - wanted) / sizes, where=np.isfinite(wanted), initial=0.0))
+    if missed <= MISS:
+        return None
+    return (
+        f"shooting has met another point of the constraint, x = {last.tolist()} at t = {path.t[-1]:g}, {missed:.1e} of "
+        "the path's size from the end. Give a guess with a better start, or solve it globally, with `solve`"
+    )
 
 
 def _far(guess: Trajectory | None, path: Trajectory) -> str:
@@ -215,8 +231,9 @@ def _scaled(shot: Shot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     scale = np.where(sizes > 0, sizes, 1.0)
     rows = np.max(shot.terms * (scale / np.max(scale)), axis=1, keepdims=True)  # which would overflow with the growth
     rows[rows == 0] = 1.0
-    columns = np.max(shot.terms / rows, axis=0)
-    return shot.by_start / rows / np.where(columns > 0, columns, 1.0), rows, columns
+    with np.errstate(over="ignore", invalid="ignore"):
+        columns = np.max(shot.terms / rows, axis=0)
+        return shot.by_start / rows / np.where(columns > 0, columns, 1.0), rows, columns
 
 
 def _singular(scaled: np.ndarray) -> bool:
