@@ -245,10 +245,18 @@ class ControlTrajectory(DrivenTrajectory):
         errors = ", ".join(f"{error:.1e} {whose}" for error, whose in known if error is not None)
         return [f"  error       {errors}, estimated"] if errors else self._undetermined() or self._unresolved()
 
+    def _not_optimal(self) -> bool:
+        """Whether further Newton steps would change the cost by more than a solver should leave."""
+        return self.unseen_change > REPORTED_COST_CHANGE * abs(self.cost)
+
+    def _kind(self) -> str:
+        """The kind of critical point, in words; none where the solver has stopped before one."""
+        return "not yet optimal" if self._not_optimal() else super()._kind()
+
     def _undetermined(self) -> list[str]:
         """Lines on large errors that the solver has left in the cost, or in a path on which the cost hardly depends."""
         lines = []
-        if self.unseen_change > REPORTED_COST_CHANGE * abs(self.cost):
+        if self._not_optimal():
             words = f"the cost may still change by {self.unseen_change:.1e}; the solver's tolerances are absolute"
             lines.append(f"  NOT DETERMINED: {words}")
         if self.solver_error > UNRESOLVED:

@@ -70,6 +70,7 @@ def test_a_cost_too_small_for_the_solver_is_right_or_told(length, time, mass):
     told = re.findall(r"NOT DETERMINED: the cost may still change by (\S+); the solver's tolerances", repr(path))
     assert abs(error) <= (path.unseen_change if told else 1e-6 * path.cost)
     assert not told or float(told[0]) == pytest.approx(path.unseen_change, rel=0.1)
+    assert ("not yet optimal" in repr(path)) == bool(told) != ("a local minimum" in repr(path))
 
 
 def test_a_path_that_only_the_solver_takes_for_one_is_refused_with_a_word_on_units():

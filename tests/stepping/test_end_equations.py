@@ -247,7 +247,7 @@ def test_ends_that_leave_the_start_open_are_conjugate():
         cg.shoot(problem, METHOD, INTERVALS)
 
 
-@pytest.mark.parametrize("speed", [np.pi / 2, -np.pi / 2, -1.5, 1.5 * np.pi])
+@pytest.mark.parametrize("speed", [-np.pi / 2, -1.5, 1.5 * np.pi])
 def test_a_normal_of_the_constraint_does_not_end_at_its_other_point(speed):
     def free(t, x, v):
         return ca.sumsqr(v) / 2
@@ -256,9 +256,6 @@ def test_a_normal_of_the_constraint_does_not_end_at_its_other_point(speed):
     wanted = cg.BoundaryProblem(free, (0, 1), start, end, constraint=unit_length)
     begun = cg.InitialProblem(free, (0, 1), start, velocity=[0.0, speed], constraint=unit_length)
     guess = cg.solve(begun, METHOD, INTERVALS)
-    if speed == np.pi / 2:
-        np.testing.assert_allclose(cg.shoot(wanted, METHOD, INTERVALS, guess=guess).x[:, -1], end, rtol=0, atol=CLOSED)
-        return
     with pytest.raises(
         cg.ConvergenceError, match=r"another point of the constraint, x = .*2\.0e\+00 of the path"
     ) as found:
