@@ -100,8 +100,8 @@ class DrivenTrajectory(Trajectory):
         The difference of ∫ (∂L/∂x + F) dt along `control(t)` to its quadrature, which sees the controls at the points
         only, over the largest momentum plus the sum of all impulses.  Where a component follows a rate, its value and
         its rate take the places of momentum and force.  A path that is flown with these controls misses by about the
-        sum of all intervals.  It is of the order of the method, but large where controls turn over between the points,
-        as an angle does that is limited to one turn.
+        sum of all intervals, times the growth of an error along it.  It is of the order of the method, but large where
+        controls turn over between the points, as an angle does that is limited to one turn.
         """
         rule, steps = self.method.quadrature, np.diff(self.t)
         rules = rule, gauss(len(rule) + 2)
