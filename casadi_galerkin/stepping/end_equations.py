@@ -11,7 +11,8 @@ velocities:
 Under a constraint g = 0 with G = ∂g/∂x, the equations of momenta hold up to an impulse Gᵀμ, where μ is another part of
 η.  A start that is not given as a whole must lie on the constraint, g(t_0, x_0) = 0.  The steps do not depend on the
 normal part of p_0, so that it is set to zero, G p_0 = 0.  They stay on the constraint by themselves, so that the
-equations of a given end, too, hold up to Gᵀμ.
+equations of a given end, too, hold up to Gᵀμ.  There μ is zero at the end asked for, and G is not differentiated: the
+steps of Newton's method then lead away from other points whose offset is normal, such as the antipode on a sphere.
 
 A given energy E adds λ T̄ E to the functional, with λ the stretch of the steps (`functional.interval`) and T̄ the
 duration that the mesh has.  It is an action of the end, and λ a component with both ends free: p_λ,0 = 0 and
@@ -48,7 +49,7 @@ def end_equations(problem: BoundaryProblem, method: Galerkin, plane: np.ndarray 
     momenta = [first, -last]
     if problem.periodic:
         momenta[0], given[1] = p[1] + first, ca.vertsplit(x[0])
-    equations = []
+    equations, held = [], ca.SX.sym("held", d)
     if constraint is not None:
         further = ca.vertcat(further, ca.jtimes(constraint(times[0], x[0]), x[0], p[0]))
     for k, values in enumerate(given):
@@ -56,9 +57,9 @@ def end_equations(problem: BoundaryProblem, method: Galerkin, plane: np.ndarray 
         pushes = ca.SX(d, 1)
         if constraint is not None and (free or k == 1):
             own.append(ca.SX.sym("impulse", constraint.size1_out(0)))
-            missed = constraint(times[k], x[k])
-            pushes = ca.jtimes(missed, x[k], own[-1], True)
-            further = ca.vertcat(further, missed) if k == 0 else further
+            place = x[k] if free else held
+            pushes = ca.jtimes(constraint(times[k], place), place, own[-1], True)
+            further = ca.vertcat(further, constraint(times[k], x[k])) if k == 0 else further
         for i, value in enumerate(values):
             unpushed = x[k][i] - value if value is not None else p[k][i] - momenta[k][i]
             equations.append(unpushed + pushes[i] if i in (free or range(d)) else unpushed)
@@ -66,4 +67,5 @@ def end_equations(problem: BoundaryProblem, method: Galerkin, plane: np.ndarray 
         x, p = ([ca.vertcat(a, ca.SX.sym("stretch")) for a in ends] for ends in (x, p))
         equations += [p[0][d], p[1][d] + problem.energy * (times[1] - times[0])]
     values, ends = ca.vertcat(*equations, further), ca.vertcat(x[0], p[0], *own, x[1], p[1])
-    return ca.Function("end_equations", [ends], [ca.densify(values), ca.densify(ca.jacobian(values, ends))])
+    outputs = ca.substitute([ca.densify(values), ca.densify(ca.jacobian(values, ends))], [held], [x[1][:d]])
+    return ca.Function("end_equations", [ends], outputs)

@@ -247,17 +247,27 @@ def test_ends_that_leave_the_start_open_are_conjugate():
         cg.shoot(problem, METHOD, INTERVALS)
 
 
-@pytest.mark.parametrize("speed", [-np.pi / 2, -1.5, 1.5 * np.pi])
-def test_a_normal_of_the_constraint_does_not_end_at_its_other_point(speed):
+def shot_along_the_circle(speed):
+    """A free particle on the circle, shot a quarter of a turn from a guess of that speed; and the end asked for."""
+
     def free(t, x, v):
         return ca.sumsqr(v) / 2
 
     start, end = [1.0, 0.0], np.array([0.0, 1.0])
-    wanted = cg.BoundaryProblem(free, (0, 1), start, end, constraint=unit_length)
     begun = cg.InitialProblem(free, (0, 1), start, velocity=[0.0, speed], constraint=unit_length)
-    guess = cg.solve(begun, METHOD, INTERVALS)
-    with pytest.raises(
-        cg.ConvergenceError, match=r"another point of the constraint, x = .*2\.0e\+00 of the path"
-    ) as found:
-        cg.shoot(wanted, METHOD, INTERVALS, guess=guess)
-    np.testing.assert_allclose(found.value.path(1.0), -end, rtol=0, atol=CLOSED)
+    wanted = cg.BoundaryProblem(free, (0, 1), start, end, constraint=unit_length)
+    return cg.shoot(wanted, METHOD, INTERVALS, guess=cg.solve(begun, METHOD, INTERVALS)), end
+
+
+@pytest.mark.parametrize("speed", [-0.2, 1.0, 3.8, 4.2])
+def test_newtons_method_leads_away_from_the_antipode(speed):
+    path, end = shot_along_the_circle(speed)
+    np.testing.assert_allclose(path.x[:, -1], end, rtol=0, atol=CLOSED)
+
+
+@pytest.mark.parametrize("speed", [-np.pi / 2, 1.5 * np.pi])
+def test_a_normal_of_the_constraint_does_not_end_at_its_other_point(speed):
+    other = r"another point of the constraint, x = .*2\.0e\+00 of the path"
+    with pytest.raises(cg.ConvergenceError, match=other) as found:
+        shot_along_the_circle(speed)
+    np.testing.assert_allclose(found.value.path(1.0), [0.0, -1.0], rtol=0, atol=CLOSED)
