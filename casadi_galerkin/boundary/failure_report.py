@@ -31,7 +31,8 @@ def not_finite(functional: Functional, unknowns: np.ndarray, data: Data) -> str:
         finite = [bool(np.all(np.isfinite(np.array(result)))) for result in results]
         if not all(finite):
             what = "the Lagrangian" if not all(finite[:3]) else "a derivative of the equations of motion"
-            v = slope[:, k] / steps[k]
+            with np.errstate(over="ignore"):
+                v = slope[:, k] / steps[k]
             return f"{what} is not finite at t = {times[k]:.6g}, where x = {x[:, k]} and v = {v}"
     if functional.terms:
         return "a derivative of a constraint, of a condition on the ends or of the end action is not finite"

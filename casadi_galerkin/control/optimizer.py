@@ -33,9 +33,10 @@ PUSHES = [f"warm_start_{which}" for which in ("bound_push", "bound_frac", "slack
 # For fatrop's error, which roundoff keeps above 1e-10 in one problem of ten.  Costs then differ from IPOPT's by 1e-9 to
 # 2e-8 of themselves, growing with the number of active bounds.
 FATROP_TOLERANCE = 1e-9
-# Fatrop treats rows with smaller pivots, in units of the unknowns, as dependent.  Where that is wrong it hangs before
-# the first iteration: with its default 1e-5 for lengths of 1e-6, with 1e-7 for constraints at many nodes.  With this
-# value neither was seen; lengths of 1e-7 hang, and lengths of 1e5 fail.
+# Fatrop treats rows with smaller pivots, in units of the unknowns, as dependent, and adds a constant to the diagonal
+# until they are not.  Where the constant is too small it never ends: with its default 1e-5 for lengths of 1e-6, with
+# 1e-7 for constraints at many nodes.  This value solves both; but lengths of 1e-7, one of 40 guesses of an acrobot and
+# 6 of 15 meshes of a hanging chain hang.  With 5e-5 and `delta_c_stripe` 1e-2 no chain does, but a robot arm.
 PIVOT = 1e-6
 FATROP_WORDS = {"0": "Solve Succeeded", "1": "No Optimum Found"}  # fatrop returns only numbers
 # part of max(1, |b|) by which a solver relaxes bounds b; fatrop has no option for it

@@ -15,8 +15,8 @@ class Limits:
     Parameters
     ----------
     intervals : largest number of intervals of a mesh
-    seconds : longest time.  No solve on a new mesh begins after it, and Newton's method and IPOPT stop during a solve;
-        fatrop has no such limit, and a solve by it is finished first
+    seconds : longest time.  No solve on a new mesh begins after it, and Newton's method and IPOPT stop after the
+        iteration, which may take seconds on a fine mesh; fatrop has no such limit, and a solve by it is finished first
     levels : largest number of meshes, one for each level of the refinement
 
     Raises

@@ -42,7 +42,7 @@ class Curve(ABC, Generic[Accepted]):
 
     def length(self, step: np.ndarray) -> float:
         """Arc length of a step."""
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             return float(np.sqrt(step**2 @ self.weights))
 
     def unit(self, direction: np.ndarray) -> np.ndarray:

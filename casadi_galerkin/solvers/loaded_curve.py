@@ -61,7 +61,8 @@ class LoadedCurve(Curve[bool]):
     ) -> None:
         self.at, self.data, self.load, self.iterations = at, data, load, 0
         self.start, self.stiffest = np.append(unknowns, share), stiffest
-        self.weights = np.append(1 / (len(sizes) * sizes**2), 0.0)
+        with np.errstate(over="ignore"):
+            self.weights = np.append(1 / (len(sizes) * sizes**2), 0.0)
         follow = np.append(self.directions(self.start)[1], 1.0)
         self.weights[-1] = self.length(follow) ** 2  # path and load count the same at the start
 

@@ -45,9 +45,11 @@ class Solver:
 
     `fatrop` takes any rule of quadrature, but no `end_conditions` on the start, and no multipliers to start warm from.
     It stalls where `ipopt` does not, as where a position touches its bound in a point, or where equations depend on one
-    another.  It needs units in which positions and controls are of order one, 1e-5 to 1e4.  Far from these, and seldom
-    from a wild guess (one of 40 for an acrobot), it runs for ever without an iteration that a limit could stop.  Where
-    it stops without an answer, `ipopt` solves, and the report says so.
+    another.  It needs units in which positions and controls are of order one, 1e-5 to 1e4.  Far from these, and now and
+    then elsewhere (6 of 15 meshes of a hanging chain, one of 40 wild guesses of an acrobot), it runs for ever: no
+    iteration ends, so that neither a limit nor an interrupt stops it.  Another mesh or guess may do, or the options
+    ``linsol_lu_fact_tol=5e-5, delta_c_stripe=1e-2``.  Where it stops without an answer, `ipopt` solves, and the report
+    says so.
 
     Attributes
     ----------
