@@ -37,6 +37,7 @@ from casadi_galerkin.stepping.shot import Shooting, Shot
 
 ITERATIONS = 50
 MISS = EPS**0.5  # accepted miss of the end, relative to the size of the path: half of the digits
+ROUNDED = 1e3 * EPS  # rounding of a component that stays near zero, relative to the size of the others
 SINGULAR = 1e-14  # smallest singular value of the scaled derivative from which the end depends on the start
 
 
@@ -127,14 +128,17 @@ def _other_end(problem: BoundaryProblem, path: Trajectory) -> str | None:
 
     Such a normal may meet the constraint again, as that of a sphere does at the antipode.
     """
+    if problem.constraint is None:
+        return None
     last, sizes = path.x[:, -1], path.polynomial.sizes
     wanted = path.x[:, 0] if problem.periodic else np.array(problem.end, dtype=float)  # NaN for None
-    missed = float(np.max(np.abs(last - wanted) / sizes, where=np.isfinite(wanted), initial=0.0))
-    if missed <= MISS:
+    missed = np.abs(last - wanted)
+    if not np.any(missed > MISS * sizes + ROUNDED * np.max(sizes)):
         return None
     return (
-        f"shooting has met another point of the constraint, x = {last.tolist()} at t = {path.t[-1]:g}, {missed:.1e} of "
-        "the path's size from the end. Give a guess with a better start, or solve it globally, with `solve`"
+        f"shooting has met another point of the constraint, x = {last.tolist()} at t = {path.t[-1]:g}, away from the "
+        f"end by up to {np.nanmax(missed / sizes):.1e} of a component's size. Give a guess with a better start, or "
+        "solve it globally, with `solve`"
     )
 
 
