@@ -1,11 +1,11 @@
 """Boundary problems, all intervals at once.
 
 A `graph` holds one problem, and a `transcription` solves it as often as wanted.  `refinement` chooses degree and mesh
-for a tolerance: `first_path` finds a first path, if necessary by `homotopy` or `action_descent`; `graph_cache` caches
-its graphs, and `error_estimate` estimates the error of each path.  `adaptive_transcription` does so repeatedly, for
-different data of one problem.  `continuation` follows a path while parameters change; `several_paths` finds other paths
-between the same ends; `sensitivity` differentiates.  `problem_data` compares problems that differ in given values, and
-`branches` compares their paths.  `mass` refuses a Lagrangian with a singular mass matrix, and `failure_report` reports
-failures.
+for a tolerance: `first_path` finds a first path, if necessary by `homotopy`, `action_descent` or the search for
+`several_paths`; `graph_cache` caches its graphs, and `error_estimate` estimates the error of each path.
+`adaptive_transcription` does so repeatedly, for different data of one problem.  `continuation` follows a path while
+parameters change; `several_paths` finds other paths between the same ends; `sensitivity` differentiates.
+`problem_data` compares problems that differ in given values, and `branches` compares their paths.  `mass` refuses a
+Lagrangian with a singular mass matrix, and `failure_report` reports failures.
 This folder imports all that stand before it, but neither `stepping` nor `control`.
 """

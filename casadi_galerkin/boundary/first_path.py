@@ -15,10 +15,12 @@ from casadi_galerkin.boundary.action_descent import descend
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.homotopy import path_by_homotopy, with_scaled_force, with_scaled_time_span
+from casadi_galerkin.boundary.several_paths import Search
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import default_method, resized_mesh, resolving_interpolant
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import by_rows
+from casadi_galerkin.functional.statement import has_phase
 from casadi_galerkin.problems.problem import map_times
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess, relative_distance
@@ -110,8 +112,9 @@ def first_path_strategies(
 
     First Newton's method on the coarse mesh; with a guess also from the smoothed guess, and on a mesh that resolves the
     guess.  Then its rescues on the coarse mesh; a homotopy in the force or, without a force and a guess, in the time
-    span, whose paths `intermediate_path` finds; a descent of the action with moving joints; and finally `solver`
-    itself.  With a guess, a path near it is preferred to one that is far from it.
+    span, whose paths `intermediate_path` finds; a descent of the action with moving joints; and finally, without a
+    guess, the search for `several_paths`, otherwise `solver` itself.  With a guess, a path near it is preferred to one
+    that is far from it.
     """
     problem, name = graphs.problem, repr(solver)
     given = guess_on_resolving_mesh(graphs, method, guess, mesh, COARSE_RESOLUTION)
@@ -149,6 +152,9 @@ def first_path_strategies(
             joints = resized_mesh(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
             yield Strategy("descent of the action", partial(_by_descent, graphs, method, joints, guess, brief))
         name = "Newton's method with its rescues"
+        if guess is None and not has_phase(problem):
+            yield Strategy("random guesses", partial(_by_random_guesses, graphs, method, mesh, brief))
+            return
     yield Strategy(name, partial(solved, given, solver))
 
 
@@ -160,3 +166,11 @@ def _by_descent(
     path = descend(transcribed, transcribed(mesh).guess_on_mesh(guess, mesh), DESCENT_TOLERANCE)
     mesh = resized_mesh(path.mesh, len(path.mesh) - 1, graphs.problem.breakpoints)  # descending moves the joints
     return graphs.solve(method, mesh, path, solver)
+
+
+def _by_random_guesses(graphs: GraphCache, method: Galerkin, mesh: np.ndarray, solver: SolverLike) -> CriticalPoint:
+    """Take away the loads of random smooth guesses, as the search for several paths does until it has found one."""
+    search = Search(graphs.transcription(method, mesh), ())
+    found = search.run(1)[0]
+    graphs.iterations += search.iterations
+    return graphs.solve(method, found.t, found, solver)

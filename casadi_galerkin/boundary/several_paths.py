@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,6 +38,7 @@ from casadi_galerkin.solution.guess import waves
 from casadi_galerkin.solution.plotting import Pictured, plot_family
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory, index_in_words
+from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.loaded_curve import LoadedCurve, residual_load_curve
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import smallest_second_variation
@@ -53,6 +55,8 @@ RESOLVED = 0.05  # largest estimated relative error of a path; that of zigzags i
 # a second variation below SOFT and below ERRORS times the estimated error counts as zero; regular ones are above 1e-2
 SOFT, ERRORS = 1e-3, 10.0
 SMALLEST, LARGEST = -2.0, 5.0  # powers of two between which the amplitude of a random guess lies
+# the amplitudes until a path is found, in turn: small ones lead to paths of less action and a smaller index
+GROWING = 2 ** np.arange(SMALLEST, LARGEST + 1)
 STIFFEST = 1e8  # largest entry of the Hessian over that at the paths, above which roundoff dominates
 SHOWN = 6  # paths in a repr
 FINER = "a higher degree or more intervals may"
@@ -205,10 +209,11 @@ class Search:
     def __init__(self, transcription: Transcription, symmetries: tuple[Symmetry, ...]) -> None:
         self.transcription, self.stationarity = transcription, transcription.stationarity
         self.symmetries, self.random = symmetries, np.random.default_rng(SEED)
+        self.amplitudes = cycle(GROWING)
         self.data = transcription.data(transcription.mesh)
         self.found: list[tuple[Trajectory, np.ndarray]] = []  # with their unknowns
         self.known: list[np.ndarray] = []  # unknowns of all critical points and their images, also of those dropped
-        self.solves = self.curves = self.unresolved = self.singular = 0
+        self.solves = self.curves = self.unresolved = self.singular = self.iterations = 0
         self.failure: ConvergenceError | None = None
         self.stiffest = 0.0
         self.parts = DiscreteCalculus(transcription.method, transcription.mesh).node_parts
@@ -243,6 +248,8 @@ class Search:
                 if len(self.found) > known:
                     last = self.solves
                 advance(len(self.found) - known)
+                if seconds_left() < 0:
+                    break
         if not self.found:
             raise self.no_path_error()
         reached = len(self.found) == count
@@ -257,6 +264,7 @@ class Search:
                 yield self.transcription.critical_point().solution
             except ConvergenceError as failure:
                 self.failure = failure
+                self.iterations += failure.iterations
                 self.singular += isinstance(failure, ConjugatePointError)
         elif not self.transcription.numbering.positions:
             return  # without free positions there is no other guess, and no load
@@ -272,21 +280,23 @@ class Search:
         period = 1.0 if self.transcription.problem.periodic else 2.0
         return waves(self.random, self.component_sizes, period)(self.parts)
 
-    def guess(self) -> np.ndarray:
+    def guess(self, amplitude: float) -> np.ndarray:
         """Unknowns of a random guess."""
-        values = 2 ** self.random.uniform(SMALLEST, LARGEST) * self.smooth()
+        values = amplitude * self.smooth()
         return self.unknowns(self.transcription.guess_on_mesh(values, self.transcription.mesh).values)
 
     def from_a_guess(self) -> Solution:
         """Newton's method from a random guess."""
-        solution = damped_newton(self.stationarity, self.guess(), self.data)
+        guess = self.guess(2 ** self.random.uniform(SMALLEST, LARGEST))
+        solution = damped_newton(self.stationarity, guess, self.data)
         return replace(solution, report="Newton, from a random guess")
 
     def along_residual_load(self) -> Iterator[Solution]:
         """All paths on the curve from a random guess, which a load makes an equilibrium, as the load is removed."""
         with self.stationarity.linearization() as at:
-            curve = residual_load_curve(at, self.guess(), self.data, self.stiffest)
+            curve = residual_load_curve(at, self.guess(next(self.amplitudes)), self.data, self.stiffest)
             yield from curve.stationary_paths(-1.0, "Newton, along the load of a random guess")
+            self.iterations += curve.iterations
 
     def along_a_load(self) -> Iterator[Solution]:
         """All paths on a curve of loaded paths: to one side of a known path, and in the next solve to the other."""
@@ -346,12 +356,13 @@ class Search:
 
     def no_path_error(self) -> ConvergenceError:
         """The error that says why there is no path."""
-        path = None if self.failure is None else self.failure.path
+        began = self.failure or ConvergenceError("a path of a family, or between conjugate points, was found")
+        kind, why = ConvergenceError, f"; from the straight line, {began}"
         if self.unresolved:
-            return ConvergenceError(
-                f"{self.solves} solves found no path, but {counted(self.unresolved, 'critical point')} of the "
-                f"discrete action that the mesh does not resolve; {FINER}",
-                path,
-            )
-        kind = ConjugatePointError if self.singular else ConvergenceError
-        return kind(f"{self.solves} solves found no path; from the straight line, {self.failure}", path)
+            dropped = counted(self.unresolved, "critical point")
+            why = f", but {dropped} of the discrete action that the mesh does not resolve; {FINER}"
+        elif self.singular:
+            kind = ConjugatePointError
+        return kind(
+            f"no path was found in {counted(self.solves, 'solve')}{why}", began.path, began.residual, self.iterations
+        )

@@ -69,7 +69,8 @@ class LoadedCurve(Curve[bool]):
     def directions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The Newton step at a fixed load, and the derivative of the path by the share s of the load."""
         self.iterations += 1
-        residual = self.at.relinearize(z[:-1], self.data) - z[-1] * self.load
+        with np.errstate(invalid="ignore"):  # where both are infinite
+            residual = self.at.relinearize(z[:-1], self.data) - z[-1] * self.load
         if not np.max(np.abs(self.at.matrix), initial=0.0) < self.stiffest:
             return np.full_like(residual, np.nan), np.full_like(residual, np.nan)
         newton, follow = self.at.solve(residual, -self.load)

@@ -1,5 +1,7 @@
 """All stationary paths that are known are found without a guess, none twice, and none that the mesh invents."""
 
+import time
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -8,6 +10,8 @@ from scipy.integrate import solve_ivp
 
 import casadi_galerkin as cg
 from casadi_galerkin.boundary import several_paths
+from casadi_galerkin.boundary.several_paths import Search
+from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.loaded_curve import LoadedCurve
 
 SOLVES = 100  # within which every path has to be found
@@ -178,7 +182,9 @@ def test_where_the_straight_line_leads_to_nothing_its_load_does(duration):
 
 
 def test_where_the_mesh_resolves_nothing_that_is_said():
-    with pytest.raises(cg.ConvergenceError, match=r"solves found no path, but \d+ critical points of the discrete"):
+    with pytest.raises(
+        cg.ConvergenceError, match=r"no path was found in \d+ solves, but \d+ critical points of the discrete"
+    ):
         cg.paths(LONG, cg.Galerkin(1), 3)
 
 
@@ -193,17 +199,26 @@ def test_members_of_a_family_are_counted_and_not_returned():
 
 def test_conjugate_ends_are_an_error():
     problem = oscillator_problem(t_span=(0.0, np.pi), end=[0.0])
-    with pytest.raises(cg.ConjugatePointError, match="20 solves found no path; from the straight line, the second v"):
+    with pytest.raises(
+        cg.ConjugatePointError, match="no path was found in 20 solves; from the straight line, the second v"
+    ):
         cg.paths(problem, cg.Galerkin(6), 10)
 
 
 def test_without_a_path_the_search_says_how_often_it_tried():
     problem = cg.BoundaryProblem(bratu(4.0), (0, 1), [0.0], [0.0])
     with pytest.raises(
-        cg.ConvergenceError, match="20 solves found no path; from the straight line, no path was"
+        cg.ConvergenceError, match="no path was found in 20 solves; from the straight line, no path was"
     ) as caught:
         cg.paths(problem, cg.Galerkin(8), 10)
     assert caught.value.path is not None
+
+
+def test_a_search_ends_when_the_time_is_up():
+    problem = cg.BoundaryProblem(bratu(4.0), (0, 1), [0.0], [0.0])
+    search = Search(cg.transcribe(problem, cg.Galerkin(8), 10), ())
+    with until(time.perf_counter()), pytest.raises(cg.ConvergenceError, match="no path was found in 1 solve; from"):
+        search.run(1)
 
 
 def test_the_search_ends_at_the_count_or_when_nothing_new_is_found(swings):
