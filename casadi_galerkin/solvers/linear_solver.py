@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -27,8 +26,6 @@ METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 to 20 times faster 
 # factor on the regularization of a condition, see `_regularized`; 1e-6 and 1e-8 left larger errors
 REGULARIZATION = 1e-7
 LEAK = 1e-8  # loss at every node of a matrix's graph, so small that sources still reach the ends of long chains
-
-Matrix = TypeVar("Matrix", ca.MX, ca.DM)
 
 
 class LinearSolver:
@@ -53,7 +50,7 @@ class LinearSolver:
     def _function(self, name: str, inputs: dict[str, ca.MX], outputs: dict[str, ca.MX]) -> ca.Function:
         return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))
 
-    def _regularized(self, matrix: Matrix) -> Matrix:
+    def _regularized(self, matrix: ca.MX) -> ca.MX:
         """∇²S with small negative numbers on the diagonal of the multipliers, where it has zeros.
 
         LDLᵀ without pivoting needs this regularization.  For a condition G δx = 0 it is a small part of
@@ -223,12 +220,20 @@ class LinearSolver:
         outputs = {"residual": residual, "regularity": ca.if_else(comparable, quotient, 0)}
         return self._function("verification", inputs, outputs)
 
+    @cached_property
+    def _softened(self) -> ca.Function:
+        """∇²S with regularized conditions and its whole diagonal, for LDLᵀ."""
+        inputs = self.symbols("matrix")
+        softened = self._regularized(inputs["matrix"])
+        whole = softened.sparsity() + ca.Sparsity.diag(self.numbering.free)
+        return self._function("softened", inputs, {"softened": ca.project(softened, whole)})
+
     def negative_eigenvalues(self, matrix: ca.DM, keep: Callable[[str, Callable[[], ca.Linsol]], ca.Linsol]) -> int:
         """Number of negative eigenvalues among the directions that keep the conditions, from the inertia of LDLᵀ.
 
         The workspace of the factorization belongs to one solve, because a Linsol keeps what it factored last.
         """
-        softened = self._regularized(matrix) + 0 * ca.DM.eye(self.numbering.free)  # with its whole diagonal
+        softened = self._softened(matrix)
         factors = keep("inertia", lambda: factors_of(softened.sparsity()))
         return negative_pivots(softened, factors) - self.numbering.multipliers
 
