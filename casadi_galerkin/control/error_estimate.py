@@ -114,13 +114,6 @@ def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
     return np.asarray(np.max(np.abs(change) / path.sizes[:, None, None], axis=(0, 2)))
 
 
-def negligible_cost(path: ControlTrajectory) -> float:
-    """Cost of forces and rates so small, by `NEGLIGIBLE_MOMENTUM`, that they cannot be told from zero."""
-    mechanical = path.problem.mechanical
-    states = np.vstack((path.momentum[:mechanical], path.x[mechanical:]))
-    return NEGLIGIBLE_MOMENTUM * float(np.max(np.abs(path.costate.values), axis=1) @ np.max(np.abs(states), axis=1))
-
-
 @dataclass(frozen=True)
 class HigherDegree:
     """A path of degree m, the path of degree m + 2 on the same mesh, and the errors estimated from the two.
@@ -142,7 +135,7 @@ class HigherDegree:
         """A change of the cost relative to the cost; zero where the cost cannot be told from zero."""
         both = self.path, self.higher
         cost = max(abs(path.cost) for path in both)
-        return change / cost if cost > max(map(negligible_cost, both)) else 0.0
+        return change / cost if cost > NEGLIGIBLE_MOMENTUM * max(path._cost_of_forces for path in both) else 0.0
 
     @cached_property
     def cost_change(self) -> float:
@@ -181,15 +174,6 @@ class HigherDegree:
         return float(max(*late, np.max(self.bound_errors), 0.0))
 
     @cached_property
-    def hamiltonian_variation(self) -> float:
-        """Variation of the Hamiltonian, where it should be constant between breakpoints, times duration over cost."""
-        path = self.path
-        if not path.problem.autonomous:
-            return 0.0
-        parts = np.split(path.hamiltonian, np.searchsorted(path.t, path.problem.breakpoints))
-        return self.of_cost(float(max(np.ptp(part) for part in parts) * np.ptp(path.t)))
-
-    @cached_property
     def jump_effects(self) -> np.ndarray:
         """Changes of the cost by jumps in time inside each interval, relative to the cost; (N,)."""
         if self.path.problem.autonomous:
@@ -223,7 +207,8 @@ class HigherDegree:
         Where the two paths are far apart, their costs may agree by chance, and the distance of the paths is the error.
         """
         distance = self.change if self.change > FAR_FROM_GUESS else 0.0
-        change, common, variation = self.cost_change / (1 - SLOWEST), self.common_error, self.hamiltonian_variation
+        change, common = self.cost_change / (1 - SLOWEST), self.common_error
+        variation = self.of_cost(self.path._hamiltonian_variation)
         return max(change, common**2, variation**2, distance, self.jump_error)
 
     def better_mesh(self, tol: float, cost_tol: float) -> np.ndarray:

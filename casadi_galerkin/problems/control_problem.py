@@ -243,7 +243,7 @@ class ControlProblem:
 
     @property
     def autonomous(self) -> bool:
-        """Whether nothing along the path depends on time: between breakpoints the Hamiltonian is then constant."""
+        """Whether nothing along the path depends on time, so that the Hamiltonian is constant between breakpoints."""
         functions = [f for f in (*self._along, self.lagrangian, self.constraint) if f is not None]
         return not any(f.sparsity_jac(0, 0).nnz() for f in functions)
 

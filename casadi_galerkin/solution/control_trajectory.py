@@ -11,12 +11,13 @@ import numpy as np
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import counted, spanned
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
+from casadi_galerkin.calculus.roundoff import TINY
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.driven_trajectory import DrivenTrajectory
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_path
 from casadi_galerkin.solution.remaining_error import RemainingError
-from casadi_galerkin.solution.trajectory import UNRESOLVED
+from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -243,7 +244,9 @@ class ControlTrajectory(DrivenTrajectory):
         """A line on the errors of cost and path, if they are known, or that this mesh does not resolve the path."""
         known = [(self.cost_error, "of the cost"), (self.error_estimate, "of the path")]
         errors = ", ".join(f"{error:.1e} {whose}" for error, whose in known if error is not None)
-        return [f"  error       {errors}, estimated"] if errors else self._undetermined() or self._unresolved()
+        if errors:
+            return [f"  error       {errors}, estimated"]
+        return self._undetermined() or self._unresolved() or self._unbalanced()
 
     def _not_optimal(self) -> bool:
         """Whether further Newton steps would change the cost by more than a solver should leave."""
@@ -263,6 +266,27 @@ class ControlTrajectory(DrivenTrajectory):
             words = f"the solver leaves x open by {self.solver_error:.0e} of its size; the cost hardly depends on it"
             lines.append(f"  NOT DETERMINED: {words}")
         return lines
+
+    def _unbalanced(self) -> list[str]:
+        """A line on a Hamiltonian that varies where it should not, as where the cost jumps at a value of a control."""
+        share = self._hamiltonian_variation / max(abs(self.cost), self._cost_of_forces, TINY)
+        words = f"the Hamiltonian, which should be constant, varies by {share:.0e} of the cost; take more intervals"
+        return [f"  NOT RESOLVED: {words}"] if share > UNBALANCED else []
+
+    @cached_property
+    def _hamiltonian_variation(self) -> float:
+        """Variation of the Hamiltonian, where it should be constant between breakpoints, times the duration."""
+        if self.problem.hold or not self.problem.autonomous:  # held controls are optimal in the mean only
+            return 0.0
+        parts = np.split(self.hamiltonian, np.searchsorted(self.t, self.problem.breakpoints))
+        return float(max(np.ptp(part) for part in parts) * np.ptp(self.t))
+
+    @cached_property
+    def _cost_of_forces(self) -> float:
+        """Cost of forces and rates that would change momenta and first-order components by their sizes."""
+        mechanical = self.problem.mechanical
+        states = np.vstack((self.momentum[:mechanical], self.x[mechanical:]))
+        return float(np.max(np.abs(self.costate.values), axis=1) @ np.max(np.abs(states), axis=1))
 
     @property
     def _truncation_error(self) -> np.ndarray:

@@ -267,6 +267,17 @@ def test_a_path_that_the_degree_holds_exactly_is_resolved(intervals):
     assert "NOT RESOLVED" not in repr(cg.solve(double_integrator(), cg.Galerkin(3), intervals))
 
 
+@pytest.mark.parametrize("hold", [False, True])
+def test_a_hamiltonian_that_should_be_constant_shows_what_no_derivative_sees(hold):
+    """A cost that jumps with the control has no derivative that tells of it; held controls have no such Hamiltonian."""
+    blind = cg.solve(
+        double_integrator(running_cost=lambda t, x, v, u: u[0] ** 2 / 2 + ca.floor(4 * u[0]), hold=hold),
+        cg.Galerkin(3),
+        10,
+    )
+    assert ("NOT RESOLVED: the Hamiltonian, which should be constant, varies by" in repr(blind)) is not hold
+
+
 @pytest.mark.usefixtures("headless")
 def test_a_picture_shows_path_constraints_bounds_and_breakpoints():
     problem = double_integrator(
