@@ -80,7 +80,7 @@ class DiscreteCalculus:
     def __init__(self, method: Galerkin, mesh: ArrayLike) -> None:
         check_method(method)
         self.method, self.mesh = method, time_scale(mesh)
-        self._element, self._nodes = method.element, (len(self.mesh) - 1) * method.degree + 1
+        self._element = method.element
 
     @cached_property
     def node_times(self) -> np.ndarray:
@@ -104,10 +104,7 @@ class DiscreteCalculus:
 
     def emb(self, values: ArrayLike) -> PiecewisePolynomial:
         """Embedding emb_m: node values X̄ of shape (d, N m + 1) to the path x̄ (paper, section 2)."""
-        array = real_array("node values", values)
-        if array.ndim != 2 or array.shape[1] != self._nodes:
-            raise ValueError(f"node values must have the shape (d, {self._nodes}), got {array.shape}")
-        return PiecewisePolynomial(self.mesh, self._element.nodes, array)
+        return PiecewisePolynomial(self.mesh, self._element.nodes, real_array("values at the nodes", values))
 
     def delta(self, values: ArrayLike) -> np.ndarray:
         """Discrete derivative Δ_m: right derivative of emb_m(X̄) at t_0 ... t_{N-1}; shape (d, N)."""

@@ -275,7 +275,7 @@ def test_a_mesh_that_does_not_fit_is_refused(arguments, kind, message):
 @pytest.mark.parametrize("shape", [(4,), (1, 4), (2, 3, 5)])
 def test_node_values_of_another_shape_are_refused(call, shape):
     calculus = cg.DiscreteCalculus(METHOD, [0.0, 0.5, 1.0])
-    with pytest.raises(ValueError, match=r"node values must have the shape \(d, 5\), got \("):
+    with pytest.raises(ValueError, match=r"values at the nodes must have the shape \(d, 5\), got \("):
         getattr(calculus, call)(np.zeros(shape))
 
 
