@@ -15,7 +15,7 @@ from numpy.polynomial import legendre
 
 from casadi_galerkin.calculus.discrete_calculus import spread_between
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts
 from casadi_galerkin.calculus.roundoff import TINY
 
 FINEST = 32.0  # an interval is split into at most this many at once
@@ -64,7 +64,7 @@ def truncation_error(path: PiecewisePolynomial, sizes: np.ndarray | None = None)
     from the last two.  Below degree 3 there are not four: the next coefficient is then estimated from the change of the
     last one between neighboring intervals.
     """
-    m = len(path.nodes) - 1
+    m = path.degree
     local = path.local / (path.sizes if sizes is None else sizes)[:, None, None]
     signed = local @ _to_legendre(tuple(path.nodes.tolist())).T  # (d, N, m + 1)
     coefficients = np.abs(signed)
@@ -88,7 +88,7 @@ def largest_change(path: PiecewisePolynomial, nodes: np.ndarray, values: np.ndar
     The change has `values` (d, N m' + 1) at `nodes`, and is sampled between them as well.
     """
     change = PiecewisePolynomial(path.mesh, nodes, values)
-    sampled = change.values_at_parts(np.linspace(0, 1, 4 * change.degree + 1))
+    sampled = change.values_at_parts(sampling_parts(change.degree))
     return float(np.max(np.abs(sampled) / path.sizes[:, None, None]))
 
 

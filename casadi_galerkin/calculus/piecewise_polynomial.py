@@ -28,6 +28,11 @@ def times_at(mesh: np.ndarray, parts: np.ndarray) -> np.ndarray:
     return np.asarray((mesh[:-1, None] + (mesh[1:] - mesh[:-1])[:, None] * parts).ravel())
 
 
+def sampling_parts(degree: int) -> np.ndarray:
+    """Fractions of an interval, 0 and 1 among them, at which something of this degree is sampled between its nodes."""
+    return np.linspace(0.0, 1.0, 4 * degree + 1)
+
+
 @lru_cache(64)
 def _basis(nodes: tuple[float, ...], parts: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Lagrange polynomials of the nodes, and their derivatives, at fractions (K,) of an interval; (K, m + 1) each."""

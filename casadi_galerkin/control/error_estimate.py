@@ -40,7 +40,7 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, parts_wanted, truncation_error
 from casadi_galerkin.calculus.nodes import lagrange_values
-from casadi_galerkin.calculus.piecewise_polynomial import times_at
+from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.control.constraint_violation import NEGLIGIBLE_MOMENTUM
 from casadi_galerkin.control.jumps_in_time import jumps_in_time
@@ -67,15 +67,10 @@ ROUNDOFF = 1e-15  # of positions and of impulses, relative to their sizes
 UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
 
 
-def parts_of(degree: int) -> np.ndarray:
-    """Fractions of an interval at which paths are compared, 0 and 1 among them."""
-    return np.linspace(0, 1, 4 * degree + 1)
-
-
 def position_excess(path: ControlTrajectory) -> np.ndarray:
     """Largest distance of the positions from their bounds on each interval, relative to the components' sizes; (N,)."""
     low, high = (np.array(side)[:, None, None] for side in path.problem.position_bounds)
-    positions = path.polynomial.values_at_parts(parts_of(path.method.degree))
+    positions = path.polynomial.values_at_parts(sampling_parts(path.method.degree))
     outside = bound_excess(positions, low, high) / path.sizes[:, None, None]
     return np.asarray(np.max(np.where(outside > ROUNDOFF, outside, 0.0), axis=(0, 2)))
 
@@ -98,7 +93,7 @@ def unseen_excess(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndar
     if path.problem.path_constraint is not None:
         _, least, most = path.problem.path_constraint
         low, high = low + least, high + most
-    both = np.stack([bounded_values(p, parts_of(path.method.degree)) for p in (path, higher)])
+    both = np.stack([bounded_values(p, sampling_parts(path.method.degree)) for p in (path, higher)])
     sizes = component_sizes(both[0].reshape(len(low), -1))
     lowest, highest, size = (np.reshape(a, (-1, 1, 1)) for a in (low, high, sizes))
     excess = np.min(bound_excess(both, lowest, highest), axis=0)
@@ -109,8 +104,8 @@ def unseen_excess(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndar
 def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
     """Distance of a path from its interpolant of a lower degree on each interval, relative to the sizes; (N,)."""
     nodes = Galerkin(degree).element.nodes
-    lower = path.polynomial.values_at_parts(nodes) @ lagrange_values(nodes, parts_of(degree)).T
-    change = path.polynomial.values_at_parts(parts_of(degree)) - lower
+    lower = path.polynomial.values_at_parts(nodes) @ lagrange_values(nodes, sampling_parts(degree)).T
+    change = path.polynomial.values_at_parts(sampling_parts(degree)) - lower
     return np.asarray(np.max(np.abs(change) / path.sizes[:, None, None], axis=(0, 2)))
 
 
@@ -145,7 +140,7 @@ class HigherDegree:
     @cached_property
     def change(self) -> float:
         """Error D / (1 - q) of cost, duration and positions; see the module."""
-        path, higher, parts = self.path, self.higher, parts_of(self.path.method.degree)
+        path, higher, parts = self.path, self.higher, sampling_parts(self.path.method.degree)
         (before, slope), (after, _) = (p.polynomial.at_parts(parts) for p in (path, higher))
         own, other = (times_at((p.t - p.t[0]) / np.ptp(p.t), parts).reshape(-1, len(parts)) for p in (path, higher))
         change = np.abs(after - before - slope * np.ptp(path.t) * (other - own))

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.numbers import counted
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.linear_equations import solve_scaled
@@ -141,7 +141,7 @@ def off_constraint(problem: Problem, path: PiecewisePolynomial) -> str | None:
     """
     if problem.constraint is None:
         return None
-    parts = np.linspace(0.0, 1.0, 4 * path.degree + 1)
+    parts = sampling_parts(path.degree)
     x, times = path.values_at_parts(parts).reshape(len(path.values), -1), times_at(path.mesh, parts)
     moves = np.ptp(x, axis=1, keepdims=True) + STILL * component_sizes(x)[:, None]
     measured = _missed(with_parameters(problem.constraint, problem.parameters)).map(len(times))

@@ -9,6 +9,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import lagrange_values
+from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes
 from casadi_galerkin.problems.bounds import bound_excess
@@ -118,7 +119,7 @@ class DrivenTrajectory(Trajectory):
         """
         low, high = (np.array(side)[:, None] for side in self.problem.control_bounds)
         width = np.where(np.isfinite(high - low) & (high > low), high - low, 1.0)
-        u = self.control.at(np.linspace(0.0, 1.0, 4 * len(self.method.quadrature) + 1))
+        u = self.control.at(sampling_parts(len(self.method.quadrature)))
         excess = bound_excess(u, low, high) / width
         return np.asarray(excess.max(axis=0).reshape(len(self.t) - 1, -1).max(axis=1))
 
@@ -140,7 +141,7 @@ class DrivenTrajectory(Trajectory):
         if self.problem.path_constraint is None:
             return np.zeros(len(self.t) - 1)
         low, high = (np.array(side)[:, None, None] for side in self.problem.path_constraint[1:])
-        values = self.path_constraints(np.linspace(0.0, 1.0, 4 * len(self.method.quadrature) + 1))
+        values = self.path_constraints(sampling_parts(len(self.method.quadrature)))
         sizes = [np.max(np.abs(np.where(np.isfinite(a), a, 0.0)), axis=(1, 2)) for a in (values, low, high)]
         size = np.max(sizes, axis=0)[:, None, None]
         return np.asarray((bound_excess(values, low, high) / np.maximum(size, TINY)).max(axis=(0, 2), initial=0.0))
