@@ -20,7 +20,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -78,7 +77,7 @@ class Chain:
     controls, parameters, constraints, path_constraints, conditions : numbers of controls, parameters, holonomic
         constraints, path constraints and end conditions
     terminal_cost : whether there is a terminal cost
-    free : which of "durations" and "parameters" are unknowns
+    free : which of "durations" and "parameters" are unknowns, in this order
     hold : whether controls are constant on every interval
     breaks : numbers of the joints at the breakpoints
     crossings : for each breakpoint with a jump or a condition on the velocity, see `ControlProblem.crossings`, the
@@ -126,7 +125,7 @@ class Chain:
         path_constraints: int,
         conditions: int,
         terminal_cost: bool,
-        free: frozenset[str],
+        free: tuple[str, ...],
         hold: bool,
         breaks: tuple[int, ...],
         crossings: tuple[tuple[int, bool, int], ...],
@@ -134,7 +133,7 @@ class Chain:
         self.method, self.intervals, self.dimension, self.mechanical = method, intervals, dimension, mechanical
         self.controls, self.parameters, self.constraints = controls, parameters, constraints
         self.path_constraints, self.conditions, self.terminal_cost = path_constraints, conditions, terminal_cost
-        self._free = free
+        self.free = free
         self.breaks = np.array(breaks, dtype=np.int64)
         self.crossed = np.array([joint for joint, _, _ in crossings], dtype=np.int64)
         self.jumped = np.array([jumps for _, jumps, _ in crossings], dtype=bool)
@@ -148,7 +147,7 @@ class Chain:
     def _number_unknowns(self) -> None:
         n, m, d, mechanical = self.intervals, self.method.degree, self.dimension, self.mechanical
         constants = {"durations": (int(self.phases[-1]) + 1,), "parameters": (self.parameters,)}
-        free = {name: shape for name, shape in constants.items() if name in self._free}
+        free = {name: constants[name] for name in self.free}
         state: Layout = {"x": (d,), "momentum": (mechanical,), **free}
         chosen: Layout = {
             "nodes": (m, d),
@@ -208,10 +207,6 @@ class Chain:
         self.kinds = kinds_of(self.rows, alike, self.equations)
         self.motions = slice(self.dimension, self.dimension + self.mechanical)
 
-    def is_free(self, name: str) -> bool:
-        """Whether the entries of a field are unknowns."""
-        return bool(self.fields[name].size and self.fields[name].ravel()[0] < self.unknowns)
-
     def pack(self, values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Unknowns and data from one array per field."""
         everything = np.zeros(self.size)
@@ -225,16 +220,11 @@ class Chain:
         values = {name: everything[index] for name, index in self.fields.items()}
         return values | {name: values[name][-1] for name in ("durations", "parameters")}
 
-    def largest(self, terms: np.ndarray) -> np.ndarray:
-        """Largest of the terms of every kind of equation, NaN ignored."""
-        return largest_of(terms, self.kinds)
-
     def units(self, sizes: np.ndarray) -> np.ndarray:
         """Unit of every equation: `sizes` for the equations of motion, else one."""
-        units = np.ones(self.equations)
-        for name in ("motion", "momentum", "start", "end", "arrival"):
-            units[self.rows[name]] = sizes
-        return units
+        units = np.ones(self.kinds.max() + 1)
+        units[self.motions] = sizes
+        return np.asarray(units[self.kinds])
 
     def path(self, values: dict[str, np.ndarray], mesh: np.ndarray) -> PiecewisePolynomial:
         """The path, with separate values before the joints where it jumps."""
@@ -253,11 +243,6 @@ class Chain:
             arrivals[:, joints - 1] = before.T
         return PiecewisePolynomial(mesh, self.method.element.nodes, values, arrivals)
 
-    @cached_property
-    def _rate_basis(self) -> np.ndarray:
-        """Test polynomials of the rates at the nodes before the last; (m, m)."""
-        return lagrange_values(np.array(gauss(self.method.degree).points), self.method.element.nodes[:-1])
-
     def costate(
         self, multipliers: np.ndarray, bounds: np.ndarray, arriving: np.ndarray, mesh: np.ndarray
     ) -> PiecewisePolynomial:
@@ -275,7 +260,8 @@ class Chain:
         m, others = self.method.degree, slice(self.mechanical, None)
         motion = multipliers[self.rows["motion"]].reshape(self.intervals * m, self.mechanical)
         motion = np.vstack((motion, -multipliers[self.rows["momentum"][-1]]))
-        rates = -self._rate_basis @ multipliers[self.rows["rates"]]
+        tests = lagrange_values(np.array(gauss(m).points), self.method.element.nodes[:-1])
+        rates = -tests @ multipliers[self.rows["rates"]]
         ends = -multipliers[self.rows["x"]][:, others]
         rates[1:, 0] = ends[:-1]
         rates[self.breaks, 0] -= bounds[self.fields["x"][self.breaks, others]]
@@ -306,7 +292,7 @@ def chain_of(problem: ControlProblem, method: Galerkin, mesh: np.ndarray) -> Cha
         path_constraints=path_constraints,
         conditions=conditions,
         terminal_cost=problem.terminal_cost is not None,
-        free=frozenset(name for name, bounds in bounded.items() if bounds is not None),
+        free=tuple(name for name, bounds in bounded.items() if bounds is not None),
         hold=problem.hold,
         breaks=tuple(np.searchsorted(mesh, problem.breakpoints).tolist()),
         crossings=tuple((joint, *what) for joint, what in zip(crossed, there, strict=True)),

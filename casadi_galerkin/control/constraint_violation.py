@@ -25,7 +25,7 @@ def equation_scales(chain: Chain, bounds: ProgramBounds, report: Report, before:
     kind).  For a path constraint or an end condition g it is |∇g||z|, or its finite bound if that is larger.
     """
     sizes = np.where(report.sizes <= VANISHED * before, before, report.sizes)
-    stated = chain.largest(bounds.sizes[1])
+    stated = largest_of(bounds.sizes[1], chain.kinds)
     sizes = np.fmax(np.where(sizes > ZERO_TERMS, sizes, 0.0), stated)
     return np.asarray(np.where(sizes > 0, sizes, 1.0)[chain.kinds])
 

@@ -87,7 +87,7 @@ def _given(problem: ControlProblem, chain: Chain) -> dict[str, np.ndarray]:
         "end_velocity": (f["end_velocity"], problem.end_velocity[mechanical]),
     }
     entries = {name: where[[value is not None for value in values]] for name, (where, values) in stated.items()}
-    if not chain.is_free("parameters"):
+    if "parameters" not in chain.free:
         entries["parameters"] = f["parameters"][0]
     return {name: where for name, where in entries.items() if where.size}
 

@@ -272,7 +272,7 @@ class ChainEmbedding:
         """Λ: equations x unknowns."""
         chain = self.chain
         f, rows = chain.fields, chain.rows
-        free = [f[name] for name in ("durations", "parameters") if chain.is_free(name)]
+        free = [f[name] for name in chain.free]
         constants = np.concatenate(free, axis=1) if free else np.zeros((chain.intervals + 1, 0), dtype=np.int64)
         smooth = np.delete(np.arange(chain.intervals), chain.crossed - 1)
         triplets: list[Triplet] = [

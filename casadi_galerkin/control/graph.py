@@ -19,7 +19,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.control import assembly
-from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.control.chain import Chain, largest_of
 from casadi_galerkin.control.pointwise import pointwise_terms
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap
@@ -167,7 +167,7 @@ class ControlGraph:
             cost, equations, action, *terms, slope, hamiltonian, arriving = evaluate(unknowns, data, np.ones(1), given)
         # The terms of a component at rest are only roundoff of its slopes, which is measured by the sizes of the terms
         # that cancel in the slopes.  The sizes of other components do not include these.
-        moving, canceled = map(chain.largest, terms)
+        moving, canceled = (largest_of(sizes, chain.kinds) for sizes in terms)
         resting = np.isfinite(canceled) & (moving <= RESTING * canceled)
         sizes = np.fmax(moving, canceled)
         sizes[chain.motions] = np.where(resting, canceled, moving)[chain.motions]

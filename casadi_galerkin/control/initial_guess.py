@@ -35,7 +35,7 @@ def first_values(
     path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical
     everywhere, degree = np.array(section_times(problem)), chain.method.degree
-    of_phases = everywhere if chain.is_free("durations") else everywhere[[0, -1]]
+    of_phases = everywhere if "durations" in chain.free else everywhere[[0, -1]]
     if isinstance(guess, ControlTrajectory):
         path_guess, control_guess = _of_answer(guess, near, chain, calculus, everywhere)
     path = _path(problem, calculus, path_guess)

@@ -96,8 +96,7 @@ class CostVariation:
 def _sizes(chain: Chain, unknowns: np.ndarray) -> np.ndarray:
     """Largest size of positions, of controls and of each free constant, for their entries; zero for other unknowns."""
     sizes = np.zeros(chain.unknowns)
-    free = [[name] for name in ("durations", "parameters") if chain.is_free(name)]
-    for names in (["x", "nodes"], ["controls"], *free):
+    for names in (["x", "nodes"], ["controls"], *([name] for name in chain.free)):
         entries = np.concatenate([chain.fields[name].ravel() for name in names])
         sizes[entries] = np.max(np.abs(unknowns[entries]), initial=0.0)
     return sizes

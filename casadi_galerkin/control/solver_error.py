@@ -57,7 +57,7 @@ def estimate_remaining_error(
     with np.errstate(invalid="ignore"):  # where both steps are infinite
         ratio = np.fmin(SLOWEST, second / np.where(first > 0, first, 1.0))
     errors = np.fmax(np.fmax(first, second) / (1 - ratio), rounding)
-    durations = kinds[chain.fields["durations"][-1]] if chain.is_free("durations") else kinds[:0]
+    durations = kinds[chain.fields["durations"][-1]] if "durations" in chain.free else kinds[:0]
     of_durations = float(np.max(errors[durations] / sizes[durations], initial=0.0))
     return RemainingError(errors[: chain.dimension], of_durations, change if np.isfinite(change) else np.inf)
 
