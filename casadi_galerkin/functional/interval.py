@@ -48,7 +48,6 @@ NEARLY_CONVERGED = 1e-8  # relative Newton step after which only rounding can ke
 TAYLOR = 2  # Taylor terms of the velocity that predict the next interval; with more, large steps found other solutions
 
 
-@dataclass(frozen=True)
 class SlopeBasis:
     """Polynomials of degree m - 1 by their values at the m Gauss points, and their integrals from 0.
 
@@ -58,8 +57,9 @@ class SlopeBasis:
     weights : (m,), b_i, the integrals over [0, 1]
     """
 
-    points: np.ndarray
-    weights: np.ndarray
+    def __init__(self, degree: int) -> None:
+        rule = gauss(degree)
+        self.points, self.weights = np.array(rule.points), np.array(rule.weights)
 
     def slopes(self, c: np.ndarray) -> np.ndarray:
         """l_i(c); (len(c), m)."""
@@ -78,12 +78,6 @@ class SlopeBasis:
             rows.append(row)
             row = row @ differentiation_matrix(self.points) / (k + 1)
         return np.concatenate(rows)
-
-
-def slope_basis(degree: int) -> SlopeBasis:
-    """Slope basis of paths of degree m."""
-    rule = gauss(degree)
-    return SlopeBasis(np.array(rule.points), np.array(rule.weights))
 
 
 def _points(lagrangian: ca.Function, force: ca.Function | None) -> ca.Function:
@@ -135,7 +129,7 @@ class Interval:
         parts = [by_s, ca.jacobian(residual, start), ca.jacobian(ends, start)]
         partial = ca.Function("partial", symbols, [ca.densify(part) for part in parts])
         along = ca.Function("along", [*symbols, direction], [ca.jtimes(ends, column, direction)])
-        at = [ca.MX.sym(name, *self.system.size_in(i)) for i, name in enumerate("sxpth")]
+        at = self.system.mx_in()
         by_s, by_start, direct = partial(ca.vec(at[0]), *at[1:])
         response = -_solved(by_s, by_start, shape, d)
         return ca.Function("step_jacobian", at, [direct + along(ca.vec(at[0]), *at[1:], response)])
@@ -159,23 +153,26 @@ class Interval:
         momentum, summed = ca.vertcat(momentum, p[d] + gained), ca.vertcat(summed, ca.fabs(p[d]) + ca.fabs(gained))
         powers = ca.DM(range(1, velocity.shape[1] + 1)).T
         velocity = ca.vertcat(velocity * ca.repmat(stretch**powers, d, 1), ca.SX(1, velocity.shape[1]))
-
-        def function(name: str, *outputs: ca.SX) -> ca.Function:
-            return ca.Function(name, [s, x, p, t, h], [ca.densify(output) for output in outputs])
-
-        return Interval(
-            function("system", residual, by_s),
-            function("check", ratio, action, summed),
-            function("end", ca.vertcat(end, stretch), momentum, velocity),
-            function("denoised", denoised),
+        return _interval_of(
+            [s, x, p, t, h],
+            system=(residual, by_s),
+            check=(ratio, action, summed),
+            end=(ca.vertcat(end, stretch), momentum, velocity),
+            denoised=(denoised,),
         )
+
+
+def _interval_of(symbols: list[ca.SX], **outputs: tuple[ca.SX, ...]) -> Interval:
+    """The Functions of an interval, from expressions in (s, x, p, t, h)."""
+    dense = {name: [ca.densify(output) for output in given] for name, given in outputs.items()}
+    return Interval(**{name: ca.Function(name, symbols, given) for name, given in dense.items()})
 
 
 def interval(
     lagrangian: ca.Function, force: ca.Function | None, constraint: ca.Function | None, method: Galerkin
 ) -> Interval:
     """Build the equations of one interval (see the module) as SX Functions."""
-    d, m, element, basis = lagrangian.size1_in(1), method.degree, method.element, slope_basis(method.degree)
+    d, m, element, basis = lagrangian.size1_in(1), method.degree, method.element, SlopeBasis(method.degree)
     q, w, b = element.points, element.weights[:, None], basis.weights
     values, slopes = basis.values(q), basis.slopes(q)
     k = 0 if constraint is None else constraint.size1_out(0)
@@ -205,15 +202,12 @@ def interval(
         noise = LARGEST_LAST_STEP * largest * ca.sum2(ca.fabs(by_s)[:, _path_unknowns(unknowns.shape, d)])
         terms, end, end_terms = selection.T @ terms + added.terms + noise, added.momentum, added.momentum_terms
         denoised = added.denoised
-
-    def function(name: str, *outputs: ca.SX) -> ca.Function:
-        return ca.Function(name, [unknowns, x, p, t, h], [ca.densify(output) for output in outputs])
-
-    return Interval(
-        function("system", residual, by_s),
-        function("check", ca.fabs(residual) / (EPS * terms + TINY), action @ ca.DM(w), end_terms),
-        function("end", x + s @ ca.DM(b), end, velocity),
-        function("denoised", denoised),
+    return _interval_of(
+        [unknowns, x, p, t, h],
+        system=(residual, by_s),
+        check=(ca.fabs(residual) / (EPS * terms + TINY), action @ ca.DM(w), end_terms),
+        end=(x + s @ ca.DM(b), end, velocity),
+        denoised=(denoised,),
     )
 
 
@@ -253,7 +247,7 @@ def _constrained_equations(
 ) -> _ConstrainedEquations:
     """Impose a constraint at the nodes; `free_momentum` is p_1 without the impulses of the constraint."""
     d, m, nodes = x.numel(), method.degree, method.element.nodes
-    basis = slope_basis(m)
+    basis = SlopeBasis(m)
     values, b = basis.values(nodes), basis.weights
     s, impulses, last, mu = unknowns[:d, :m], unknowns[d:, :m], unknowns[:d, m], unknowns[d:, m]
     when, where, v = ca.SX.sym("t"), ca.SX.sym("x", d), last / h
@@ -321,8 +315,7 @@ def newton_iteration(system: ca.Function, positions: int) -> ca.Function:
     none.  Each doubling runs the iterations of the one before, and runs them again if they did not end, so that only
     few conditionals are evaluated.
     """
-    names = system.name_in()[:5]
-    inputs = [ca.MX.sym(name, *system.size_in(i)) for i, name in enumerate(names)]
+    inputs = system.mx_in()
     (rows, m), d = inputs[0].shape, inputs[1].numel()
     s, ds, x, before = ca.SX.sym("s", rows, m), ca.SX.sym("ds", rows, m), ca.SX.sym("x", d), ca.SX.sym("before")
     largest = ca.mmax(ca.fabs(ca.horzcat(x, s[:d, :])[:positions, :]))

@@ -15,7 +15,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.buffers import Evaluator
-from casadi_galerkin.functional.interval import TAYLOR, interval, newton_iteration, slope_basis
+from casadi_galerkin.functional.interval import TAYLOR, SlopeBasis, interval, newton_iteration
 from casadi_galerkin.functional.statement import refuse_points
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.problem import Problem
@@ -76,7 +76,7 @@ class Stepper:
         self.method, self.stretched = method, stretched
         if constraint is not None:
             refuse_points(method)
-        self.dimension, self.basis = lagrangian.size1_in(1) + stretched, slope_basis(method.degree)
+        self.dimension, self.basis = lagrangian.size1_in(1) + stretched, SlopeBasis(method.degree)
         self.interval = interval(lagrangian, force, constraint, method)
         if stretched:
             self.interval = self.interval.stretched()
@@ -103,7 +103,7 @@ class Stepper:
     def _rolled(self, count: int) -> ca.Function:
         """Steps rolled forward, then all of them verified; inputs as `_predicted`, with t and h (1, count)."""
         rolled = self._step.mapaccum("rolled", count, 3)
-        inputs = [ca.MX.sym(f"in{i}", *rolled.size_in(i)) for i in range(5)]
+        inputs = rolled.mx_in()
         x, p, velocity, s, iterations = rolled(*inputs)
         before = [ca.horzcat(first, later[:, :-1]) for first, later in zip(inputs[:2], (x, p), strict=True)]
         ratio, action, terms = self.interval.check.map(count)(s, *before, *inputs[3:])
