@@ -198,9 +198,8 @@ def assembly(
     basis, weights = (element.values, element.slopes), element.weights[:, None]
     products = np.vstack([weights * basis[i][:, a] * basis[j][:, b] for i, j in blocks])
     inputs = [ca.MX.sym(f"block{i}{j}", len(row), numbering.points) for i, j in blocks]
-    entries = ca.vec(
-        _times(_side_by_side(numbering, *inputs), products)
-    )  # node pair slowest, then interval, then entry of the pattern
+    # node pair slowest, then interval, then entry of the pattern
+    entries = ca.vec(_times(_side_by_side(numbering, *inputs), products))
     pattern = hessian_pattern(numbering, colind, row, symmetric)
     values = entries.get_nz(False, pattern.first.tolist())
     for positions, places in pattern.others:  # overlaps at joints; added in place, as a sum of matrices would copy all

@@ -47,7 +47,7 @@ def functional_of(problem: BoundaryProblem, method: Galerkin, intervals: int, ma
 
 def has_phase(problem: BoundaryProblem) -> bool:
     """Whether the phase of a path is free, so that a plane through the guess has to fix it."""
-    return problem.energy is not None and problem.periodic and all(value is None for value in problem.start)
+    return problem.energy is not None and problem.periodic and not is_given(problem.start)
 
 
 def refuse_free_phase(name: str, problem: BoundaryProblem) -> None:
@@ -227,12 +227,9 @@ class _Statement:
         """Matrix from the joints to the times of the constrained nodes."""
         m, count = self.method.degree, len(self.constrained)
         interval = np.minimum(self.constrained // m, self.intervals - 1)
-        part = np.array(self.method.element.nodes)[self.constrained - m * interval]
-        rows = np.arange(count)
-        times = np.zeros((count, 2))
-        times[:, 0], times[:, 1] = 1 - part, part
-        index = [np.tile(rows, 2).tolist(), np.append(interval, interval + 1).tolist()]
-        return ca.DM.triplet(*index, ca.DM(times.T.ravel()), count, self.intervals + 1)
+        part = self.method.element.nodes[self.constrained - m * interval]
+        index = [*range(count)] * 2, np.append(interval, interval + 1).tolist()
+        return ca.DM.triplet(*index, ca.DM(np.append(1 - part, part)), count, self.intervals + 1)
 
     def _phase(self) -> ca.Function:
         d = self.problem.dimension
