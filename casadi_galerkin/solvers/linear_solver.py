@@ -20,8 +20,7 @@ from casadi_galerkin.functional.threads import without_zero_pivots
 from casadi_galerkin.problems.linear_equations import solve_scaled
 
 SHIFTED = 1e-8  # shift of the diagonal where a pivot is zero, relative to the sum of its row: half of all digits
-# accepted defect of a solution, over its right-hand side; a shorter Newton step needs no line search
-DEFECT_TOLERANCE = 1e-3
+DEFECT_TOLERANCE = 1e-3  # accepted defect of a solution, over its right-hand side
 METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 to 20 times faster than QR, which is for where it fails
 # factor on the regularization of a condition, see `_regularized`; 1e-6 and 1e-8 left larger errors
 REGULARIZATION = 1e-7

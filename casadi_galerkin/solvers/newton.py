@@ -16,12 +16,12 @@ import numpy as np
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.deadline import seconds_left
-from casadi_galerkin.solvers.linear_solver import DEFECT_TOLERANCE
 from casadi_galerkin.solvers.second_variation import SINGULAR, softest
 from casadi_galerkin.solvers.stationarity import ACCEPTED, SIGN_SAMPLES, Iterate, Linearization, Stationarity
 
 NEWTON = "Newton"  # its report
 NEARLY_CONVERGED = 1e-6  # relative step from which the next iterate can be at roundoff
+QUADRATIC = 1e-3  # relative step from which convergence should be quadratic: it needs no line search
 SHORT, CONTRACTION = 0.3, 0.25  # a shorter relative step is taken in full if the next one is smaller by this factor
 STRONG_CONTRACTION = 0.1  # the factor for a long first step: from a straight line, all steps are long
 NEARLY_FULL = 0.5  # forecast of the damping from which a short step is first tried in full: forecasts are cautious
@@ -125,7 +125,7 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
 
 def _contracts(norm: float, then: float) -> bool:
     """Whether a full step is accepted for the length of the next one, without a line search."""
-    if norm < DEFECT_TOLERANCE:
+    if norm < QUADRATIC:
         return math.isfinite(then)
     return then <= norm * (CONTRACTION if norm < SHORT else STRONG_CONTRACTION)
 
@@ -221,7 +221,7 @@ def _final_iterate(linear: Linearization, at: Iterate, last: float, data: Data) 
     if at.norm < NEARLY_CONVERGED:
         shrinks = at.norm**2 <= EPS and at.norm**3 <= EPS * last**2
         return at.unknowns + at.step if shrinks or at.norm >= last / 2 else None
-    if not (last < DEFECT_TOLERANCE and last <= at.norm):
+    if not (last < QUADRATIC and last <= at.norm):
         return None
     # A nearly singular Hessian makes steps of this length out of roundoff: right but for the softest direction.
     soft, quotient = softest(linear, at.unknowns, data)
