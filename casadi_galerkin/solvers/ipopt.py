@@ -24,41 +24,18 @@ DIVERGED = "Diverging Iterates"  # at numbers so large that nothing is left to p
 POLISHING = 20  # iterations that Newton's method gets from where IPOPT stopped
 
 
-def stationary_point(
-    stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0, **options: Any
-) -> Solution:
-    """IPOPT on the stationarity conditions as constraints under a constant objective; arguments as of a `Solver`."""
-    return _interior_point(stationarity, guess, data, verbose, minimize=False, options=options)
-
-
-def minimum(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0, **options: Any) -> Solution:
-    """IPOPT on the action itself: finds a minimum, or fails where there is none; arguments as of a `Solver`."""
-    if not stationarity.variational:
-        raise ValueError(
-            "minimizer lowers the action, which a force, a given energy, and a given velocity whose momentum depends "
-            "on the path do not allow: take newton or ipopt"
-        )
-    solution = _interior_point(stationarity, guess, data, verbose, minimize=True, options=options)
-    index = negative_eigenvalues(stationarity, solution.unknowns, data)
-    if index != 0:
-        reason = f"IPOPT on the action ended at a path that is no minimum (Morse index {index})"
-        raise SolveFailure(reason, solution.unknowns, solution.iterations)
-    return solution
-
-
-def rescue(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int, minimize: bool) -> Solution:
-    """IPOPT with fewer iterations, where Newton's method failed; rescues were measured to take 4 to 40."""
-    return _interior_point(stationarity, guess, data, verbose, minimize, {"max_iter": 100})
-
-
-def _interior_point(
+def critical_point(
     stationarity: Stationarity,
     guess: np.ndarray,
     data: Data,
-    verbose: int,
-    minimize: bool,
-    options: Mapping[str, Any],
+    verbose: int = 0,
+    minimize: bool = False,
+    **options: Any,
 ) -> Solution:
+    """IPOPT on the conditions ∇S = 0 under a constant objective or, to `minimize`, on the action.
+
+    The other arguments are those of a `Solver`.
+    """
     name = "IPOPT on the action" if minimize else "IPOPT"
     sizes, unit = _units(stationarity, guess, data)
     own = len(guess) - (stationarity.functional.numbering.multipliers if minimize else 0)
@@ -88,6 +65,21 @@ def _interior_point(
         raise SolveFailure(f"{name} stopped with '{status}'", x, iterations, singular) from None
     total = iterations + polished.iterations
     return replace(polished, iterations=total, report=f"{name}, then Newton")
+
+
+def minimum(stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0, **options: Any) -> Solution:
+    """IPOPT on the action itself: finds a minimum, or fails where there is none; arguments as of a `Solver`."""
+    if not stationarity.variational:
+        raise ValueError(
+            "minimizer lowers the action, which a force, a given energy, and a given velocity whose momentum depends "
+            "on the path do not allow: take newton or ipopt"
+        )
+    solution = critical_point(stationarity, guess, data, verbose, minimize=True, **options)
+    index = negative_eigenvalues(stationarity, solution.unknowns, data)
+    if index != 0:
+        reason = f"IPOPT on the action ended at a path that is no minimum (Morse index {index})"
+        raise SolveFailure(reason, solution.unknowns, solution.iterations)
+    return solution
 
 
 def _units(stationarity: Stationarity, guess: np.ndarray, data: Data) -> tuple[np.ndarray, float]:

@@ -29,6 +29,8 @@ from casadi_galerkin.solvers.loaded_curve import remove_load
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.stationarity import Stationarity
 
+RESCUE_ITERATIONS = 100  # most iterations of IPOPT where Newton's method failed; rescues were measured to take 4 to 40
+
 SolverLike: TypeAlias = Callable[[Stationarity, np.ndarray, Data, int], Solution]
 
 
@@ -113,10 +115,10 @@ def rescues(stationarity: Stationarity) -> dict[str, SolverLike]:
     """The solvers that are tried in turn where Newton's method finds nothing from a guess, by name."""
     ways: dict[str, SolverLike] = {}
     if stationarity.variational:
-        ways["IPOPT on the action"] = partial(interior_point.rescue, minimize=True)
+        ways["IPOPT on the action"] = partial(interior_point.critical_point, minimize=True, max_iter=RESCUE_ITERATIONS)
     if stationarity.unforced is not None:
         ways["Newton's method from the path without the force"] = partial(_from_unforced, stationarity.unforced)
-    ways["IPOPT"] = partial(interior_point.rescue, minimize=False)
+    ways["IPOPT"] = partial(interior_point.critical_point, max_iter=RESCUE_ITERATIONS)
     ways["taking away the load of the guess"] = remove_load
     return ways
 
@@ -167,7 +169,7 @@ def _check_newton(name: str, value: object) -> None:
 
 newton = Solver("newton", _newton, _check_newton)
 rootfinder = Solver("rootfinder", casadi_rootfinder.casadi_root, casadi_rootfinder.check_option)
-ipopt = Solver("ipopt", interior_point.stationary_point, interior_point.check_option)
+ipopt = Solver("ipopt", interior_point.critical_point, interior_point.check_option)
 minimizer = Solver("minimizer", interior_point.minimum, interior_point.check_option)
 
 
