@@ -28,7 +28,7 @@ from casadi_galerkin.solution.jump_detection import JumpDetector
 
 def integrand(path: ControlTrajectory) -> ca.Function:
     """(t, z) -> I, ∂I/∂t and ∂I/∂u, without the force of a holonomic constraint."""
-    problem, motion = path.problem, equations_of_motion(path.problem, path.parameters)
+    problem, motion = path.problem, equations_of_motion(path.problem)
     *along, push = motion.sx_in()
     cost = with_parameters(problem.running_cost, path.parameters)(*along)
     limited = ca.SX(0, 1)

@@ -22,7 +22,7 @@ from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.control.solver_error import estimate_remaining_error
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.solution.remaining_error import RemainingError
+from casadi_galerkin.solution.control_trajectory import RemainingError
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
 ACTIVE_TOLERANCE = 1e-6  # distance from a bound, over the size of the unknown, up to which the bound is active

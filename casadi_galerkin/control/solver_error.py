@@ -30,7 +30,7 @@ from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
-from casadi_galerkin.solution.remaining_error import RemainingError
+from casadi_galerkin.solution.control_trajectory import RemainingError
 
 Entries: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]  # rows, columns and values
 

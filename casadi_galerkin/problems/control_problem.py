@@ -160,10 +160,8 @@ class ControlProblem:
         here, both = arguments(given, x=d, v=d), arguments(given, x0=d, v0=d, x1=d, v1=d)
         if _is_of_nothing(force):
             lagrangian = force = None
-        if rates is None or _is_of_nothing(rates):
-            traced_rates = of_nothing("rates", sizes)
-        else:
-            traced_rates = trace("rates", rates, sizes, "any")
+        no_rates = of_nothing("rates", sizes)
+        traced_rates = no_rates if rates is None or _is_of_nothing(rates) else trace("rates", rates, sizes, "any")
         mechanical = d - traced_rates.numel_out(0)
         if mechanical < 0:
             size = counted(d, "component")
@@ -175,7 +173,7 @@ class ControlProblem:
         named = {*times_inside("breakpoints", breakpoints, span), *dict(passed), *dict(laws)}
         inner = times_inside("breakpoints, waypoints and jumps", sorted(named), span)
         values: dict[str, Any] = {
-            "lagrangian": trace_lagrangian(lagrangian or _nothing, moving, mechanical),
+            "lagrangian": trace_lagrangian(lagrangian or (lambda *_: 0.0), moving, mechanical),
             "t_span": span,
             **{name: components(name, end, d) for name, end in ends.items()},
             "force": of_nothing("force", sizes) if force is None else trace("force", force, sizes, mechanical),
@@ -368,11 +366,6 @@ class ControlProblem:
         for i, (low, value, high) in enumerate(zip(sides[0], self.parameters or (), sides[1], strict=False)):
             if not low <= value <= high:
                 raise ValueError(f"parameters[{i}] = {value} lies outside its bounds [{low}, {high}]")
-
-
-def _nothing(*_: ca.SX) -> float:
-    """The Lagrangian where all components follow rates."""
-    return 0.0
 
 
 def _is_of_nothing(function: object) -> bool:

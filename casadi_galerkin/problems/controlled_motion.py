@@ -8,14 +8,14 @@ from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
 
 
-def equations_of_motion(problem: ControlProblem, parameters: tuple[float, ...] | None) -> ca.Function:
+def equations_of_motion(problem: ControlProblem) -> ca.Function:
     """(t, x, v, u, multipliers of the constraint) -> what the equations of motion are of, and its time derivative.
 
     For a mechanical component these are ∂L/∂v, and ∂L/∂x + F with the constraint's force; for one that follows a rate,
     x and that rate; (d,) each.
     """
-    names = "lagrangian", "force", "rates", "constraint"
-    lagrangian, force, rates, constraint = (with_parameters(getattr(problem, name), parameters) for name in names)
+    functions = problem.lagrangian, problem.force, problem.rates, problem.constraint
+    lagrangian, force, rates, constraint = (with_parameters(f, problem.parameters) for f in functions)
     parts, u = [0, problem.mechanical, problem.dimension], ca.SX.sym("u", problem.controls)
     t, x, v = lagrangian.sx_in()
     work, momentum = (ca.vertsplit(ca.gradient(lagrangian(t, x, v), by), parts)[0] for by in (x, v))

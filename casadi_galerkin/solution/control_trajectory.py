@@ -16,7 +16,6 @@ from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.driven_trajectory import DrivenTrajectory
 from casadi_galerkin.solution.export import by_component
 from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_path
-from casadi_galerkin.solution.remaining_error import RemainingError
 from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED
 
 if TYPE_CHECKING:
@@ -30,6 +29,22 @@ SHOWN_OVERSHOOT = 1e-3  # overshoot over the width of the bounds above which the
 SHOWN_EXCESS = 1e-8  # excess over the size of the constraint above which the summary shows it; solvers leave as much
 ALONG = np.linspace(0.0, 1.0, 40)  # fractions of an interval at which a line is drawn
 DOT = 3.0  # size of the dots of quadrature points, which are many
+
+
+@dataclass(frozen=True)
+class RemainingError:
+    """Estimated distance of the point where a solver stopped from the optimum.
+
+    Attributes
+    ----------
+    components : (d,), error of each component of the path
+    durations : largest relative error of a free duration
+    cost : error of the cost
+    """
+
+    components: np.ndarray
+    durations: float
+    cost: float
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -94,13 +109,12 @@ class ControlTrajectory(DrivenTrajectory):
     start_velocity: np.ndarray
     end_velocity: np.ndarray
     arrival_velocity: np.ndarray
+    find_remaining_error: Callable[[], RemainingError]
     cost_error: float | None = None
-    find_remaining_error: Callable[[], RemainingError] | None = None
 
     @cached_property
     def _remaining_error(self) -> RemainingError:
         """The errors that the solver has left."""
-        assert self.find_remaining_error is not None, "every optimum has one"
         return self.find_remaining_error()
 
     @property
@@ -124,11 +138,9 @@ class ControlTrajectory(DrivenTrajectory):
         """
         sizes = self.polynomial.sizes
         large = sizes >= SMALL * np.max(sizes)
-        return (
-            sizes
-            if np.all(large)
-            else np.where(large | (sizes > REMAINDER_FACTOR * self._remaining_error.components), sizes, 1.0)
-        )
+        if np.all(large):
+            return sizes
+        return np.where(large | (sizes > REMAINDER_FACTOR * self._remaining_error.components), sizes, 1.0)
 
     def table(self) -> dict[str, np.ndarray]:
         """The columns of a Trajectory, and controls and costate at the joints, after a jump there, by name."""

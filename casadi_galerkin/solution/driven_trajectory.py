@@ -159,7 +159,7 @@ class DrivenTrajectory(Trajectory):
         """
         times, x, v = self.polynomial.sampled(parts)
         pushes = np.empty((0, len(times))) if self.problem.constraint is None else self.multipliers(times)
-        motion = equations_of_motion(self.problem, self.parameters).map(len(times))
+        motion = equations_of_motion(self.problem).map(len(times))
         momentum, rate = motion(times[None, :], x, v, self.control.at(parts), pushes)
         shape = len(x), -1, len(parts)
         return np.array(momentum).reshape(shape), np.array(rate).reshape(shape)

@@ -148,11 +148,9 @@ def _far(guess: Trajectory | None, path: Trajectory) -> str:
         return ""
     guessed = guess_values(guess, DiscreteCalculus(path.method, path.t), len(path.x))
     distance = relative_distance(path.polynomial.values, guessed)
-    return (
-        f", has found a path up to {distance:.2g} of the guess's size away from the guess"
-        if distance > FAR_FROM_GUESS
-        else ""
-    )
+    if distance <= FAR_FROM_GUESS:
+        return ""
+    return f", has found a path up to {distance:.2g} of the guess's size away from the guess"
 
 
 def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
