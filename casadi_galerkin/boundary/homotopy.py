@@ -44,9 +44,10 @@ def path_by_homotopy(
     share, growth, known = 1 / GROWTH, GROWTH, 0.0
     for _ in range(MOST):
         part = graphs if share == 1.0 else under(graphs, share)
-        guess = _over(part.problem.t_span, guess)
+        mesh = map_times(guess.mesh, guess.mesh[[0, -1]], part.problem.t_span)
+        guess = PiecewisePolynomial(mesh, guess.nodes, guess.values)
         try:
-            point = intermediate_path(part, guess.mesh, guess)
+            point = intermediate_path(part, mesh, guess)
         except ConvergenceError as failure:
             lost = failure
             growth = math.sqrt(growth) if known else growth
@@ -77,8 +78,3 @@ def with_scaled_time_span(graphs: GraphCache, share: float) -> GraphCache:
     """The problem over a share of its time."""
     first, last = graphs.problem.t_span
     return graphs.for_problem(graphs.problem.varied({}, (first, first + share * (last - first))))
-
-
-def _over(span: tuple[float, float], path: PiecewisePolynomial) -> PiecewisePolynomial:
-    """The same path over other times."""
-    return PiecewisePolynomial(map_times(path.mesh, path.mesh[[0, -1]], span), path.nodes, path.values)
