@@ -101,7 +101,7 @@ class ControlGraph:
     @cached_property
     def _patterns(self) -> tuple[assembly.Pattern, ...]:
         """Patterns of ∇e_k."""
-        return tuple(place.jacobian_pattern for place in self.terms)
+        return tuple(assembly.pattern_of(place.derivatives) for place in self.terms)
 
     def _function(self, name: str, outputs: list[ca.MX], *extra: ca.MX) -> ca.Function:
         """A Function of (unknowns, data, ...); some have names under which fatrop looks for them."""
@@ -129,7 +129,7 @@ class ControlGraph:
     @cached_property
     def _upper_hessian(self) -> ca.MX:
         """Upper half of ∇²f̄."""
-        patterns = tuple(place.hessian_pattern for place in self.terms)
+        patterns = tuple(assembly.pattern_of(place.second_derivatives) for place in self.terms)
         return assembly.hessian(self.chain, patterns)(*self._evaluate("hessian", *self._lagrangian[2]))
 
     @cached_property

@@ -22,7 +22,6 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.control.assembly import Pattern, pattern_of
 from casadi_galerkin.control.embedding import ChainEmbedding, PlaceLayout
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.pointwise import pulled_back
@@ -64,8 +63,7 @@ class PointwiseTerms:
         """A Function of one place, evaluated at all places."""
         if not any(output.nnz() for output in outputs):  # such as second derivatives of linear rows
             return lambda *_: ca.MX(outputs[0].numel(), self.count)
-        dense = [output if output.is_dense() else ca.densify(output) for output in outputs]
-        function = ca.Function("terms", inputs, dense)
+        function = ca.Function("terms", inputs, [*map(ca.densify, outputs)])
         evaluated: Callable[..., Any] = self.mapping(function, self.count, ())
         return evaluated
 
@@ -85,18 +83,14 @@ class PointwiseTerms:
         return self._function([self.z], self.rows)
 
     @cached_property
-    def _jacobian(self) -> ca.SX:
+    def derivatives(self) -> ca.SX:
+        """Derivatives of the rows at one place."""
         return ca.jacobian(self.rows, self._by)
-
-    @property
-    def jacobian_pattern(self) -> Pattern:
-        """Pattern of the derivatives of the rows at one place."""
-        return pattern_of(self._jacobian)
 
     @cached_property
     def jacobian(self) -> Callable[..., ca.MX]:
         """(z) -> nonzeros of the derivatives of the rows."""
-        return self._function([self.z], ca.vertcat(*self._jacobian.nonzeros()))
+        return self._function([self.z], ca.vertcat(*self.derivatives.nonzeros()))
 
     @cached_property
     def _lagrangian(self) -> tuple[list[ca.SX], ca.SX]:
@@ -105,18 +99,14 @@ class PointwiseTerms:
         return [self.z, weight, multipliers], weight * self.cost + ca.dot(multipliers, self.rows)
 
     @cached_property
-    def _hessian(self) -> ca.SX:
+    def second_derivatives(self) -> ca.SX:
+        """Second derivatives of the Lagrangian at one place."""
         return ca.hessian(self._lagrangian[1], self._by)[0]
-
-    @property
-    def hessian_pattern(self) -> Pattern:
-        """Pattern of the second derivatives at one place."""
-        return pattern_of(self._hessian)
 
     @cached_property
     def hessian(self) -> Callable[..., ca.MX]:
         """(z, weight, multipliers) -> nonzeros of the second derivatives of the Lagrangian."""
-        return self._function(self._lagrangian[0], ca.vertcat(*self._hessian.nonzeros()))
+        return self._function(self._lagrangian[0], ca.vertcat(*self.second_derivatives.nonzeros()))
 
     @cached_property
     def lagrangian_gradient(self) -> Callable[..., ca.MX]:

@@ -21,7 +21,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import chain_of
-from casadi_galerkin.control.constraint_violation import FEASIBLE, violations
+from casadi_galerkin.control.constraint_violation import violations
 from casadi_galerkin.control.continuous_controls import continuous_controls
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
 from casadi_galerkin.control.graph import ControlGraph
@@ -34,6 +34,7 @@ from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap, by_rows
 from casadi_galerkin.functional.statement import refuse_points
 from casadi_galerkin.functional.threads import fork_waits
+from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_at_joints
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import check_types

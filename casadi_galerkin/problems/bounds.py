@@ -17,6 +17,7 @@ Limit: TypeAlias = float | Sequence[float]
 Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
 Limited: TypeAlias = tuple[ca.Function, tuple[float, ...], tuple[float, ...]]  # g, lo, hi
 
+FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
 ROUNDED = 4 * EPS  # relative excess of a given value over its bound that counts as rounding
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import components, counted, flag, numbers, time_span, times_inside, whole_number
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.bounds import (
+    FEASIBLE,
     Bounds,
     Limit,
     Limited,
@@ -43,8 +44,6 @@ from casadi_galerkin.problems.crossings import (
 )
 from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
 from casadi_galerkin.problems.problem import section_times, with_changes, with_values
-
-END_CONDITION_TOLERANCE = 1e-8  # accepted violation of a condition by given ends, as large as in a solve
 
 
 @dataclass(frozen=True, repr=False)
@@ -346,9 +345,9 @@ class ControlProblem:
             rows, columns = (np.array(index, dtype=int) for index in g.sparsity_jac(k, 0).get_triplet())
             depends[rows[which[columns]]] = True
         values = np.array(g(*map(np.nan_to_num, given))).ravel()
-        rounded = END_CONDITION_TOLERANCE * np.fmax(1.0, np.abs(values))
+        accepted = FEASIBLE * np.fmax(1.0, np.abs(values))
         for i in np.flatnonzero(~depends):
-            if not low[i] - rounded[i] <= values[i] <= high[i] + rounded[i]:
+            if not low[i] - accepted[i] <= values[i] <= high[i] + accepted[i]:
                 raise ValueError(
                     f"end condition {i} is {values[i]} with the ends given, outside its bounds [{low[i]}, {high[i]}]"
                 )

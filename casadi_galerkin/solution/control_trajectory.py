@@ -12,6 +12,7 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import counted, spanned
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.calculus.roundoff import TINY
+from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.driven_trajectory import DrivenTrajectory
 from casadi_galerkin.solution.export import by_component
@@ -26,7 +27,6 @@ SMALL = 1e-6  # size over that of the largest component below which a component 
 REPORTED_COST_CHANGE = 1e-6
 REMAINDER_FACTOR = 10.0  # size over the error that the solver leaves up to which a component counts as zero
 SHOWN_OVERSHOOT = 1e-3  # overshoot over the width of the bounds above which the summary shows it
-SHOWN_EXCESS = 1e-8  # excess over the size of the constraint above which the summary shows it; solvers leave as much
 ALONG = np.linspace(0.0, 1.0, 40)  # fractions of an interval at which a line is drawn
 DOT = 3.0  # size of the dots of quadrature points, which are many
 
@@ -311,7 +311,7 @@ class ControlTrajectory(DrivenTrajectory):
         lines = [f"  defect      {self._worst(self.dynamics_defect)}, of the largest {what}"]
         if np.max(self.control_overshoot) > SHOWN_OVERSHOOT:
             lines.append(f"  overshoot   {self._worst(self.control_overshoot)}, of the bounds' width")
-        if np.max(self.constraint_excess) > SHOWN_EXCESS:
+        if np.max(self.constraint_excess) > FEASIBLE:  # solvers leave as much
             lines.append(f"  excess      {self._worst(self.constraint_excess)}, of the path constraints' size")
         return lines
 
