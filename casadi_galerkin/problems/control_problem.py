@@ -34,14 +34,7 @@ from casadi_galerkin.problems.bounds import (
 )
 from casadi_galerkin.problems.callables import Traceable, arguments, of_nothing, trace, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
-from casadi_galerkin.problems.crossings import (
-    Crossing,
-    Pairs,
-    Waypoint,
-    crossings_of,
-    jumps_of,
-    waypoints_of,
-)
+from casadi_galerkin.problems.crossings import Crossing, Pairs, Waypoint, crossings_of, jumps_of, waypoints_of
 from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
 from casadi_galerkin.problems.problem import section_times, with_changes, with_values
 

@@ -278,11 +278,7 @@ LINE_STYLES: Sequence[tuple[str, Sequence[str], dict[str, Any]]] = (  # names, v
 
 
 def plot_work_precision(
-    lines: Sequence[tuple[tuple[str, str, str], Points]],
-    front: Points,
-    floor: float,
-    label: str,
-    axes: Axes | None,
+    lines: Sequence[tuple[tuple[str, str, str], Points]], front: Points, floor: float, label: str, axes: Axes | None
 ) -> Axes:
     """Draw errors over seconds on logarithmic axes, and the floor below which errors mean nothing.
 

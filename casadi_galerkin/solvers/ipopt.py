@@ -25,12 +25,7 @@ POLISHING = 20  # iterations that Newton's method gets from where IPOPT stopped
 
 
 def critical_point(
-    stationarity: Stationarity,
-    guess: np.ndarray,
-    data: Data,
-    verbose: int = 0,
-    minimize: bool = False,
-    **options: Any,
+    stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0, minimize: bool = False, **options: Any
 ) -> Solution:
     """IPOPT on the conditions ∇S = 0 under a constant objective or, to `minimize`, on the action.
 

@@ -33,14 +33,7 @@ from casadi_galerkin.solution.limits import check_tolerance
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
-from casadi_galerkin.studies.reference import (
-    AnyProblem,
-    Measure,
-    Reference,
-    ReferenceSolution,
-    finer,
-    quantity,
-)
+from casadi_galerkin.studies.reference import AnyProblem, Measure, Reference, ReferenceSolution, finer, quantity
 from casadi_galerkin.studies.trade_table import Row, Trade
 
 FIRST_CALLS, REPEATS, LONG = 2, 15, 0.03  # first and repeated solves of a way; no repeats after so many seconds
