@@ -17,7 +17,6 @@ outweigh the curvature of a cost that hardly depends on the path.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import casadi as ca
@@ -33,6 +32,7 @@ from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 from casadi_galerkin.solution.control_trajectory import RemainingError
 
 Entries: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]  # rows, columns and values
+Pair: TypeAlias = tuple[np.ndarray, np.ndarray]  # of the unknowns and of the multipliers
 
 SLOWEST = 0.9  # largest ratio of two steps with which their geometric series is summed
 
@@ -82,16 +82,16 @@ def newton_step(
     free, active = (low < high) & (to_bounds > 0), np.isfinite(to_limits)
     stiffness = np.abs(of_bounds[free]) / to_bounds[free]
     states = np.concatenate([graph.chain.fields[name].ravel() for name in ("x", "nodes", "momentum")])
-    linear = _KKTSystem(
-        _entries(graph.hessian(unknowns, data, 1.0, of_equations), free, free),
-        _entries(graph.jacobian(unknowns, data)[1], active, free),
-        stiffness,
-        ~np.isin(np.flatnonzero(free), states),
-        to_limits[active] / np.maximum(np.abs(of_equations[active]), TINY),
-    )
     gaps = np.where(least == most, most - report.equations, np.copysign(to_limits, of_equations))
     multiplier_sizes = largest_of(np.abs(of_equations), kinds)[kinds]
-    moved, blurred, changed = linear.solved(-report.slope[free], gaps[active], sizes[free], multiplier_sizes[active])
+    moved, blurred, changed = _kkt_solution(
+        _entries(graph.hessian(unknowns, data, 1.0, of_equations), free, free),
+        _entries(graph.jacobian(unknowns, data)[1], active, free),
+        (stiffness, to_limits[active] / np.maximum(np.abs(of_equations[active]), TINY)),
+        (-report.slope[free], gaps[active]),
+        (sizes[free], multiplier_sizes[active]),
+        ~np.isin(np.flatnonzero(free), states),
+    )
     step, rounding_effect = np.zeros((2, len(unknowns)))
     step[free], rounding_effect[free] = moved, blurred
     equations_after, bounds_after = of_equations.copy(), of_bounds.copy()
@@ -101,48 +101,42 @@ def newton_step(
     return step, rounding_effect, unknowns + step, equations_after, bounds_after
 
 
-@dataclass(frozen=True)
-class _KKTSystem:
-    """The symmetric equations (H + Σ) δ + Aᵀδλ = a, A δ - D δλ = b.
+def _kkt_solution(
+    curved: Entries, across: Entries, diagonals: Pair, sides: Pair, sizes: Pair, chosen: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Solve the symmetric equations (H + Σ) δ + Aᵀδλ = a, A δ - D δλ = b.
 
-    Attributes
+    They are scaled so that the largest entry of every column of A, of every row of A, and of H is one.
+
+    Parameters
     ----------
     curved, across : entries of the upper half of H, and of A
-    stiffness, softness : diagonals Σ and D
+    diagonals, sides : Σ and D; a and b
+    sizes : those of the unknowns and of the multipliers λ, which determine the rounding of the terms
     chosen : whether an unknown is none of the states, which follow from the others
+
+    Returns
+    -------
+    δ, the effect on it of rounding of the terms, and δλ
     """
-
-    curved: Entries
-    across: Entries
-    stiffness: np.ndarray
-    chosen: np.ndarray
-    softness: np.ndarray
-
-    def solved(
-        self, a: np.ndarray, b: np.ndarray, sizes: np.ndarray, multiplier_sizes: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """δ, the effect on it of rounding of the terms, for δ and λ of these sizes, and δλ.
-
-        The equations are scaled so that the largest entry of every column of A, of every row of A, and of H is one.
-        """
-        (i, j, curved), (k, column, across), n = self.curved, self.across, len(a)
-        scale = 1 / _largest(column, across, n)
-        across, curved = across * scale[column], scale[i] * curved * scale[j]
-        row, unit = 1 / _largest(k, across, len(b)), np.max(np.abs(curved), initial=0.0) or 1.0
-        units, off_diagonal = np.append(scale, unit * row), i != j
-        rows = np.concatenate((i[off_diagonal], j[off_diagonal], n + k, column))
-        columns = np.concatenate((j[off_diagonal], i[off_diagonal], column, n + k))
-        values = np.concatenate((np.tile(curved[off_diagonal] / unit, 2), np.tile(row[k] * across, 2)))
-        diagonal, amounts = np.zeros(len(units)), np.append(sizes, multiplier_sizes) / units
-        diagonal[i[~off_diagonal]] = curved[~off_diagonal] / unit
-        terms = np.abs(diagonal) * amounts
-        np.add.at(terms, rows, np.abs(values) * amounts[columns])
-        rounding = np.random.default_rng(len(terms)).choice((-EPS, EPS), len(terms)) * terms
-        stiffness, softness = scale**2 * self.stiffness / unit, unit * row**2 * self.softness
-        diagonal += np.append(stiffness + EPS * self.chosen, -softness - EPS)
-        rhs = np.stack((np.append(scale * a / unit, row * b), rounding), axis=1)
-        solutions = units[:, None] * _solutions((rows, columns, values), diagonal, rhs)
-        return solutions[:n, 0], solutions[:n, 1], solutions[n:, 0]
+    (i, j, h), (k, column, slopes), (a, b), n = curved, across, sides, len(sides[0])
+    scale = 1 / _largest(column, slopes, n)
+    slopes, h = slopes * scale[column], scale[i] * h * scale[j]
+    row, unit = 1 / _largest(k, slopes, len(b)), np.max(np.abs(h), initial=0.0) or 1.0
+    units, off_diagonal = np.append(scale, unit * row), i != j
+    rows = np.concatenate((i[off_diagonal], j[off_diagonal], n + k, column))
+    columns = np.concatenate((j[off_diagonal], i[off_diagonal], column, n + k))
+    values = np.concatenate((np.tile(h[off_diagonal] / unit, 2), np.tile(row[k] * slopes, 2)))
+    diagonal, amounts = np.zeros(len(units)), np.append(*sizes) / units
+    diagonal[i[~off_diagonal]] = h[~off_diagonal] / unit
+    terms = np.abs(diagonal) * amounts
+    np.add.at(terms, rows, np.abs(values) * amounts[columns])
+    rounding = np.random.default_rng(len(terms)).choice((-EPS, EPS), len(terms)) * terms
+    stiffness, softness = scale**2 * diagonals[0] / unit, unit * row**2 * diagonals[1]
+    diagonal += np.append(stiffness + EPS * chosen, -softness - EPS)
+    rhs = np.stack((np.append(scale * a / unit, row * b), rounding), axis=1)
+    solutions = units[:, None] * _solutions((rows, columns, values), diagonal, rhs)
+    return solutions[:n, 0], solutions[:n, 1], solutions[n:, 0]
 
 
 def _entries(matrix: ca.DM, rows: np.ndarray, columns: np.ndarray) -> Entries:
