@@ -194,14 +194,15 @@ def interval(
     velocity = (s @ ca.DM(taylor).T) / ca.repmat(h ** ca.DM(range(1, len(taylor) + 1)).T, d, 1)
     terms, denoised = ca.vec(terms), unknowns
     if constraint is not None:
-        added = _constrained_equations(lagrangian, constraint, method, unknowns, x, end, t, h)
+        added, added_terms, end, end_terms, denoised = _constrained_equations(
+            lagrangian, constraint, method, unknowns, x, end, t, h
+        )
         selection = ca.jacobian(ca.vec(s), ca.vec(unknowns))
-        residual = selection.T @ residual + added.equations
-        by_s = selection.T @ by_s @ selection + ca.jacobian(added.equations, ca.vec(unknowns))
+        residual = selection.T @ residual + added
+        by_s = selection.T @ by_s @ selection + ca.jacobian(added, ca.vec(unknowns))
         largest = ca.mmax(ca.fabs(ca.horzcat(x, unknowns[:d, :])))
         noise = LARGEST_LAST_STEP * largest * ca.sum2(ca.fabs(by_s)[:, _path_unknowns(unknowns.shape, d)])
-        terms, end, end_terms = selection.T @ terms + added.terms + noise, added.momentum, added.momentum_terms
-        denoised = added.denoised
+        terms = selection.T @ terms + added_terms + noise
     return _interval_of(
         [unknowns, x, p, t, h],
         system=(residual, by_s),
@@ -209,30 +210,6 @@ def interval(
         end=(x + s @ ca.DM(b), end, velocity),
         denoised=(denoised,),
     )
-
-
-@dataclass(frozen=True)
-class _ConstrainedEquations:
-    """The terms and equations that a constraint adds to those of one interval.
-
-    The equations have the shape of s.  Each column but the last holds R_j and the constraint at a node; the last one
-    holds the equations of p_1 and of the tangent velocity at the end.  In this order QR mixes no components that do not
-    depend on each other.
-
-    Attributes
-    ----------
-    equations : ((d + k) (m + 1),), column by column: the work of the impulses, to be added to R, and the new equations
-    terms : sizes of the terms of these
-    momentum, momentum_terms : (d,), p_1 and the sizes of its terms
-    denoised : the unknowns, with zeros in place of slopes that are roundoff only: those whose contributions to all
-        momenta are below EPS times `LARGEST_LAST_STEP` of the terms there.  So a component at rest stays at rest
-    """
-
-    equations: ca.SX
-    terms: ca.SX
-    momentum: ca.SX
-    momentum_terms: ca.SX
-    denoised: ca.SX
 
 
 def _constrained_equations(
@@ -244,8 +221,21 @@ def _constrained_equations(
     free_momentum: ca.SX,
     t: ca.SX,
     h: ca.SX,
-) -> _ConstrainedEquations:
-    """Impose a constraint at the nodes; `free_momentum` is p_1 without the impulses of the constraint."""
+) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+    """The terms and equations that a constraint adds to those of one interval.
+
+    The equations have the shape of s.  Each column but the last holds R_j and the constraint at a node; the last one
+    holds the equations of p_1 and of the tangent velocity at the end.  In this order QR mixes no components that do not
+    depend on each other.  `free_momentum` is p_1 without the impulses of the constraint.
+
+    Returns
+    -------
+    the work of the impulses, to be added to R, and the new equations, column by column, ((d + k) (m + 1),)
+    the sizes of the terms of these
+    p_1, and the sizes of its terms; (d,) each
+    the unknowns, with zeros in place of slopes that are roundoff only: those whose contributions to all momenta are
+        below EPS times `LARGEST_LAST_STEP` of the terms there.  So a component at rest stays at rest
+    """
     d, m, nodes = x.numel(), method.degree, method.element.nodes
     basis = SlopeBasis(m)
     values, b = basis.values(nodes), basis.weights
@@ -277,7 +267,7 @@ def _constrained_equations(
     largest = ca.vertcat(*(ca.mmax(parts_of_one) for parts_of_one in ca.horzsplit(parts)))
     significant = ca.fabs(unknowns[:d, :]) * ca.repmat(largest, 1, m + 1) > 1
     end_terms = ca.vertcat(momentum_terms, ca.fabs(slopes[m]) @ fastest / h + ca.fabs(evaluated[m][2]))
-    return _ConstrainedEquations(
+    return (
         ca.vec(ca.horzcat(ca.vertcat(pushes @ by_node, at_nodes), at_end)),
         ca.vec(ca.horzcat(ca.vertcat(work_terms, node_terms), end_terms)),
         momentum,
