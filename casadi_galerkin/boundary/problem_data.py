@@ -9,15 +9,13 @@ from itertools import chain
 
 import numpy as np
 
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem, is_given
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem, Given, is_given
 from casadi_galerkin.problems.problem import VARIED, Problem
 
-Given = tuple[float | None, ...] | float | None
 
-
-def _given(problem: BoundaryProblem) -> dict[str, tuple[float | None, ...]]:
+def _given(problem: BoundaryProblem) -> dict[str, Given]:
     """All given values by name; None where a component is free."""
-    values: dict[str, Given] = {name: getattr(problem, name) for name in VARIED}
+    values = {name: getattr(problem, name) for name in VARIED}
     return {name: value if isinstance(value, tuple) else (value,) for name, value in values.items() if is_given(value)}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from casadi_galerkin.calculus.numbers import number
@@ -40,9 +39,7 @@ class Limits:
         for name, value in vars(self).items():
             if not (number(value) or 0) > 0:
                 raise ValueError(f"the limit of {name} must be a positive number, got {value!r}")
-        for name in ("intervals", "levels"):
-            value = getattr(self, name)
-            if value != math.inf and value != int(value):
+            if name != "seconds" and value % 1 > 0:  # not a number where it is infinite
                 raise ValueError(f"the limit of {name} must be a whole number or inf, got {value!r}")
 
 
