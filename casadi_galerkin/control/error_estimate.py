@@ -52,7 +52,7 @@ from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 SLOWEST = 2 / 3  # largest q, which is also assumed where switches or path constraints slow down convergence
 UNSMOOTH_RATIO = 0.25  # ratio of the truncation errors of both degrees above which a path is not smooth on an interval
 KINK_ORDER = 2  # a jump of the acceleration inside a step h changes x by the order of h²
-FINEST = 8.0  # most parts that one interval is split into at once: enough to resolve a kink in a few levels
+MOST_PARTS = 8.0  # most parts that one interval is split into at once: enough to resolve a kink in a few levels
 NARROW_RATIO = 0.25  # length over that of a neighbor below which an interval counts as one placed beside a switch
 REMOVAL_DISTANCE = 1 / 3  # distance to a switch, as part of an interval, below which an old joint is removed
 SWITCH_MARGIN = 3.0  # distance of the joints beside a switch over the uncertainty of its time
@@ -217,7 +217,7 @@ class HigherDegree:
         parts = np.where(kinked & (parts > 1), parts_wanted(error, KINK_ORDER, tol), parts)
         parts = np.maximum(parts, parts_wanted(np.maximum(self.bound_errors, self.control_misfit), 1, tol))
         mesh, parts = self.widened(np.maximum(parts, parts_wanted(self.jump_effects, 1, cost_tol)))
-        mesh = equidistributed(mesh, parts, FINEST, breakpoints=higher.problem.breakpoints)
+        mesh = equidistributed(mesh, parts, MOST_PARTS, breakpoints=higher.problem.breakpoints)
         return self.with_jumps(mesh, tol)
 
     def widened(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,8 +1,5 @@
 """An error indicator for jumps of the callables in time inside intervals.
 
-Two degrees whose quadrature points lie on the same sides of a jump make the same error, which their difference does not
-show.
-
 With the path, the controls and the multipliers found, the cost is ∫ I dt to first order, where
 
     I(t, z) = ℓ + λ·(∂L/∂x + F, ρ) + dλ/dt·(∂L/∂v, x) + μ·g,        z = (x, v, u, λ, dλ/dt, μ).

@@ -34,7 +34,7 @@ from casadi_galerkin.solution.control_trajectory import RemainingError
 Entries: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]  # rows, columns and values
 Pair: TypeAlias = tuple[np.ndarray, np.ndarray]  # of the unknowns and of the multipliers
 
-SLOWEST = 0.9  # largest ratio of two steps with which their geometric series is summed
+LARGEST_RATIO = 0.9  # largest ratio of two steps with which their geometric series is summed
 
 
 def estimate_remaining_error(
@@ -55,7 +55,7 @@ def estimate_remaining_error(
         at = after[0], after[1], after[2]
     first, rounding, second, _ = (largest_of(np.where(np.isfinite(a), np.abs(a), np.inf), kinds) for a in steps)
     with np.errstate(invalid="ignore"):  # where both steps are infinite
-        ratio = np.fmin(SLOWEST, second / np.where(first > 0, first, 1.0))
+        ratio = np.fmin(LARGEST_RATIO, second / np.where(first > 0, first, 1.0))
     errors = np.fmax(np.fmax(first, second) / (1 - ratio), rounding)
     durations = kinds[chain.fields["durations"][-1]] if "durations" in chain.free else kinds[:0]
     of_durations = float(np.max(errors[durations] / sizes[durations], initial=0.0))

@@ -5,9 +5,7 @@ pendulum swings: 10 iterations where the stationarity conditions alone took 60 t
 has, Newton's method begins again from the path without it (of 144 damped and driven pendulums it solved 29 that were
 lost).  Then IPOPT solves the stationarity conditions.  Newton's method finishes from where IPOPT stopped.  At last the
 load is taken away that holds the guess in place (of 80 problems of stiff springs, whose paths are many and far from the
-straight line, it solved 36 of the 58 that were lost).  `rootfinder` is CasADi's own.  `ipopt` takes the equations as
-constraints under a constant objective; `minimizer` minimizes the action, so it finds minima only.  `fatrop` is for
-control problems.
+straight line, it solved 36 of the 58 that were lost).
 """
 
 from __future__ import annotations

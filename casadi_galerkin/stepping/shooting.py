@@ -38,7 +38,7 @@ from casadi_galerkin.stepping.shot import Shooting, Shot
 ITERATIONS = 50
 MISS = EPS**0.5  # accepted miss of the end, relative to the size of the path: half of the digits
 ROUNDED = 1e3 * EPS  # rounding of a component that stays near zero, relative to the size of the others
-SINGULAR = 1e-14  # smallest singular value of the scaled derivative from which the end depends on the start
+UNDETERMINED = 1e-14  # smallest singular value of the scaled derivative from which the end depends on the start
 
 
 def shoot(
@@ -239,7 +239,7 @@ def _scaled(shot: Shot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _singular(scaled: np.ndarray) -> bool:
-    return not np.all(np.isfinite(scaled)) or bool(np.linalg.svd(scaled, compute_uv=False)[-1] <= SINGULAR)
+    return not np.all(np.isfinite(scaled)) or bool(np.linalg.svd(scaled, compute_uv=False)[-1] <= UNDETERMINED)
 
 
 def _refuse_conjugate(shot: Shot, iteration: int) -> None:
