@@ -32,7 +32,7 @@ from casadi_galerkin.control.retries import AS_GUESSED, Beginning, retry_from_ot
 from casadi_galerkin.control.second_variation import CostVariation
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap, by_rows
-from casadi_galerkin.functional.statement import refuse_points
+from casadi_galerkin.functional.statement import check_points
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_at_joints
@@ -103,8 +103,7 @@ class ControlTranscription:
     ) -> None:
         began = time.perf_counter()
         self.problem, self.method, self.mesh = problem, method, mesh
-        if problem.constraint is not None:
-            refuse_points(method)
+        check_points(problem.constraint, method)
         _check_steps(mesh)
         self.chain = chain_of(problem, method, mesh)
         self.calculus = DiscreteCalculus(method, mesh)

@@ -16,7 +16,7 @@ import numpy as np
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.interval import TAYLOR, SlopeBasis, interval, newton_iteration
-from casadi_galerkin.functional.statement import refuse_points
+from casadi_galerkin.functional.statement import check_points
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solvers.stationarity import ACCEPTED
@@ -74,8 +74,7 @@ class Stepper:
         functions = problem.lagrangian, problem.force, problem.constraint
         lagrangian, force, constraint = (with_parameters(f, problem.parameters) for f in functions)
         self.method, self.stretched = method, stretched
-        if constraint is not None:
-            refuse_points(method)
+        check_points(constraint, method)
         self.dimension, self.basis = lagrangian.size1_in(1) + stretched, SlopeBasis(method.degree)
         self.interval = interval(lagrangian, force, constraint, method)
         if stretched:
