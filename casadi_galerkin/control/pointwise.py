@@ -135,21 +135,19 @@ def pointwise_terms(problem: ControlProblem, embedding: ChainEmbedding, mapping:
     all_terms = []
     for place, active in zip(embedding.inputs, embedding.active, strict=True):
         z = ca.SX.sym("z", place.width)
-        terms = make[place](problem, *ca.vertsplit(z, np.cumsum([0, *place.rows.values()]).tolist()))
+        inputs = dict(zip(place.rows, ca.vertsplit(z, np.cumsum([0, *place.rows.values()]).tolist()), strict=True))
+        inputs["parameters"] = [] if problem.parameters is None else [inputs["parameters"]]
+        terms = make[place](problem, *inputs.values())
         all_terms.append(PointwiseTerms(mapping, place.count, z, active, **terms))
     return all_terms
 
 
-def _given(problem: ControlProblem, p: ca.SX) -> list[ca.SX]:
-    return [] if problem.parameters is None else [p]
-
-
-def _at_points(problem: ControlProblem, *inputs: ca.SX) -> Terms:
+def _at_points(problem: ControlProblem, *inputs: Any) -> Terms:
     x, slope, u, duration, p, begin, share, part, sizes = inputs
-    t, h, given = begin + duration * share, duration * part, _given(problem, p)
+    t, h = begin + duration * share, duration * part
     mechanical, others = slice(problem.mechanical), slice(problem.mechanical, None)
-    state = (t, x, slope / h, u, *given)
-    action = pulled_back(problem.lagrangian, t, h, x, slope, *given)
+    state = (t, x, slope / h, u, *p)
+    action = pulled_back(problem.lagrangian, t, h, x, slope, *p)
     work, momentum = (ca.gradient(action, by)[mechanical, 0] for by in (x, slope))
     rows = [(work + h * problem.force(*state)) / sizes, momentum / sizes]
     if problem.mechanical < problem.dimension:
@@ -159,45 +157,44 @@ def _at_points(problem: ControlProblem, *inputs: ca.SX) -> Terms:
     return {"rows": ca.vertcat(*rows), "cost": h * problem.running_cost(*state), "action": action}
 
 
-def _at_either_end(problem: ControlProblem, *inputs: ca.SX) -> Terms:
+def _at_either_end(problem: ControlProblem, *inputs: Any) -> Terms:
     x, v, p, t, sizes = inputs
-    given = _given(problem, p)
-    rows = [ca.gradient(problem.lagrangian(t, x, _filled(v, x), *given), v) / sizes]
+    rows = [ca.gradient(problem.lagrangian(t, x, _filled(v, x), *p), v) / sizes]
     if problem.constraint is not None:
-        g = problem.constraint(t, x, *given)
+        g = problem.constraint(t, x, *p)
         rows.append(ca.mtimes(ca.jacobian(g, x), v) + ca.jacobian(g, t))
     return {"rows": ca.vertcat(*rows)}
 
 
-def _at_both_ends(problem: ControlProblem, *inputs: ca.SX) -> Terms:
+def _at_both_ends(problem: ControlProblem, *inputs: Any) -> Terms:
     x0, v0, x1, v1, p, t = inputs
-    last, given, conditions = (x1, _filled(v1, x1)), _given(problem, p), problem.end_conditions
-    rows = ca.SX(0, 1) if conditions is None else conditions[0](x0, _filled(v0, x0), *last, *given)
-    cost = {} if problem.terminal_cost is None else {"cost": problem.terminal_cost(t, *last, *given)}
+    last, conditions = (x1, _filled(v1, x1)), problem.end_conditions
+    rows = ca.SX(0, 1) if conditions is None else conditions[0](x0, _filled(v0, x0), *last, *p)
+    cost = {} if problem.terminal_cost is None else {"cost": problem.terminal_cost(t, *last, *p)}
     return {"rows": rows, **cost}
 
 
-def _at_nodes(problem: ControlProblem, *inputs: ca.SX) -> Terms:
+def _at_nodes(problem: ControlProblem, *inputs: Any) -> Terms:
     x, impulse, duration, p, begin, share, sizes = inputs
     assert problem.constraint is not None, "there are such places only with a constraint"
-    g = problem.constraint(begin + duration * share, x, *_given(problem, p))
+    g = problem.constraint(begin + duration * share, x, *p)
     return {"rows": ca.vertcat(g, ca.mtimes(ca.jacobian(g, x).T, impulse) / sizes)}
 
 
-def _at_crossing(problem: ControlProblem, *inputs: ca.SX, crossing: Crossing) -> Terms:
+def _at_crossing(problem: ControlProblem, *inputs: Any, crossing: Crossing) -> Terms:
     x, v, duration, p, begin, share, sizes = inputs
-    t, given, before = begin + duration * share, _given(problem, p), (x, _filled(v, x))
-    after = before if crossing.jump is None else crossing.jump(*before, *given)
-    rows = [after[0], *(_momentum(problem, t, state, given) / sizes for state in (before, after))]
+    t, before = begin + duration * share, (x, _filled(v, x))
+    after = before if crossing.jump is None else crossing.jump(*before, *p)
+    rows = [after[0], *(_momentum(problem, t, state, p) / sizes for state in (before, after))]
     if crossing.condition is not None:
-        rows.append(crossing.condition[0](*before, *given))
+        rows.append(crossing.condition[0](*before, *p))
     return {"rows": ca.vertcat(*rows)}
 
 
-def _momentum(problem: ControlProblem, t: ca.SX, state: tuple[ca.SX, ca.SX], given: list[ca.SX]) -> ca.SX:
+def _momentum(problem: ControlProblem, t: ca.SX, state: tuple[ca.SX, ca.SX], p: list[ca.SX]) -> ca.SX:
     """∂L/∂v of the mechanical components at a state (x, v) of expressions."""
     symbols = [ca.SX.sym(name, problem.dimension) for name in ("x", "v")]
-    momentum = ca.gradient(problem.lagrangian(t, *symbols, *given), symbols[1])
+    momentum = ca.gradient(problem.lagrangian(t, *symbols, *p), symbols[1])
     return ca.substitute(momentum[: problem.mechanical, 0], ca.vertcat(*symbols), ca.densify(ca.vertcat(*state)))
 
 

@@ -52,12 +52,9 @@ class DrivenTrajectory(Trajectory):
 
     def _force(self) -> ca.Function:
         """The force (t, x, v[, p]) -> (d,) of the optimized controls."""
-        d = len(self.x)
-        symbols = [ca.SX.sym("t"), ca.SX.sym("x", d), ca.SX.sym("v", d)]
-        given = [] if self.parameters is None else [ca.SX.sym("p", len(self.parameters))]
-        force = self.problem.force(*symbols, self.control.expression(symbols[0]), *given)
-        names = ["t", "x", "v", "p"][: 3 + len(given)]
-        return ca.Function("force", [*symbols, *given], [ca.densify(force)], names, ["value"])
+        t, x, v, *p = symbols = self.problem.lagrangian.sx_in()
+        force = self.problem.force(t, x, v, self.control.expression(t), *p)
+        return ca.Function("force", symbols, [ca.densify(force)], ["t", "x", "v", "p"][: len(symbols)], ["value"])
 
     def _refuse_two_values(self) -> None:
         """Raise a ValueError where the two controls at a joint differ."""
