@@ -209,7 +209,5 @@ class BoundaryGraph:
 
     def _guess(self, guess: Guess | None, calculus: DiscreteCalculus, data: Data) -> np.ndarray:
         """Node values (N m + 1, d) of a guess, bent to meet the fixed ends."""
-        d, parts = self.problem.dimension, calculus.node_parts
         ends = np.concatenate((*data[:2], FREE))[self.numbering.of_ends]
-        values = np.zeros((len(parts), d)) if guess is None else guess_values(guess, calculus, d).T
-        return meeting_ends(values, parts, ends)
+        return meeting_ends(guess_values(guess, calculus, self.problem.dimension).T, calculus.node_parts, ends)

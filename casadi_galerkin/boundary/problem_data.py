@@ -50,10 +50,8 @@ def interpolated_problem(one: BoundaryProblem, other: BoundaryProblem, share: fl
 
 def ends_replaced(values: np.ndarray, problem: BoundaryProblem) -> np.ndarray:
     """Node values (d, N m + 1) of a path with the ends of another problem, and nothing else changed."""
-    moved = values.copy()
-    for column, end in ((0, problem.start), (-1, problem.end)):
-        for row, value in zip(moved, end, strict=True):
-            row[column] = row[column] if value is None else value
+    moved, ends = values.copy(), np.array([problem.start, problem.end], dtype=float).T  # NaN for None
+    moved[:, [0, -1]] = np.where(np.isnan(ends), values[:, [0, -1]], ends)
     if problem.periodic:
         moved[:, -1] = moved[:, 0]
     return moved

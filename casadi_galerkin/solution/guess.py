@@ -72,8 +72,10 @@ def relative_distance(values: np.ndarray, guessed: np.ndarray) -> float:
     return float(np.max(np.abs(values - guessed) / component_sizes(guessed)[:, None]))
 
 
-def guess_values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:
-    """Values (d, N m + 1) of a guess as it was given; refuses what does not fit or is not finite."""
+def guess_values(guess: Guess | None, calculus: DiscreteCalculus, dimension: int) -> np.ndarray:
+    """Values (d, N m + 1) of a guess as it was given, or zeros; refuses what does not fit or is not finite."""
+    if guess is None:
+        return np.zeros((dimension, len(calculus.node_times)))
     values = _values(guess, calculus, dimension)
     check_finite_values("the guess", values, calculus.node_times)
     return values

@@ -105,15 +105,14 @@ class Refinement(ABC, Generic[Level, Detail]):
             while True:
                 estimate = self.estimate(level)
                 self._report(number, level, estimate)
-                if estimate.trusted and estimate.error <= self.tol:
-                    return level, estimate.error
-                at_floor = estimate.trusted and smallest / 2 < estimate.error < self.roundoff_level
-                nearer = estimate.trusted and estimate.error < smallest
+                error = estimate.error if estimate.trusted else np.inf
+                if error <= self.tol:
+                    return level, error
+                at_floor, nearer = smallest / 2 < error < self.roundoff_level, error < smallest
                 self.fruitless = 0 if nearer else self.fruitless + 1
                 if nearer or smallest == np.inf:
                     self.best = level, estimate.error
-                if nearer:
-                    smallest = estimate.error
+                smallest = min(smallest, error)
                 if at_floor:
                     raise self.stopped(f"{self.tol:g} asked, {smallest:.0e} is the roundoff floor here", *self.best)
                 self.check_time()

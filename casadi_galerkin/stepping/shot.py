@@ -93,9 +93,7 @@ class Shooting:
         self.plane = None
         if has_phase(problem):
             calculus = DiscreteCalculus(method, mesh)
-            values = np.zeros((problem.dimension, len(calculus.node_parts)))
-            guessed = values if guess is None else guess_values(guess, calculus, len(values))
-            self.plane = phase_plane(calculus.emb(guessed))
+            self.plane = phase_plane(calculus.emb(guess_values(guess, calculus, problem.dimension)))
         self.stepper = Stepper(problem, method, problem.energy is not None)
         equations = end_equations(problem, method, self.plane)
         self.unknowns, self._equations = equations.size1_out(0), Evaluator(equations)
