@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from casadi_galerkin.calculus.numbers import counted
-from casadi_galerkin.calculus.roundoff import ZERO
+from casadi_galerkin.calculus.roundoff import TINY, ZERO
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -249,7 +249,7 @@ def animate_linkage(
 
     axes = axes_or_new(axes, (SIZE[0], SIZE[0]))
     low, high = points.min(axis=(0, 2)), points.max(axis=(0, 2))
-    middle, half = (low + high) / 2, 0.55 * max(np.max(high - low), np.finfo(float).tiny)
+    middle, half = (low + high) / 2, 0.55 * max(np.max(high - low), TINY)
     axes.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half], aspect="equal")
     (trail,) = axes.plot([], [], color=COLORS[5])
     (bars,) = axes.plot([], [], "o-", color=COLORS[0], linewidth=2)
