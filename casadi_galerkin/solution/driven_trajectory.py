@@ -14,7 +14,6 @@ from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes
 from casadi_galerkin.problems.bounds import bound_excess
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.constrained_motion import motion_of
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.controlled_motion import equations_of_motion
 from casadi_galerkin.solution.control_path import ControlPath
@@ -51,7 +50,7 @@ class DrivenTrajectory(Trajectory):
         return self._force()
 
     def _force(self) -> ca.Function:
-        """The force (t, x, v[, p]) -> (d,) of the optimized controls."""
+        """The force of the optimized controls."""
         t, x, v, *p = symbols = self.problem.lagrangian.sx_in()
         force = self.problem.force(t, x, v, self.control.expression(t), *p)
         return ca.Function("force", symbols, [ca.densify(force)], ["t", "x", "v", "p"][: len(symbols)], ["value"])
@@ -160,7 +159,3 @@ class DrivenTrajectory(Trajectory):
         momentum, rate = motion(times[None, :], x, v, self.control.at(parts), pushes)
         shape = len(x), -1, len(parts)
         return np.array(momentum).reshape(shape), np.array(rate).reshape(shape)
-
-    def _constrained_motion(self) -> ca.Function | None:
-        """The Function that gives the multipliers, with the forces of the optimized controls."""
-        return None if self.problem.constraint is None else motion_of(self.problem, self._force())

@@ -165,19 +165,18 @@ class Trajectory(Path):
         TypeError, ValueError
             where the problem has no constraint, and for times that are not within the path's
         """
-        motion = self._constrained_motion()
-        if motion is None:
+        if self.problem.constraint is None:
             raise ValueError("the problem has no constraint, so no multipliers")
-        times = times_within(self.t, t)
+        motion, times = motion_of(self.problem, self._force()), times_within(self.t, t)
         flat = times.ravel()
         velocity, joint = self(flat, 1), np.minimum(np.searchsorted(self.t, flat), len(self.t) - 1)
         velocity = np.where(self.t[joint] == flat, self.velocity[:, joint], velocity)
         values = multipliers(motion, flat, self(flat), velocity)
         return values.reshape(len(values), *times.shape)
 
-    def _constrained_motion(self) -> ca.Function | None:
-        """The Function that gives the multipliers, with the forces on this path; None where there is no constraint."""
-        return motion_of(self.problem, self.problem.force)
+    def _force(self) -> ca.Function | None:
+        """The force on this path, (t, x, v[, p]) -> (d,), if there is one."""
+        return self.problem.force
 
     @cached_property
     def energy(self) -> np.ndarray:
