@@ -158,12 +158,6 @@ class Linearization:
         """Nonzeros of the present ∇²S, see the class."""
         return self._arrays["matrix"]
 
-    def _array(self, name: str, size: int) -> np.ndarray:
-        """The array with a name, made when it is first used."""
-        if name not in self._arrays:
-            self._arrays[name] = np.zeros(size)
-        return self._arrays[name]
-
     def _bind(self, key: tuple[str, ...], function: ca.Function) -> Evaluator:
         """Bind the inputs and outputs of a Function to the arrays with their names."""
         self._evaluators[key] = evaluator = Evaluator(function, self._arrays)
@@ -243,7 +237,7 @@ class Linearization:
         or the Hessian is singular to the last digit
         """
         for name, value in (("step", at.step), ("sizes", at.sizes), ("damping", damping)):
-            self._array(name, np.size(value))[:] = value
+            self._arrays.setdefault(name, np.zeros(np.size(value)))[:] = value
         self._evaluate("gradient", unknowns, data)
         self._solve(self.stationarity.linear_solver.simplified_step, "simplified", "length", "nonlinearity")
         step, length, nonlinearity = (self._arrays[name] for name in ("simplified", "length", "nonlinearity"))
@@ -267,7 +261,7 @@ class Linearization:
 
     def weight_inertia(self, unknowns: np.ndarray, data: Data, factor: float) -> None:
         """Evaluate ∇²S with ∂²L/∂v² multiplied by a factor; a large one makes it positive definite where ∂²L/∂v² is."""
-        self._array("inertia", 1)[:] = factor
+        self._arrays.setdefault("inertia", np.zeros(1))[:] = factor
         self._evaluate("inertia_weighted", unknowns, data)
 
     def solve(self, *rhs: np.ndarray, transposed: bool = False) -> list[np.ndarray]:
