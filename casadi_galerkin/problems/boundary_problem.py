@@ -111,12 +111,7 @@ class BoundaryProblem:
         if end is None and not periodic:
             raise ValueError(f"end must have {counted(dimension, 'component')}, got None; None is for a periodic path")
         checked = None if parameters is None else numbers("parameters", parameters)
-        given = {
-            "start_velocity": start_velocity,
-            "end_velocity": end_velocity,
-            "start_momentum": start_momentum,
-            "end_momentum": end_momentum,
-        }
+        given = dict(zip(END_MOTIONS, (start_velocity, end_velocity, start_momentum, end_momentum), strict=True))
         along = arguments(checked, t=1, x=dimension, v=dimension)
         at_ends = arguments(checked, x0=dimension, x1=dimension)
         span = time_span(t_span)
