@@ -204,7 +204,7 @@ def _image(i: int, symmetry: Symmetry, values: np.ndarray) -> np.ndarray:
 
 
 class Search:
-    """The state of a search."""
+    """The state of a search; `iterations` leaves out the solve that ended it with a path."""
 
     def __init__(self, transcription: Transcription, symmetries: tuple[Symmetry, ...]) -> None:
         self.transcription, self.stationarity = transcription, transcription.stationarity
