@@ -170,7 +170,7 @@ def _by_descent(
 
 def _by_random_guesses(graphs: GraphCache, method: Galerkin, mesh: np.ndarray, solver: SolverLike) -> CriticalPoint:
     """Take away the loads of random smooth guesses, as the search for several paths does until it has found one."""
-    search = Search(graphs.transcription(method, mesh), ())
+    search = Search(graphs.transcription(method, mesh), mesh)
     found = search.run(1)[0]
     graphs.iterations += search.iterations + found.iterations
     return graphs.solve(method, found.t, found, solver)

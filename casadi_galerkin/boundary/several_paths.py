@@ -180,7 +180,7 @@ def paths(
     transcription = transcribed(problem, method, intervals, mesh)
     refuse_free_phase("paths", problem)
     count = whole_number("count", count)
-    return Search(transcription, _checked(symmetries, transcription)).run(count)
+    return Search(transcription, transcription.mesh, _checked(symmetries, transcription)).run(count)
 
 
 def _checked(symmetries: Sequence[Symmetry], transcription: Transcription) -> tuple[Symmetry, ...]:
@@ -204,20 +204,23 @@ def _image(i: int, symmetry: Symmetry, values: np.ndarray) -> np.ndarray:
 
 
 class Search:
-    """The state of a search; `iterations` leaves out the solve that ended it with a path."""
+    """The state of a search on a mesh, which may be another one than that of the transcription.
 
-    def __init__(self, transcription: Transcription, symmetries: tuple[Symmetry, ...]) -> None:
-        self.transcription, self.stationarity = transcription, transcription.stationarity
+    `iterations` leaves out those of the solve that ended it with a path.
+    """
+
+    def __init__(self, transcription: Transcription, mesh: np.ndarray, symmetries: tuple[Symmetry, ...] = ()) -> None:
+        self.transcription, self.stationarity, self.mesh = transcription, transcription.stationarity, mesh
         self.symmetries, self.random = symmetries, np.random.default_rng(SEED)
         self.amplitudes = cycle(GROWING)
-        self.data = transcription.data(transcription.mesh)
+        self.data = transcription.data(mesh)
         self.found: list[tuple[Trajectory, np.ndarray]] = []  # with their unknowns
         self.known: list[np.ndarray] = []  # unknowns of all critical points and their images, also of those dropped
         self.solves = self.curves = self.unresolved = self.singular = self.iterations = 0
         self.failure: ConvergenceError | None = None
         self.stiffest = 0.0
-        self.parts = DiscreteCalculus(transcription.method, transcription.mesh).node_parts
-        self.measure(transcription.guess_on_mesh(None, transcription.mesh).values)
+        self.parts = DiscreteCalculus(transcription.method, mesh).node_parts
+        self.measure(transcription.guess_on_mesh(None, mesh).values)
 
     def measure(self, *values: np.ndarray) -> None:
         """Set the sizes of components, of unknowns and of the Hessian to their largest on some paths."""
@@ -261,7 +264,7 @@ class Search:
         """Verified critical points of the next solve, which may be known already."""
         if self.solves == 1:
             try:
-                yield self.transcription.critical_point().solution
+                yield self.transcription.critical_point(mesh=self.mesh).solution
             except ConvergenceError as failure:
                 self.failure = failure
                 self.iterations += failure.iterations
@@ -283,7 +286,7 @@ class Search:
     def guess(self, amplitude: float) -> np.ndarray:
         """Unknowns of a random guess."""
         values = amplitude * self.smooth()
-        return self.unknowns(self.transcription.guess_on_mesh(values, self.transcription.mesh).values)
+        return self.unknowns(self.transcription.guess_on_mesh(values, self.mesh).values)
 
     def from_a_guess(self) -> Solution:
         """Newton's method from a random guess."""

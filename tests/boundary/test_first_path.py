@@ -171,12 +171,22 @@ def test_values_at_the_first_joints_are_a_guess_on_any_mesh():
         assert path.action == pytest.approx(expected.action, rel=TOL)
 
 
-def test_random_guesses_lead_to_a_path_beyond_the_fold_of_the_straight_line():
+def solved_after_a_shorter_time(problem):
+    """The path from graphs that were built for another time span, and so for another mesh."""
+    first, last = problem.t_span
+    transcription = cg.transcribe(problem.varied({}, (first, (first + last) / 2)), tol=1e-8)
+    transcription.solve()
+    return transcription.solve(t_span=problem.t_span)
+
+
+@pytest.mark.parametrize("solved", [partial(cg.solve, tol=1e-8), solved_after_a_shorter_time])
+def test_random_guesses_lead_to_a_path_beyond_the_fold_of_the_straight_line(solved):
     """From T = 1.7 on, the quartic oscillator in the plane has no path of index 0 or 1 between these ends."""
     problem = cg.BoundaryProblem(
         lambda t, x, v: ca.dot(v, v) / 2 - ca.sumsqr(x) ** 2 / 4, (0.0, 2.0), [1.0, 0.3], [-0.2, 0.8]
     )
-    path = cg.solve(problem, tol=1e-8)
+    path = solved(problem)
+    assert path.t[[0, -1]].tolist() == [0.0, 2.0]
     state = np.concatenate((path.x[:, 0], path.velocity[:, 0]))
     flown = solve_ivp(
         lambda t, y: np.concatenate((y[2:], -(y[:2] @ y[:2]) * y[:2])), (0, 2), state, rtol=1e-11, atol=1e-12

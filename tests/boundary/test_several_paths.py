@@ -216,7 +216,8 @@ def test_without_a_path_the_search_says_how_often_it_tried():
 
 def test_a_search_ends_when_the_time_is_up():
     problem = cg.BoundaryProblem(bratu(4.0), (0, 1), [0.0], [0.0])
-    search = Search(cg.transcribe(problem, cg.Galerkin(8), 10), ())
+    transcription = cg.transcribe(problem, cg.Galerkin(8), 10)
+    search = Search(transcription, transcription.mesh)
     with until(time.perf_counter()), pytest.raises(cg.ConvergenceError, match="no path was found in 1 solve; from"):
         search.run(1)
 
