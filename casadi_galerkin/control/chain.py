@@ -20,6 +20,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -243,6 +244,11 @@ class Chain:
             arrivals[:, joints - 1] = before.T
         return PiecewisePolynomial(mesh, self.method.element.nodes, values, arrivals)
 
+    @cached_property
+    def _rate_basis(self) -> np.ndarray:
+        """Test polynomials of the rates at the nodes before the last; (m, m)."""
+        return lagrange_values(np.array(gauss(self.method.degree).points), self.method.element.nodes[:-1])
+
     def costate(
         self, multipliers: np.ndarray, bounds: np.ndarray, arriving: np.ndarray, mesh: np.ndarray
     ) -> PiecewisePolynomial:
@@ -260,8 +266,7 @@ class Chain:
         m, others = self.method.degree, slice(self.mechanical, None)
         motion = multipliers[self.rows["motion"]].reshape(self.intervals * m, self.mechanical)
         motion = np.vstack((motion, -multipliers[self.rows["momentum"][-1]]))
-        tests = lagrange_values(np.array(gauss(m).points), self.method.element.nodes[:-1])
-        rates = -tests @ multipliers[self.rows["rates"]]
+        rates = -self._rate_basis @ multipliers[self.rows["rates"]]
         ends = -multipliers[self.rows["x"]][:, others]
         rates[1:, 0] = ends[:-1]
         rates[self.breaks, 0] -= bounds[self.fields["x"][self.breaks, others]]
