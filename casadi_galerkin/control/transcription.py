@@ -37,6 +37,7 @@ from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_at_joints
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.mass import check_controlled_mass
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
@@ -169,6 +170,8 @@ class ControlTranscription:
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         span = None if mesh is None else (float(calculus.mesh[0]), float(calculus.mesh[-1]))
         problem = self.problem.varied({**ends, "parameters": parameters}, span)
+        if problem.parameters != self.problem.parameters:  # masses may depend on them
+            check_controlled_mass(problem)
 
         def solved(beginning: Beginning) -> ControlTrajectory:
             begun = self.starting_point(problem, calculus, guess, beginning)
@@ -379,4 +382,5 @@ def transcribed_control(
 ) -> ControlTranscription:
     """Check what is given, and build the program; arguments as for `transcribe`, and how terms are evaluated."""
     check_types(problem, method, ControlProblem)
+    check_controlled_mass(problem)
     return ControlTranscription(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), mapping)

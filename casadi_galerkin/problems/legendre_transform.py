@@ -17,7 +17,7 @@ DEGENERATE = 1e-13  # singular value of ∂²L/∂v², over the largest, below w
 
 @lru_cache(8)
 def legendre_transform(lagrangian: ca.Function) -> ca.Function:
-    """(t, x, v) -> p = ∂L/∂v (d,), mass matrix ∂²L/∂v² (d, d)."""
+    """The arguments of L -> p = ∂L/∂v (d,), mass matrix ∂²L/∂v² (d, d)."""
     symbols = lagrangian.sx_in()
     mass, momentum = ca.hessian(lagrangian(*symbols), symbols[2])
     return ca.Function("legendre", symbols, [ca.densify(momentum), ca.densify(mass)])

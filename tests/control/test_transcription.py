@@ -453,3 +453,52 @@ def test_a_problem_with_waypoints_may_be_replaced():
     other = replace(problem, end=(2.0,))
     assert other.waypoints == problem.waypoints
     assert cg.solve(other, cg.Galerkin(3), 4)(1.0)[0] == pytest.approx(0.3, abs=1e-12)
+
+
+DEGENERATE = {
+    "linear in a velocity": lambda t, x, v: v[0] ** 2 / 2 + x[0] * v[1],
+    "of one combination": lambda t, x, v: (v[0] + v[1]) ** 2 / 2,
+    "without any mass": lambda t, x, v: v[0] + v[1],
+    "beside a rate": lambda t, x, v: x[2] * (v[0] + v[1]) ** 2 / 2,
+}
+
+
+@pytest.mark.parametrize("discretization", [{"method": cg.Galerkin(3), "intervals": 4}, {"cost_tol": 1e-6}], ids=str)
+@pytest.mark.parametrize("name", DEGENERATE)
+def test_a_degenerate_lagrangian_is_refused_before_anything_is_solved(name, discretization):
+    """An infimum of the cost that no path reaches was called a local minimum."""
+    rates = {"rates": lambda t, x, v, u: -x[2]} if name == "beside a rate" else {}
+    others, free = [1.0] * len(rates), [None] * len(rates)
+    problem = cg.ControlProblem(
+        DEGENERATE[name],
+        (0, 1),
+        [0.0, 0.0, *others],
+        [1.0, 0.5, *free],
+        [0.0, 0.0, *free],
+        [0.0, 0.0, *free],
+        force=lambda t, x, v, u: u,
+        running_cost=lambda t, x, v, u: u[0] ** 2 + u[1] ** 2,
+        controls=2,
+        **rates,
+    )
+    with pytest.raises(ValueError, match=r"degenerate: its mass matrix .* is singular wherever it was tried"):
+        cg.solve(problem, **discretization)
+
+
+def test_a_mass_that_vanishes_with_the_parameters_is_refused():
+    problem = cg.ControlProblem(
+        lambda t, x, v, p: p[0] * v[0] ** 2 / 2,
+        (0, 1),
+        [0.0],
+        [1.0],
+        [0.0],
+        [0.0],
+        force=lambda t, x, v, u, p: u,
+        running_cost=lambda t, x, v, u, p: u[0] ** 2,
+        controls=1,
+        parameters=[1.0],
+    )
+    transcription = cg.transcribe(problem, cg.Galerkin(3), intervals=4)
+    assert transcription.solve(parameters=[2.0]).cost == pytest.approx(48.0)
+    with pytest.raises(ValueError, match="degenerate"):
+        transcription.solve(parameters=[0.0])
