@@ -171,7 +171,7 @@ class ControlTranscription:
         span = None if mesh is None else (float(calculus.mesh[0]), float(calculus.mesh[-1]))
         problem = self.problem.varied({**ends, "parameters": parameters}, span)
         if problem.parameters != self.problem.parameters:  # masses may depend on them
-            check_controlled_mass(problem)
+            _check_mass(problem)
 
         def solved(beginning: Beginning) -> ControlTrajectory:
             begun = self.starting_point(problem, calculus, guess, beginning)
@@ -367,6 +367,11 @@ def _check_steps(mesh: np.ndarray) -> None:
         )
 
 
+def _check_mass(problem: ControlProblem) -> None:
+    with fork_waits:
+        check_controlled_mass(problem)
+
+
 def check_solver(solver: object) -> None:
     """Refuse a solver that does not optimize."""
     if not isinstance(solver, Solver) or solver.name not in NAMES:
@@ -382,5 +387,5 @@ def transcribed_control(
 ) -> ControlTranscription:
     """Check what is given, and build the program; arguments as for `transcribe`, and how terms are evaluated."""
     check_types(problem, method, ControlProblem)
-    check_controlled_mass(problem)
+    _check_mass(problem)
     return ControlTranscription(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), mapping)

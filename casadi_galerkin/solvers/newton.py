@@ -17,7 +17,7 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.second_variation import SINGULAR, softest
-from casadi_galerkin.solvers.stationarity import ACCEPTED, SIGN_SAMPLES, Iterate, Linearization, Stationarity
+from casadi_galerkin.solvers.stationarity import ACCEPTED, Iterate, Linearization, Stationarity
 
 NEWTON = "Newton"  # its report
 NEARLY_CONVERGED = 1e-6  # relative step from which the next iterate can be at roundoff
@@ -26,6 +26,8 @@ SHORT, CONTRACTION = 0.3, 0.25  # a shorter relative step is taken in full if th
 STRONG_CONTRACTION = 0.1  # the factor for a long first step: from a straight line, all steps are long
 NEARLY_FULL = 0.5  # forecast of the damping from which a short step is first tried in full: forecasts are cautious
 SMALLEST_DAMPING = 1e-7
+UNCHANGED = 1e-8  # part of a component, or change of ∇²S over its entries, that may count as none
+BLURRED = 1e-3  # part of a component that the rounding of its equations may change
 LAST_STEPS = 10  # most steps once components that are rounding alone are set to zero: the path is near by then
 DRIFT = 10.0  # bound of the second variation's change, over what the last two steps show; along families at most 0.7
 
@@ -84,7 +86,9 @@ def damped_newton(
         try:
             return _iterate(linear, guess, data, verbose, max_iter)
         except SolveFailure as failure:
-            solution = _with_zero_components(linear, failure.unknowns, data, failure.iterations)
+            at = linear.newton_step(failure.unknowns, data)
+            every = np.ones(stationarity.functional.numbering.dimension, dtype=bool)
+            solution = _with_zero_components(linear, at, data, failure.iterations, every)
             if solution is None:
                 raise
             return solution
@@ -103,6 +107,10 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
             solution = verified(linear, end, data, iteration, NEWTON, drift)
             if solution is not None:
                 _report(iteration, at.norm, damping, verbose)
+                return _with_zero_components(linear, at, data, iteration, _tiny_components(linear, at)) or solution
+        if at.norm >= last / 2:
+            solution = _with_rounded_components(linear, at, data, iteration)
+            if solution is not None:
                 return solution
         last, short, whole = at.norm, at.norm < SHORT, None
         if damping == 1.0 and (short or iteration == 1):
@@ -130,70 +138,116 @@ def _contracts(norm: float, then: float) -> bool:
     return then <= norm * (CONTRACTION if norm < SHORT else STRONG_CONTRACTION)
 
 
-def _with_zero_components(linear: Linearization, x: np.ndarray, data: Data, iterations: int) -> Solution | None:
-    """Solve with the components that consist of rounding alone set to zero; None if there are none, or it fails.
+def _tiny_components(linear: Linearization, at: Iterate) -> np.ndarray:
+    """The components that are tiny beside the largest, but not zero; (d,)."""
+    numbering = linear.stationarity.functional.numbering
+    sizes = _largest(numbering.component[: numbering.positions], np.abs(at.unknowns[: numbering.positions]), numbering.dimension)
+    return np.asarray((sizes > 0) & (sizes < UNCHANGED * np.max(sizes, initial=0.0)))
+
+
+def _with_rounded_components(linear: Linearization, at: Iterate, data: Data, iterations: int) -> Solution | None:
+    """The solution where only some components still change, by what rounding does to them; None otherwise."""
+    numbering = linear.stationarity.functional.numbering
+    steps = (np.abs(at.step) / at.sizes)[: numbering.positions]
+    going = _largest(numbering.component[: numbering.positions], steps, numbering.dimension) ** 2 > EPS
+    if np.all(going):
+        return None
+    return _with_zero_components(linear, at, data, iterations, going) or verified(
+        linear, at.unknowns + at.step, data, iterations, NEWTON, DRIFT
+    )
+
+
+def _with_zero_components(
+    linear: Linearization, at: Iterate, data: Data, iterations: int, candidates: np.ndarray
+) -> Solution | None:
+    """Solve with those components set to zero that are zero but for rounding; None if there are none, or it fails.
 
     Where a component should be zero, but terms of other components cancel in its equations, rounding keeps it from
     being zero, and its steps are never small relative to its size.  The same happens with given ends such as sin(π),
-    which are then set to zero, too.
-
-    The components must consist of rounding where the steps end as well: at an iterate far away, rounding may be larger
-    than ends that were meant.
+    which are then set to zero, too.  Of the `candidates`, (d,), it is tried whether they are such components.  They
+    are if their equations hold up to rounding where they are zero, and if that changes ∇²S by no more than `UNCHANGED`,
+    so that the solution with zeros is the one that Newton's method is near.
     """
-    at = linear.newton_step(x, data)
-    if not math.isfinite(at.norm):
+    nothing, data = _zero_components(linear, at.unknowns, data, candidates)
+    if not np.any(nothing):
         return None
-    ends = data[:2]
-    nothing, data, _ = _rounding_components(linear, at, data, ends)
-    for _ in range(LAST_STEPS if np.any(nothing) else 0):
-        x = np.where(nothing, 0.0, x + at.step)
-        if np.max((np.abs(at.step) / at.sizes)[~nothing], initial=0.0) ** 2 <= EPS:
-            still, _, least = _rounding_components(linear, linear.newton_step(x, data), data, ends)
-            if not np.all(still[nothing]):
-                return None
+    zeroed = linear.newton_step(np.where(nothing, 0.0, at.unknowns), data)
+    if not _same_matrix(linear, zeroed.matrix, at.matrix):
+        return None
+    for _ in range(LAST_STEPS):
+        if not math.isfinite(zeroed.norm):
+            return None
+        x = np.where(nothing, 0.0, zeroed.unknowns + zeroed.step)
+        if np.max((np.abs(zeroed.step) / zeroed.sizes)[~nothing], initial=0.0) ** 2 <= EPS:
+            gradient, least = _rounding_floors(linear, x, data)
             action, momentum, _, regularity = linear.verification(x, data)
-            gradient, floor = linear.stationarity.gradient_and_floor(x, data)
-            residual = float(np.max(np.abs(gradient) / np.where(nothing, np.fmax(floor, least), floor)))
+            floor = linear.stationarity.gradient_and_floor(x, data)[1]
+            residual = float(np.max(np.abs(gradient) / np.where(nothing, least, floor)))
             solution = Solution(x, data, iterations, residual, NEWTON, action, momentum, regularity)
             return solution if residual <= ACCEPTED else None
-        at = linear.newton_step(x, data)
-        if not math.isfinite(at.norm):
-            return None
+        zeroed = linear.newton_step(x, data)
     return None
 
 
-def _rounding_components(
-    linear: Linearization, at: Iterate, data: Data, given_ends: Data
-) -> tuple[np.ndarray, Data, np.ndarray]:
-    """Which unknowns belong to a component that is rounding alone, (n,); the data with its ends zero; roundoff floors.
+def _zero_components(
+    linear: Linearization, x: np.ndarray, data: Data, candidates: np.ndarray
+) -> tuple[np.ndarray, Data]:
+    """Which unknowns belong to candidates whose equations hold where all of these are zero, and data with zero ends.
 
-    The equations of such a component are solved up to rounding, and neither it nor its given ends are larger than what
-    rounding of these equations does to it.  In `data`, but not in `given_ends`, some ends may be zero already.
-
-    The sizes of terms that cancel within the derivatives of L are not known.  They show in how much the equations
-    change if the unknowns are rounded in other ways: this is measured, and all equations of a component have the
-    largest of their floors.
+    Given ends count as zero where they are not larger than what rounding of the equations does to the component.
     """
-    stationarity, x = linear.stationarity, at.unknowns
-    numbering = stationarity.functional.numbering
-    gradient, least = stationarity.gradient_and_floor(x, data)
-    for signs in np.random.default_rng(len(x)).choice((-EPS, EPS), (SIGN_SAMPLES, len(x))):
-        least = np.fmax(least, np.abs(stationarity.gradient_and_floor(x * (1 + signs), data)[0] - gradient))
-    components, nothing = numbering.component[: numbering.positions], np.zeros(len(x), dtype=bool)
-    unknowns_of = [np.flatnonzero(components == i) for i in range(numbering.dimension)]
-    for own in unknowns_of:
-        least[own] = np.max(least[own], initial=0.0)
-    blurred, moving = np.abs(linear.rounding_effects(least)).max(axis=0), np.fmax(np.abs(x), np.abs(at.step))
-    ends = [end.copy() for end in given_ends]
-    for i, own in enumerate(unknowns_of):
-        solved = np.all(np.abs(gradient[own]) <= ACCEPTED * least[own])
-        given = [np.array(fixed) == i for fixed in (numbering.fixed_start, numbering.fixed_end)]
-        sizes = [moving[own], *(np.abs(end[chosen]) for end, chosen in zip(ends, given, strict=True))]
-        if solved and max(np.max(a, initial=0.0) for a in sizes) <= ACCEPTED * np.max(blurred[own], initial=0.0):
-            nothing[own] = True
-            for end, chosen in zip(ends, given, strict=True):
-                end[chosen] = 0.0
-    return nothing, (*ends, *data[2:]), least
+    numbering, chosen = linear.stationarity.functional.numbering, candidates.copy()
+    component, fixed = numbering.component[: numbering.positions], (numbering.fixed_start, numbering.fixed_end)
+    while np.any(chosen):
+        nothing = np.zeros(len(x), dtype=bool)
+        nothing[: len(component)] = chosen[component]
+        ends = [np.where(chosen[list(those)], 0.0, end) for those, end in zip(fixed, data[:2], strict=True)]
+        zeroed = (*ends, *data[2:])
+        gradient, least = _rounding_floors(linear, np.where(nothing, 0.0, x), zeroed)
+        missed = component[(np.abs(gradient) > ACCEPTED * least)[: len(component)]]
+        if any(np.any(end != kept) for end, kept in zip(ends, data[:2], strict=True)):
+            effects = np.abs(linear.rounding_effects(least)).max(axis=0)[: len(component)]
+            blurred = ACCEPTED * _largest(component, effects, numbering.dimension)
+            for those, end in zip(fixed, data[:2], strict=True):
+                missed = np.append(missed, np.array(those, dtype=int)[np.abs(end) > blurred[list(those)]])
+        if not np.any(chosen[missed]):
+            return nothing, zeroed
+        chosen[missed] = False
+    return np.zeros(len(x), dtype=bool), data
+
+
+def _rounding_floors(linear: Linearization, x: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray]:
+    """∇S, and roundoff floors of its entries that include the rounding within the derivatives of L, (n,) each.
+
+    All equations of a component have the largest of their floors.
+    """
+    numbering = linear.stationarity.functional.numbering
+    component = numbering.component[: numbering.positions]
+    gradient, floor = linear.stationarity.gradient_and_floor(x, data)
+    least = np.fmax(floor, np.abs(linear.rounding_samples(x, data)).max(axis=0))
+    least[: len(component)] = _largest(component, least[: len(component)], numbering.dimension)[component]
+    return gradient, least
+
+
+def _same_matrix(linear: Linearization, matrix: np.ndarray, other: np.ndarray) -> bool:
+    """Whether the nonzeros of two ∇²S differ by at most `UNCHANGED` of the largest entries of their components."""
+    functional = linear.stationarity.functional
+    numbering, d = functional.numbering, functional.numbering.dimension
+    row, column = (np.array(index, dtype=int) for index in functional.sparsity.get_triplet())
+    along = np.fmax(row, column) < numbering.positions
+    block = numbering.component[row[along]] * d + numbering.component[column[along]]
+    entries, changes = (
+        _largest(block, np.abs(values[along]), d * d).reshape(d, d) for values in (matrix, matrix - other)
+    )
+    sizes = np.sqrt(np.diag(entries))
+    return bool(np.all(changes <= UNCHANGED * np.outer(sizes, sizes)))
+
+
+def _largest(kind: np.ndarray, values: np.ndarray, kinds: int) -> np.ndarray:
+    """Largest of the values of each kind, (kinds,); zero for a kind that has none."""
+    largest = np.zeros(kinds)
+    np.fmax.at(largest, kind, values)
+    return largest
 
 
 def _check_going_on(linear: Linearization, at: Iterate, iteration: int) -> None:
@@ -268,10 +322,17 @@ def verified(
 ) -> Solution | None:
     """Judge the residuals at x by their roundoff floors: a solution, or None.
 
+    Where they are above the floors of the terms, by the measured ones, if these leave at least three digits of x.
     Hessian and softest direction are those of the last `newton_step`, at x or before a step that changed the second
     variation by up to `drift` of its terms.
     """
     action, momentum, residual, regularity = linear.verification(x, data)
+    if residual > ACCEPTED:
+        gradient, least = _rounding_floors(linear, x, data)
+        blurred = np.abs(linear.rounding_effects(least)) / linear.stationarity.sizes(x, data)
+        residual, regularity = float(np.max(np.abs(gradient) / least)), 0.0
+        if not np.max(blurred) <= BLURRED:
+            return None
     if not residual <= ACCEPTED:
         return None
     return Solution(x, data, iterations, residual, report, action, momentum, regularity - drift)

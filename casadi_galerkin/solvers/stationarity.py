@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.numbering import Data
@@ -120,7 +121,7 @@ class Linearization:
     """The arrays of one solve, which its methods overwrite.
 
     ∇S (`gradient`) is that of the last point at which a method evaluated it: `newton_step`, `relinearize`,
-    `simplified_step`, `terms` and `verification` do.  ∇²S (`matrix`) is that of the last `newton_step` or
+    `simplified_step`, `terms`, `rounding_samples` and `verification` do.  ∇²S (`matrix`) is that of the last `newton_step` or
     `relinearize`, the weighted one of the last `weight_inertia`, or the one restored by `return_to`; the other methods
     keep it.  The softest direction is that of the last `newton_step` or `return_to`.  `solve`, `refined` and
     `rounding_effects` solve with the present ∇²S, and `simplified_step` with the present ∇²S and a new ∇S.
@@ -292,6 +293,19 @@ class Linearization:
         """
         residuals = [b + self.evaluate("product", unknowns, data, y)[0] for y, b in zip(solutions, rhs, strict=True)]
         return [y + correction for y, correction in zip(solutions, self.solve(*residuals), strict=True)]
+
+    def rounding_samples(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
+        """Changes of ∇S where the unknowns are rounded in other ways, one for each choice of signs; evaluates ∇S.
+
+        They show the rounding of terms that cancel within the derivatives of L, whose sizes are not known.
+        """
+        signs = np.random.default_rng(len(unknowns)).choice((-EPS, EPS), (SIGN_SAMPLES, len(unknowns)))
+        gradients = np.empty_like(signs)
+        for gradient, sign in zip(gradients, signs, strict=True):
+            self.terms(unknowns * (1 + sign), data)
+            gradient[:] = self.gradient
+        self.terms(unknowns, data)
+        return np.asarray(gradients - self.gradient)
 
     def rounding_effects(self, terms: np.ndarray) -> np.ndarray:
         """Changes of the unknowns, with the present ∇²S, by errors of the equations of sizes `terms` and random signs.

@@ -37,7 +37,7 @@ from casadi_galerkin.stepping.shot import Shooting, Shot
 
 ITERATIONS = 50
 MISS = EPS**0.5  # accepted miss of the end, relative to the size of the path: half of the digits
-ROUNDED = 1e3 * EPS  # rounding of a component that stays near zero, relative to the size of the others
+ROUNDED = 1e3 * EPS  # rounding of what is near zero, relative to the size of others or to what it was before
 UNDETERMINED = 1e-14  # smallest singular value of the scaled derivative from which the end depends on the start
 
 
@@ -196,26 +196,33 @@ def _newton(shooting: Shooting, state: np.ndarray, own: np.ndarray, velocity: np
                 _refuse_conjugate(shot, iteration)
             return met, iteration
         step = _direction(shot, shot.miss, iteration)
-        trial, damping = _line_search(shooting, shot, start, step)
+        trial, moved = _line_search(shooting, shot, start, step)
         if trial is None:
             return _met(shot, iteration), iteration
-        start, shot = start + damping * step, trial
+        start, shot = moved, trial
     raise _failure(f"no convergence in {ITERATIONS} iterations", shot, ITERATIONS)
 
 
-def _line_search(shooting: Shooting, shot: Shot, start: np.ndarray, step: np.ndarray) -> tuple[Shot | None, float]:
-    """Halve the step until the simplified step from its end is shorter: the shot there, or None, and the damping."""
+def _line_search(
+    shooting: Shooting, shot: Shot, start: np.ndarray, step: np.ndarray
+) -> tuple[Shot | None, np.ndarray]:
+    """Halve the step until the simplified step from its end is shorter: the shot there, or None, and the start there.
+
+    What is left of a start by its rounding alone is zero: relative to itself, it would never converge.
+    """
     scale = np.maximum(shot.sizes[: len(start)], np.abs(step)) + TINY
     velocity, damping = shooting.velocity(shot.roll), 1.0
     smallest = 1.0 if np.all(np.abs(shot.miss) <= ACCEPTED * shot.floor) else SMALLEST_DAMPING
     while damping >= smallest:
-        trial = shooting.shoot(start + damping * step, velocity)
+        moved = start + damping * step
+        moved[np.abs(moved) <= ROUNDED * np.abs(start)] = 0.0
+        trial = shooting.shoot(moved, velocity)
         if trial is not None:
             shorter = np.max(np.abs(_direction(shot, trial.miss)) / scale)
             if shorter <= (1 - damping / 4) * np.max(np.abs(step) / scale):
-                return trial, damping
+                return trial, moved
         damping /= 2
-    return None, 0.0
+    return None, start
 
 
 def _direction(shot: Shot, miss: np.ndarray, iteration: int = 0) -> np.ndarray:
