@@ -141,7 +141,8 @@ def _contracts(norm: float, then: float) -> bool:
 def _tiny_components(linear: Linearization, at: Iterate) -> np.ndarray:
     """The components that are tiny beside the largest, but not zero; (d,)."""
     numbering = linear.stationarity.functional.numbering
-    sizes = _largest(numbering.component[: numbering.positions], np.abs(at.unknowns[: numbering.positions]), numbering.dimension)
+    count = numbering.positions
+    sizes = _largest(numbering.component[:count], np.abs(at.unknowns[:count]), numbering.dimension)
     return np.asarray((sizes > 0) & (sizes < UNCHANGED * np.max(sizes, initial=0.0)))
 
 

@@ -121,10 +121,11 @@ class Linearization:
     """The arrays of one solve, which its methods overwrite.
 
     ∇S (`gradient`) is that of the last point at which a method evaluated it: `newton_step`, `relinearize`,
-    `simplified_step`, `terms`, `rounding_samples` and `verification` do.  ∇²S (`matrix`) is that of the last `newton_step` or
-    `relinearize`, the weighted one of the last `weight_inertia`, or the one restored by `return_to`; the other methods
-    keep it.  The softest direction is that of the last `newton_step` or `return_to`.  `solve`, `refined` and
-    `rounding_effects` solve with the present ∇²S, and `simplified_step` with the present ∇²S and a new ∇S.
+    `simplified_step`, `terms`, `rounding_samples` and `verification` do.  ∇²S (`matrix`) is that of the last
+    `newton_step` or `relinearize`, the weighted one of the last `weight_inertia`, or the one restored by `return_to`;
+    the other methods keep it.  The softest direction is that of the last `newton_step` or `return_to`.  `solve`,
+    `refined` and `rounding_effects` solve with the present ∇²S, and `simplified_step` with the present ∇²S and a new
+    ∇S.
     `evaluate` has arrays of its own.
 
     Attributes

@@ -203,9 +203,7 @@ def _newton(shooting: Shooting, state: np.ndarray, own: np.ndarray, velocity: np
     raise _failure(f"no convergence in {ITERATIONS} iterations", shot, ITERATIONS)
 
 
-def _line_search(
-    shooting: Shooting, shot: Shot, start: np.ndarray, step: np.ndarray
-) -> tuple[Shot | None, np.ndarray]:
+def _line_search(shooting: Shooting, shot: Shot, start: np.ndarray, step: np.ndarray) -> tuple[Shot | None, np.ndarray]:
     """Halve the step until the simplified step from its end is shorter: the shot there, or None, and the start there.
 
     What is left of a start by its rounding alone is zero: relative to itself, it would never converge.
@@ -215,8 +213,10 @@ def _line_search(
     smallest = 1.0 if np.all(np.abs(shot.miss) <= ACCEPTED * shot.floor) else SMALLEST_DAMPING
     while damping >= smallest:
         moved = start + damping * step
-        moved[np.abs(moved) <= ROUNDED * np.abs(start)] = 0.0
-        trial = shooting.shoot(moved, velocity)
+        nothing = np.abs(moved) <= ROUNDED * np.abs(start)
+        moved[nothing] = 0.0
+        at_rest = nothing[len(velocity) : 2 * len(velocity)]  # the momenta, for a prediction that is zero, too
+        trial = shooting.shoot(moved, np.where(at_rest, 0.0, velocity))
         if trial is not None:
             shorter = np.max(np.abs(_direction(shot, trial.miss)) / scale)
             if shorter <= (1 - damping / 4) * np.max(np.abs(step) / scale):

@@ -242,3 +242,58 @@ def test_given_ends_are_not_taken_for_the_rounding_of_an_iterate_that_went_far(c
     far = transcription.unknowns(np.tile([1.5, 1e22], (9, 1)), data)
     with pytest.raises(SolveFailure):
         damped_newton(transcription.stationarity, far, data, max_iter=1)
+
+
+SYMMETRIC = {  # L, and how many components besides the first are zero by symmetry
+    "uncoupled": (lambda t, x, v: ca.sumsqr(v) / 2 - ca.cos(x[0]) - x[1] ** 2 / 2, 1),
+    "central": (lambda t, x, v: ca.sumsqr(v) / 2 + 1 / ca.norm_2(x), 1),
+    "angles": (lambda t, x, v: (v[0] ** 2 + ca.sin(x[0]) ** 2 * v[1] ** 2) / 2 - ca.cos(x[0]), 1),
+    "cosines": (lambda t, x, v: ca.sumsqr(v) / 2 - ca.cos(x[0] + x[1]) - ca.cos(x[0] - x[1]), 1),
+    "quartic": (lambda t, x, v: ca.sumsqr(v) / 2 - (x[0] + x[1]) ** 4 / 4 - (x[0] - x[1]) ** 4 / 4, 1),
+    "three": (
+        lambda t, x, v: ca.sumsqr(v) / 2 - ca.cos(x[0] + x[1] - x[2]) - ca.cos(x[0] - x[1] + x[2]) - ca.sumsqr(x),
+        2,
+    ),
+}
+
+
+@pytest.mark.parametrize("how", HOW, ids=["mesh", "tol"])
+@pytest.mark.parametrize("beside", [1e-12, 1e-3, 0.3])
+@pytest.mark.parametrize("name", SYMMETRIC)
+def test_a_component_is_exactly_zero_where_its_guess_is_not(name, beside, how):
+    """What rounding left of it counted by its own size: 200 iterations, no path, or another one far away."""
+    lagrangian, zeros = SYMMETRIC[name]
+    problem = cg.BoundaryProblem(lagrangian, (0, 1), [1.0] + [0.0] * zeros, [0.5] + [0.0] * zeros)
+    path = cg.solve(problem, guess=lambda t: [1 - t / 2] + [beside * np.sin(np.pi * t)] * zeros, **how)
+    straight = cg.solve(problem, **how)
+    assert not np.any(path.x[1:])
+    assert path.iterations <= 25
+    np.testing.assert_allclose(path(np.linspace(0, 1, 9)), straight(np.linspace(0, 1, 9)), rtol=1e-9, atol=0)
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-8, 1e-10])
+@pytest.mark.parametrize("beside", [1e-13, 1e-11, 1e-9, 1e-6])
+def test_a_small_component_is_as_accurate_as_its_estimate_where_terms_of_others_cancel(beside, tol):
+    """The derivatives of L by it are differences of sines: their rounding hides some of its digits."""
+    ends = [1.0, beside], [0.5, 1.3 * beside]
+    problem = cg.BoundaryProblem(SYMMETRIC["cosines"][0], (0, 1), *ends)
+    exact = cg.solve(
+        cg.BoundaryProblem(lambda t, x, v: ca.sumsqr(v) / 2 - 2 * ca.cos(x[0]) * ca.cos(x[1]), (0, 1), *ends), tol=1e-13
+    )
+    times = np.linspace(0, 1, 101)
+    if tol < 1e-18 / beside:  # of the rounding of a sine, 1e-16, most averages out over the path
+        with pytest.raises(cg.LimitReached, match="is the roundoff floor here"):
+            cg.solve(problem, tol=tol)
+        return
+    path = cg.solve(problem, tol=tol)
+    error = np.max(np.abs(path(times) - exact(times)), axis=1) / np.max(np.abs(exact(times)), axis=1)
+    assert np.max(error) <= path.error_estimate <= tol
+
+
+def test_a_small_component_in_other_units_is_not_taken_for_zero():
+    """It is small because of its unit, and its equation has one solution that is not zero."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2 - ca.cos(x[0]) + 1e-17 * x[1], (0, 1), [1.0, 0.0], [0.5, 0.0]
+    )
+    path = cg.solve(problem, cg.Galerkin(4), 5, guess=lambda t: [1 - t / 2, 0.3 * t * (1 - t)])
+    np.testing.assert_allclose(path(0.5)[1], -1e-17 / 8, rtol=1e-12)

@@ -236,3 +236,17 @@ def test_rest_without_a_regular_mass_is_refused():
     problem = cg.InitialProblem(lambda t, x, v: v[0] ** 4 / 4 - x[0], (0, 1), [0.0], momentum=[0.0])
     with pytest.raises(ValueError, match=r"degenerate: .* singular at the start, x = \[0\.\], v = \[0\.\]"):
         cg.solve(problem, cg.Galerkin(3), intervals=5)
+
+
+@pytest.mark.parametrize("beside", [1e-12, 1e-9, 1e-6, 1e-3])
+@pytest.mark.parametrize("intervals", [7, 40])
+def test_a_small_component_is_stepped_where_terms_of_others_cancel(intervals, beside):
+    """The derivatives of L by it are differences of sines, and floors of their terms alone refused such steps."""
+
+    def path(lagrangian):
+        problem = cg.InitialProblem(lagrangian, (0, 1), [1.0, 0.0], velocity=[-0.8, beside])
+        return cg.solve(problem, cg.Galerkin(4), intervals)
+
+    found = path(lambda t, x, v: ca.sumsqr(v) / 2 - ca.cos(x[0] + x[1]) - ca.cos(x[0] - x[1]))
+    exact = path(lambda t, x, v: ca.sumsqr(v) / 2 - 2 * ca.cos(x[0]) * ca.cos(x[1]))
+    assert np.max(np.abs(found.x - exact.x)[1]) <= 1e-14  # some roundings of the sines

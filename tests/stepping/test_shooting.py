@@ -255,3 +255,18 @@ def test_an_unknown_velocity_at_an_end_begins_as_that_of_the_guess():
     shot = cg.shoot(problem, cg.Galerkin(6), 8, guess=path)
     assert shot.iterations <= 1
     np.testing.assert_allclose(shot.x, path.x, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("intervals", [7, 40])
+@pytest.mark.parametrize("beside", [1e-12, 1e-6, 1e-3])
+def test_a_start_beside_a_straight_path_comes_to_it(beside, intervals):
+    """What rounding left of the momentum beside it counted by its own size: conjugate ends, or no convergence."""
+
+    def lagrangian(t, x, v):
+        return ca.sumsqr(v) / 2 + 1 / ca.norm_2(x)
+
+    problem = cg.BoundaryProblem(lagrangian, (0, 1), [1.0, 0.0], [1.5, 0.0])
+    straight = cg.solve(problem, cg.Galerkin(4), intervals)
+    start = cg.InitialProblem(lagrangian, (0, 1), [1.0, 0.0], velocity=[straight(0, 1)[0], beside])
+    path = cg.shoot(problem, cg.Galerkin(4), intervals, guess=cg.solve(start, cg.Galerkin(4), intervals))
+    np.testing.assert_allclose(path.x, straight.x, rtol=0, atol=1e-13)
