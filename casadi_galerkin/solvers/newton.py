@@ -107,7 +107,7 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
             solution = verified(linear, end, data, iteration, NEWTON, drift)
             if solution is not None:
                 _report(iteration, at.norm, damping, verbose)
-                return _with_zero_components(linear, at, data, iteration, _tiny_components(linear, at)) or solution
+                return _without_tiny_components(linear, at, data, iteration) or solution
         if at.norm >= last / 2:
             solution = _with_rounded_components(linear, at, data, iteration)
             if solution is not None:
@@ -138,12 +138,16 @@ def _contracts(norm: float, then: float) -> bool:
     return then <= norm * (CONTRACTION if norm < SHORT else STRONG_CONTRACTION)
 
 
-def _tiny_components(linear: Linearization, at: Iterate) -> np.ndarray:
-    """The components that are tiny beside the largest, but not zero; (d,)."""
+def _without_tiny_components(linear: Linearization, at: Iterate, data: Data, iterations: int) -> Solution | None:
+    """The solution with zeros where a component that is tiny beside others is rounding alone; None otherwise."""
     numbering = linear.stationarity.functional.numbering
     count = numbering.positions
-    sizes = _largest(numbering.component[:count], np.abs(at.unknowns[:count]), numbering.dimension)
-    return np.asarray((sizes > 0) & (sizes < UNCHANGED * np.max(sizes, initial=0.0)))
+    sizes = at.sizes[:count]
+    if not (count and sizes.min() < UNCHANGED * sizes.max()):
+        return None
+    largest = _largest(numbering.component[:count], np.abs(at.unknowns[:count]), numbering.dimension)
+    tiny = (largest > 0) & (largest < UNCHANGED * np.max(largest))
+    return _with_zero_components(linear, at, data, iterations, tiny)
 
 
 def _with_rounded_components(linear: Linearization, at: Iterate, data: Data, iterations: int) -> Solution | None:
