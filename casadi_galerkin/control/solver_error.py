@@ -10,9 +10,12 @@ where ∇f̄ are the slopes of the Lagrangian without the multipliers μ of boun
 and D is not zero, only for inequalities.  Where the cost hardly depends on the path, steps are long even if all slopes
 are far below any tolerance.  Two steps are extrapolated as a geometric series: where the cost is like a fourth power,
 each step leaves two thirds of the distance.  Where the path is not determined at all, all slopes may vanish, and the
-effect of rounding of the equations shows this.  `EPS` on the diagonal regularizes undetermined unknowns, such as the
-shares of two redundant controls.  It is not added for states, which follow from the other unknowns: there it would
-outweigh the curvature of a cost that hardly depends on the path.
+effect of rounding of the equations shows this.  Where the ratio r of the steps is not small, it is uncertain itself, and
+the sum is multiplied by 1 + √r: without that, an error was seen to be 2 times its estimate.
+
+`EPS` on the diagonal regularizes undetermined unknowns, such as the shares of two redundant controls.  It is not added
+for states, which follow from the other unknowns: there it would outweigh the curvature of a cost that hardly depends on
+the path.
 """
 
 from __future__ import annotations
@@ -56,7 +59,7 @@ def estimate_remaining_error(
     first, rounding, second, _ = (largest_of(np.where(np.isfinite(a), np.abs(a), np.inf), kinds) for a in steps)
     with np.errstate(invalid="ignore"):  # where both steps are infinite
         ratio = np.fmin(LARGEST_RATIO, second / np.where(first > 0, first, 1.0))
-    errors = np.fmax(np.fmax(first, second) / (1 - ratio), rounding)
+    errors = np.fmax(np.fmax(first, second) * (1 + np.sqrt(ratio)) / (1 - ratio), rounding)
     durations = kinds[chain.fields["durations"][-1]] if "durations" in chain.free else kinds[:0]
     of_durations = float(np.max(errors[durations] / sizes[durations], initial=0.0))
     return RemainingError(errors[: chain.dimension], of_durations, change if np.isfinite(change) else np.inf)

@@ -157,9 +157,12 @@ def _with_rounded_components(linear: Linearization, at: Iterate, data: Data, ite
     going = _largest(numbering.component[: numbering.positions], steps, numbering.dimension) ** 2 > EPS
     if np.all(going):
         return None
-    return _with_zero_components(linear, at, data, iterations, going) or verified(
-        linear, at.unknowns + at.step, data, iterations, NEWTON, DRIFT
-    )
+    solution, x = _with_zero_components(linear, at, data, iterations, going), at.unknowns + at.step
+    if solution is not None:
+        return solution
+    linear.return_to(at)
+    blurred = _blurred(linear, x, data, _rounding_floors(linear, x, data)[1])
+    return verified(linear, x, data, iterations, NEWTON, DRIFT) if blurred <= BLURRED else None
 
 
 def _with_zero_components(
@@ -173,6 +176,8 @@ def _with_zero_components(
     are if their equations hold up to rounding where they are zero, and if that changes ∇²S by no more than `UNCHANGED`,
     so that the solution with zeros is the one that Newton's method is near.
     """
+    if not math.isfinite(at.norm):
+        return None
     nothing, data = _zero_components(linear, at.unknowns, data, candidates)
     if not np.any(nothing):
         return None
@@ -232,6 +237,11 @@ def _rounding_floors(linear: Linearization, x: np.ndarray, data: Data) -> tuple[
     least = np.fmax(floor, np.abs(linear.rounding_samples(x, data)).max(axis=0))
     least[: len(component)] = _largest(component, least[: len(component)], numbering.dimension)[component]
     return gradient, least
+
+
+def _blurred(linear: Linearization, x: np.ndarray, data: Data, floors: np.ndarray) -> float:
+    """Largest change of an unknown, over its size, by errors of the equations as large as these floors."""
+    return float(np.max(np.abs(linear.rounding_effects(floors)) / linear.stationarity.sizes(x, data), initial=0.0))
 
 
 def _same_matrix(linear: Linearization, matrix: np.ndarray, other: np.ndarray) -> bool:
@@ -334,10 +344,9 @@ def verified(
     action, momentum, residual, regularity = linear.verification(x, data)
     if residual > ACCEPTED:
         gradient, least = _rounding_floors(linear, x, data)
-        blurred = np.abs(linear.rounding_effects(least)) / linear.stationarity.sizes(x, data)
-        residual, regularity = float(np.max(np.abs(gradient) / least)), 0.0
-        if not np.max(blurred) <= BLURRED:
+        if not _blurred(linear, x, data, least) <= BLURRED:
             return None
+        residual, regularity = float(np.max(np.abs(gradient) / least)), 0.0
     if not residual <= ACCEPTED:
         return None
     return Solution(x, data, iterations, residual, report, action, momentum, regularity - drift)
