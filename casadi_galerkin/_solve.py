@@ -306,6 +306,8 @@ def solution_function(
     x, momentum : (d, N + 1), at the joints; a momentum under a constraint holds some of the constraint's impulse
     action : scalar
 
+    It has derivatives.  C code cannot be generated from it, because CasADi's rootfinder `newton` has none.
+
     For a ControlProblem, a Function (start, end, start_velocity, end_velocity, parameters, guess, controls) -> (x, u,
     duration, cost)
 

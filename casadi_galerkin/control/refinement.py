@@ -13,9 +13,10 @@ is no error estimate, and the next mesh has every interval halved.  The same is 
 reduce the error, because meshes may otherwise alternate where controls switch often.  IPOPT's own tolerance does not
 follow `tol`: a looser one was hardly faster, and sometimes failed.
 
-On smooth paths the estimate is near the true error.  With bang-bang controls it is only a bound, that of the switching
-times, and where a position touches its bound it is many times the error.  `examples/benchmark/literature.py` counts how
-often it bounds the error of the cost on nineteen problems of the literature.
+On smooth paths the estimate is near the true error.  Where a position touches its bound it is many times the error.
+Where controls switch or path constraints are active, both degrees may share a wrong time of the switch or of the
+contact: of 191 such paths, the estimates of 24 were too small, by up to 3.2 times.  `examples/benchmark/literature.py`
+counts how often the estimate bounds the error of the cost on nineteen problems of the literature.
 
 Where a path would be accepted, the errors that the solver leaves (`solver_error`) are added.  A finer mesh does not
 reduce them: where they are above the tolerance with both degrees, the refinement ends at once.

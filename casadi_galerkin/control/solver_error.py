@@ -10,8 +10,8 @@ where ∇f̄ are the slopes of the Lagrangian without the multipliers μ of boun
 and D is not zero, only for inequalities.  Where the cost hardly depends on the path, steps are long even if all slopes
 are far below any tolerance.  Two steps are extrapolated as a geometric series: where the cost is like a fourth power,
 each step leaves two thirds of the distance.  Where the path is not determined at all, all slopes may vanish, and the
-effect of rounding of the equations shows this.  Where the ratio r of the steps is not small, it is uncertain itself, and
-the sum is multiplied by 1 + √r: without that, an error was seen to be 2 times its estimate.
+effect of rounding of the equations shows this.  Where the ratio r of the steps is not small, it is uncertain, and the
+sum is multiplied by 1 + √r: without that, an error was seen to be 2 times its estimate.
 
 `EPS` on the diagonal regularizes undetermined unknowns, such as the shares of two redundant controls.  It is not added
 for states, which follow from the other unknowns: there it would outweigh the curvature of a cost that hardly depends on
