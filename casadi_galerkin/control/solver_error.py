@@ -8,10 +8,10 @@ At the optimum the equations hold, the slopes vanish, and every multiplier or it
 
 where ∇f̄ are the slopes of the Lagrangian without the multipliers μ of bounds.  The right-hand side is d in place of -G,
 and D is not zero, only for inequalities.  Where the cost hardly depends on the path, steps are long even if all slopes
-are far below any tolerance.  Two steps are extrapolated as a geometric series: where the cost is like a fourth power,
-each step leaves two thirds of the distance.  Where the path is not determined at all, all slopes may vanish, and the
-effect of rounding of the equations shows this.  Where the ratio r of the steps is not small, it is uncertain, and the
-sum is multiplied by 1 + √r: without that, an error was seen to be 2 times its estimate.
+are far below any tolerance.  After the first step, the next two are extrapolated as a geometric series: where the cost
+is like a fourth power, each step leaves two thirds of the distance.  Their ratio r is uncertain where it is not small,
+and the series is multiplied by 1 + √r: without that, errors were seen to be 2 to 3 times their estimates.  Where the
+path is not determined at all, all slopes may vanish, and the effect of rounding of the equations shows this.
 
 `EPS` on the diagonal regularizes undetermined unknowns, such as the shares of two redundant controls.  It is not added
 for states, which follow from the other unknowns: there it would outweigh the curvature of a cost that hardly depends on
@@ -50,16 +50,17 @@ def estimate_remaining_error(
     chain, kinds = graph.chain, graph.chain.unknown_kinds
     sizes = largest_of(np.abs(optimum.unknowns), kinds)
     at, steps, change = (optimum.unknowns, optimum.multipliers, optimum.bound_multipliers), list[np.ndarray](), 0.0
-    for _ in range(2):
+    for _ in range(3):
         step, rounding_effect, *after = newton_step(graph, bounds, data, sizes[kinds], *at)
         slope = graph.gradient(at[0], data)[1]
         change += abs(float(ca.dot(slope, step)))
         steps += [step, rounding_effect]
         at = after[0], after[1], after[2]
-    first, rounding, second, _ = (largest_of(np.where(np.isfinite(a), np.abs(a), np.inf), kinds) for a in steps)
+    largest = [largest_of(np.where(np.isfinite(a), np.abs(a), np.inf), kinds) for a in steps]
+    first, rounding, second, _, third, _ = largest
     with np.errstate(invalid="ignore"):  # where both steps are infinite
-        ratio = np.fmin(LARGEST_RATIO, second / np.where(first > 0, first, 1.0))
-    errors = np.fmax(np.fmax(first, second) * (1 + np.sqrt(ratio)) / (1 - ratio), rounding)
+        ratio = np.fmin(LARGEST_RATIO, third / np.where(second > 0, second, 1.0))
+    errors = np.fmax(first + second * (1 + np.sqrt(ratio)) / (1 - ratio), rounding)
     durations = kinds[chain.fields["durations"][-1]] if "durations" in chain.free else kinds[:0]
     of_durations = float(np.max(errors[durations] / sizes[durations], initial=0.0))
     return RemainingError(errors[: chain.dimension], of_durations, change if np.isfinite(change) else np.inf)
