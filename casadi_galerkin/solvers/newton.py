@@ -4,6 +4,8 @@ The natural monotonicity test: P. Deuflhard, "Newton Methods for Nonlinear Probl
 
 A solution is accepted if every residual is within `ACCEPTED` times its own roundoff floor, eps times the sizes of
 the terms it sums and of what the rounding of the unknowns themselves does to it, |H||ξ|, with H of the last iterate.
+Where terms cancel within the derivatives of L, their sizes are not known, and the floor is measured.  A component that
+is zero but for such rounding is set to zero.
 """
 
 from __future__ import annotations
