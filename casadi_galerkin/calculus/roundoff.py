@@ -11,3 +11,10 @@ def component_sizes(values: np.ndarray) -> np.ndarray:
     """Largest size in each row of (d, K), to which errors are relative; 1 for a component that is zero; (d,)."""
     largest = np.max(np.abs(values), axis=1)
     return np.where(largest >= ZERO, largest, 1.0)
+
+
+def largest_of(values: np.ndarray, kinds: np.ndarray, count: int = 0) -> np.ndarray:
+    """Largest of the values of every kind, of which there are at least `count`; NaN ignored, 0 for a kind without."""
+    largest = np.zeros(max(count, kinds.max(initial=-1) + 1))
+    np.fmax.at(largest, kinds, values)
+    return largest

@@ -57,13 +57,6 @@ def kinds_of(arrays: Mapping[str, np.ndarray], alike: Iterable[Sequence[str]], c
     return kinds
 
 
-def largest_of(values: np.ndarray, kinds: np.ndarray) -> np.ndarray:
-    """Largest of the values of every kind, NaN ignored."""
-    largest = np.zeros(kinds.max() + 1)
-    np.fmax.at(largest, kinds, values)
-    return largest
-
-
 class Chain:
     """Numbering of ξ, and of the equations, of a control problem on N intervals.
 

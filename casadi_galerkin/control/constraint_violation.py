@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_galerkin.control.chain import Chain, largest_of
+from casadi_galerkin.calculus.roundoff import largest_of
+from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.graph import Report
 from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.problems.bounds import bound_excess

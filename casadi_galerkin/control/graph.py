@@ -18,8 +18,9 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
+from casadi_galerkin.calculus.roundoff import largest_of
 from casadi_galerkin.control import assembly
-from casadi_galerkin.control.chain import Chain, largest_of
+from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.pointwise import pointwise_terms
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap

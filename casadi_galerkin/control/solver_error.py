@@ -25,8 +25,7 @@ from typing import TypeAlias
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.roundoff import EPS, TINY
-from casadi_galerkin.control.chain import largest_of
+from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of
 from casadi_galerkin.control.embedding import sparse
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum

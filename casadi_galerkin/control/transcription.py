@@ -26,6 +26,7 @@ from casadi_galerkin.control.continuous_controls import continuous_controls
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
+from casadi_galerkin.control.mass import check_mass
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, with_ends
 from casadi_galerkin.control.retries import AS_GUESSED, Beginning, retry_from_other_guesses, with_ipopt_fallback
@@ -37,7 +38,6 @@ from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_at_joints
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.mass import check_controlled_mass
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
@@ -171,7 +171,7 @@ class ControlTranscription:
         span = None if mesh is None else (float(calculus.mesh[0]), float(calculus.mesh[-1]))
         problem = self.problem.varied({**ends, "parameters": parameters}, span)
         if problem.parameters != self.problem.parameters:  # masses may depend on them
-            _check_mass(problem)
+            check_mass(problem)
 
         def solved(beginning: Beginning) -> ControlTrajectory:
             begun = self.starting_point(problem, calculus, guess, beginning)
@@ -367,11 +367,6 @@ def _check_steps(mesh: np.ndarray) -> None:
         )
 
 
-def _check_mass(problem: ControlProblem) -> None:
-    with fork_waits:
-        check_controlled_mass(problem)
-
-
 def check_solver(solver: object) -> None:
     """Refuse a solver that does not optimize."""
     if not isinstance(solver, Solver) or solver.name not in NAMES:
@@ -387,5 +382,5 @@ def transcribed_control(
 ) -> ControlTranscription:
     """Check what is given, and build the program; arguments as for `transcribe`, and how terms are evaluated."""
     check_types(problem, method, ControlProblem)
-    _check_mass(problem)
+    check_mass(problem)
     return ControlTranscription(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), mapping)

@@ -9,7 +9,7 @@ import numpy as np
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.legendre_transform import degenerate, legendre_transform, refuse_degenerate
+from casadi_galerkin.problems.legendre_transform import degenerate, refuse_degenerate
 
 GENERIC = 0.1, 0.4, 0.7  # fractions of a bent line between the ends, at which the mass matrix is evaluated
 
@@ -34,11 +34,3 @@ def refuse_singular_mass(
         if not (np.isfinite(mass).all() and degenerate(mass)):
             return
     refuse_degenerate(mass, f"wherever it was tried, such as at t = {t:.6g}, x = {x}, v = {v}")
-
-
-def check_controlled_mass(problem: ControlProblem) -> None:
-    """Refuse a singular mass matrix of the mechanical components, those that do not follow a rate."""
-    count, given = problem.mechanical, [] if problem.parameters is None else [problem.parameters]
-    if count:
-        transform = legendre_transform(problem.lagrangian)
-        refuse_singular_mass(problem, lambda t, x, v: transform(t, x, v, *given)[1].full()[:count, :count])

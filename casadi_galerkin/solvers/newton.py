@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_galerkin.calculus.roundoff import EPS, TINY
-from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of
+from casadi_galerkin.functional.numbering import Data, Numbering
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.second_variation import SINGULAR, softest
 from casadi_galerkin.solvers.stationarity import ACCEPTED, Iterate, Linearization, Stationarity
@@ -143,27 +143,24 @@ def _contracts(norm: float, then: float) -> bool:
 def _without_tiny_components(linear: Linearization, at: Iterate, data: Data, iterations: int) -> Solution | None:
     """The solution with zeros where a component that is tiny beside others is rounding alone; None otherwise."""
     numbering = linear.stationarity.functional.numbering
-    count = numbering.positions
-    sizes = at.sizes[:count]
-    if not (count and sizes.min() < UNCHANGED * sizes.max()):
+    sizes = at.sizes[: numbering.positions]
+    if not (len(sizes) and sizes.min() < UNCHANGED * sizes.max()):
         return None
-    largest = _largest(numbering.component[:count], np.abs(at.unknowns[:count]), numbering.dimension)
+    largest = _of_components(numbering, np.abs(at.unknowns))
     tiny = (largest > 0) & (largest < UNCHANGED * np.max(largest))
     return _with_zero_components(linear, at, data, iterations, tiny)
 
 
 def _with_rounded_components(linear: Linearization, at: Iterate, data: Data, iterations: int) -> Solution | None:
     """The solution where only some components still change, by what rounding does to them; None otherwise."""
-    numbering = linear.stationarity.functional.numbering
-    steps = (np.abs(at.step) / at.sizes)[: numbering.positions]
-    going = _largest(numbering.component[: numbering.positions], steps, numbering.dimension) ** 2 > EPS
+    going = _of_components(linear.stationarity.functional.numbering, np.abs(at.step) / at.sizes) ** 2 > EPS
     if np.all(going):
         return None
     solution, x = _with_zero_components(linear, at, data, iterations, going), at.unknowns + at.step
     if solution is not None:
         return solution
     linear.return_to(at)
-    blurred = _blurred(linear, x, data, _rounding_floors(linear, x, data)[1])
+    blurred = _blurred(linear, x, data, _rounding_floors(linear, x, data)[2])
     return verified(linear, x, data, iterations, NEWTON, DRIFT) if blurred <= BLURRED else None
 
 
@@ -191,9 +188,8 @@ def _with_zero_components(
             return None
         x = np.where(nothing, 0.0, zeroed.unknowns + zeroed.step)
         if np.max((np.abs(zeroed.step) / zeroed.sizes)[~nothing], initial=0.0) ** 2 <= EPS:
-            gradient, least = _rounding_floors(linear, x, data)
+            gradient, floor, least = _rounding_floors(linear, x, data)
             action, momentum, _, regularity = linear.verification(x, data)
-            floor = linear.stationarity.gradient_and_floor(x, data)[1]
             residual = float(np.max(np.abs(gradient) / np.where(nothing, least, floor)))
             solution = Solution(x, data, iterations, residual, NEWTON, action, momentum, regularity)
             return solution if residual <= ACCEPTED else None
@@ -215,11 +211,10 @@ def _zero_components(
         nothing[: len(component)] = chosen[component]
         ends = [np.where(chosen[list(those)], 0.0, end) for those, end in zip(fixed, data[:2], strict=True)]
         zeroed = (*ends, *data[2:])
-        gradient, least = _rounding_floors(linear, np.where(nothing, 0.0, x), zeroed)
+        gradient, _, least = _rounding_floors(linear, np.where(nothing, 0.0, x), zeroed)
         missed = component[(np.abs(gradient) > ACCEPTED * least)[: len(component)]]
         if any(np.any(end != kept) for end, kept in zip(ends, data[:2], strict=True)):
-            effects = np.abs(linear.rounding_effects(least)).max(axis=0)[: len(component)]
-            blurred = ACCEPTED * _largest(component, effects, numbering.dimension)
+            blurred = ACCEPTED * _of_components(numbering, np.abs(linear.rounding_effects(least)).max(axis=0))
             for those, end in zip(fixed, data[:2], strict=True):
                 missed = np.append(missed, np.array(those, dtype=int)[np.abs(end) > blurred[list(those)]])
         if not np.any(chosen[missed]):
@@ -228,17 +223,16 @@ def _zero_components(
     return np.zeros(len(x), dtype=bool), data
 
 
-def _rounding_floors(linear: Linearization, x: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray]:
-    """∇S, and roundoff floors of its entries that include the rounding within the derivatives of L, (n,) each.
+def _rounding_floors(linear: Linearization, x: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """∇S, the roundoff floors of its entries, and those that include the rounding within the derivatives of L; (n,).
 
-    All equations of a component have the largest of their floors.
+    Of the latter, all equations of a component have the largest.
     """
     numbering = linear.stationarity.functional.numbering
-    component = numbering.component[: numbering.positions]
     gradient, floor = linear.stationarity.gradient_and_floor(x, data)
     least = np.fmax(floor, np.abs(linear.rounding_samples(x, data)).max(axis=0))
-    least[: len(component)] = _largest(component, least[: len(component)], numbering.dimension)[component]
-    return gradient, least
+    least[: numbering.positions] = _of_components(numbering, least)[numbering.component[: numbering.positions]]
+    return gradient, floor, least
 
 
 def _blurred(linear: Linearization, x: np.ndarray, data: Data, floors: np.ndarray) -> float:
@@ -254,17 +248,16 @@ def _same_matrix(linear: Linearization, matrix: np.ndarray, other: np.ndarray) -
     along = np.fmax(row, column) < numbering.positions
     block = numbering.component[row[along]] * d + numbering.component[column[along]]
     entries, changes = (
-        _largest(block, np.abs(values[along]), d * d).reshape(d, d) for values in (matrix, matrix - other)
+        largest_of(np.abs(values[along]), block, d * d).reshape(d, d) for values in (matrix, matrix - other)
     )
     sizes = np.sqrt(np.diag(entries))
     return bool(np.all(changes <= UNCHANGED * np.outer(sizes, sizes)))
 
 
-def _largest(kind: np.ndarray, values: np.ndarray, kinds: int) -> np.ndarray:
-    """Largest of the values of each kind, (kinds,); zero for a kind that has none."""
-    largest = np.zeros(kinds)
-    np.fmax.at(largest, kind, values)
-    return largest
+def _of_components(numbering: Numbering, values: np.ndarray) -> np.ndarray:
+    """Largest of the values (n,) that belong to each component of the path; (d,)."""
+    count = numbering.positions
+    return largest_of(values[:count], numbering.component[:count], numbering.dimension)
 
 
 def _check_going_on(linear: Linearization, at: Iterate, iteration: int) -> None:
@@ -345,7 +338,7 @@ def verified(
     """
     action, momentum, residual, regularity = linear.verification(x, data)
     if residual > ACCEPTED:
-        gradient, least = _rounding_floors(linear, x, data)
+        gradient, _, least = _rounding_floors(linear, x, data)
         if not _blurred(linear, x, data, least) <= BLURRED:
             return None
         residual, regularity = float(np.max(np.abs(gradient) / least)), 0.0

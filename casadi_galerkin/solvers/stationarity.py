@@ -125,8 +125,7 @@ class Linearization:
     `newton_step` or `relinearize`, the weighted one of the last `weight_inertia`, or the one restored by `return_to`;
     the other methods keep it.  The softest direction is that of the last `newton_step` or `return_to`.  `solve`,
     `refined` and `rounding_effects` solve with the present ∇²S, and `simplified_step` with the present ∇²S and a new
-    ∇S.
-    `evaluate` has arrays of its own.
+    ∇S.  `evaluate` has arrays of its own.
 
     Attributes
     ----------
