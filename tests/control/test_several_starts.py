@@ -76,14 +76,7 @@ def test_optima_are_refined_as_long_as_they_may_be_the_best(monkeypatch):
     assert best.solver.endswith("; all of them")
 
 
-def test_starts_that_fail_are_counted_and_where_all_do_the_first_tells_why():
-    few = cg.ipopt.with_options(max_iter=14)  # enough from the straight line
-    path = cg.solve(round_a_disc(), METHOD, 20, starts=6, solver=few)
-    assert path.cost == pytest.approx(BELOW, rel=1e-9)
-    assert re.search(
-        r"best of 6 starts, which met one optimum; [1-5] of them failed, IPOPT stopped with 'Maximum Iterations",
-        path.solver,
-    )
+def test_where_all_starts_fail_the_first_tells_why():
     with pytest.raises(cg.ConvergenceError, match="IPOPT stopped with 'Maximum Iterations Exceeded' after 3 iterat"):
         cg.solve(round_a_disc(), METHOD, 20, starts=3, solver=cg.ipopt.with_options(max_iter=3))
 
@@ -91,7 +84,7 @@ def test_starts_that_fail_are_counted_and_where_all_do_the_first_tells_why():
 def test_a_random_path_where_a_callable_is_not_finite_fails_and_a_guess_there_is_refused():
     uphill = {"running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + ca.sqrt(x[0]), "end": [2.0]}
     path = cg.solve(double_integrator(start=[1.0], **uphill), cg.Galerkin(3), 6, starts=4)
-    assert re.search("[1-3] of them failed", path.solver)
+    assert re.search("[1-3] of them failed, running_cost is not finite at the guess", path.solver)
     with pytest.raises(ValueError, match="running_cost is not finite at the guess"):
         cg.solve(double_integrator(start=[-1.0], **uphill), cg.Galerkin(3), 6, starts=4)
 
