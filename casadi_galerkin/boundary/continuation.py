@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.graph import CriticalPoint
-from casadi_galerkin.boundary.mass import check_mass
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import checked_index, finite, numbers
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.functional.mass import check_mass
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.statement import refuse_free_phase
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem

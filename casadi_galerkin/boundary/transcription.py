@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.boundary.error_estimate import error_between_ends
 from casadi_galerkin.boundary.failure_report import refuse_undefined
 from casadi_galerkin.boundary.graph import BoundaryGraph, CriticalPoint
-from casadi_galerkin.boundary.mass import check_mass
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
+from casadi_galerkin.functional.mass import check_mass
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.functional.statement import turned_back
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem

@@ -151,8 +151,7 @@ def _entries(matrix: ca.DM, rows: np.ndarray, columns: np.ndarray) -> Entries:
 
 def _largest(index: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     """Largest size of the values of every index, or one where all are zero; (count,)."""
-    largest = np.zeros(count)
-    np.maximum.at(largest, index, np.abs(values))
+    largest = largest_of(np.abs(values), index, count)
     return np.where(largest > 0, largest, 1.0)
 
 

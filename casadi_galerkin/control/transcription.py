@@ -26,13 +26,13 @@ from casadi_galerkin.control.continuous_controls import continuous_controls
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
-from casadi_galerkin.control.mass import check_mass
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, with_ends
 from casadi_galerkin.control.retries import AS_GUESSED, Beginning, retry_from_other_guesses, with_ipopt_fallback
 from casadi_galerkin.control.second_variation import CostVariation
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap, by_rows
+from casadi_galerkin.functional.mass import check_mass
 from casadi_galerkin.functional.statement import check_points
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.bounds import FEASIBLE

@@ -1,4 +1,4 @@
-"""Process-wide state of CasADi: the threads of its OpenBLAS, its own locks, and ``sys.stderr``.
+"""Process-wide state of CasADi: the threads of its OpenBLAS, and its own locks.
 
 From some 250,000 multiplications on, OpenBLAS computes a product on all cores.  The products of a Newton iteration are
 small: two cores were no faster and took twice the processor time, and beside another busy pool of threads, such as
@@ -9,21 +9,16 @@ or a Function is made, evaluated or deleted.  If a process is forked while anoth
 stays taken in the child: during first solves 2 of 60 forked children hung.  So a fork waits for the solves of other
 threads, for the graphs that are built, and for evaluations.  It does not wait for problems to be stated, nor for
 deletions outside of solves.
-
-CasADi's LDLᵀ writes a line to ``sys.stderr`` for every pivot that is exactly zero, and no option prevents it.  The
-package checks the solution of such a factorization and uses another one where it is useless, so the line is suppressed.
 """
 
 from __future__ import annotations
 
 import ctypes
 import os
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TextIO, cast
 
 import casadi as ca
 
@@ -60,50 +55,3 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(
         before=fork_waits.acquire, after_in_parent=fork_waits.release, after_in_child=fork_waits.release
     )
-
-
-ZERO_PIVOT = "LDL factorization has zeros in D"
-
-
-class _Filter:
-    """A stream that passes on everything except CasADi's lines on zero pivots, which it writes in several parts."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self.stream, self._line, self.inside = stream, "", 0  # number of open blocks
-
-    def write(self, text: str) -> int:
-        """Pass on whole lines."""
-        *lines, self._line = (self._line + text).split("\n")
-        for line in lines:
-            if ZERO_PIVOT not in line:
-                self.stream.write(line + "\n")
-        return len(text)
-
-    def finish(self) -> None:
-        """Pass on an unfinished line."""
-        if self._line:
-            self.stream.write(self._line)
-            self._line = ""
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.stream, name)
-
-
-@contextmanager
-def without_zero_pivots() -> Iterator[None]:
-    """Suppress lines on zero pivots on ``sys.stderr``; a nested block changes nothing.
-
-    It takes no lock, which an interrupt could leave taken.  Another thread may therefore leave the filter in place,
-    where it passes on all other lines; the next block to end removes it.
-    """
-    now: object = sys.stderr
-    stream_filter = now if isinstance(now, _Filter) else _Filter(sys.stderr)
-    try:
-        stream_filter.inside += 1
-        sys.stderr = cast(TextIO, stream_filter)
-        yield
-    finally:
-        stream_filter.inside -= 1
-        if stream_filter.inside <= 0 and sys.stderr is cast(TextIO, stream_filter):
-            stream_filter.finish()
-            sys.stderr = stream_filter.stream

@@ -16,7 +16,6 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY, ZERO
 from casadi_galerkin.functional.embedding import hessian_pattern
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import CACHE_SIZE, Numbering
-from casadi_galerkin.functional.threads import without_zero_pivots
 from casadi_galerkin.problems.linear_equations import solve_scaled
 
 SHIFTED = 1e-8  # shift of the diagonal where a pivot is zero, relative to the sum of its row: half of all digits
@@ -252,10 +251,9 @@ def negative_pivots(matrix: ca.DM, factors: ca.Linsol) -> int:
 
     Where a pivot is exactly zero, those of a matrix with a slightly shifted diagonal are counted.
     """
-    with without_zero_pivots():
-        factors.nfact(matrix)
-        if factors.rank(matrix) < matrix.size1():
-            factors.nfact(matrix + SHIFTED * ca.diag(ca.sum2(ca.fabs(matrix))))
+    factors.nfact(matrix)
+    if factors.rank(matrix) < matrix.size1():
+        factors.nfact(matrix + SHIFTED * ca.diag(ca.sum2(ca.fabs(matrix))))
     return int(factors.neig(matrix))
 
 

@@ -25,7 +25,7 @@ from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.functional import Functional, Parts
 from casadi_galerkin.functional.numbering import Data
-from casadi_galerkin.functional.threads import fork_waits, one_thread, without_zero_pivots
+from casadi_galerkin.functional.threads import fork_waits, one_thread
 from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
 
 Built = TypeVar("Built")
@@ -92,7 +92,7 @@ class Stationarity:
         ----------
         linear_solver : name of a CasADi linear solver; default `linear_methods`
         """
-        with fork_waits, self._workspaces.lend() as lent, one_thread(), without_zero_pivots():
+        with fork_waits, self._workspaces.lend() as lent, one_thread():
             lent.methods = (linear_solver,) if linear_solver else self.linear_methods
             yield lent
 

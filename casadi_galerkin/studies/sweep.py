@@ -90,6 +90,8 @@ class Sweep(Table):
     @cached_property
     def cost(self) -> np.ndarray:
         """Costs of the variations of a control problem, (variations,); NaN where there is no answer."""
+        if self._paths and self._of_boundary_problems():
+            raise ValueError("only control problems have a cost; of boundary problems there is the action")
         return self._stacked("cost")
 
     def table(self) -> dict[str, np.ndarray]:

@@ -308,6 +308,11 @@ PUSHES = [
 ]
 
 
+def test_paths_of_boundary_problems_have_no_cost(serial):
+    with pytest.raises(ValueError, match="only control problems have a cost"):
+        _ = serial.cost
+
+
 def test_a_control_problem_is_swept(pool):
     problem = double_integrator(position_bounds=(-1, 9))  # ∫u²/2 = (6 (s - v)² + 6 (s - v) v + 2 v²)/T³, s the way in T
     sweep = cg.sweep(problem, PUSHES, METHOD, INTERVALS)
