@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
 
 import numpy as np
 
@@ -25,7 +24,6 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
-from casadi_galerkin.functional.numbering import CACHE_SIZE
 from casadi_galerkin.problems.control_problem import ControlProblem
 
 Layout = Mapping[str, tuple[int, ...]]  # the shapes of named arrays, in their order
@@ -60,22 +58,11 @@ def kinds_of(arrays: Mapping[str, np.ndarray], alike: Iterable[Sequence[str]], c
 class Chain:
     """Numbering of ξ, and of the equations, of a control problem on N intervals.
 
-    It depends on the components, controls and constraints that the problem has, but not on its callables and values.
-    It is cached for problems that are equal in this respect, see `chain_of`.
-
     Parameters
     ----------
+    problem : ControlProblem
     method : Galerkin
-    intervals : N
-    dimension, mechanical : numbers of all components, and of the components with an equation of motion
-    controls, parameters, constraints, path_constraints, conditions : numbers of controls, parameters, holonomic
-        constraints, path constraints and end conditions
-    terminal_cost : whether there is a terminal cost
-    free : which of "durations" and "parameters" are unknowns, in this order
-    hold : whether controls are constant on every interval
-    breaks : numbers of the joints at the breakpoints
-    crossings : for each breakpoint with a jump or a condition on the velocity, see `ControlProblem.crossings`, the
-        number of the joint, whether the path jumps there, and the number of conditions
+    mesh : (N + 1,), with the breakpoints of the problem among its joints
 
     Attributes
     ----------
@@ -106,35 +93,21 @@ class Chain:
     control_times : fractions of an interval at which its controls are given; held controls have one value, at 1/2
     """
 
-    def __init__(
-        self,
-        method: Galerkin,
-        *,
-        intervals: int,
-        dimension: int,
-        mechanical: int,
-        controls: int,
-        parameters: int,
-        constraints: int,
-        path_constraints: int,
-        conditions: int,
-        terminal_cost: bool,
-        free: tuple[str, ...],
-        hold: bool,
-        breaks: tuple[int, ...],
-        crossings: tuple[tuple[int, bool, int], ...],
-    ) -> None:
-        self.method, self.intervals, self.dimension, self.mechanical = method, intervals, dimension, mechanical
-        self.controls, self.parameters, self.constraints = controls, parameters, constraints
-        self.path_constraints, self.conditions, self.terminal_cost = path_constraints, conditions, terminal_cost
-        self.free = free
-        self.breaks = np.array(breaks, dtype=np.int64)
-        self.crossed = np.array([joint for joint, _, _ in crossings], dtype=np.int64)
-        self.jumped = np.array([jumps for _, jumps, _ in crossings], dtype=bool)
-        self.conditions_there = [count for _, _, count in crossings]
-        parted = self.breaks if "durations" in free else ()
+    def __init__(self, problem: ControlProblem, method: Galerkin, mesh: np.ndarray) -> None:
+        self.method, self.intervals, self.dimension = method, len(mesh) - 1, problem.dimension
+        self.mechanical, self.controls, self.constraints = problem.mechanical, problem.controls, problem.constraints
+        self.parameters, self.terminal_cost = len(problem.parameters or ()), problem.terminal_cost is not None
+        limited = problem.path_constraint, problem.end_conditions
+        self.path_constraints, self.conditions = (0 if given is None else len(given[1]) for given in limited)
+        bounded = {"durations": problem.duration_bounds, "parameters": problem.parameter_bounds}
+        self.free = tuple(name for name, bounds in bounded.items() if bounds is not None)
+        self.breaks, crossings = np.searchsorted(mesh, problem.breakpoints), problem.crossings
+        self.crossed = np.searchsorted(mesh, [crossing.time for crossing in crossings]).astype(np.int64)
+        self.jumped = np.array([crossing.jump is not None for crossing in crossings], dtype=bool)
+        self.conditions_there = [0 if c.condition is None else len(c.condition[1]) for c in crossings]
+        parted = self.breaks if "durations" in self.free else ()
         self.phases = np.searchsorted(parted, np.arange(self.intervals), side="right")
-        self.control_times = np.array([0.5]) if hold else method.element.points
+        self.control_times = np.array([0.5]) if problem.hold else method.element.points
         self._number_unknowns()
         self._number_equations()
 
@@ -270,31 +243,3 @@ class Chain:
         arrived = arriving[others].T + bounds[self.fields["nodes"][self.crossed - 1, -1, others]]
         before[np.isin(self.breaks, self.crossed)] = np.hstack((-multipliers[self.rows["arrival"]], arrived))
         return self._jumping(mesh, values, self.breaks, before)
-
-
-def chain_of(problem: ControlProblem, method: Galerkin, mesh: np.ndarray) -> Chain:
-    """The numbering of a problem on a mesh (N + 1,) that has the breakpoints of the problem among its joints."""
-    limited, crossings = (problem.path_constraint, problem.end_conditions), problem.crossings
-    path_constraints, conditions = (0 if given is None else len(given[1]) for given in limited)
-    bounded = {"durations": problem.duration_bounds, "parameters": problem.parameter_bounds}
-    crossed = np.searchsorted(mesh, [crossing.time for crossing in crossings]).tolist()
-    there = [(c.jump is not None, 0 if c.condition is None else len(c.condition[1])) for c in crossings]
-    return _kept(
-        method,
-        intervals=len(mesh) - 1,
-        dimension=problem.dimension,
-        mechanical=problem.mechanical,
-        controls=problem.controls,
-        parameters=len(problem.parameters or ()),
-        constraints=problem.constraints,
-        path_constraints=path_constraints,
-        conditions=conditions,
-        terminal_cost=problem.terminal_cost is not None,
-        free=tuple(name for name, bounds in bounded.items() if bounds is not None),
-        hold=problem.hold,
-        breaks=tuple(np.searchsorted(mesh, problem.breakpoints).tolist()),
-        crossings=tuple((joint, *what) for joint, what in zip(crossed, there, strict=True)),
-    )
-
-
-_kept = lru_cache(CACHE_SIZE)(Chain)

@@ -6,12 +6,13 @@ With A, Ê, Θ and Λ of the `ChainEmbedding`, and at every place z_k the cost c
     equations   G  = Θ [e_k] + Λ ξ                ∇G = Θ blockdiag(∇e_k) Ê + Λ
     Lagrangian  f̄  = φ f + λ·G                    ∇²f̄ = Êᵀ blockdiag(∇²[φ w_k c_k + e_k·(Θᵀλ)_k]) Ê
 
-The multipliers λ are a discrete path, and (Θᵀλ)_k = w_k (δx, δx') is its embedding at the point, weighted.  Everything
-except the pointwise functions is cached for problems with the same chain, see `assembly`.
+The multipliers λ are a discrete path, and (Θᵀλ)_k = w_k (δx, δx') is its embedding at the point, weighted.  The inputs,
+or the outputs, at all places of one kind are one matrix with a column for every place.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -19,8 +20,8 @@ import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.roundoff import largest_of
-from casadi_galerkin.control import assembly
 from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.control.embedding import ChainEmbedding, PlaceLayout
 from casadi_galerkin.control.pointwise import pointwise_terms
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap
@@ -69,12 +70,18 @@ class ControlGraph:
     """
 
     def __init__(self, problem: ControlProblem, chain: Chain, mapping: PointMap) -> None:
-        self.chain, self.embedding = chain, assembly.matrices(chain)
-        self.terms = pointwise_terms(problem, self.embedding, mapping)
-        self.unknowns, self.data = assembly.symbols(chain)
-        self.inputs: list[ca.MX] = assembly.embedding(chain).call([self.unknowns, self.data])
-        self.cost = assembly.summation(chain)(*self._of_costs("value"))
-        self.equations = assembly.equations(chain)(self.unknowns, *self._rows)
+        self.chain, self.embedding = chain, ChainEmbedding(chain)
+        made = self.embedding
+        self.terms = pointwise_terms(problem, made, mapping)
+        self.unknowns, self.data = ca.MX.sym("unknowns", chain.unknowns), ca.MX.sym("data", chain.size - chain.unknowns)
+        self._everything = ca.vertcat(self.unknowns, self.data)
+        self.inputs = _split(ca.mtimes(made.matrix, self._everything), made.inputs)
+        self._weights = ca.MX(ca.repmat(ca.DM(chain.method.element.weights).T, 1, chain.intervals))
+        costs = self._of_costs("value")
+        self.cost = ca.sum2(ca.horzcat(self._weights * costs[0], *costs[1:]))
+        self._rows = self._evaluate("equations", self.inputs)
+        summed = ca.mtimes(made.test.T, ca.veccat(*self._rows)) + ca.mtimes(made.linear, self.unknowns)
+        self.equations = ca.densify(summed)
 
     def _evaluate(self, name: str, *arguments: list[ca.MX]) -> list[ca.MX]:
         """Evaluate one pointwise Function at all kinds of places."""
@@ -84,25 +91,27 @@ class ControlGraph:
         """Evaluate one pointwise Function at the kinds of places with costs."""
         return [getattr(self.terms[k], name)(self.inputs[k]) for k in self.embedding.with_costs]
 
-    @cached_property
-    def _rows(self) -> list[ca.MX]:
-        """[e_k]."""
-        return self._evaluate("equations", self.inputs)
+    def _blocks(self, patterns: list[ca.Sparsity], entries: list[ca.MX]) -> ca.MX:
+        """Blockdiag(·) of one matrix per place, from their nonzeros at all kinds of places."""
+        kinds = zip(patterns, self.embedding.inputs, strict=True)
+        blocks = [block for pattern, place in kinds for block in [pattern] * place.count]
+        return ca.MX(ca.diagcat(*blocks), ca.veccat(*entries))
 
     @cached_property
-    def _gradients(self) -> list[ca.MX]:
-        """∇c_k at the kinds of places with costs."""
-        return self._of_costs("gradient")
+    def _gradients(self) -> ca.MX:
+        """[w_k ∇c_k], zero at places without costs."""
+        made = self.embedding
+        gradients = [ca.MX.zeros(len(a), place.count) for a, place in zip(made.active, made.inputs, strict=True)]
+        for k, gradient in zip(made.with_costs, self._of_costs("gradient"), strict=True):
+            gradients[k] = gradient
+        gradients[0] *= ca.repmat(self._weights, gradients[0].size1(), 1)
+        return ca.veccat(*gradients)
 
     @cached_property
-    def _derivatives(self) -> list[ca.MX]:
-        """Nonzeros of ∇e_k."""
-        return self._evaluate("jacobian", self.inputs)
-
-    @cached_property
-    def _patterns(self) -> tuple[assembly.Pattern, ...]:
-        """Patterns of ∇e_k."""
-        return tuple(assembly.pattern_of(place.derivatives) for place in self.terms)
+    def _derivatives(self) -> ca.MX:
+        """Blockdiag(∇e_k)."""
+        patterns = [place.derivatives.sparsity() for place in self.terms]
+        return self._blocks(patterns, self._evaluate("jacobian", self.inputs))
 
     def _function(self, name: str, outputs: list[ca.MX], *extra: ca.MX) -> ca.Function:
         """A Function of (unknowns, data, ...); some have names under which fatrop looks for them."""
@@ -111,27 +120,31 @@ class ControlGraph:
     @cached_property
     def gradient(self) -> ca.Function:
         """(unknowns, data) -> f, ∇f."""
-        return self._function("gradient", [self.cost, assembly.gradient(self.chain)(*self._gradients)])
+        slope = ca.densify(ca.mtimes(self.embedding.derivative.T, self._gradients))
+        return self._function("gradient", [self.cost, slope])
 
     @cached_property
     def jacobian(self) -> ca.Function:
         """(unknowns, data) -> G, ∇G."""
-        matrix = assembly.jacobian(self.chain, self._patterns)(*self._derivatives)
+        made = self.embedding
+        matrix = ca.mtimes(made.test.T, ca.mtimes(self._derivatives, made.derivative)) + made.linear
         return self._function("nlp_jac_g", [self.equations, matrix])
 
     @cached_property
     def _lagrangian(self) -> tuple[ca.MX, ca.MX, tuple[list[ca.MX], ...], ca.MX]:
         """Symbols φ and λ, the arguments of the pointwise derivatives of f̄, and Λᵀλ."""
-        factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", self.chain.equations)
-        *at_places, linear = assembly.multiplication(self.chain).call([factor, multipliers])
-        count = len(self.terms)
-        return factor, multipliers, (self.inputs, at_places[:count], at_places[count:]), linear
+        made, factor, multipliers = self.embedding, ca.MX.sym("factor"), ca.MX.sym("multipliers", self.chain.equations)
+        weights = [factor * self._weights] + [factor] * (len(self.terms) - 1)
+        local_multipliers = _split(ca.mtimes(made.test, multipliers), made.outputs)
+        return factor, multipliers, (self.inputs, weights, local_multipliers), ca.mtimes(made.linear.T, multipliers)
 
     @cached_property
     def _upper_hessian(self) -> ca.MX:
         """Upper half of ∇²f̄."""
-        patterns = tuple(assembly.pattern_of(place.second_derivatives) for place in self.terms)
-        return assembly.hessian(self.chain, patterns)(*self._evaluate("hessian", *self._lagrangian[2]))
+        patterns = [place.second_derivatives.sparsity() for place in self.terms]
+        blocks = self._blocks(patterns, self._evaluate("hessian", *self._lagrangian[2]))
+        left, right = ca.MX(self.embedding.derivative.T), ca.mtimes(blocks, self.embedding.derivative)
+        return ca.mac(left, right, ca.MX.zeros(ca.triu(ca.mtimes(left.sparsity(), right.sparsity()))))
 
     @cached_property
     def hessian(self) -> ca.Function:
@@ -142,22 +155,38 @@ class ControlGraph:
     def whole_hessian(self) -> ca.Function:
         """(unknowns, data, φ, λ) -> ∇f̄, ∇²f̄."""
         factor, multipliers, given, linear = self._lagrangian
-        slope = assembly.slope(self.chain)(*self._evaluate("lagrangian_gradient", *given), linear)
+        gradients = ca.veccat(*self._evaluate("lagrangian_gradient", *given))
+        slope = ca.densify(ca.mtimes(self.embedding.derivative.T, gradients) + linear)
         return self._function("nlp_hess_l", [slope, ca.triu2symm(self._upper_hessian)], factor, multipliers)
 
     @cached_property
     def _verification(self) -> ObjectPool[Evaluator]:
-        """(unknowns, data, φ, λ) -> the arrays of a `Report`."""
-        chain, (factor, multipliers, (at, weights, local_multipliers), linear) = self.chain, self._lagrangian
-        part = int(self.embedding.points.row("part")[0, 0])
-        at_points = at[0], *self.terms[0].action_and_derivative(part)(at[0], weights[0], local_multipliers[0])
-        at_places = *self._gradients, *self._rows, *self._derivatives, *local_multipliers
-        given = [self.unknowns, self.data, *at_points, *at_places, linear]
-        values = assembly.verification(chain, self._patterns).call(given)
-        crossings = list(zip(self.terms, at, weights, local_multipliers, strict=True))[len(at) - len(chain.crossed) :]
-        arriving = ca.densify(ca.veccat(*(place.lagrangian_gradient(*z)[: chain.dimension] for place, *z in crossings)))
-        outputs = [self.cost, self.equations, *values, arriving]
-        verification = self._function("verification", outputs, factor, multipliers)
+        """(unknowns, data, φ, λ) -> the arrays of a `Report`.
+
+        Two sizes of every equation are among them: the sum of the sizes of its terms, and the sum of the sizes of the
+        terms of these, Σ |∂e/∂z| |z|, which may cancel.
+        """
+        chain, made, (factor, multipliers, given, linear) = self.chain, self.embedding, self._lagrangian
+        (at, weights, local_multipliers), points = given, made.points
+        part, duration = (int(points.row(name)[0, 0]) for name in ("part", "duration"))
+        actions, by_step = self.terms[0].action_and_derivative(part)(at[0], weights[0], local_multipliers[0])
+        test, magnitudes = ca.fabs(made.test.T), ca.fabs(self._everything)
+        others = ca.mtimes(ca.fabs(made.linear), magnitudes[: chain.unknowns])
+        canceled = ca.mtimes(ca.fabs(self._derivatives), ca.mtimes(ca.fabs(made.differentiated), magnitudes))
+        slopes = self._gradients + ca.mtimes(self._derivatives.T, ca.veccat(*local_multipliers))
+        crossings = list(zip(self.terms, *given, strict=True))[len(at) - len(chain.crossed) :]
+        arriving = ca.veccat(*(place.lagrangian_gradient(*z)[: chain.dimension] for place, *z in crossings))
+        outputs = [
+            self.cost,
+            self.equations,
+            ca.sum2(self._weights * actions),
+            ca.mtimes(test, ca.fabs(ca.veccat(*self._rows))) + others,
+            ca.mtimes(test, canceled) + others,
+            ca.mtimes(made.derivative.T, slopes) + linear,
+            ca.sum1(ca.reshape(by_step / at[0][duration, :], -1, chain.intervals)),
+            arriving,
+        ]
+        verification = self._function("verification", [*map(ca.densify, outputs)], factor, multipliers)
         return ObjectPool(lambda: Evaluator(verification))
 
     def report(self, unknowns: np.ndarray, data: np.ndarray, multipliers: np.ndarray | None = None) -> Report:
@@ -174,3 +203,9 @@ class ControlGraph:
         sizes[chain.motions] = np.where(resting, canceled, moving)[chain.motions]
         arriving = arriving.reshape(-1, chain.dimension).T
         return Report(cost.item(), action.item(), equations, sizes, slope, hamiltonian, arriving)
+
+
+def _split(stacked: ca.MX, places: Sequence[PlaceLayout]) -> list[ca.MX]:
+    """Cut a long vector into one matrix for each kind of place."""
+    parts = ca.vertsplit(stacked, [0, *(place.last for place in places)])
+    return [ca.reshape(part, place.width, place.count) for part, place in zip(parts, places, strict=True)]

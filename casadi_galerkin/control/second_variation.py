@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.control.chain import Chain, chain_of
+from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import NEGLIGIBLE_MOMENTUM
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
@@ -53,7 +53,7 @@ class CostVariation:
     graph: ControlGraph | None
 
     def _graph(self) -> ControlGraph:
-        return self.graph or ControlGraph(self.problem, chain_of(self.problem, self.method, self.mesh), one_by_one)
+        return self.graph or ControlGraph(self.problem, Chain(self.problem, self.method, self.mesh), one_by_one)
 
     def negative(self) -> int | None:
         """Number of independent directions in which the cost decreases to second order; None where rounding hides it.

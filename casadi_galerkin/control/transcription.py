@@ -20,7 +20,7 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.control.chain import chain_of
+from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import violations
 from casadi_galerkin.control.continuous_controls import continuous_controls
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
@@ -106,7 +106,7 @@ class ControlTranscription:
         self.problem, self.method, self.mesh = problem, method, mesh
         check_points(problem.constraint, method)
         _check_steps(mesh)
-        self.chain = chain_of(problem, method, mesh)
+        self.chain = Chain(problem, method, mesh)
         self.calculus = DiscreteCalculus(method, mesh)
         with fork_waits:
             self.graph = ControlGraph(problem, self.chain, mapping)

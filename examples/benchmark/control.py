@@ -4,8 +4,7 @@ The rivals are what CasADi's own example shows: Gauss-Legendre collocation of th
 intervals, collocated states of an interval as one matrix.  "By hand" gives it to `casadi.nlpsol`, "Opti" to
 `casadi.Opti`, both to IPOPT and expanded.  All use the same degree and the same guess; each gets the fewest intervals
 with which its cost is within the target of the reference.  Times are CPU times, medians over repeated runs in one
-process in which all take turns: of a solve on what was built, and of building and solving.  This package then has kept
-what follows from the numbering of the same problem, but nothing of its callables.
+process in which all take turns: of a solve on what was built, and of building and solving.
 """
 
 import statistics
