@@ -14,7 +14,7 @@ from numpy.polynomial.legendre import legfit, legval
 from casadi_galerkin.boundary.action_descent import descend
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.graph_cache import GraphCache
-from casadi_galerkin.boundary.homotopy import path_by_homotopy, with_scaled_force, with_scaled_time_span
+from casadi_galerkin.boundary.homotopy import path_by_homotopy
 from casadi_galerkin.boundary.several_paths import Search
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import default_method, resized_mesh, resolving_interpolant
@@ -111,10 +111,9 @@ def first_path_strategies(
     """Strategies to find a first path, in the order in which they are tried.
 
     First Newton's method on the coarse mesh; with a guess also from the smoothed guess, and on a mesh that resolves the
-    guess.  Then its rescues on the coarse mesh; a homotopy in the force or, without a force and a guess, in the time
-    span, whose paths `intermediate_path` finds; a descent of the action with moving joints; and finally, without a
-    guess, the search for `several_paths`, otherwise `solver` itself.  With a guess, a path near it is preferred to one
-    that is far from it.
+    guess.  Then its rescues on the coarse mesh; a homotopy in the force, if there is one, whose paths
+    `intermediate_path` finds; a descent of the action with moving joints; and finally, without a guess, the search for
+    `several_paths`, otherwise `solver` itself.  With a guess, a path near it is preferred to one that is far from it.
     """
     problem, name = graphs.problem, repr(solver)
     given = guess_on_resolving_mesh(graphs, method, guess, mesh, COARSE_RESOLUTION)
@@ -140,14 +139,10 @@ def first_path_strategies(
             yield Strategy(name, find if guess is None else partial(_near, given, find))
         fine = finer().mesh
         fine = resized_mesh(fine, max(MORE * (len(given.mesh) - 1), len(fine) - 1), problem.breakpoints)
-        forced = problem.force is not None
-        free = guess is None and problem.energy is None and problem.constraint is None and not problem.breakpoints
-        if forced or free:
-            under = with_scaled_force if forced else with_scaled_time_span
-            words = "under a growing force" if forced else "over a growing time"
+        if problem.force is not None:
             start = graphs.transcription(method, fine).guess_on_mesh(guess, fine)
-            find = partial(path_by_homotopy, graphs, under, start, intermediate_path)
-            yield Strategy(f"Newton's method {words}", find)
+            find = partial(path_by_homotopy, graphs, start, intermediate_path)
+            yield Strategy("Newton's method under a growing force", find)
         if stationarity.variational and not stationarity.functional.numbering.multipliers:
             joints = resized_mesh(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
             yield Strategy("descent of the action", partial(_by_descent, graphs, method, joints, guess, brief))

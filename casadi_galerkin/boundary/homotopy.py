@@ -1,10 +1,9 @@
-"""Homotopy from the path of an easier problem: under a small share of the force, or over a short time.
+"""Homotopy in the force, from the path under a small share of it.
 
 Where a force dominates the motion, as in ε x'' = F(t, x, x') with a small ε, the path has layers at places that are not
-known in advance.  Under a small share of the force, which corresponds to a large ε, it has none.  Without a force, the
-path over a short time is nearly the straight line, and there are no conjugate points.  Newton's method finds both from
-any guess.  As the share grows, layers form and conjugate points are passed.  So the mesh is refined for each path
-before the next share is tried.
+known in advance.  Under a small share of the force, which corresponds to a large ε, it has none, and Newton's method
+finds it from any guess.  As the share grows, layers form.  So the mesh is refined for each path before the next share
+is tried.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import numpy as np
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.problems.problem import map_times, with_values
+from casadi_galerkin.problems.problem import with_values
 from casadi_galerkin.solution.errors import ConvergenceError
 
 GROWTH, LEAST_GROWTH = 10.0, 1.02  # first factor by which a share grows, and the factor below which the path is lost
@@ -28,26 +27,22 @@ MOST = 100  # largest number of shares that are tried
 
 def path_by_homotopy(
     graphs: GraphCache,
-    under: Callable[[GraphCache, float], GraphCache],
     guess: PiecewisePolynomial,
     intermediate_path: Callable[[GraphCache, np.ndarray, PiecewisePolynomial], CriticalPoint],
 ) -> CriticalPoint:
-    """Find the path of a problem by a homotopy in its force or its time span.
+    """Find the path of a problem by a homotopy in its force.
 
     Parameters
     ----------
     graphs : GraphCache of the problem
-    under : `with_scaled_force` or `with_scaled_time_span`
     guess : guess of the path of the problem
     intermediate_path : (graphs, mesh, guess) -> the path from this guess, on a mesh that resolves it
     """
     share, growth, known = 1 / GROWTH, GROWTH, 0.0
     for _ in range(MOST):
-        part = graphs if share == 1.0 else under(graphs, share)
-        mesh = map_times(guess.mesh, guess.mesh[[0, -1]], part.problem.t_span)
-        guess = PiecewisePolynomial(mesh, guess.nodes, guess.values)
+        part = graphs if share == 1.0 else with_scaled_force(graphs, share)
         try:
-            point = intermediate_path(part, mesh, guess)
+            point = intermediate_path(part, guess.mesh, guess)
         except ConvergenceError as failure:
             lost = failure
             growth = math.sqrt(growth) if known else growth
@@ -72,9 +67,3 @@ def with_scaled_force(graphs: GraphCache, share: float) -> GraphCache:
     assert problem.force is not None
     inputs = problem.force.sx_in()
     return GraphCache(with_values(problem, force=ca.Function("force", inputs, [share * problem.force(*inputs)])))
-
-
-def with_scaled_time_span(graphs: GraphCache, share: float) -> GraphCache:
-    """The problem over a share of its time."""
-    first, last = graphs.problem.t_span
-    return graphs.for_problem(graphs.problem.varied({}, (first, first + share * (last - first))))

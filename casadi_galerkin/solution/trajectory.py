@@ -89,11 +89,12 @@ class Trajectory(Path):
         """Estimate the relative error of x, at the joints and between them; kept as `error_estimate`.
 
         The path is compared with one of a higher degree on the same mesh: by Newton steps from it for a path between
-        two ends, and by steps from the same start otherwise.  The estimate is at least each of three error indicators,
-        which show a kink or a singularity that both degrees may miss: the relative violation of the balance of energy;
-        the effect of jumps of the force; and, where it is large, the misfit of L between points.  For a path between
-        two ends it is also at least the relative difference of the responses to forces in the two degrees, where this
-        shows that the mesh does not resolve variations.  It is infinite where the higher degree has no solution.
+        two ends, by `shoot` where this has found it, and by steps from the same start otherwise.  The estimate is at
+        least each of three error indicators, which show a kink or a singularity that both degrees may miss: the
+        relative violation of the balance of energy; the effect of jumps of the force; and, where it is large, the
+        misfit of L between points.  For a path between two ends it is also at least the relative difference of the
+        responses to forces in the two degrees, where this shows that the mesh does not resolve variations.  It is
+        infinite where the higher degree has no solution.
 
         Raises
         ------

@@ -9,14 +9,17 @@ the growth comes near 1/eps, no start that a computer holds meets the end, and `
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method, largest_change
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.end_velocities import end_velocities
@@ -114,7 +117,8 @@ def shoot(
     wrong = _other_end(problem, path) or turned_back(problem, path.polynomial, shooting.plane)
     if wrong is not None:
         raise ConvergenceError(wrong, Path(path.polynomial), shot.residual, iterations)
-    return replace(path, action=action, residual=shot.residual, solver=solver + _far(guess, path))
+    path = replace(path, action=action, residual=shot.residual, solver=solver + _far(guess, path))
+    return replace(path, find_difference=partial(_difference, path))
 
 
 def check_start(problem: BoundaryProblem, guess: Trajectory | None) -> None:
@@ -140,6 +144,18 @@ def _other_end(problem: BoundaryProblem, path: Trajectory) -> str | None:
         f"end by up to {np.nanmax(missed / sizes):.1e} of a component's size. Give a guess with a better start, or "
         "solve it globally, with `solve`"
     )
+
+
+def _difference(path: Trajectory) -> float:
+    """Relative difference of a path and its duration from those of a higher degree that meets the same ends."""
+    assert isinstance(path.problem, BoundaryProblem)
+    own = path.polynomial
+    try:
+        finer = shoot(path.problem, higher_degree_method(own.degree), mesh=own.mesh, guess=path).polynomial
+    except ConvergenceError:
+        return math.inf
+    change = largest_change(own, finer.nodes, finer.values - own.at(finer.nodes))
+    return max(change, abs(float(np.ptp(finer.mesh) / np.ptp(own.mesh)) - 1))
 
 
 def _far(guess: Trajectory | None, path: Trajectory) -> str:

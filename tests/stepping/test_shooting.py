@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from motions import kepler
 from scenes import pendulum, saddle
+from scipy.special import ellipk
 
 import casadi_galerkin as cg
 from casadi_galerkin.calculus.roundoff import EPS
@@ -270,3 +271,28 @@ def test_a_start_beside_a_straight_path_comes_to_it(beside, intervals):
     start = cg.InitialProblem(lagrangian, (0, 1), [1.0, 0.0], velocity=[straight(0, 1)[0], beside])
     path = cg.shoot(problem, cg.Galerkin(4), intervals, guess=cg.solve(start, cg.Galerkin(4), intervals))
     np.testing.assert_allclose(path.x, straight.x, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("before", [0.1, 1e-2, 1e-4])
+def test_the_estimate_counts_the_error_of_the_start_that_grows_towards_a_conjugate_point(before):
+    duration = np.pi - before
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, (0, duration), [0.0], [1.0])
+    path = cg.shoot(problem, cg.Galerkin(2), intervals=10)
+    times = np.linspace(0, duration, 500)
+    error = np.max(np.abs(path(times)[0] * np.sin(duration) - np.sin(times)))
+    assert 0.9 * error < path.estimate_error() < 2 * error
+    assert path.error_estimate == pytest.approx(cg.solve(problem, path.method, 10).estimate_error(), rel=1e-3)
+
+
+def test_the_estimate_counts_the_error_of_a_duration_of_given_energy():
+    """One turn over the upright position, where the pendulum is so slow that the duration depends on all digits."""
+    energy, steps = 1 + 1e-5, (cg.Galerkin(4), 16)
+    part = 2 / (energy + 1)
+    duration = 2 * np.sqrt(part) * ellipk(part)
+    turn = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0, duration), [0.0], [2 * np.pi], energy=energy
+    )
+    path = cg.shoot(turn, *steps, guess=cg.solve(turn, *steps))
+    error = abs(path.t[-1] / duration - 1)
+    assert error > 1e-2
+    assert 0.9 * error < path.estimate_error() < 10 * error
