@@ -27,6 +27,7 @@ from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
 ACTIVE_TOLERANCE = 1e-6  # distance from a bound, over the size of the unknown, up to which the bound is active
 FLAT = 1e-6  # relative change of the cost that counts as none, as along a singular arc
+LEAST_COST = 1e-4  # part of the largest row of the Hessian from which the cost measures its own changes
 PENALTIES = 1e-7, 1e-9  # values of δ; where their counts differ, the counts depend on δ or on rounding
 
 
@@ -77,7 +78,8 @@ class CostVariation:
         largest = float(ca.norm_inf(curved))
         if largest == 0:
             return 0  # the cost does not vary
-        relative = curved / (abs(self.cost) or largest) + flat
+        measured = abs(self.cost) > LEAST_COST * largest  # else its terms cancel, or it is zero
+        relative = curved / (abs(self.cost) if measured else largest) + flat
         change = _slopes(chain, self.mesh)[free, free]
         hessian = ca.mtimes(change.T, ca.mtimes(relative[free, free], change))
         gradients = _normed(ca.mtimes(ca.mtimes(gradients, units)[held, free], change))

@@ -159,3 +159,23 @@ def test_a_pickled_path_still_tells():
 @pytest.mark.parametrize("intervals", [4, 8, 12])
 def test_without_a_cost_there_is_no_saddle(intervals):
     assert cg.solve(pendulum(2.0, running_cost=lambda t, x, v, u: 0), METHOD, intervals).morse_index == 0
+
+
+@pytest.mark.parametrize("added", [0.0, 1e-12, 1e-9, 1e-3])
+def test_a_convex_cost_whose_terms_cancel_has_a_minimum(added):
+    """The least ∫ (u² - x²/4)/2 over the time π is zero, and convex up to the time 2 π."""
+    falling = cg.ControlProblem(
+        None,
+        (0.0, np.pi),
+        [0.0],
+        [1.0],
+        [None],
+        [None],
+        force=None,
+        rates=lambda t, x, v, u: u,
+        running_cost=lambda t, x, v, u: (u[0] ** 2 - x[0] ** 2 / 4) / 2 + added / np.pi,
+        controls=1,
+    )
+    path = cg.solve(falling, cg.Galerkin(4), intervals=10)
+    assert path.cost == pytest.approx(added, abs=1e-13)
+    assert path.morse_index == 0
