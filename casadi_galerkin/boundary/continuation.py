@@ -50,7 +50,10 @@ POINTS = 1000  # most points of a branch
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """A turning point of a branch: beyond its parameters the path no longer exists.
+    """A turning point of a branch: beyond its parameters there are no paths near.
+
+    At the apex of a pitchfork, where a branch meets its mirror image, the Morse index is the same before and after, and
+    the symmetric path goes on beyond.
 
     Attributes
     ----------
