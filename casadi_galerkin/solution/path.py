@@ -48,7 +48,7 @@ class Path(Table, Pictured):
 
     @cached_property
     def sizes(self) -> np.ndarray:
-        """Sizes of the components, to which errors are relative, (d,): their largest values; one for zero, or less than 1e-150."""
+        """Sizes of the components, to which errors are relative, (d,): their largest values; one below 1e-150."""
         return self.polynomial.sizes
 
     def table(self) -> dict[str, np.ndarray]:
