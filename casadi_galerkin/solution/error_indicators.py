@@ -24,6 +24,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.discrete_calculus import NEAREST
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
@@ -90,8 +91,9 @@ def error_indicators(problem: Problem, path: PiecewisePolynomial, momentum: np.n
     """
     joints = [0, *np.searchsorted(path.mesh, problem.breakpoints), len(path.mesh) - 1]
     parts = [_between_breakpoints(problem, path.between(i, j), momentum[:, i : j + 1]) for i, j in pairwise(joints)]
-    balance, unresolved = (np.concatenate(values) for values in zip(*parts, strict=True))
-    return balance, unresolved, _jumps_of_force(problem, path, momentum)
+    balance, unresolved, inertias = zip(*parts, strict=True)
+    moving = np.max(inertias, axis=0) @ path.sizes / np.ptp(path.mesh)
+    return np.concatenate(balance), np.concatenate(unresolved), _jumps_of_force(problem, path, momentum, moving)
 
 
 def _at_places(problem: Problem, function: ca.Function, *given: np.ndarray) -> list[np.ndarray]:
@@ -117,8 +119,13 @@ def _force_along(force: ca.Function) -> ca.Function:
     return ca.Function("along", [t, x, v, a, *p], [value, ca.densify(rate)])
 
 
-def _jumps_of_force(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> np.ndarray:
-    """Changes of a momentum by jumps of the force on every interval, relative to momentum and impulses; (N,)."""
+def _jumps_of_force(
+    problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray, moving: np.ndarray
+) -> np.ndarray:
+    """Changes of a momentum by jumps of the force on every interval, relative to momentum and impulses; (N,).
+
+    And to `moving`, (d,), momenta that move the path by its sizes: those of a path at rest are only roundoff.
+    """
     if problem.force is None:
         return np.zeros(len(path.mesh) - 1)
     detector, slopes = JumpDetector(path.mesh, gauss(path.degree)), differentiation_matrix(path.nodes)
@@ -130,8 +137,8 @@ def _jumps_of_force(problem: Problem, path: PiecewisePolynomial, momentum: np.nd
     forces, rates = (a.T for a in along)
     sizes = np.where(np.isfinite(forces), np.abs(forces), 0.0)
     means = sizes.reshape(len(local), len(steps), -1).mean(axis=2)
-    whole = np.max(np.abs(momentum), axis=1) + means @ steps
-    return np.asarray(np.max(detector.jump_effects(forces, rates) / np.maximum(whole, TINY)[:, None], axis=0))
+    whole = np.max(np.abs(momentum), axis=1) + means @ steps + moving + TINY
+    return np.asarray(np.max(detector.jump_effects(forces, rates) / whole[:, None], axis=0))
 
 
 @lru_cache(64)
@@ -161,6 +168,7 @@ class _Sampled:
     joints : numbers of the joints among the places, (N + 1,)
     terms : the pointwise Functions of L̂
     derivatives : outputs of `terms.derivatives`: L̂, its derivatives by x and x', and blocks of its Hessian, (N K, ...)
+    masses : ∂²L/∂v² at the joints, (N + 1, d, d)
     between : (K, points), matrix from values at the quadrature points to those of their polynomial at the places
     """
 
@@ -170,10 +178,13 @@ class _Sampled:
         times, self.x, self.v = path.sampled(parts)
         self.h = np.repeat(self.steps, len(parts))
         self.joints = np.append(np.arange(0, len(self.h), len(parts)), len(self.h) - len(parts) + 1)  # the last end
-        first, last = path.mesh[[0, -1]]  # a step of L at either end is outside all times
-        self.times = np.clip(times, np.nextafter(first, last), np.nextafter(last, first))
+        first, last = path.mesh[[0, -1]]  # a step of L at either end, which L may round, is outside all times
+        within = NEAREST * max(abs(first), abs(last))
+        self.times = np.clip(times, first + within, last - within)
         self.terms = pointwise(problem.lagrangian, problem.force)
         self.derivatives = self.evaluate(self.terms.derivatives)
+        _, _, _, *blocks = self.derivatives
+        self.masses = self.h[self.joints, None, None] * self.terms.mass([block[self.joints].T for block in blocks])
 
     def evaluate(self, function: ca.Function) -> list[np.ndarray]:
         """Values of a Function of the arguments of L̂ at all places, (N K, ...) each."""
@@ -195,19 +206,19 @@ class _Sampled:
 @np.errstate(invalid="ignore")  # L may be infinite
 def _between_breakpoints(
     problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Energy imbalance and misfit of L, see `error_indicators`, of a path without breakpoints."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Energy imbalance and misfit of L, see `error_indicators`, of a path without breakpoints, and largest masses."""
     sampled = _Sampled(problem, path)
     conserved, scale, floor = _energies(sampled, momentum)
-    return energy_imbalance(conserved, scale, floor), _unresolved(sampled, scale, floor)
+    masses = np.max(np.where(np.isfinite(sampled.masses), np.abs(sampled.masses), 0.0), axis=0)
+    return energy_imbalance(conserved, scale, floor), _unresolved(sampled, scale, floor), masses
 
 
 def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The arguments of `energy_imbalance`, at all joints."""
-    h, v, (lagrangian, work, slope, *blocks) = at.h[at.joints], at.v[:, at.joints], at.derivatives
-    mass = h[:, None, None] * at.terms.mass([block[at.joints].T for block in blocks])
-    kinetic, speed, sizes, masses = np.sum(momentum * v, axis=0), np.abs(v), at.path.sizes, np.abs(mass)
-    energy = kinetic - lagrangian[at.joints, 0] / h + _correction(mass, momentum - slope[at.joints].T)
+    h, v, (lagrangian, work, slope, *_) = at.h[at.joints], at.v[:, at.joints], at.derivatives
+    kinetic, speed, sizes, masses = np.sum(momentum * v, axis=0), np.abs(v), at.path.sizes, np.abs(at.masses)
+    energy = kinetic - lagrangian[at.joints, 0] / h + _correction(at.masses, momentum - slope[at.joints].T)
 
     pushed, duration = np.einsum("tij,jt->it", masses, speed), float(np.sum(at.steps))
     local = np.abs(kinetic) + np.abs(energy) + np.sum(speed * pushed, axis=0)  # the terms of p·v may cancel

@@ -311,3 +311,35 @@ def test_a_coarse_path_keeps_the_balance_of_energy_in_any_unit_of_one_component(
     )
     path = cg.solve(problem, cg.Galerkin(3), 6)
     assert np.max(error_indicators(problem, path.polynomial, path.momentum)[0]) < 1e-12
+
+
+@pytest.mark.parametrize("tol", [1e-9, 1e-11])
+def test_a_body_at_rest_is_moved_by_no_jump_of_the_rounding_of_its_friction(tol):
+    """Its momenta and its friction are only roundoff: with jumps relative to these, 273 intervals were taken at 1e-9."""
+    hanging = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - 9.81 * x[1] - 0.7 * x[0],
+        (0, 1.35),
+        [None, None],
+        [None, None],
+        force=lambda t, x, v: -ca.DM([[0.31, 0.17], [-0.11, 0.23]]) @ v,
+        constraint=lambda t, x: ca.dot(x, x) - 1.7,
+    )
+    path = cg.solve(hanging, tol=tol, guess=lambda t: [-0.1, -1.3])
+    assert len(path.t) <= 10
+    down = np.sqrt(1.7) * np.array([-0.7, -9.81]) / np.hypot(0.7, 9.81)
+    np.testing.assert_allclose(path.x, np.tile(down, (len(path.t), 1)).T, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize(("start", "jump"), [(0.3, 0.8103912536527746), (1.0, 2.3), (-3.0, -1.3)])
+def test_a_named_jump_may_be_where_its_time_is_rounded_to(start, jump):
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2 + ca.if_else(t - start < jump - start, 0.0, 1.0) * x[0],
+        (start, start + 2),
+        [0.0],
+        [1.0],
+        breakpoints=[jump],
+    )
+    path = cg.solve(problem, tol=1e-9)
+    late = 2 - (jump - start)  # time under the constant force, which adds 1 - cos to the free oscillation
+    speed = (1 - (1 - np.cos(late))) / np.sin(2)
+    assert path.velocity[0, 0] == pytest.approx(speed, rel=1e-8)
