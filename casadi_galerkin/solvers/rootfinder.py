@@ -19,12 +19,15 @@ import numpy as np
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.stationarity import Stationarity
 
 NEARLY = 1e-9  # residual, over the sizes of its terms, from which two more Newton steps reach roundoff
 VERIFYING = 3  # most iterations of the package's own Newton method, which verifies the answer
-DEFAULTS = {"linear_solver": "qr", "max_iter": 50, "abstol": NEARLY}
+DEFAULTS = {"max_iter": 50, "abstol": NEARLY}
+# In large units of the action, pivots beside multipliers are smaller than those that QR takes for zero.
+FACTORIZATION = {"linear_solver": "qr", "linear_solver_options": NO_CUTOFF}
 OWN = "jacobian_function", "error_on_fail", "show_eval_warnings"  # options that are set here
 
 
@@ -43,7 +46,10 @@ def casadi_newton(functional: Functional, options: Mapping[str, Any]) -> tuple[c
     symbols, names = [*symbols, rows], [*names, "rows"]
     residual = ca.Function("residual", symbols, [rows * gradient], names, ["residual"])
     scaled = [ca.mtimes(ca.diag(rows), matrix), rows * gradient]
-    common = DEFAULTS | {
+    factorization = {} if "linear_solver" in options else FACTORIZATION
+    common = {
+        **DEFAULTS,
+        **factorization,
         "line_search": not functional.numbering.multipliers,
         "jacobian_function": ca.Function("jacobian", symbols, scaled, names, ["matrix", "residual"]),
         "show_eval_warnings": False,

@@ -436,3 +436,22 @@ def test_the_error_of_a_path_whose_velocity_is_an_unknown_is_that_of_the_closed_
     for path, tol in ((fixed, 1e-12), (to_tolerance, 1e-10)):
         assert np.max(np.abs(path(1.0) - drifted(1.0))) < tol
         assert path.estimate_error() < tol
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
+def test_jacobian_beside_multipliers_has_any_unit_of_the_action(unit):
+    """x = cos(√p t)/cos √p from rest to x(1) = 1, an end condition; in units of 1e12 QR took pivots for zero."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: unit * (v[0] ** 2 - p[0] * x[0] ** 2) / 2,
+        (0, 1),
+        [None],
+        [None],
+        start_momentum=[0.0],
+        end_conditions=lambda a, b, p: b[0] - 1,
+        parameters=[0.7],
+    )
+    path = cg.solve(problem, cg.Galerkin(8), 4)
+    f = cg.solution_function(problem, path.method, 4)
+    jacobian = f.jacobian()(parameters=[0.7], guess=path.polynomial.values)["jac_x_parameters"]
+    root = np.sqrt(0.7)
+    assert float(jacobian[0]) == pytest.approx(np.tan(root) / np.cos(root) / (2 * root), rel=1e-9)

@@ -315,7 +315,7 @@ def test_a_coarse_path_keeps_the_balance_of_energy_in_any_unit_of_one_component(
 
 @pytest.mark.parametrize("tol", [1e-9, 1e-11])
 def test_a_body_at_rest_is_moved_by_no_jump_of_the_rounding_of_its_friction(tol):
-    """Its momenta and its friction are only roundoff: with jumps relative to these, 273 intervals were taken at 1e-9."""
+    """Its momenta and its friction are only roundoff: relative to these, 273 intervals were taken at 1e-9."""
     hanging = cg.BoundaryProblem(
         lambda t, x, v: ca.dot(v, v) / 2 - 9.81 * x[1] - 0.7 * x[0],
         (0, 1.35),
