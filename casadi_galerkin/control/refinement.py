@@ -70,6 +70,10 @@ WARM_START_BARRIER = 1e-4  # first barrier from an earlier path: with 1e-2 a rob
 BARRIER_RATIO, LARGEST_BARRIER_RATIO = 3e-11, 1e4
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
 PATIENCE = 10  # levels in a row without a smaller error after which every interval is halved: two meshes may alternate
+WAYPOINT = (
+    "Where a waypoint at a free time asks for nothing, or its bounds are not met, nothing tells when it is passed: "
+    "leave it out"
+)
 HIGHER = 2  # degrees added for the error estimate; one adds nothing to a path of the other parity
 
 
@@ -206,7 +210,9 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         if cost > self.tol:
             raise self.stopped(f"the solver may have left {cost:.0e} of the cost", *self.best, UNITS)
         if judged == 2 and path > self.tol:
-            raise self.stopped(f"the solver leaves the path open by {path:.0e} of its size", *self.best)
+            passed = self.problem.waypoints and self.problem.duration_bounds is not None
+            reason = f"the solver leaves the path open by {path:.0e} of its size"
+            raise self.stopped(reason, *self.best, WAYPOINT if passed else HINT)
 
     def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:
         """Solve on the better mesh from the path of higher degree or, where there is none, on a mesh twice as fine."""

@@ -289,3 +289,13 @@ def test_a_waypoint_leaves_the_bounds_of_positions_as_they_are():
     for waypoint in ([None], [(0.1, 5.0)]):
         problem = double_integrator(**wants, position_bounds=(-1.0, 0.7), waypoints=[(0.5, waypoint)])
         assert np.max(cg.solve(problem, cg.Galerkin(3), 8).x) == pytest.approx(0.7, abs=SOLVED)
+
+
+@pytest.mark.parametrize("asked", [[None], [(0.2, 0.8)]])
+def test_a_waypoint_that_asks_for_nothing_at_a_free_time_is_named(asked):
+    """The path is known, but not when the waypoint is passed."""
+    free = double_integrator(
+        running_cost=lambda t, x, v, u: u[0] ** 2 / 2 + 1, duration_bounds=(0.2, 5.0), waypoints=[(0.5, asked)]
+    )
+    with pytest.raises(cg.LimitReached, match="nothing tells when it is passed: leave it out"):
+        cg.solve(free, tol=1e-5)
