@@ -106,7 +106,7 @@ def first_path_strategies(
     mesh: np.ndarray,
     guess: Guess | None,
     solver: SolverLike,
-    intermediate_path: Callable[[GraphCache, np.ndarray, Guess | None], CriticalPoint],
+    intermediate_path: Callable[[GraphCache, PiecewisePolynomial], CriticalPoint],
 ) -> Iterator[Strategy]:
     """Strategies to find a first path, in the order in which they are tried.
 

@@ -12,7 +12,6 @@ import math
 from collections.abc import Callable
 
 import casadi as ca
-import numpy as np
 
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.graph_cache import GraphCache
@@ -28,7 +27,7 @@ MOST = 100  # largest number of shares that are tried
 def path_by_homotopy(
     graphs: GraphCache,
     guess: PiecewisePolynomial,
-    intermediate_path: Callable[[GraphCache, np.ndarray, PiecewisePolynomial], CriticalPoint],
+    intermediate_path: Callable[[GraphCache, PiecewisePolynomial], CriticalPoint],
 ) -> CriticalPoint:
     """Find the path of a problem by a homotopy in its force.
 
@@ -36,13 +35,13 @@ def path_by_homotopy(
     ----------
     graphs : GraphCache of the problem
     guess : guess of the path of the problem
-    intermediate_path : (graphs, mesh, guess) -> the path from this guess, on a mesh that resolves it
+    intermediate_path : (graphs, guess) -> the path from this guess, on a mesh that resolves it
     """
     share, growth, known = 1 / GROWTH, GROWTH, 0.0
     for _ in range(MOST):
         part = graphs if share == 1.0 else with_scaled_force(graphs, share)
         try:
-            point = intermediate_path(part, guess.mesh, guess)
+            point = intermediate_path(part, guess)
         except ConvergenceError as failure:
             lost = failure
             growth = math.sqrt(growth) if known else growth

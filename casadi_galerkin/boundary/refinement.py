@@ -307,13 +307,13 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         conjugate = [failure for failure in failures if isinstance(failure, ConjugatePointError)]
         raise (conjugate or failures)[-1]  # a singular Hessian tells more than that another way found nothing
 
-    def intermediate_path(self, graphs: GraphCache, mesh: np.ndarray, guess: Guess | None) -> CriticalPoint:
+    def intermediate_path(self, graphs: GraphCache, guess: PiecewisePolynomial) -> CriticalPoint:
         """Find a path of a homotopy to a loose tolerance, on a mesh that resolves it."""
         tol, most = INTERMEDIATE
         limits = replace(self.limits, intervals=min(self.limits.intervals, most))
         part = BoundaryRefinement(graphs, max(self.tol, tol), self.method, self.solver, limits)
         part.deadline = self.deadline
-        return part.refine(graphs.solve(self.method, mesh, guess, self.warm_solver))[0]
+        return part.refine(graphs.solve(self.method, guess.mesh, guess, self.warm_solver))[0]
 
     def on_any_mesh(self, guess: Guess | None, mesh: np.ndarray) -> Guess | None:
         """A guess that fits any mesh: arrays of values at the joints or nodes of this mesh become a path."""

@@ -66,6 +66,14 @@ class Chain:
 
     Attributes
     ----------
+    intervals : N
+    dimension, mechanical : numbers of all components, and of the components with an equation of motion
+    controls, parameters, constraints, path_constraints, conditions : numbers of controls, parameters, holonomic
+        constraints, path constraints and end conditions
+    terminal_cost : whether there is a terminal cost
+    free : which of "durations" and "parameters" are unknowns, in this order
+    breaks : numbers of the joints at the breakpoints
+    conditions_there : numbers of conditions at the crossings
     crossed : (K,), numbers of the joints of the crossings
     jumped : (K,), whether the path jumps there
     phases : (N,), number of the phase to which every interval belongs; phases have free durations of their own

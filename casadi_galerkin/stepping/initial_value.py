@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -39,9 +40,9 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     stepper = Stepper(problem, method)
     roll = verified(stepper.roll(np.array(problem.position), p, v, mesh), stepper)
     build = stepper.build_seconds
-    path = trajectory(
-        problem, stepper, roll, int(roll.iterations.sum()), "step by step", build, time.perf_counter() - began - build
-    )
+    seconds = time.perf_counter() - began - build
+    path = trajectory(problem, stepper, roll, int(roll.iterations.sum()), "step by step", build, seconds)
+    path = replace(path, find_difference=partial(_difference, problem, path.polynomial, path.momentum[:, 0]))
     if verbose:
         print(path)
     return path
@@ -98,7 +99,7 @@ def path_of(roll: Roll, stepper: Stepper, count: int) -> PiecewisePolynomial:
     return PiecewisePolynomial(roll.mesh[: count + 1], nodes, values)
 
 
-def _difference(problem: InitialProblem | BoundaryProblem, path: PiecewisePolynomial, momentum: np.ndarray) -> float:
+def _difference(problem: InitialProblem, path: PiecewisePolynomial, momentum: np.ndarray) -> float:
     """Relative difference of a stepped path from one of a higher degree with the same first position and momentum."""
     higher = higher_degree_method(path.degree)
     stepper, intervals = Stepper(problem, higher), len(path.mesh) - 1
@@ -134,5 +135,4 @@ def trajectory(
         solve_seconds=solve_seconds,
         method=stepper.method,
         problem=problem,
-        find_difference=partial(_difference, problem, path, roll.p[:, 0]),
     )
