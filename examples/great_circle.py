@@ -1,6 +1,6 @@
 """The shortest way from New York to London on a sphere: a geodesic, by its energy functional in two angles.
 
-The straight line of the map is near enough for full Newton steps, which is what CasADi's own rootfinder takes.
+The straight line of the map is near enough for CasADi's own rootfinder, whose steps only have to make the residual smaller.
 """
 
 import casadi as ca

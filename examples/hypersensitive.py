@@ -5,7 +5,7 @@ within a few units of time, stays there, and rises to the end in the last few; a
 A tolerance grades the mesh by itself.
 
 Both layers are known: with the Hamiltonian zero, the costate on the way to rest is -x³ + √(x⁶ + x²), and on the way
-out of it x³ + √(x⁶ + x²).  The cost is the integral of the first up to the start, and of the second up to the end.
+out of it -x³ - √(x⁶ + x²).  The cost is the integral of its absolute value, from zero up to either end.
 """
 
 import numpy as np
