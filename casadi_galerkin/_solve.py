@@ -137,8 +137,10 @@ def solve(
         raise ValueError(f"starts is for a ControlProblem, got {starts!r}; {several}")
     tolerance = _tolerance(problem, tol, cost_tol)
     if isinstance(problem, InitialProblem):
-        if guess is not None or tol is not None or limits is not None or solver is not None:
-            raise ValueError("an initial problem takes no tol, limits, guess or solver: it is solved step by step")
+        left_out = {"tol": tol, "limits": limits, "guess": guess, "solver": solver}
+        extra = [name for name, value in left_out.items() if value is not None]
+        if extra:
+            raise ValueError(f"an InitialProblem is solved step by step, and takes no {' and '.join(extra)}")
         if method is None:
             raise ValueError("give a method and intervals, got no method")
         return integrate(problem, method, mesh_of(problem.t_span, intervals, mesh), verbose)
@@ -320,8 +322,9 @@ def solution_function(
 
     The Function runs CasADi's Newton method, or the solver, and has none of the rescues of `solve`: the guess should
     be a path for data nearby.  Where residuals are above their roundoff floors or, of a ControlProblem, an equation or
-    a bound is violated or the cost not stationary, all outputs are NaN, which IPOPT takes for a step too far.  It does
-    not see what else `solve` refuses, such as a singular Hessian.
+    a bound is violated or the cost not stationary, all outputs are NaN, which IPOPT takes for a step too far.  They are
+    NaN, too, where an input other than the guess is left out.  The Function does not see what else `solve` refuses,
+    such as a singular Hessian.
 
     Raises
     ------

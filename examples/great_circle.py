@@ -1,6 +1,7 @@
 """The shortest way from New York to London on a sphere: a geodesic, by its energy functional in two angles.
 
-The straight line of the map is near enough for CasADi's own rootfinder, whose steps only have to make the residual smaller.
+The straight line of the map is near enough for CasADi's own rootfinder, whose steps need only
+make the residual smaller.
 """
 
 import casadi as ca

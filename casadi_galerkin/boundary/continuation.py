@@ -59,7 +59,7 @@ class Fold:
     ----------
     parameters : (n,), at which the branch turns back
     path : Path there
-    after : number of paths of the branch before it
+    after : number of paths of the branch before it, so that ``trajectories[after]`` is the first one behind it
 
     Examples
     --------
@@ -130,7 +130,7 @@ class Branch:
 
     def __repr__(self) -> str:
         """Summarize the branch."""
-        end = "the target" if self.reached else "the start, on another branch"
+        end = "the target" if self.reached else "turned back to the start"
         lines = [f"Branch of {len(self.trajectories)} paths from {self.parameters[0]} to {self.parameters[-1]}, {end}"]
         lines += [f"  fold at {fold.parameters}, after {fold.after} paths" for fold in self.folds]
         return "\n".join(lines)

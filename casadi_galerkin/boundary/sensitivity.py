@@ -54,7 +54,8 @@ def boundary_function(
     inputs = {name: symbol for name, symbol in data.items() if symbol.numel()} | {"guess": nodes}
     outputs = {"x": x, "momentum": summary["momentum"], "action": summary["action"]}
     checked = [ca.if_else(verified, value, np.nan) for value in outputs.values()]
-    return ca.Function("solution", list(inputs.values()), checked, list(inputs), list(outputs))
+    needed = {"default_in": [0.0 if name == "guess" else np.nan for name in inputs]}  # where a call leaves them out
+    return ca.Function("solution", list(inputs.values()), checked, list(inputs), list(outputs), needed)
 
 
 def _check(problem: BoundaryProblem, stationarity: Stationarity) -> ca.Function:
@@ -108,8 +109,8 @@ class Sensitivity:
         for name in ("parameters", "start", "end"):
             values = getattr(self, name)
             if values.size:
-                count = counted(values.shape[2], "number")
-                lines.append(f"  by {count} of {name}: up to {np.max(np.abs(values)):.3g}")
+                count = counted(values.shape[2], "value")
+                lines.append(f"  by {count} of {name}: largest derivative {np.max(np.abs(values)):.3g}")
         return "\n".join(lines)
 
 

@@ -49,7 +49,7 @@ class Transcription(BoundaryGraph):
     problem : BoundaryProblem
     method : Galerkin
     mesh : (N + 1,), the joints used unless others are given to `solve`
-    mapping : how L is evaluated at the points, as for `Functional`
+    mapping : how L is evaluated at the points, see `functional.mapping`
 
     Attributes
     ----------
@@ -183,7 +183,10 @@ def check_given(given: Mapping[str, object]) -> None:
     """Refuse what no boundary problem states."""
     for name in given:
         if name not in (*END_MOTIONS, "energy"):
-            raise TypeError(f"solve takes {', '.join(END_MOTIONS)} or energy beside its own arguments, got {name}")
+            other = "; other times are given by mesh" if name == "t_span" else ""
+            raise TypeError(
+                f"solve takes {', '.join(END_MOTIONS)} or energy beside its own arguments, got {name}{other}"
+            )
 
 
 class SecondVariation:

@@ -36,8 +36,9 @@ def time_scale(mesh: ArrayLike) -> np.ndarray:
     joints = real_array("the joints of a mesh", mesh)
     if joints.ndim != 1 or joints.size < 2:
         raise ValueError(f"a mesh is a sequence of at least 2 joints, got shape {joints.shape}")
-    if not np.all(np.isfinite(joints)):
-        raise ValueError("the joints of a mesh must be finite")
+    undefined = np.flatnonzero(~np.isfinite(joints))
+    if undefined.size:
+        raise ValueError(f"the joints of a mesh must be finite, got t[{undefined[0]}] = {joints[undefined[0]]}")
     near = too_near(joints)
     if np.any(near):
         i = int(np.argmax(near))

@@ -51,7 +51,7 @@ class Quadrature:
     def __init__(self, points: ArrayLike, weights: ArrayLike) -> None:
         q, w = real_array("points", points), real_array("weights", weights)
         if q.ndim != 1 or q.shape != w.shape or q.size == 0:
-            raise ValueError(f"points and weights must be two equally long sequences, got {q.shape} and {w.shape}")
+            raise ValueError(f"points and weights must be as many numbers, at least one, got {q.shape} and {w.shape}")
         if not (np.all(np.isfinite(q)) and np.all(np.isfinite(w))):
             raise ValueError(f"points and weights must be finite numbers, got {q} and {w}")
         if q[0] < 0 or q[-1] > 1 or np.any(np.diff(q) <= 0):

@@ -75,7 +75,9 @@ def control_function(
         "cost": found["f"],
     }
     checked = [ca.if_else(verified, value, np.nan) for value in outputs.values()]
-    return ca.Function("solution", list(inputs.values()), checked, list(inputs), list(outputs))
+    guessed = ("guess", "controls")
+    needed = {"default_in": [0.0 if name in guessed else np.nan for name in inputs]}  # where a call leaves them out
+    return ca.Function("solution", list(inputs.values()), checked, list(inputs), list(outputs), needed)
 
 
 def _given(problem: ControlProblem, chain: Chain) -> dict[str, np.ndarray]:

@@ -79,7 +79,7 @@ class ControlTranscription:
     problem : ControlProblem
     method : Galerkin
     mesh : (N + 1,), the joints used unless others are given to `solve`; with a free duration they scale with it
-    mapping : how L, cost and forces are evaluated at the points, as for `Functional`
+    mapping : how L, cost and forces are evaluated at the points, see `functional.mapping`
 
     Attributes
     ----------
@@ -271,7 +271,7 @@ class ControlTranscription:
         """The starting point of a solve from a guess.
 
         The equations of motion are scaled by the sizes of their terms along the guess, so that the absolute tolerance
-        of the solver does not depend on units.  These sizes are limited to `WILD` times those on the straight line
+        of the solver does not depend on units.  These sizes are limited to ten times those on the straight line
         between the ends, because the terms of a noisy guess are far too large.  Where a component hardly changes on the
         line, as between ends that differ by rounding, its terms there are far too small and set no limit.  The momenta
         of the guess are minus the residuals of the equations of the joints with momenta of zero.

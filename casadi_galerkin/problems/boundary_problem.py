@@ -160,8 +160,8 @@ class BoundaryProblem:
 
         Parameters
         ----------
-        changes : new values by name, one of `VARIED`: with None exactly where the problem has None; None as a whole
-            changes nothing
+        changes : new values by name, such as start, end or parameters: with None exactly where the problem has None;
+            None as a whole changes nothing
         t_span : (t_0, t_N) with the breakpoints inside; default the same
         """
         other = with_changes(self, changes, t_span)

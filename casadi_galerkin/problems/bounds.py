@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.numbers import real_array
+from casadi_galerkin.calculus.numbers import counted, real_array
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.callables import Traceable, trace
 
@@ -30,7 +30,7 @@ def bounds(name: str, value: Any, size: int) -> Bounds:
         raise TypeError(f"{name} must be a pair (lo, hi), got {value!r}")
     sides = []
     for side, given, never in zip(("lo", "hi"), pair, (np.inf, -np.inf), strict=True):
-        expected = f"the {side} of {name} must be a number or {size} numbers, {-never} where there is none"
+        expected = f"the {side} of {name} must be a number or {counted(size, 'number')}, {-never} where there is none"
         try:
             array = real_array(name, given)
         except TypeError as error:

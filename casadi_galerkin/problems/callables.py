@@ -133,7 +133,8 @@ def _called(name: str, function: Traceable, arguments: Mapping[str, ca.SX], shap
             counts = ", ".join(f"{key} has {symbol.numel()}" for key, symbol in arguments.items())
             raise ValueError(f"{failed}: an index is out of range of so many components, {counts}") from error
         reason = " ".join(str(error).split()).rstrip(".")  # CasADi breaks and indents its lines
-        raise kind(f"{failed}: {reason}. {ADVICE}") from error
+        own = isinstance(error, (NameError, ArithmeticError, LookupError))  # a mistake that is not about symbols
+        raise kind(f"{failed}: {reason}" if own else f"{failed}: {reason}. {ADVICE}") from error
 
 
 def _about_p(arguments: Mapping[str, object]) -> str:

@@ -54,8 +54,8 @@ class ControlProblem:
     controls : number of controls, the length of u
     terminal_cost : callable (t, x, v) -> scalar, added to the cost with the values at the end
     control_bounds : (lo, hi), each a scalar or one number per control; held at the quadrature points
-    position_bounds : (lo, hi), each a scalar or one number per component; held at joints and control points.  An
-        end beyond them by rounding is put on them
+    position_bounds : (lo, hi), each a scalar or one number per component; held at the joints
+        and the control points between them.  An end beyond them by rounding is put on them
     path_constraint : (g, lo, hi) with g(t, x, v, u) -> scalar or vector; held at the quadrature points
     duration_bounds : (lo, hi) with 0 < lo, each a scalar or one number per phase; frees the duration of every phase
     constraint : callable (t, x) -> k values that are zero all along the path (holonomic), as for `BoundaryProblem`; for
@@ -194,7 +194,9 @@ class ControlProblem:
 
     def __repr__(self) -> str:
         """State the problem without its callables."""
-        free = "" if self.duration_bounds is None else f", duration within {self.duration_bounds}"
+        free = (
+            "" if self.duration_bounds is None else ", durations of phases from {} to {}".format(*self.duration_bounds)
+        )
         others = self.dimension - self.mechanical
         rates = f", {others} of which follow rates," if others else ""
         controls = counted(self.controls, "held control" if self.hold else "control")

@@ -165,7 +165,7 @@ def _ways(
     if tolerances and isinstance(problem, InitialProblem):
         raise ValueError(f"an initial problem takes no tolerances: it is solved step by step, got {tolerances}")
     if flag("shooting", shooting) and not isinstance(problem, BoundaryProblem):
-        raise ValueError(f"only a BoundaryProblem is solved by shooting, got a {type(problem).__name__}")
+        raise ValueError(f"only a BoundaryProblem is solved by shooting, got {type(problem).__name__}")
     ways = [Row(method, count, solver) for method, count in grid for solver in solvers]
     ways += [Row(method, count, shooting=True) for method, count in grid if shooting]
     return ways + [Row(solver=solver, tol=check_tolerance(tol)) for solver in solvers for tol in tolerances]

@@ -310,6 +310,13 @@ def test_guess_that_is_not_finite_gives_nan(swing, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_without_a_given_value_every_output_is_nan(swing):
+    f, path = swing
+    for name in set(numbers(path)) - {"guess"}:
+        result = f(**{key: value for key, value in numbers(path).items() if key != name})
+        assert all(np.isnan(dense(value)).all() for value in result.values())
+
+
 def test_domain_left_gives_nan(capfd):
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.log(x[0]), (0.0, 1.0), [1.0], [2.0])
     f, path = solved(problem)

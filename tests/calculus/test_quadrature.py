@@ -108,10 +108,10 @@ def test_rules_are_values():
 @pytest.mark.parametrize(
     ("points", "weights", "message"),
     [
-        ([0.5, 0.6], [1.0], r"two equally long sequences, got \(2,\) and \(1,\)"),
-        ([], [], r"two equally long sequences, got \(0,\)"),
-        ([[0.5]], [[1.0]], r"two equally long sequences, got \(1, 1\)"),
-        (0.5, 1.0, r"two equally long sequences, got \(\)"),
+        ([0.5, 0.6], [1.0], r"as many numbers, at least one, got \(2,\) and \(1,\)"),
+        ([], [], r"as many numbers, at least one, got \(0,\)"),
+        ([[0.5]], [[1.0]], r"as many numbers, at least one, got \(1, 1\)"),
+        (0.5, 1.0, r"as many numbers, at least one, got \(\)"),
         ([np.nan], [1.0], "must be finite"),
         ([0.5], [np.inf], "must be finite"),
         ([0.6, 0.4], [0.5, 0.5], r"must increase within \[0, 1\], got \[0.6 0.4\]"),

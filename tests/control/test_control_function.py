@@ -53,6 +53,15 @@ def test_what_is_no_answer_is_not_a_number(solver):
         assert np.isnan(float(f(**arguments(problem, path, end=[value]))["cost"]))
 
 
+def test_without_a_given_value_there_is_no_answer():
+    problem = double_integrator()
+    f, path = cg.solution_function(problem, cg.Galerkin(3), 6), cg.solve(problem, cg.Galerkin(3), 6)
+    given = arguments(problem, path)
+    assert float(f(**given)["cost"]) == pytest.approx(path.cost, rel=SOLVED)
+    for name in set(given) - {"guess", "controls"}:
+        assert np.isnan(float(f(**{key: value for key, value in given.items() if key != name})["cost"]))
+
+
 def test_a_guess_that_is_not_a_number_has_no_answer():
     way, method = staged(parameter_bounds=None), cg.Galerkin(3)
     path = cg.solve(way, method, 6)

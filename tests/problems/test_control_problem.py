@@ -33,7 +33,7 @@ BADLY_STATED = {
         ValueError,
         "control_bounds must have lo <= hi, got 1.0 and -1.0$",
     ),
-    "bounds of a wrong length": ({"control_bounds": ([0, 0], 1)}, ValueError, "lo of control_bounds .* 1 numbers"),
+    "bounds of a wrong length": ({"control_bounds": ([0, 0], 1)}, ValueError, "lo of control_bounds .* 1 number"),
     "bounds that are no pair": ({"control_bounds": 3}, TypeError, "must be a pair"),
     "bounds that are no numbers": ({"control_bounds": ("a", 1)}, TypeError, "lo of control_bounds"),
     "bounds with NaN": ({"control_bounds": (np.nan, 1)}, ValueError, "must not be NaN"),

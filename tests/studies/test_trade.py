@@ -189,7 +189,7 @@ def test_a_trade_of_no_problem_is_refused():
         ({"guess": lambda t: [t]}, "an initial problem takes no guess"),
         ({"tolerances": [1e-6]}, r"an initial problem takes no tolerances: .* got \[1e-06\]"),
         ({"solvers": [cg.newton]}, "an initial problem takes no solver: .* got cg.newton"),
-        ({"shooting": True}, "only a BoundaryProblem is solved by shooting, got a InitialProblem"),
+        ({"shooting": True}, "only a BoundaryProblem is solved by shooting, got InitialProblem"),
     ],
 )
 def test_an_initial_problem_is_traded_step_by_step(changes, message):
