@@ -85,9 +85,12 @@ def _units(stationarity: Stationarity, guess: np.ndarray, data: Data) -> tuple[n
     _, floor = stationarity.gradient_and_floor(guess, data)
     sizes = stationarity.sizes(guess, data)
     measured = np.isfinite(sizes)
-    unit = float(np.median((sizes * floor)[measured] / EPS)) if np.any(measured) else 1.0
+    matrix = stationarity.functional.function("hessian")(guess, *data)
+    changes = np.array(ca.mtimes(ca.fabs(matrix), np.where(measured, sizes, 0.0))).ravel()
+    terms = np.fmax(floor / EPS, changes)  # at a guess that is zero there are no terms yet
+    unit = float(np.median((sizes * terms)[measured])) if np.any(measured) else 1.0
     unit = unit if 0 < unit < np.inf else 1.0
-    return np.where(measured, sizes, unit * EPS / floor), unit  # a multiplier by what gives its row terms of that size
+    return np.where(measured, sizes, unit / terms), unit  # a multiplier by what gives its row terms of that size
 
 
 def _nlpsol(functional: Functional, minimize: bool, verbose: int, given: Mapping[str, Any]) -> ca.Function:
