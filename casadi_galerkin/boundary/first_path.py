@@ -34,6 +34,7 @@ MORE = 4  # factor on the intervals of a coarse mesh that is too coarse for any 
 GUESS_INTERVALS = 200  # largest number of intervals of a mesh that resolves a guess
 # truncation error of a guess on a first mesh: loose for corners and noise, tight for layers
 COARSE_RESOLUTION, FINE_RESOLUTION = 0.1, 1e-6
+RANDOM = "random guesses"  # name of the last strategy without a guess
 
 Find: TypeAlias = Callable[[], CriticalPoint]
 
@@ -113,7 +114,8 @@ def first_path_strategies(
     First Newton's method on the coarse mesh; with a guess also from the smoothed guess, and on a mesh that resolves the
     guess.  Then its rescues on the coarse mesh; a homotopy in the force, if there is one, whose paths
     `intermediate_path` finds; a descent of the action with moving joints; and finally, without a guess, the search for
-    `several_paths`, otherwise `solver` itself.  With a guess, a path near it is preferred to one that is far from it.
+    `several_paths`, otherwise `solver` itself.  The search follows at once where the straight line leads through a pole.
+    With a guess, a path near it is preferred to one that is far from it.
     """
     problem, name = graphs.problem, repr(solver)
     given = guess_on_resolving_mesh(graphs, method, guess, mesh, COARSE_RESOLUTION)
@@ -148,7 +150,7 @@ def first_path_strategies(
             yield Strategy("descent of the action", partial(_by_descent, graphs, method, joints, guess, brief))
         name = "Newton's method with its rescues"
         if guess is None and not has_phase(problem):
-            yield Strategy("random guesses", partial(_by_random_guesses, graphs, method, mesh, brief))
+            yield Strategy(RANDOM, partial(_by_random_guesses, graphs, method, mesh, brief))
             return
     yield Strategy(name, partial(solved, given, solver))
 

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.error_estimate import agreement, discretization_error, roundoff_error
-from casadi_galerkin.boundary.first_path import first_path_strategies, is_newton, warm_newton
+from casadi_galerkin.boundary.first_path import RANDOM, first_path_strategies, is_newton, warm_newton
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.transcription import Transcription
@@ -229,7 +229,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             return
         needs = f"intervals of {max(steps[i], 0.0):.1e}" if few else f"{len(steps)} intervals"
         crowded = steps[i] < CROWDED * duration
-        sharp = f", the shortest near t = {mesh[i]:.9g}. {self.not_smooth(mesh[i], duration)}" if crowded else ""
+        sharp = f", the shortest near t = {mesh[i]:.9g}. {self.not_smooth(mesh[i], level)}" if crowded else ""
         magnified = ": the ends are nearly conjugate" if estimate.trusted and estimate.error > 1 else ""
         source = f"estimated from {estimate.source}{magnified}{sharp}"
         reason = f"the mesh would need {needs} for an error of {estimate.error:.1e}, {source}"
@@ -246,13 +246,15 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         count = count + 1 if worst > last / 2 and abs(when - place) <= width + step else 0
         self.stagnation[source] = worst, when, step, count
         if count == patience or hidden:
-            where, not_smooth = f"near t = {when:.9g}", self.not_smooth(when, duration)
+            where, not_smooth = f"near t = {when:.9g}", self.not_smooth(when, level)
             reason = f"an error of {worst:.1e} {where}, measured by the {source}, stays on any mesh. {not_smooth}"
             raise self.stopped(reason, level, worst)
 
-    def not_smooth(self, when: float, duration: float) -> str:
-        """Say why the error near a time may not fall."""
-        rule = self.method.quadrature
+    def not_smooth(self, when: float, level: CriticalPoint) -> str:
+        """Say why the error near a time may not fall; and see whether the path has a pole, which other paths avoid."""
+        indicators = scaled_indicators(self.graphs.problem, level.polynomial, level.momentum)
+        self.at_pole = bool(np.any(indicators["Lagrangian between points"]))
+        rule, duration = self.method.quadrature, np.ptp(level.polynomial.mesh)
         beside = [
             time for time in self.graphs.problem.breakpoints if abs(time - when) <= BREAKPOINT_DISTANCE * duration
         ]
@@ -277,17 +279,24 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """Find a first path by one of several strategies, and refine it; an array as guess is one on this mesh."""
         guess = self.on_any_mesh(guess, mesh)
         failures: list[ConvergenceError] = []
+        limit: LimitReached | None = None  # of a path through a pole, as from the straight line through a singularity
         for strategy in first_path_strategies(
             self.graphs, self.method, mesh, guess, self.solver, self.intermediate_path
         ):
-            began, before, first = time.perf_counter(), self.iterations, None
+            if limit is not None and strategy.name != RANDOM:
+                continue
+            began, before, first, self.at_pole = time.perf_counter(), self.iterations, None, False
             try:
                 with until(self.deadline):
                     first = strategy.find()
                     path = self.finish(*self.refine(first))
-            except LimitReached:
-                raise
+            except LimitReached as reached:
+                if limit is not None or guess is not None or not self.at_pole:
+                    raise limit or reached from None
+                limit = reached
             except ConvergenceError as failure:
+                if limit is not None:
+                    break
                 if isinstance(failure, ConjugatePointError) and failure.residual <= ACCEPTED:
                     raise  # a path was found: another mesh may only hide that it is not the only one
                 if isinstance(failure, ConjugatePointError) and failures and first is not None:
@@ -302,8 +311,10 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                     print(f"{strategy.name}: no path, {spent}")
             else:
                 way = strategy.name if first.solution.report == NEWTON else first.solution.report
-                reported = not failures or way == path.solver
+                reported = not (failures or limit) or way == path.solver
                 return path if reported else replace(path, solver=f"{path.solver}; first path by {way}")
+        if limit is not None:
+            raise limit
         conjugate = [failure for failure in failures if isinstance(failure, ConjugatePointError)]
         raise (conjugate or failures)[-1]  # a singular Hessian tells more than that another way found nothing
 
