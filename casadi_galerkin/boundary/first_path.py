@@ -114,8 +114,7 @@ def first_path_strategies(
     First Newton's method on the coarse mesh; with a guess also from the smoothed guess, and on a mesh that resolves the
     guess.  Then its rescues on the coarse mesh; a homotopy in the force, if there is one, whose paths
     `intermediate_path` finds; a descent of the action with moving joints; and finally, without a guess, the search for
-    `several_paths`, otherwise `solver` itself.  The search follows at once where the straight line leads through a pole.
-    With a guess, a path near it is preferred to one that is far from it.
+    `several_paths`, otherwise `solver` itself.  With a guess, a path near it is preferred to one that is far from it.
     """
     problem, name = graphs.problem, repr(solver)
     given = guess_on_resolving_mesh(graphs, method, guess, mesh, COARSE_RESOLUTION)

@@ -20,13 +20,14 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.error_estimate import agreement, discretization_error, roundoff_error
-from casadi_galerkin.boundary.first_path import RANDOM, first_path_strategies, is_newton, warm_newton
+from casadi_galerkin.boundary.first_path import RANDOM, Strategy, first_path_strategies, is_newton, warm_newton
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.transcription import Transcription
@@ -276,27 +277,34 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             return self.finish(*self.refine(level))
 
     def run(self, mesh: np.ndarray, guess: Guess | None) -> Trajectory:
-        """Find a first path by one of several strategies, and refine it; an array as guess is one on this mesh."""
+        """Find a first path by one of several strategies, and refine it; an array as guess is one on this mesh.
+
+        Where the straight line leads through a pole, as of a collision, the search for other paths follows at once.
+        """
         guess = self.on_any_mesh(guess, mesh)
-        failures: list[ConvergenceError] = []
-        limit: LimitReached | None = None  # of a path through a pole, as from the straight line through a singularity
-        for strategy in first_path_strategies(
-            self.graphs, self.method, mesh, guess, self.solver, self.intermediate_path
-        ):
-            if limit is not None and strategy.name != RANDOM:
-                continue
+        strategies = first_path_strategies(self.graphs, self.method, mesh, guess, self.solver, self.intermediate_path)
+        try:
+            return self.by_the_first(strategies, [])
+        except LimitReached as reached:
+            if guess is not None or not self.at_pole:
+                raise
+            limit = reached
+        try:
+            return self.by_the_first((search for search in strategies if search.name == RANDOM), [limit])
+        except ConvergenceError:
+            raise limit from None
+
+    def by_the_first(self, strategies: Iterable[Strategy], failures: list[ConvergenceError]) -> Trajectory:
+        """Refine the path of the first strategy that leads to one; `failures` are those of earlier strategies."""
+        for strategy in strategies:
             began, before, first, self.at_pole = time.perf_counter(), self.iterations, None, False
             try:
                 with until(self.deadline):
                     first = strategy.find()
                     path = self.finish(*self.refine(first))
-            except LimitReached as reached:
-                if limit is not None or guess is not None or not self.at_pole:
-                    raise limit or reached from None
-                limit = reached
+            except LimitReached:
+                raise
             except ConvergenceError as failure:
-                if limit is not None:
-                    break
                 if isinstance(failure, ConjugatePointError) and failure.residual <= ACCEPTED:
                     raise  # a path was found: another mesh may only hide that it is not the only one
                 if isinstance(failure, ConjugatePointError) and failures and first is not None:
@@ -311,10 +319,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                     print(f"{strategy.name}: no path, {spent}")
             else:
                 way = strategy.name if first.solution.report == NEWTON else first.solution.report
-                reported = not (failures or limit) or way == path.solver
+                reported = not failures or way == path.solver
                 return path if reported else replace(path, solver=f"{path.solver}; first path by {way}")
-        if limit is not None:
-            raise limit
         conjugate = [failure for failure in failures if isinstance(failure, ConjugatePointError)]
         raise (conjugate or failures)[-1]  # a singular Hessian tells more than that another way found nothing
 

@@ -5,7 +5,9 @@ The balance of energy.  Along a true path the energy E = p·v - L changes only a
     E(t_{i+1}) - E(t_i) = -∫ ∂L/∂t dt        on every interval,
 
 with p at the joints from the discrete Legendre transform.  A discrete path satisfies it up to the order of its error.
-It does not where L has a kink inside an interval, or where the mesh is far too coarse.
+It does not where L has a kink inside an interval, or where the mesh is far too coarse.  Where L jumps in time, or is
+singular at an end, energies differ on any mesh.  So an interval counts by no more than all that acts within it may move
+the path (`_most_change`), and where the energy changes by more, it is balanced before and after the interval.
 
 The Lagrangian between points.  Along a path that its mesh resolves, L is nearly a polynomial on every interval, and the
 polynomial through its values at m + 1 points predicts the others.  At a pole it does not.  There the path is
@@ -211,7 +213,31 @@ def _between_breakpoints(
     sampled = _Sampled(problem, path)
     conserved, scale, floor = _energies(sampled, momentum)
     masses = np.max(np.where(np.isfinite(sampled.masses), np.abs(sampled.masses), 0.0), axis=0)
-    return energy_imbalance(conserved, scale, floor), _unresolved(sampled, scale, floor), masses
+    most = _most_change(sampled)
+    jumps = np.abs(np.diff(conserved)) > most * np.minimum(scale[1:], scale[:-1]) + floor[1:] + floor[:-1]
+    balance = np.where(jumps, most, 0.0)
+    for part in np.split(np.arange(len(scale)), np.flatnonzero(jumps) + 1):
+        if len(part) > 1:
+            balance[part[:-1]] = energy_imbalance(conserved[part], scale[part], floor[part])
+    return balance, np.minimum(_unresolved(sampled, scale, floor), most), masses
+
+
+def _most_change(at: _Sampled) -> np.ndarray:
+    """How far all that acts within an interval may move the path, relative to its sizes; (N,).
+
+    A step or kink of L, wherever it is in the interval, moves the path by no more than the interval's displacement, or
+    by what its whole impulse moves in the duration.  At a pole the impulse grows as the interval shrinks.  Under a
+    constraint, whose forces are not in L, nothing bounds the change.
+    """
+    if at.problem.constraint is not None:
+        return np.full(len(at.steps), np.inf)
+    inertia = np.abs(at.masses) @ at.path.sizes / np.sum(at.steps)  # momenta that move the path by its sizes
+    moved, pushed = (
+        np.max(np.abs(values).reshape(len(at.steps), -1, len(at.x))[:, 2:], axis=1)  # an end may be a singular time
+        for values in ((at.v * at.h).T, at.derivatives[1])
+    )
+    change = np.max(moved / at.path.sizes + pushed / (np.fmin(inertia[1:], inertia[:-1]) + TINY), axis=1)
+    return np.where(np.isfinite(change), change, np.inf)
 
 
 def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -62,14 +62,35 @@ def test_a_kink_in_time_is_resolved(when, tol):
     assert np.max(np.abs(path(times)[0] - exact)) <= 5 * tol * np.max(np.abs(exact))
 
 
+def stepped(when, **given):
+    return cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - ca.if_else(t < when, 1, 3) * x[0] ** 2 / 2, (0, 2), [1.0], [-0.5], **given
+    )
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-8])
+@pytest.mark.parametrize("when", [0.02, 0.9, 1.1, 1.7])
+def test_a_step_in_time_is_enclosed_by_an_interval_that_cannot_matter(when, tol):
+    path, known = cg.solve(stepped(when), tol=tol), cg.solve(stepped(when, breakpoints=[when]), tol=1e-12)
+    times = np.linspace(0, 2, 1001)
+    assert np.max(np.abs(path(times) - known(times))) <= 2 * tol * np.max(np.abs(known.x))
+    i = int(np.searchsorted(path.t, when))
+    assert path.t[i] - path.t[i - 1] < tol
+
+
 @pytest.mark.parametrize("when", [0.9, 1.1, 1.7])
 def test_a_step_in_time_is_refused_with_its_time(when):
-    problem = cg.BoundaryProblem(
-        lambda t, x, v: v[0] ** 2 / 2 - ca.if_else(t < when, 1, 3) * x[0] ** 2 / 2, (0, 2), [1.0], [-0.5]
-    )
     with pytest.raises(cg.LimitReached, match=r"near t = .*breakpoint") as caught:
-        cg.solve(problem, tol=1e-3)
-    assert float(re.search(r"near t = (\S+),? ", str(caught.value))[1].rstrip(".,")) == pytest.approx(when, abs=1e-3)
+        cg.solve(stepped(when), tol=1e-12)
+    assert float(re.search(r"near t = (\S+),? ", str(caught.value))[1].rstrip(".,")) == pytest.approx(when, abs=1e-9)
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6])
+def test_a_singularity_in_time_at_an_end_is_resolved(tol):
+    """The brachistochrone by its height x(t), with t the depth: dx/dt is √(t / (2 r - t)), at first zero."""
+    fall = cg.BoundaryProblem(lambda t, x, v: ca.sqrt((1 + v[0] ** 2) / t), (0, 1), [0.0], [np.pi / 2 - 1])
+    path, angles = cg.solve(fall, tol=tol), np.linspace(0, np.pi / 2, 101)  # a cycloid of radius 1
+    assert np.max(np.abs(path(1 - np.cos(angles))[0] - (angles - np.sin(angles)))) <= 2 * tol * (np.pi / 2 - 1)
 
 
 @pytest.mark.parametrize(("when", "tol"), [(0.4, 1e-3), (1.1, 1e-12), (1.7, 1e-12)])
