@@ -13,7 +13,7 @@ Some errors are common to both degrees, so that the difference does not show the
   and rates ρ, is zero.  If the nearest joint lies elsewhere, there may be no quadrature point between the two, and then
   neither path shows the difference.
 - Bounds of positions, which hold at nodes only.  Where a path exceeds one by ε between nodes, the error of the path is
-  about √ε.
+  about √ε; about ε for a component whose rate is controlled, which can follow its bound.
 - Bounds of controls and path constraints, which hold at quadrature points only: see `unseen_excess`.
 - The Hamiltonian, which is constant where nothing depends on time.  Its variation, times duration over cost, was
   measured to be of the order of D where both degrees switch at the same wrong time.
@@ -67,12 +67,16 @@ ROUNDOFF = 1e-15  # of positions and of impulses, relative to their sizes
 UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
 
 
-def position_excess(path: ControlTrajectory) -> np.ndarray:
-    """Largest distance of the positions from their bounds on each interval, relative to the components' sizes; (N,)."""
-    low, high = (np.array(side)[:, None, None] for side in path.problem.position_bounds)
+def position_errors(path: ControlTrajectory) -> np.ndarray:
+    """Errors of the path on each interval, (N,), because its positions exceed their bounds between the nodes."""
+    problem = path.problem
+    low, high = (np.array(side)[:, None, None] for side in problem.position_bounds)
     positions = path.polynomial.values_at_parts(sampling_parts(path.method.degree))
     outside = bound_excess(positions, low, high) / path.sizes[:, None, None]
-    return np.asarray(np.max(np.where(outside > ROUNDOFF, outside, 0.0), axis=(0, 2)))
+    excess = np.max(np.where(outside > ROUNDOFF, outside, 0.0), axis=2)
+    powers = np.full((len(excess), 1), 0.5)
+    powers[[problem.mechanical + i for i in problem.rates.sparsity_jac(3, 0).row()]] = 1.0
+    return np.asarray(np.max(excess**powers, axis=0))
 
 
 def bounded_values(path: ControlTrajectory, parts: np.ndarray) -> np.ndarray:
@@ -154,7 +158,7 @@ class HigherDegree:
     @cached_property
     def bound_errors(self) -> np.ndarray:
         """Errors of the path on each interval because bounds hold at nodes or points only, (N,); see the module."""
-        return np.asarray(np.maximum(np.sqrt(position_excess(self.path)), unseen_excess(self.path, self.higher)))
+        return np.asarray(np.maximum(position_errors(self.path), unseen_excess(self.path, self.higher)))
 
     @cached_property
     def control_misfit(self) -> np.ndarray:

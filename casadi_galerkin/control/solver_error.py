@@ -79,7 +79,7 @@ def newton_step(
     `sizes` are those of the unknowns.  The rounding is that of the terms of the equations, with random signs.
     """
     low, high, least, most = bounds.sides
-    report, kinds = graph.report(unknowns, data, of_equations), graph.chain.kinds
+    report, kinds, alike = graph.report(unknowns, data, of_equations), graph.chain.kinds, graph.chain.unknown_kinds
     to_bounds = _distances(unknowns, of_bounds, low, high)
     to_limits = _distances(report.equations, of_equations, least, most)
     free, active = (low < high) & (to_bounds > 0), np.isfinite(to_limits)
@@ -87,9 +87,12 @@ def newton_step(
     states = np.concatenate([graph.chain.fields[name].ravel() for name in ("x", "nodes", "momentum")])
     gaps = np.where(least == most, most - report.equations, np.copysign(to_limits, of_equations))
     multiplier_sizes = largest_of(np.abs(of_equations), kinds)[kinds]
+    row, column, slopes = _entries(graph.jacobian(unknowns, data)[1], active, free)
+    quantities = kinds[active][row] * (alike.max() + 1) + alike[free][column]
+    rounded = np.abs(slopes) <= EPS * largest_of(np.abs(slopes), quantities)[quantities]  # as of a control switched off
     moved, blurred, changed = _kkt_solution(
         _entries(graph.hessian(unknowns, data, 1.0, of_equations), free, free),
-        _entries(graph.jacobian(unknowns, data)[1], active, free),
+        (row, column, np.where(rounded, 0.0, slopes)),
         (stiffness, to_limits[active] / np.maximum(np.abs(of_equations[active]), TINY)),
         (-report.slope[free], gaps[active]),
         (sizes[free], multiplier_sizes[active]),

@@ -39,7 +39,8 @@ def check_absolute_values(running_cost: ca.Function, bounds: Bounds) -> None:
         if low[i] < 0 < high[i]:
             raise ValueError(
                 f"running_cost holds the absolute value of u[{i}], whose derivative jumps at zero: replace u[{i}] "
-                "by a - b with two controls a, b >= 0 (control_bounds), and its absolute value by a + b"
+                "by a - b with two controls a, b >= 0 (control_bounds), and its absolute value by a + b; for that of "
+                "another expression e, add e - a + b = 0 as a path_constraint"
             )
 
 

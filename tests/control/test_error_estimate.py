@@ -92,3 +92,28 @@ def test_a_duration_that_the_cost_hardly_knows_is_not_called_known():
     assert abs(path.t[-1] / 2 - 1) <= path.error_estimate
     with pytest.raises(cg.LimitReached, match=r"only the path changes: the cost is known to \de-\d+, .* cost_tol"):
         cg.solve(task, tol=1e-6, limits=cg.Limits(intervals=20))
+
+
+@pytest.mark.parametrize(("tol", "most"), [(1e-4, 20), (1e-6, 50)])
+def test_a_bound_of_a_component_whose_rate_is_controlled_needs_no_square_root(tol, most):
+    """Least ∫ (u² / 2 - 4 x) dt with dx/dt = u and x below a cap, where the path a t - 2 t² arrives at rest."""
+    cap = 0.3
+    rise, arrival = np.sqrt(8 * cap), np.sqrt(8 * cap) / 4
+    problem = cg.ControlProblem(
+        None,
+        (0, 1),
+        [0.0],
+        [0.0],
+        [None],
+        [None],
+        None,
+        rates=lambda t, x, v, u: u,
+        running_cost=lambda t, x, v, u: u**2 / 2 - 4 * x,
+        controls=1,
+        position_bounds=(-np.inf, cap),
+    )
+    path, times = cg.solve(problem, tol=tol), np.linspace(0, 1, 1001)
+    after = np.minimum(np.minimum(times, 1 - times), arrival)
+    error = np.max(np.abs(path(times)[0] - (rise * after - 2 * after**2))) / cap
+    assert error <= path.error_estimate <= tol
+    assert len(path.t) <= most

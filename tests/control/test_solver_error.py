@@ -182,3 +182,25 @@ def test_no_cost_is_called_known_that_units_keep_from_the_solver(tolerance):
         path = reached.path
     error = abs(path.cost / units["price"] / exact - 1)
     assert path.unseen_change > 0.3 * error * path.cost
+
+
+def test_a_control_without_effect_in_a_phase_does_not_hide_the_cost():
+    """A hopper, whose legs push only where a flag is one: in flight it is zero but for rounding."""
+    hop = cg.ControlProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - 9.81 * x[0],
+        (0, 0.8),
+        [0.5, 1.0],
+        [1.2, None],
+        [0, None],
+        [0, None],
+        force=lambda t, x, v, u: x[1] * u[0],
+        rates=lambda t, x, v, u: [0],
+        running_cost=lambda t, x, v, u: u[0] ** 2 / 100,
+        controls=1,
+        duration_bounds=(0.05, 2.0),
+        waypoints=[(0.3, [(0.5, 0.7), None])],
+        jumps=[(0.3, lambda x, v: ([x[0], 0], v))],
+    )
+    path = cg.solve(hop, tol=1e-6)
+    assert path.cost == pytest.approx(1.4554232430585838, rel=1e-9)  # a cubic to 0.7, then a throw to 1.2
+    assert path.unseen_change < 1e-9 * path.cost
