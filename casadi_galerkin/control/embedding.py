@@ -120,11 +120,6 @@ class ChainEmbedding:
         kinds = (self.points, self.either_end, self.both_ends, self.nodes, *self.crossings)
         return [place for place in kinds if place.count]
 
-    @property
-    def with_costs(self) -> list[int]:
-        """Indices in `inputs` of the kinds of places with a cost: the points and, with a terminal cost, both ends."""
-        return [0, 2] if self.chain.terminal_cost else [0]
-
     @cached_property
     def _all_outputs(self) -> list[PlaceLayout]:
         """Layouts of the outputs of the pointwise functions at all kinds of places, also those that do not exist.

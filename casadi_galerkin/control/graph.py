@@ -77,7 +77,7 @@ class ControlGraph:
         self._everything = ca.vertcat(self.unknowns, self.data)
         self.inputs = _split(ca.mtimes(made.matrix, self._everything), made.inputs)
         self._weights = ca.MX(ca.repmat(ca.DM(chain.method.element.weights).T, 1, chain.intervals))
-        costs = self._of_costs("value")
+        costs = self._evaluate("value", self.inputs)
         self.cost = ca.sum2(ca.horzcat(self._weights * costs[0], *costs[1:]))
         self._rows = self._evaluate("equations", self.inputs)
         summed = ca.mtimes(made.test.T, ca.veccat(*self._rows)) + ca.mtimes(made.linear, self.unknowns)
@@ -87,10 +87,6 @@ class ControlGraph:
         """Evaluate one pointwise Function at all kinds of places."""
         return [getattr(place, name)(*given) for place, *given in zip(self.terms, *arguments, strict=True)]
 
-    def _of_costs(self, name: str) -> list[ca.MX]:
-        """Evaluate one pointwise Function at the kinds of places with costs."""
-        return [getattr(self.terms[k], name)(self.inputs[k]) for k in self.embedding.with_costs]
-
     def _blocks(self, patterns: list[ca.Sparsity], entries: list[ca.MX]) -> ca.MX:
         """Blockdiag(·) of one matrix per place, from their nonzeros at all kinds of places."""
         kinds = zip(patterns, self.embedding.inputs, strict=True)
@@ -99,11 +95,8 @@ class ControlGraph:
 
     @cached_property
     def _gradients(self) -> ca.MX:
-        """[w_k ∇c_k], zero at places without costs."""
-        made = self.embedding
-        gradients = [ca.MX.zeros(len(a), place.count) for a, place in zip(made.active, made.inputs, strict=True)]
-        for k, gradient in zip(made.with_costs, self._of_costs("gradient"), strict=True):
-            gradients[k] = gradient
+        """[w_k ∇c_k], structurally zero at places without costs."""
+        gradients = self._evaluate("gradient", self.inputs)
         gradients[0] *= ca.repmat(self._weights, gradients[0].size1(), 1)
         return ca.veccat(*gradients)
 
