@@ -17,7 +17,7 @@ from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.homotopy import path_by_homotopy
 from casadi_galerkin.boundary.several_paths import Search
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import default_method, resized_mesh, resolving_interpolant
+from casadi_galerkin.calculus.mesh_adaptation import resized_mesh, resolving_interpolant
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.functional.statement import has_phase
@@ -158,7 +158,7 @@ def _by_descent(
     graphs: GraphCache, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike
 ) -> CriticalPoint:
     """Lower the action from a guess, and continue with Newton's method."""
-    transcribed = partial(graphs.transcription, default_method(DESCENT_DEGREE), mapping=by_rows)
+    transcribed = partial(graphs.transcription, Galerkin(DESCENT_DEGREE), mapping=by_rows)
     path = descend(transcribed, transcribed(mesh).guess_on_mesh(guess, mesh), DESCENT_TOLERANCE)
     mesh = resized_mesh(path.mesh, len(path.mesh) - 1, graphs.problem.breakpoints)  # descending moves the joints
     return graphs.solve(method, mesh, path, solver)

@@ -29,12 +29,7 @@ MESHES = 10  # most meshes that are tried until one resolves a function
 TARGET = 0.3  # a new mesh aims at this part of the tolerance
 
 
-@lru_cache(32)
-def default_method(degree: int) -> Galerkin:
-    """The default method of a degree; cached, so that its basis is computed once."""
-    return Galerkin(degree)
-
-
+@lru_cache(32)  # so that its basis is computed once
 def higher_degree_method(degree: int) -> Galerkin:
     """The method whose path on the same mesh is compared with one of this degree, to estimate the error of that.
 
@@ -42,12 +37,13 @@ def higher_degree_method(degree: int) -> Galerkin:
     narrower than its interval they showed an eighth of the error.  At high degrees two are enough, and four add to the
     roundoff.
     """
-    return default_method(degree + (4 if degree < LOW else 2))
+    return Galerkin(degree + (4 if degree < LOW else 2))
 
 
+@lru_cache(32)
 def method_for(tol: float) -> Galerkin:
     """The default method for a tolerance: of low degree for a loose one, of high degree for a tight one."""
-    return default_method(int(np.clip(np.ceil(2 - np.log10(tol)), 4, 14)))
+    return Galerkin(int(np.clip(np.ceil(2 - np.log10(tol)), 4, 14)))
 
 
 @lru_cache(maxsize=64)
