@@ -296,9 +296,7 @@ class ControlTrajectory(DrivenTrajectory):
     @cached_property
     def _cost_of_forces(self) -> float:
         """Cost of forces and rates that would change momenta and first-order components by their sizes."""
-        mechanical = self.problem.mechanical
-        states = np.vstack((self.momentum[:mechanical], self.x[mechanical:]))
-        return float(np.max(np.abs(self.costate.values), axis=1) @ np.max(np.abs(states), axis=1))
+        return float(np.max(np.abs(self.costate.values), axis=1) @ np.max(np.abs(self._momenta), axis=1))
 
     @property
     def _truncation_error(self) -> np.ndarray:
