@@ -34,7 +34,7 @@ from casadi_galerkin.problems.bounds import (
 )
 from casadi_galerkin.problems.callables import Traceable, arguments, of_nothing, trace, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
-from casadi_galerkin.problems.crossings import Crossing, Pairs, Waypoint, crossings_of, jumps_of, waypoints_of
+from casadi_galerkin.problems.crossings import Crossing, Pairs, Waypoint, is_limited, jumps_of, waypoints_of
 from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
 from casadi_galerkin.problems.problem import section_times, with_changes, with_values
 
@@ -226,7 +226,8 @@ class ControlProblem:
     @property
     def crossings(self) -> tuple[Crossing, ...]:
         """Breakpoints at which the velocity is an unknown: those of jumps, and of waypoints that are functions."""
-        return crossings_of(self.waypoints, self.jumps)
+        conditions, laws = {t: place for t, place in self.waypoints if is_limited(place)}, dict(self.jumps)
+        return tuple(Crossing(t, conditions.get(t), laws.get(t)) for t in sorted({*conditions, *laws}))
 
     @property
     def _along(self) -> list[ca.Function]:

@@ -42,15 +42,6 @@ class Crossing:
         return [(name, function) for name, function in both if function is not None]
 
 
-def crossings_of(
-    waypoints: tuple[tuple[float, Pairs | Limited], ...], jumps: tuple[tuple[float, ca.Function], ...]
-) -> tuple[Crossing, ...]:
-    """Breakpoints with jumps, or with waypoints that are functions, in the order of time."""
-    conditions = {t: place for t, place in waypoints if is_limited(place)}
-    laws = dict(jumps)
-    return tuple(Crossing(t, conditions.get(t), laws.get(t)) for t in sorted({*conditions, *laws}))
-
-
 def is_limited(place: Any) -> TypeGuard[Limited]:
     """Whether a waypoint is a function with bounds, not positions."""
     return callable(place) or (isinstance(place, (tuple, list)) and len(place) > 0 and callable(place[0]))
