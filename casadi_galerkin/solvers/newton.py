@@ -25,7 +25,6 @@ NEWTON = "Newton"  # its report
 NEARLY_CONVERGED = 1e-6  # relative step from which the next iterate can be at roundoff
 QUADRATIC = 1e-3  # relative step from which convergence should be quadratic: it needs no line search
 SHORT, CONTRACTION = 0.3, 0.25  # a shorter relative step is taken in full if the next one is smaller by this factor
-NEARLY_FULL = 0.5  # forecast of the damping from which a short step is first tried in full: forecasts are cautious
 SMALLEST_DAMPING = 1e-7
 UNCHANGED = 1e-8  # part of a component, or change of ∇²S over its entries, that may count as none
 BLURRED = 1e-3  # part of a component that the rounding of its equations may change
@@ -113,15 +112,13 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
             solution = _with_rounded_components(linear, at, data, iteration)
             if solution is not None:
                 return solution
-        last, short, whole = at.norm, at.norm < SHORT, None
-        if damping == 1.0 and short:
+        last, whole = at.norm, None
+        if damping == 1.0 and at.norm < SHORT:
             whole = linear.newton_step(at.unknowns + at.step, data)
         if whole is not None and _contracts(last, whole.norm):
             trial, forecast = whole, 1.0
         else:
             linear.return_to(at)
-            if short and damping > NEARLY_FULL:
-                damping = 1.0
             x, simplified, damping = _line_search(linear, at, damping, data, iteration)
             trial = whole if whole is not None and damping == 1.0 else linear.newton_step(x, data)
             linear.return_to(trial)
