@@ -57,7 +57,6 @@ SOFT, ERRORS = 1e-3, 10.0
 SMALLEST, LARGEST = -2.0, 5.0  # powers of two between which the amplitude of a random guess lies
 # the amplitudes until a path is found, in turn: small ones lead to paths of less action and a smaller index
 GROWING = 2 ** np.arange(SMALLEST, LARGEST + 1)
-STIFFEST = 1e8  # largest entry of the Hessian over that at the paths, above which roundoff dominates
 SHOWN = 6  # paths in a repr
 FINER = "a higher degree or more intervals may"
 
@@ -218,19 +217,13 @@ class Search:
         self.known: list[np.ndarray] = []  # unknowns of all critical points and their images, also of those dropped
         self.solves = self.curves = self.unresolved = self.singular = self.iterations = 0
         self.failure: ConvergenceError | None = None
-        self.stiffest = 0.0
         self.parts = DiscreteCalculus(transcription.method, mesh).node_parts
         self.measure(transcription.guess_on_mesh(None, mesh).values)
 
     def measure(self, *values: np.ndarray) -> None:
-        """Set the sizes of components, of unknowns and of the Hessian to their largest on some paths."""
+        """Set the sizes of components and of unknowns to their largest on some paths."""
         self.component_sizes = np.max([component_sizes(of_path) for of_path in values], axis=0)
-        sizes = [self.stationarity.sizes(self.unknowns(of_path), self.data) for of_path in values]
-        self.sizes = np.max(sizes, axis=0)
-        with self.stationarity.linearization() as at:
-            at.relinearize(self.unknowns(values[-1]), self.data)
-            largest = np.max(np.abs(at.matrix), initial=0.0)
-        self.stiffest = max(self.stiffest, STIFFEST * largest if np.isfinite(largest) else np.inf)
+        self.sizes = np.max([self.stationarity.sizes(self.unknowns(of_path), self.data) for of_path in values], axis=0)
 
     def unknowns(self, values: np.ndarray) -> np.ndarray:
         """Unknowns ξ from node values (d, N m + 1)."""
@@ -297,7 +290,7 @@ class Search:
     def along_residual_load(self) -> Iterator[Solution]:
         """All paths on the curve from a random guess, which a load makes an equilibrium, as the load is removed."""
         with self.stationarity.linearization() as at:
-            curve = residual_load_curve(at, self.guess(next(self.amplitudes)), self.data, self.stiffest)
+            curve = residual_load_curve(at, self.guess(next(self.amplitudes)), self.data)
             yield from curve.stationary_paths(-1.0, "Newton, along the load of a random guess")
             self.iterations += curve.iterations
 
@@ -310,7 +303,7 @@ class Search:
         self.curves += 1
         values, report = self.start.polynomial.values, f"Newton, along a load from action {self.start.action:.6g}"
         with self.stationarity.linearization() as at:
-            curve = LoadedCurve(at, self.begun, 0.0, self.data, self.load, self.sizes, self.stiffest)
+            curve = LoadedCurve(at, self.begun, 0.0, self.data, self.load, self.sizes)
             for solution in curve.stationary_paths(-1.0 if again else 1.0, report):
                 if self.same(self.values(solution.unknowns), values):
                     return  # the curve is closed
