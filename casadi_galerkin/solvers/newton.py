@@ -26,7 +26,7 @@ NEARLY_CONVERGED = 1e-6  # relative step from which the next iterate can be at r
 QUADRATIC = 1e-3  # relative step from which convergence should be quadratic: it needs no line search
 SHORT, CONTRACTION = 0.3, 0.25  # a shorter relative step is taken in full if the next one is smaller by this factor
 SMALLEST_DAMPING = 1e-7
-UNCHANGED = 1e-8  # part of a component, or change of ∇²S over its entries, that may count as none
+UNCHANGED = 1e-8  # change of ∇²S over its entries that may count as none
 BLURRED = 1e-3  # part of a component that the rounding of its equations may change
 LAST_STEPS = 10  # most steps once components that are rounding alone are set to zero: the path is near by then
 DRIFT = 10.0  # bound of the second variation's change, over what the last two steps show; along families at most 0.7
@@ -107,7 +107,7 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
             solution = verified(linear, end, data, iteration, NEWTON, drift)
             if solution is not None:
                 _report(iteration, at.norm, damping, verbose)
-                return _without_tiny_components(linear, at, data, iteration) or solution
+                return solution
         if at.norm >= last / 2:
             solution = _with_rounded_components(linear, at, data, iteration)
             if solution is not None:
@@ -132,17 +132,6 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
 def _contracts(norm: float, then: float) -> bool:
     """Whether a short full step is accepted for the length of the next one, without a line search."""
     return math.isfinite(then) if norm < QUADRATIC else then <= CONTRACTION * norm
-
-
-def _without_tiny_components(linear: Linearization, at: Iterate, data: Data, iterations: int) -> Solution | None:
-    """The solution with zeros where a component that is tiny beside others is rounding alone; None otherwise."""
-    numbering = linear.stationarity.functional.numbering
-    sizes = at.sizes[: numbering.positions]
-    if not (len(sizes) and sizes.min() < UNCHANGED * sizes.max()):
-        return None
-    largest = _of_components(numbering, np.abs(at.unknowns))
-    tiny = (largest > 0) & (largest < UNCHANGED * np.max(largest))
-    return _with_zero_components(linear, at, data, iterations, tiny)
 
 
 def _with_rounded_components(linear: Linearization, at: Iterate, data: Data, iterations: int) -> Solution | None:
