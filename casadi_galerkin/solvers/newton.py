@@ -25,6 +25,7 @@ NEWTON = "Newton"  # its report
 NEARLY_CONVERGED = 1e-6  # relative step from which the next iterate can be at roundoff
 QUADRATIC = 1e-3  # relative step from which convergence should be quadratic: it needs no line search
 SHORT, CONTRACTION = 0.3, 0.25  # a shorter relative step is taken in full if the next one is smaller by this factor
+STRONG_CONTRACTION = 0.1  # the factor for a long first step: from a straight line, all steps are long
 SMALLEST_DAMPING = 1e-7
 UNCHANGED = 1e-8  # change of ∇²S over its entries that may count as none
 BLURRED = 1e-3  # part of a component that the rounding of its equations may change
@@ -113,7 +114,7 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
             if solution is not None:
                 return solution
         last, whole = at.norm, None
-        if damping == 1.0 and at.norm < SHORT:
+        if damping == 1.0 and (at.norm < SHORT or iteration == 1):
             whole = linear.newton_step(at.unknowns + at.step, data)
         if whole is not None and _contracts(last, whole.norm):
             trial, forecast = whole, 1.0
@@ -130,8 +131,10 @@ def _iterate(linear: Linearization, guess: np.ndarray, data: Data, verbose: int,
 
 
 def _contracts(norm: float, then: float) -> bool:
-    """Whether a short full step is accepted for the length of the next one, without a line search."""
-    return math.isfinite(then) if norm < QUADRATIC else then <= CONTRACTION * norm
+    """Whether a full step is accepted for the length of the next one, without a line search."""
+    if norm < QUADRATIC:
+        return math.isfinite(then)
+    return then <= norm * (CONTRACTION if norm < SHORT else STRONG_CONTRACTION)
 
 
 def _with_rounded_components(linear: Linearization, at: Iterate, data: Data, iterations: int) -> Solution | None:
