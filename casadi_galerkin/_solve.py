@@ -137,8 +137,8 @@ def solve(
         raise ValueError(f"starts is for a ControlProblem, got {starts!r}; {several}")
     tolerance = _tolerance(problem, tol, cost_tol)
     if isinstance(problem, InitialProblem):
-        left_out = {"tol": tol, "limits": limits, "guess": guess, "solver": solver}
-        extra = [name for name, value in left_out.items() if value is not None]
+        options = {"tol": tol, "limits": limits, "guess": guess, "solver": solver}
+        extra = [name for name, value in options.items() if value is not None]
         if extra:
             raise ValueError(f"an InitialProblem is solved step by step, and takes no {' and '.join(extra)}")
         if method is None:

@@ -230,7 +230,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             return
         needs = f"intervals of {max(steps[i], 0.0):.1e}" if few else f"{len(steps)} intervals"
         crowded = steps[i] < CROWDED * duration
-        sharp = f", the shortest near t = {mesh[i]:.9g}. {self.not_smooth(mesh[i], level)}" if crowded else ""
+        sharp = f", the shortest near t = {mesh[i]:.9g}. {self.not_smooth(mesh[i], duration)}" if crowded else ""
         magnified = ": the ends are nearly conjugate" if estimate.trusted and estimate.error > 1 else ""
         source = f"estimated from {estimate.source}{magnified}{sharp}"
         reason = f"the mesh would need {needs} for an error of {estimate.error:.1e}, {source}"
@@ -247,15 +247,13 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         count = count + 1 if worst > last / 2 and abs(when - place) <= width + step else 0
         self.stagnation[source] = worst, when, step, count
         if count == patience or hidden:
-            where, not_smooth = f"near t = {when:.9g}", self.not_smooth(when, level)
+            where, not_smooth = f"near t = {when:.9g}", self.not_smooth(when, duration)
             reason = f"an error of {worst:.1e} {where}, measured by the {source}, stays on any mesh. {not_smooth}"
             raise self.stopped(reason, level, worst)
 
-    def not_smooth(self, when: float, level: CriticalPoint) -> str:
-        """Say why the error near a time may not fall; and see whether the path has a pole, which other paths avoid."""
-        indicators = scaled_indicators(self.graphs.problem, level.polynomial, level.momentum)
-        self.at_pole = bool(np.any(indicators["Lagrangian between points"]))
-        rule, duration = self.method.quadrature, np.ptp(level.polynomial.mesh)
+    def not_smooth(self, when: float, duration: float) -> str:
+        """Say why the error near a time may not fall."""
+        rule = self.method.quadrature
         beside = [
             time for time in self.graphs.problem.breakpoints if abs(time - when) <= BREAKPOINT_DISTANCE * duration
         ]
@@ -286,18 +284,23 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         try:
             return self.by_the_first(strategies, [])
         except LimitReached as reached:
-            if guess is not None or not self.at_pole:
+            if guess is not None or self.out_of_time() or not self.at_pole(self.best[0]):
                 raise
             limit = reached
-        try:
+        try:  # with the strategies that are left
             return self.by_the_first((search for search in strategies if search.name == RANDOM), [limit])
         except ConvergenceError:
             raise limit from None
 
+    def at_pole(self, level: CriticalPoint) -> bool:
+        """Whether a path leads through a pole of L, which other paths avoid."""
+        indicators = scaled_indicators(self.graphs.problem, level.polynomial, level.momentum)
+        return bool(np.any(indicators["Lagrangian between points"]))
+
     def by_the_first(self, strategies: Iterable[Strategy], failures: list[ConvergenceError]) -> Trajectory:
         """Refine the path of the first strategy that leads to one; `failures` are those of earlier strategies."""
         for strategy in strategies:
-            began, before, first, self.at_pole = time.perf_counter(), self.iterations, None, False
+            began, before, first = time.perf_counter(), self.iterations, None
             try:
                 with until(self.deadline):
                     first = strategy.find()

@@ -54,8 +54,8 @@ class ControlProblem:
     controls : number of controls, the length of u
     terminal_cost : callable (t, x, v) -> scalar, added to the cost with the values at the end
     control_bounds : (lo, hi), each a scalar or one number per control; held at the quadrature points
-    position_bounds : (lo, hi), each a scalar or one number per component; held at the joints
-        and the control points between them.  An end beyond them by rounding is put on them
+    position_bounds : (lo, hi), each a scalar or one number per component; held at the joints and the
+        control points between them.  An end beyond them by rounding is put on them
     path_constraint : (g, lo, hi) with g(t, x, v, u) -> scalar or vector; held at the quadrature points
     duration_bounds : (lo, hi) with 0 < lo, each a scalar or one number per phase; frees the duration of every phase
     constraint : callable (t, x) -> k values that are zero all along the path (holonomic), as for `BoundaryProblem`; for
