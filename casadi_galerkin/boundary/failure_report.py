@@ -9,7 +9,7 @@ import numpy as np
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.embedding import embedding
 from casadi_galerkin.functional.functional import Functional
-from casadi_galerkin.functional.numbering import Data, joints_of
+from casadi_galerkin.functional.numbering import Data, Numbering, joints_of
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
@@ -53,12 +53,23 @@ def refuse_undefined(functional: Functional, solution: Solution, path: Piecewise
     )
 
 
-def conjugate(solution: Solution, path: PiecewisePolynomial, quotient: float) -> ConjugatePointError:
+def _isolate(numbering: Numbering) -> str:
+    """What to change in a problem so that one path is the only one near it."""
+    if numbering.periodic and not numbering.stretched:
+        return (
+            "A periodic path may begin anywhere on its orbit: give its energy instead of its period, or one component "
+            "of its start, and compare the momenta at both ends"
+        )
+    return "Move an end, change the time span, or fix a component that a symmetry leaves free"
+
+
+def conjugate(
+    numbering: Numbering, solution: Solution, path: PiecewisePolynomial, quotient: float
+) -> ConjugatePointError:
     """Report that the second variation vanishes at a path that was found."""
     return ConjugatePointError(
         f"the second variation of the action vanishes (relative size {quotient:.0e}): the ends are conjugate points, "
-        "or a family of paths joins them. Move an end, change the time span, or fix a component that a symmetry leaves "
-        "free",
+        f"or a family of paths joins them. {_isolate(numbering)}",
         Path(path),
         solution.residual,
         solution.iterations,
@@ -90,8 +101,8 @@ def explained(
     if failure.singular:
         kind = ConjugatePointError
         words = (
-            f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free: "
-            "move an end, change the time span, or fix that component"
+            f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free. "
+            f"{_isolate(numbering)}"
         )
     if numbering.multipliers:
         words += "; the constraints and the conditions on the ends may contradict one another, or say one thing twice"

@@ -137,7 +137,7 @@ class BoundaryGraph:
         """Raise if the second variation vanishes at a critical point."""
         quotient = smallest_second_variation(self.stationarity, point.solution.unknowns, point.solution.data)
         if quotient < SINGULAR:
-            raise conjugate(point.solution, point.polynomial, quotient)
+            raise conjugate(self.numbering, point.solution, point.polynomial, quotient)
 
     def guess_on_mesh(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:
         """Put a guess on a mesh, bent to meet the ends."""

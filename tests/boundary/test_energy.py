@@ -351,3 +351,9 @@ def test_a_duration_that_times_far_from_zero_cannot_hold_is_at_its_roundoff_floo
         cg.solve(orbit, tol=1e-10)
     path = cg.solve(orbit, tol=1e-6)
     assert path.t[-1] - began == pytest.approx(np.pi / 2, rel=1e-6)
+
+
+def test_a_periodic_path_of_given_period_that_may_begin_anywhere_is_told_how_to_fix_its_phase():
+    problem = cg.BoundaryProblem(pendulum, (0, 7.0), [None], periodic=True)
+    with pytest.raises(cg.ConjugatePointError, match=r"begin anywhere .* give its energy instead of its period"):
+        cg.solve(problem, tol=1e-8, guess=lambda t: [1.2 * np.cos(2 * np.pi * t / 7.0)])
