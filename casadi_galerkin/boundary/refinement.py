@@ -127,7 +127,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
         The estimate is the first of these that is above the tolerance: the truncation error; an error indicator that
         does not depend on the equations; the difference to a path of higher degree, together with roundoff; and the
-        disagreement of the responses to forces.  Only the difference to a higher degree is trusted as an error.
+        disagreement of the responses to forces.  Above the tolerance, only the difference to a higher degree is
+        trusted as an error.  Below it, the largest indicator counts as well: beside jumps that nobody named the
+        difference was measured up to 40 times smaller than the error.
         """
         path = level.polynomial
         truncation = truncation_error(path)
@@ -149,7 +151,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             self.check_stagnation(level, source, indicator, INDICATOR_PATIENCE)
             parts = parts_wanted(indicator, 1, self.tol)  # at a kink it falls in proportion to the step
             return Estimate(float(np.max(indicator)), False, source, parts)
-        error = max(error, float(np.max(indicators["force"])))
+        error = max(error, float(np.max(indicator)))
         if error <= self.tol and not self.degrees_agree(level, varied, floor):
             return Estimate(1 - self.agreements[-1], False, "responses to forces", np.full(len(truncation), 2.0))
         truncation *= error / max(np.max(truncation), 1e-300)
