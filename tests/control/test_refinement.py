@@ -467,3 +467,14 @@ def test_two_controls_may_switch_at_the_same_time():
 )
 def test_times_with_values_are_a_guess_for_any_mesh_and_values_alone_are_not(guess, fits):
     assert fits_any_mesh(guess) is fits
+
+
+@pytest.mark.parametrize("wall", [0.05, 0.02])
+def test_a_path_along_a_wall_that_hardly_pushes_it_is_as_in_closed_form(wall):
+    """IPOPT's own last barrier kept it 1e-5 off the wall, at a cost of 1e-12 (Bryson and Ho, section 3.11)."""
+    problem = double_integrator(end=[0.0], start_velocity=[1.0], end_velocity=[-1.0], position_bounds=(-np.inf, wall))
+    path, times = cg.solve(problem, tol=1e-6), np.linspace(0, 1, 1001)
+    reached = np.minimum(np.minimum(times, 1 - times) / (3 * wall), 1)
+    exact = wall * (1 - (1 - reached) ** 3)
+    assert np.max(np.abs(path(times)[0] - exact)) <= path.error_estimate * wall
+    assert path.error_estimate <= 1e-6
