@@ -6,7 +6,7 @@ Iterations of failed solves are counted, and the report of the solution names wh
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 DURATION_FACTORS = 4.0, 16.0
 # Parts of the way from the straight line to the guess for the retries after a failure: of 40 random guesses for an
 # acrobot, 29 lead to an optimum without them, 35 with the first, and 40 with both.
-GUESS_SHARES = 0.5, 0.0
+GUESS_SHARES = {"halfway between the straight line and the guess": 0.5, "the straight line between the ends": 0.0}
 
 
 def with_ipopt_fallback(solver: Solver, solved: Callable[[Solver], ControlTrajectory]) -> ControlTrajectory:
@@ -43,40 +43,15 @@ def with_ipopt_fallback(solver: Solver, solved: Callable[[Solver], ControlTrajec
         return replace(path, solver=f"{path.solver}, after {stopped}", iterations=failure.iterations + path.iterations)
 
 
-@dataclass(frozen=True)
-class Beginning:
-    """Where a solve begins.
-
-    Attributes
-    ----------
-    longer : factor on the durations of the guess, where they are free
-    share : part of the way from the straight line between the ends to the guess
-    """
-
-    longer: float = 1.0
-    share: float = 1.0
-
-    def __str__(self) -> str:
-        """Say how it differs from the guess."""
-        if self.share == 0:
-            return "the straight line between the ends"
-        if self.share < 1:
-            return "halfway between the straight line and the guess"
-        return f"{self.longer:g} times the duration of the guess"
-
-
-AS_GUESSED = Beginning()
-
-
 def retry_from_other_guesses(
-    problem: ControlProblem, guess: Guess | None, solved: Callable[[Beginning], ControlTrajectory]
+    problem: ControlProblem, guess: Guess | None, solved: Callable[..., ControlTrajectory]
 ) -> ControlTrajectory:
     """Solve from a guess; where that fails, from halfway to the straight line, from this, or with longer durations.
 
     Parameters
     ----------
     problem, guess : arguments of the solve
-    solved : solves from a `Beginning`
+    solved : solves from a beginning, by the names `longer` and `share` of `ControlTranscription.starting_point`
 
     Raises
     ------
@@ -84,9 +59,9 @@ def retry_from_other_guesses(
         of the solve from the guess, with the other beginnings that were tried
     """
     tried, failures = list[str](), list[ConvergenceError]()
-    for beginning in _beginnings(problem, guess):
+    for name, beginning in _beginnings(problem, guess).items():
         try:
-            path = solved(beginning)
+            path = solved(**beginning)
         except ConvergenceError as failure:
             failures.append(failure)
             if seconds_left() < 0:
@@ -97,10 +72,10 @@ def retry_from_other_guesses(
         else:
             if not failures:
                 return path
-            report = f"{path.solver}, from {beginning}"
+            report = f"{path.solver}, from {name}"
             iterations = path.iterations + sum(failure.iterations for failure in failures)
             return replace(path, solver=report, iterations=iterations)
-        tried.append(str(beginning))
+        tried.append(name)
     first, others = failures[0], tried[1:]
     if not others:
         raise first
@@ -108,21 +83,21 @@ def retry_from_other_guesses(
     raise ConvergenceError(words, first.path, first.residual, sum(failure.iterations for failure in failures))
 
 
-def _beginnings(problem: ControlProblem, guess: Guess | None) -> list[Beginning]:
-    """The guess, and the other beginnings in their order.
+def _beginnings(problem: ControlProblem, guess: Guess | None) -> dict[str, dict[str, float]]:
+    """The guess, and then the other beginnings by name.
 
     There are none for an earlier solution, and no longer durations where these are unbounded, because the cost may then
     decrease without a limit.
     """
-    bounds, beginnings = problem.duration_bounds, [AS_GUESSED]
+    bounds, beginnings = problem.duration_bounds, dict[str, dict[str, float]](guess={})
     if isinstance(guess, ControlTrajectory):
         return beginnings
     if guess is not None:
-        beginnings += [Beginning(share=share) for share in GUESS_SHARES]
+        beginnings |= {name: {"share": share} for name, share in GUESS_SHARES.items()}
     if bounds is not None and np.isfinite(bounds[1]).all():
         last, longest = 1.0, float(np.max(np.divide(bounds[1], np.diff(section_times(problem)))))
         for factor in DURATION_FACTORS:
             if min(factor, longest) >= 2 * last:  # else it is almost the same guess again
                 last = min(factor, longest)
-                beginnings.append(Beginning(longer=last))
+                beginnings[f"{last:g} times the duration of the guess"] = {"longer": last}
     return beginnings

@@ -28,7 +28,7 @@ from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, with_ends
-from casadi_galerkin.control.retries import AS_GUESSED, Beginning, retry_from_other_guesses, with_ipopt_fallback
+from casadi_galerkin.control.retries import retry_from_other_guesses, with_ipopt_fallback
 from casadi_galerkin.control.second_variation import CostVariation
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap, by_rows
@@ -173,8 +173,8 @@ class ControlTranscription:
         if problem.parameters != self.problem.parameters:  # masses may depend on them
             check_mass(problem)
 
-        def solved(beginning: Beginning) -> ControlTrajectory:
-            begun = self.starting_point(problem, calculus, guess, beginning)
+        def solved(**beginning: float) -> ControlTrajectory:
+            begun = self.starting_point(problem, calculus, guess, **beginning)
             return with_ipopt_fallback(
                 solver, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began)
             )
@@ -266,9 +266,10 @@ class ControlTranscription:
         problem: ControlProblem,
         calculus: DiscreteCalculus,
         guess: Guess | None,
-        beginning: Beginning = AS_GUESSED,
+        longer: float = 1.0,
+        share: float = 1.0,
     ) -> StartingPoint:
-        """The starting point of a solve from a guess.
+        """The starting point of a solve from a guess: on a part of the way to it from the straight line, or longer.
 
         The equations of motion are scaled by the sizes of their terms along the guess, so that the absolute tolerance
         of the solver does not depend on units.  These sizes are limited to ten times those on the straight line
@@ -277,7 +278,6 @@ class ControlTranscription:
         of the guess are minus the residuals of the equations of the joints with momenta of zero.
         """
         chain, near = self.chain, near_answer(guess, self.chain, calculus)
-        longer, share = beginning.longer, beginning.share
         values = straight = first_values(problem, chain, calculus, guess, near, longer)
         wild = guess is not None and near is None  # or noisy; the straight line is not
         if wild:
