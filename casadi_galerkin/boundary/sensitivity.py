@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.boundary.transcription import transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted
-from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import relative_residuals
 from casadi_galerkin.solution.guess import Guess
@@ -40,7 +39,7 @@ def boundary_function(
     transcription.trajectory(point, 0.0)  # refuses a singular Hessian
     functional, numbering = transcription.functional, transcription.numbering
     unknowns, known = point.solution.unknowns, point.solution.data
-    weights = EPS / transcription.stationarity.gradient_and_floor(unknowns, known)[1]
+    weights = 1 / transcription.stationarity.sizes_of_terms(unknowns, known)
     symbols = functional.symbols
     data = {name: symbols[name] for name in ("start", "end", "parameters") if name in symbols}
     joints = {"mesh": ca.DM(known[2])} | ({"given": ca.DM(known[-1])} if "given" in symbols else {})

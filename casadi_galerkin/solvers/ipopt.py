@@ -10,7 +10,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import Data
@@ -82,12 +81,8 @@ def _units(stationarity: Stationarity, guess: np.ndarray, data: Data) -> tuple[n
 
     The largest term would not do: on a graded mesh it belongs to its shortest interval.
     """
-    _, floor = stationarity.gradient_and_floor(guess, data)
-    sizes = stationarity.sizes(guess, data)
+    sizes, terms = stationarity.sizes(guess, data), stationarity.sizes_of_terms(guess, data)
     measured = np.isfinite(sizes)
-    matrix = stationarity.functional.function("hessian")(guess, *data)
-    changes = np.array(ca.mtimes(ca.fabs(matrix), np.where(measured, sizes, 0.0))).ravel()
-    terms = np.fmax(floor / EPS, changes)  # at a guess that is zero there are no terms yet
     unit = float(np.median((sizes * terms)[measured])) if np.any(measured) else 1.0
     unit = unit if 0 < unit < np.inf else 1.0
     return np.where(measured, sizes, unit / terms), unit  # a multiplier by what gives its row terms of that size

@@ -185,13 +185,20 @@ class LinearSolver:
 
         It is eps times the sizes of the terms that ∇S sums, and times |∇²S||ξ|, because the rounding of ξ itself
         counts.  |ξ| stands for the size of each unknown's component along the path.  A component that counts as zero
-        is measured by `ZERO`: relative to its own size, its residual would never come down to roundoff.
+        is measured by `ZERO`: relative to its own size, its residual would never come down to roundoff.  A multiplier
+        is at least as large as the terms it balances.
         """
         inputs = self.symbols("matrix", "u", "terms")
         matrix, u, terms = inputs.values()
-        further = u[self.numbering.positions : self.numbering.free]
-        scale = ca.fmax(self._expanded(self.largest(u), ca.fabs(further)), ZERO)
-        product = ca.mtimes(ca.fabs(matrix), scale)
+        positions, last = self.numbering.positions, self.numbering.positions + self.numbering.multipliers
+        scale = ca.fmax(self._expanded(self.largest(u), ca.fabs(u[positions : self.numbering.free])), ZERO)
+        sizes = ca.fabs(matrix)
+        if self.numbering.multipliers:
+            acting, stiffness = sizes[:positions, positions:last], ca.fmax(ca.diag(sizes)[:positions], ZERO)
+            balanced = terms[:positions] + ca.mtimes(sizes[:positions, :positions], scale[:positions])
+            largest = ca.mtimes(acting.T, balanced / stiffness) / (ca.mtimes((acting**2).T, 1 / stiffness) + TINY)
+            scale[positions:last] = ca.fmax(scale[positions:last], largest)
+        product = ca.mtimes(sizes, scale)
         outputs = {"floor": EPS * (terms + product) + TINY, "scale": scale, "product": product}
         return self._function("floor", inputs, outputs)
 

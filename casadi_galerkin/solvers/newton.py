@@ -310,6 +310,12 @@ def _failed(linear: Linearization, at: Iterate, data: Data, iteration: int, reas
     """Report why there is no solution: a singular Hessian, whose steps are anything, or else another reason."""
     if softest(linear, at.unknowns, data)[1] < SINGULAR:
         return SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=True)
+    numbering = linear.stationarity.functional.numbering
+    changes, sizes = (_of_components(numbering, values) for values in (np.abs(at.step) / at.sizes, at.sizes))
+    going = np.flatnonzero(changes**2 > EPS)
+    if 0 < len(going) < len(changes):
+        rest = ", ".join(f"x[{i}], of size {sizes[i]:.1e}" for i in going)
+        reason += f", though all has converged but {rest}: rounding of the others may be all that moves it"
     return SolveFailure(reason, at.unknowns, iteration)
 
 

@@ -16,7 +16,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
@@ -83,7 +82,7 @@ def casadi_root(
     stationarity: Stationarity, guess: np.ndarray, data: Data, verbose: int = 0, **options: Any
 ) -> Solution:
     """CasADi's Newton method, verified; arguments and failures are those of a `Solver`."""
-    rows = EPS / stationarity.gradient_and_floor(guess, data)[1]
+    rows = 1 / stationarity.sizes_of_terms(guess, data)
     with stationarity.linearization() as at:
         near, last = at.keep(
             f"rootfinder {sorted(options.items())}", lambda: casadi_newton(stationarity.functional, options)

@@ -112,6 +112,15 @@ class Stationarity:
         gradient, floor = self.floor.call([unknowns, *data])
         return np.array(gradient).ravel(), np.array(floor).ravel()
 
+    def sizes_of_terms(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
+        """Size of the terms of every entry of ∇S, a component that is zero counting as one, by which to scale it; (n,).
+
+        At a guess that is zero there are no terms yet.
+        """
+        sizes, matrix = self.sizes(unknowns, data), self.functional.function("hessian")(unknowns, *data)
+        changes = np.array(ca.mtimes(ca.fabs(matrix), np.where(np.isfinite(sizes), sizes, 0.0))).ravel()
+        return np.asarray(np.fmax(self.gradient_and_floor(unknowns, data)[1] / EPS, changes))
+
     def sizes(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Size of every unknown: that of its component in the path, or one where that is zero; (n,)."""
         return np.array(self.linear_solver.sizes(joined(unknowns, data))[0]).ravel()
@@ -295,14 +304,15 @@ class Linearization:
         return [y + correction for y, correction in zip(solutions, self.solve(*residuals), strict=True)]
 
     def rounding_samples(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
-        """Changes of ∇S where the unknowns are rounded in other ways, one for each choice of signs; evaluates ∇S.
+        """Changes of ∇S where unknowns and ends are rounded in other ways, one for each choice of signs; evaluates ∇S.
 
         They show the rounding of terms that cancel within the derivatives of L, whose sizes are not known.
         """
-        signs = np.random.default_rng(len(unknowns)).choice((-EPS, EPS), (SIGN_SAMPLES, len(unknowns)))
-        gradients = np.empty_like(signs)
-        for gradient, sign in zip(gradients, signs, strict=True):
-            self.terms(unknowns * (1 + sign), data)
+        start, end, *further = data
+        signs, gradients = np.random.default_rng(len(unknowns)), np.empty((SIGN_SAMPLES, len(unknowns)))
+        for gradient in gradients:
+            x, *ends = (a * (1 + signs.choice((-EPS, EPS), len(a))) for a in (unknowns, start, end))
+            self.terms(x, (*ends, *further))
             gradient[:] = self.gradient
         self.terms(unknowns, data)
         return np.asarray(gradients - self.gradient)

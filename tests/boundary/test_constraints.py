@@ -418,3 +418,19 @@ def test_redundant_constraints_are_refused():
 def test_a_constraint_of_which_a_corner_of_the_end_is_singular_is_refused():
     with pytest.raises(ValueError, match="the constraints are redundant at the given end"):
         cg.BoundaryProblem(planar, (0, 1), [1.0, 1.0], [0.0, 0.0], constraint=lambda t, x: x[0] ** 2 - x[1] ** 2)
+
+
+@pytest.mark.parametrize("how", [{"tol": 1e-8}, {"method": METHOD, "intervals": 6}], ids=str)
+def test_a_component_that_a_constraint_keeps_at_zero_is_zero_but_for_rounding(how):
+    """A differential gear whose wheels turn against one another: its cage rests, and rounding of the others moves it."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - ca.dot(x, x) / 2,
+        (0, 1),
+        [0.0, 0.0, 0.0],
+        [1.0, -1.0, 0.0],
+        constraint=lambda t, x: x[0] + x[1] - x[2],
+    )
+    path, times = cg.solve(problem, **how), np.linspace(0, 1, 101)
+    wheel = np.sin(times) / np.sin(1)
+    assert np.max(np.abs(path(times) - [wheel, -wheel, 0 * times])) < 1e-8
+    assert np.max(np.abs(path.x[2])) < 1e-15

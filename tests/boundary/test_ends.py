@@ -467,3 +467,18 @@ def test_ends_may_branch_in_a_component(ends, expected):
     problem = ended(lambda t, x, v: ca.sumsqr(v) / 2, start=[-1.0, 0.0], end=[None, None], **ends)
     path = cg.solve(problem, METHOD, 3)
     np.testing.assert_allclose(path.x[:, -1], expected, rtol=0, atol=CLOSED_FORM)
+
+
+@pytest.mark.parametrize("beside", [0.0, 1e-9, 1e-6])
+def test_a_spring_at_a_free_end_whose_terms_cancel_is_solved(beside):
+    """Given ends are rounded as unknowns are: what a spring adds up of them is no better than their digits."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - ca.dot(x, x) / 2,
+        (0, 1),
+        [0.0, 0.0, 0.0],
+        [0.1, beside - 0.3, None],
+        end_action=lambda first, last: 5 * (last[2] - 3 * last[0] - last[1]) ** 2,
+    )
+    path, times = cg.solve(problem, tol=1e-6), np.linspace(0, 1, 101)
+    pulled = 10 * beside / (np.cos(1) + 10 * np.sin(1))
+    assert np.max(np.abs(path(times)[2] - pulled * np.sin(times))) < 1e-15 + 1e-6 * beside

@@ -462,3 +462,24 @@ def test_jacobian_beside_multipliers_has_any_unit_of_the_action(unit):
     jacobian = f.jacobian()(parameters=[0.7], guess=path.polynomial.values)["jac_x_parameters"]
     root = np.sqrt(0.7)
     assert float(jacobian[0]) == pytest.approx(np.tan(root) / np.cos(root) / (2 * root), rel=1e-9)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.5])
+def test_function_of_a_pendulum_on_a_rod_may_be_built_at_rest(angle):
+    """Its equations are scaled by terms that vanish there."""
+
+    def at(angle):
+        return [np.sin(angle), -np.cos(angle)]
+
+    rod = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - 9.81 * x[1],
+        (0, 1),
+        at(0.0),
+        at(0.0),
+        constraint=lambda t, x: ca.sumsqr(x) - 1,
+    )
+    by_angle = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + 9.81 * ca.cos(x[0]), (0, 1), [0.0], [angle])
+    function, turned = cg.solution_function(rod, cg.Galerkin(8), 8), cg.solve(by_angle, cg.Galerkin(8), 8)
+    nodes = [at(value) for value in turned.polynomial.values[0]]
+    found = function(start=at(0.0), end=at(angle), guess=np.transpose(nodes))
+    assert float(found["action"]) == pytest.approx(turned.action, rel=AGREEMENT)

@@ -252,3 +252,18 @@ def test_a_pendulum_with_a_force_is_found_from_its_path_without(push, duration, 
         atol=1e-12,
     )
     assert thrown.y[0, -1] == pytest.approx(end, abs=1e-4)
+
+
+def test_the_rootfinder_solves_from_a_guess_of_zeros():
+    """The rows of an end condition have no terms there, by which they could be scaled."""
+    turn = np.array([[0.76, -0.64], [0.64, 0.76]])
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - ca.dot(x, x) / 2,
+        (0, 2),
+        [None, None],
+        [None, None],
+        end_conditions=lambda first, last: last - turn @ first,
+        force=lambda t, x, v: [0.3 * ca.cos(t) - 0.1 * v[0], 0.2 - 0.1 * v[1]],
+    )
+    known = cg.solve(problem, cg.Galerkin(8), 8)
+    assert cg.solve(problem, cg.Galerkin(8), 8, solver=cg.rootfinder).action == pytest.approx(known.action, rel=1e-10)
