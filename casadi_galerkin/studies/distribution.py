@@ -67,7 +67,8 @@ def varied(problem: Stated, variation: Variation) -> Stated:
 class Neighbors:
     """Solves variations of a boundary problem to a tolerance, each from the nearest one that is solved already.
 
-    A variation with a guess of its own is solved from that, on the mesh of its neighbor.
+    A variation with a guess of its own is solved from that, on the mesh of its neighbor; one with a guess of the free
+    duration, which chooses among the paths of an energy, has no neighbor.
     """
 
     def __init__(self, problem: BoundaryProblem, method: Galerkin | None, intervals: int | None, tol: float) -> None:
@@ -76,7 +77,7 @@ class Neighbors:
     def __call__(self, variation: Variation, known: Sequence[Known]) -> Trajectory:
         """Solve from the nearest known path; where that leads to none, from the straight line."""
         problem = varied(self.problem, variation)
-        if not known:
+        if not known or (problem.energy is not None and "t_span" in variation):
             return self._transcription.found(problem, variation.get("guess"), None)
         values = np.array([data_vector(problem), *(place for place, _ in known)])
         near, guess = known[nearest(values[0], values[1:], np.ptp(values, axis=0))][1], variation.get("guess")

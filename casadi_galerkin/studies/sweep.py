@@ -183,7 +183,8 @@ def sweep(
         process pool has to be picklable (an array, a Trajectory, a module's function)
     method, intervals : as for `solve`
     tol : as for `solve`; each variation of a boundary problem without a guess of its own starts from the path and the
-        mesh of the nearest one that is solved, and so stays on its branch; see `Sweep.jumps`.  Variations of a control
+        mesh of the nearest one that is solved, and so stays on its branch; see `Sweep.jumps`.  With a given energy, a
+        variation with a `t_span`, the guess of its duration, starts from the straight line.  Variations of a control
         problem are refined one by one, each from its own guess
     executor : any Executor of processes in the sense of `concurrent.futures`; default none, one after the other.
         Not of threads: CasADi Functions are not thread-safe

@@ -669,3 +669,14 @@ def test_breakpoints_are_joints_whatever_the_time_span():
         assert 1.1 in path.t
     with pytest.raises(ValueError, match=r"variation 1: breakpoints must increase inside of \(1.2, 3.0\)"):
         cg.sweep(problem, [{}, {"t_span": (1.2, 3.0)}], cg.Galerkin(3), 4)
+
+
+@pytest.mark.parametrize("how", [{"tol": 1e-8}, {"method": cg.Galerkin(2), "intervals": 4}], ids=str)
+def test_with_a_given_energy_the_times_of_a_variation_choose_its_path(how):
+    """A ball is thrown a meter far with the energy 10: flat, or high."""
+    throw = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - 9.81 * x[1], (0, 0.2), [0.0, 0.0], [1.0, 0.0], energy=10.0
+    )
+    paths = cg.sweep(throw, [{"t_span": (0.0, 0.2)}, {"t_span": (0.0, 1.5)}, {"t_span": (0.0, 0.3)}], **how)
+    flat, high = np.sort(np.sqrt(np.roots([9.81**2 / 4, -20, 1])))
+    assert [path.t[-1] for path in paths] == pytest.approx([flat, high, flat], rel=1e-8)
