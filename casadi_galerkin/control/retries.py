@@ -1,4 +1,4 @@
-"""Retries of an optimization that fails: IPOPT after fatrop, guesses nearer to the straight line, longer durations.
+"""Retries of an optimization that fails: other solvers, guesses nearer to the straight line, longer durations.
 
 Iterations of failed solves are counted, and the report of the solution names what failed before it.
 """
@@ -10,6 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import section_times
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
@@ -26,21 +28,34 @@ DURATION_FACTORS = 4.0, 16.0
 # acrobot, 29 lead to an optimum without them, 35 with the first, and 40 with both.
 GUESS_SHARES = {"halfway between the straight line and the guess": 0.5, "the straight line between the ends": 0.0}
 
+# Acceptable error for IPOPT where it fails on a feasible path: along a singular arc of a rocket on 100 intervals, noise
+# kept it above its usual 1e-9 until the restoration failed; the costs of both differed by 1e-12 where both ended.
+LOOSELY_ACCEPTABLE = 1e-8
 
-def with_ipopt_fallback(solver: Solver, solved: Callable[[Solver], ControlTrajectory]) -> ControlTrajectory:
-    """Solve, and with IPOPT where fatrop fails, which stalls more easily; the report then names both."""
+
+def with_fallbacks(solver: Solver, solved: Callable[[Solver], ControlTrajectory]) -> ControlTrajectory:
+    """Solve, and where a solver fails that another may replace, with that one; the report then names both."""
     try:
         return solved(solver)
     except ConvergenceError as failure:
-        if solver.name != fatrop.name or seconds_left() < 0:
+        another = _fallback(solver, failure)
+        if another is None or seconds_left() < 0:
             raise
         stopped = str(failure).split(";")[0]
         try:
-            path = solved(ipopt)
-        except ConvergenceError as another:
-            iterations = failure.iterations + another.iterations
-            raise ConvergenceError(f"{stopped}; {another}", another.path, another.residual, iterations) from None
+            path = with_fallbacks(another, solved)
+        except ConvergenceError as last:
+            iterations = failure.iterations + last.iterations
+            raise ConvergenceError(f"{stopped}; {last}", last.path, last.residual, iterations) from None
         return replace(path, solver=f"{path.solver}, after {stopped}", iterations=failure.iterations + path.iterations)
+
+
+def _fallback(solver: Solver, failure: ConvergenceError) -> Solver | None:
+    """IPOPT where fatrop fails, which stalls more easily, and a less exact IPOPT where it fails on a feasible path."""
+    if solver.name == fatrop.name:
+        return ipopt
+    at_the_end = failure.residual * EPS <= FEASIBLE and "acceptable_tol" not in solver.options
+    return solver.with_options(**{**solver.options, "acceptable_tol": LOOSELY_ACCEPTABLE}) if at_the_end else None
 
 
 def retry_from_other_guesses(

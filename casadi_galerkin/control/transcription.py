@@ -28,7 +28,7 @@ from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, with_ends
-from casadi_galerkin.control.retries import retry_from_other_guesses, with_ipopt_fallback
+from casadi_galerkin.control.retries import retry_from_other_guesses, with_fallbacks
 from casadi_galerkin.control.second_variation import CostVariation
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap, by_rows
@@ -175,7 +175,7 @@ class ControlTranscription:
 
         def solved(**beginning: float) -> ControlTrajectory:
             begun = self.starting_point(problem, calculus, guess, **beginning)
-            return with_ipopt_fallback(
+            return with_fallbacks(
                 solver, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began)
             )
 

@@ -1,5 +1,7 @@
 """What is tried in turn where an optimization finds nothing."""
 
+import re
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -79,3 +81,26 @@ def test_a_gentler_guess_on_which_a_callable_is_not_finite_is_none():
     nothing = "No path was found from halfway between the straight line and the guess or the straight line between"
     with pytest.raises(cg.ConvergenceError, match=nothing):
         program.solve(guess=lambda t: [8 * t * (1 - t)])
+
+
+def test_a_feasible_path_that_noise_keeps_from_the_usual_accuracy_is_accepted_with_less():
+    """A rocket below a speed limit, whose thrust is singular at first: 0.6337169 of its mass is left (other meshes)."""
+    rocket = cg.ControlProblem(
+        lambda t, x, v: x[1] * v[0] ** 2 / 2 + x[1] / x[0],
+        (0, 0.17),
+        [1.0, 1.0],
+        [1.01, None],
+        [0.0, None],
+        [None, None],
+        force=lambda t, x, v, u: 3.5 * u[0] - 310 * v[0] ** 2 * ca.exp(-500 * (x[0] - 1)) - 7 * u[0] * v[0],
+        running_cost=lambda t, x, v, u: 0,
+        controls=1,
+        terminal_cost=lambda t, x, v: -x[1],
+        rates=lambda t, x, v, u: -7 * u[0],
+        control_bounds=(0, 1),
+        duration_bounds=(0.05, 1),
+        path_constraint=(lambda t, x, v, u: v[0], -np.inf, 0.1),
+    )
+    path = cg.solve(rocket, cg.Galerkin(4), 100)
+    assert path.cost == pytest.approx(-0.6337169, abs=2e-7)
+    assert re.match(r"IPOPT \(Solved To Acceptable Level\), after IPOPT stopped with '(?!Infeasible)", path.solver)
