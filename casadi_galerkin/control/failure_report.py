@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -12,6 +13,8 @@ from casadi_galerkin.control.constraint_violation import UNITS
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.problems.bounds import FEASIBLE
+from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.dependence import entries_within
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 
@@ -29,10 +32,21 @@ HINTS = {
     "Restoration Failed": NO_PATH,
 }
 OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"
+KINKS = ca.OP_FMAX, ca.OP_FMIN, ca.OP_LT, ca.OP_LE
+KINK_HINT = (
+    "The running cost holds fmax, fmin or a comparison of a control, and its derivative may jump there: replace "
+    "fmax(a, b) by a further control e, and add e - a >= 0 and e - b >= 0 as path_constraint"
+)
 
 
 def explained(
-    solver: str, chain: Chain, optimum: Optimum, cost: float, relative: np.ndarray, path: PiecewisePolynomial
+    problem: ControlProblem,
+    solver: str,
+    chain: Chain,
+    optimum: Optimum,
+    cost: float,
+    relative: np.ndarray,
+    path: PiecewisePolynomial,
 ) -> ConvergenceError:
     """Report how a solver ended; `relative` are the `violations` there, `path` is its last iterate."""
     worst, rows = int(np.argmax(relative)), chain.equations
@@ -44,6 +58,10 @@ def explained(
     else:
         state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
     hint = HINTS.get(optimum.status, OTHER_HINT)
+    if hint is NO_PATH and relative[worst] <= FEASIBLE:
+        hint = OTHER_HINT
+    if hint is OTHER_HINT and entries_within(problem.running_cost, 3, KINKS):
+        hint = KINK_HINT
     stopped = f"{solver} stopped with '{optimum.status}' after {optimum.iterations} iterations"
     return ConvergenceError(f"{stopped}; {state}. {hint}", Path(path), float(relative[worst] / EPS), optimum.iterations)
 

@@ -36,6 +36,7 @@ import math
 import time
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -64,11 +65,12 @@ from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
 WARM_START_BARRIER = 1e-4  # first barrier from an earlier path: with 1e-2 a robot arm left its path, and found none
-# Ratio of IPOPT's tolerance to its last barrier, where a control switches, or the solver leaves the path open by more
-# than this share of the tolerance.  The barrier keeps values off bounds to which little pushes them: controls on the
-# short intervals beside a switch, and a path along a bound at which it would stay by itself.  With IPOPT's own ratio of
-# 10, the mass of a rocket was accurate to 3e-7 only, and a path along a wall to 1e-5.
-BARRIER_RATIO, OPEN_SHARE = 1e4, 0.1
+# Ratio of IPOPT's tolerance to its last barrier where a control switches, times tol², and the largest such ratio, also
+# where the solver leaves the path open by more than this share of the tolerance.  The barrier keeps values off bounds
+# to which little pushes them: controls on the short intervals beside a switch, and a path along a bound at which it
+# would stay by itself.  With IPOPT's own ratio of 10, the mass of a rocket was accurate to 3e-7 only, and a path along
+# a wall to 1e-5.
+BARRIER_RATIO, LARGEST_BARRIER_RATIO, OPEN_SHARE = 3e-11, 1e4, 0.1
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
 PATIENCE = 10  # levels in a row without a smaller error after which every interval is halved: two meshes may alternate
 WAYPOINT = (
@@ -137,13 +139,11 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         super().__init__(tol, limits, verbose)
         self.stated, self.problem = problem, with_joined_phases(problem)
         self.of_cost, self.solver = of_cost, solver
-        self.warm_solver = solver.with_options(**{"mu_init": WARM_START_BARRIER, **solver.options})
-        self.sharp_solver = self.warm_solver.with_options(**{"barrier_tol_factor": BARRIER_RATIO, **solver.options})
         self.method = method
         self.build_seconds = 0.0
         self.known: HigherDegree | None = None
         self.cost_known = np.inf  # smallest error so far of the cost of the path that is being refined
-        self.sharp = False  # whether the last barrier is smaller than IPOPT's own
+        self.left_open = False  # whether the solver has left the path open by an error that counts
         self.jump: float | None = None  # time near which the jumps of callables change the cost by more than `tol`
 
     def solved(self, level: ControlTrajectory) -> tuple[PiecewisePolynomial, int, float]:
@@ -162,8 +162,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Solve with one method on one mesh within the phases of the problem."""
         transcription = transcribed_control(self.problem, method, None, mesh, one_by_one)
-        warm_solver = self.sharp_solver if self.sharp else self.warm_solver
-        solver = warm_solver if isinstance(guess, ControlTrajectory) else self.solver
+        solver = self.warm_solver if isinstance(guess, ControlTrajectory) else self.solver
         try:
             with until(self.deadline):
                 path = transcription.solve(guess=guess, solver=solver, verbose=self.verbose if self.verbose > 1 else 0)
@@ -174,6 +173,16 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             self.build_seconds += transcription.build_seconds
         self.iterations += path.iterations
         return path
+
+    @property
+    def warm_solver(self) -> Solver:
+        """The solver from an earlier path."""
+        options: dict[str, Any] = {"mu_init": WARM_START_BARRIER}
+        if self.left_open:
+            options["barrier_tol_factor"] = LARGEST_BARRIER_RATIO
+        elif self.known is not None and self.known.switches:
+            options["barrier_tol_factor"] = float(np.clip(BARRIER_RATIO / self.tol**2, 10, LARGEST_BARRIER_RATIO))
+        return self.solver.with_options(**{**options, **self.solver.options})
 
     def solve_finer(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """The path on a mesh or, where none is found, on one twice as fine."""
@@ -204,17 +213,17 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def check_solver(self, detail: HigherDegree) -> None:
         """Stop where, in both degrees, the solver leaves too large an error of the cost, or most of that of the path.
 
-        Of the path only with the smaller barrier, which is taken from now on if controls switch, or if it may help.
+        Of the path only with the smallest barrier, which is taken from now on if it may help.
         """
         cost, path = map(min, detail.remaining_error(detail.path), detail.remaining_error(detail.higher))
         if cost > self.tol:
             raise self.stopped(f"the solver may have left {cost:.0e} of the cost", *self.best, UNITS)
-        if self.sharp and not self.of_cost and path > max(self.tol, detail.error):
+        if self.left_open and not self.of_cost and path > max(self.tol, detail.error):
             passed = self.problem.waypoints and self.problem.duration_bounds is not None
             reason = f"the solver leaves the path open by {path:.0e} of its size"
             raise self.stopped(reason, *self.best, WAYPOINT if passed else HINT)
-        open_path = not self.of_cost and detail.remaining_error(detail.path)[1] > OPEN_SHARE * self.tol
-        self.sharp = self.sharp or open_path or len(detail.switches) > 0
+        if not self.of_cost and detail.remaining_error(detail.path)[1] > OPEN_SHARE * self.tol:
+            self.left_open = True
 
     def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:
         """Solve on the better mesh from the path of higher degree or, where there is none, on a mesh twice as fine."""
@@ -298,7 +307,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
     def refined(self, level: ControlTrajectory) -> ControlTrajectory:
         """Refine a path and return it with its errors."""
-        self.known, self.cost_known, self.jump, self.sharp = None, np.inf, None, False
+        self.known, self.cost_known, self.jump, self.left_open = None, np.inf, None, False
         path, _ = self.refine(level)
         assert self.known is not None, "a path is accepted by its error estimate"
         path = with_parted_phases(path, self.stated)

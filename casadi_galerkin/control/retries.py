@@ -33,29 +33,37 @@ GUESS_SHARES = {"halfway between the straight line and the guess": 0.5, "the str
 LOOSELY_ACCEPTABLE = 1e-8
 
 
-def with_fallbacks(solver: Solver, solved: Callable[[Solver], ControlTrajectory]) -> ControlTrajectory:
+def with_fallbacks(
+    solver: Solver, guess: Guess | None, solved: Callable[[Solver], ControlTrajectory]
+) -> ControlTrajectory:
     """Solve, and where a solver fails that another may replace, with that one; the report then names both."""
     try:
         return solved(solver)
     except ConvergenceError as failure:
-        another = _fallback(solver, failure)
+        another = _fallback(solver, guess, failure)
         if another is None or seconds_left() < 0:
             raise
         stopped = str(failure).split(";")[0]
         try:
-            path = with_fallbacks(another, solved)
+            path = with_fallbacks(another, guess, solved)
         except ConvergenceError as last:
             iterations = failure.iterations + last.iterations
-            raise ConvergenceError(f"{stopped}; {last}", last.path, last.residual, iterations) from None
+            words = str(last) if str(last).startswith(stopped) else f"{stopped}; {last}"
+            raise ConvergenceError(words, last.path, last.residual, iterations) from None
         return replace(path, solver=f"{path.solver}, after {stopped}", iterations=failure.iterations + path.iterations)
 
 
-def _fallback(solver: Solver, failure: ConvergenceError) -> Solver | None:
-    """IPOPT where fatrop fails, which stalls more easily, and a less exact IPOPT where it fails on a feasible path."""
+def _fallback(solver: Solver, guess: Guess | None, failure: ConvergenceError) -> Solver | None:
+    """IPOPT where fatrop fails, which stalls more easily, and a less exact IPOPT where it fails on a feasible path.
+
+    The latter not from an earlier solution, which a finer mesh or another guess replaces faster.
+    """
     if solver.name == fatrop.name:
         return ipopt
-    at_the_end = failure.residual * EPS <= FEASIBLE and "acceptable_tol" not in solver.options
-    return solver.with_options(**{**solver.options, "acceptable_tol": LOOSELY_ACCEPTABLE}) if at_the_end else None
+    exact = isinstance(guess, ControlTrajectory) or "acceptable_tol" in solver.options
+    if exact or failure.residual * EPS > FEASIBLE:
+        return None
+    return solver.with_options(**{**solver.options, "acceptable_tol": LOOSELY_ACCEPTABLE})
 
 
 def retry_from_other_guesses(

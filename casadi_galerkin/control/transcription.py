@@ -176,7 +176,7 @@ class ControlTranscription:
         def solved(**beginning: float) -> ControlTrajectory:
             begun = self.starting_point(problem, calculus, guess, **beginning)
             return with_fallbacks(
-                solver, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began)
+                solver, guess, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began)
             )
 
         with fork_waits:  # it builds its Functions when they are first needed
@@ -223,7 +223,7 @@ class ControlTranscription:
         relative = violations(chain, bounds, optimum.unknowns, report, start.sizes)
         violation = float(np.max(relative))
         if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
-            raise explained(NAMES[solver.name], chain, optimum, report.cost, relative, path)
+            raise explained(problem, NAMES[solver.name], chain, optimum, report.cost, relative, path)
         off = off_constraint(problem, path)
         if off is not None:
             raise ConvergenceError(f"no path was found: {off}", Path(path), violation / EPS, optimum.iterations)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 import casadi as ca
 
@@ -35,7 +35,7 @@ def check_controls(users: Iterable[ca.Function], count: int) -> None:
 def check_absolute_values(running_cost: ca.Function, bounds: Bounds) -> None:
     """Refuse |u| in the cost where u may change its sign, since a solver that takes derivatives stalls there."""
     low, high = bounds
-    for i in sorted(_in_absolute_values(running_cost, 3)):
+    for i in sorted(entries_within(running_cost, 3, (ca.OP_FABS,))):
         if low[i] < 0 < high[i]:
             raise ValueError(
                 f"running_cost holds the absolute value of u[{i}], whose derivative jumps at zero: replace u[{i}] "
@@ -55,8 +55,8 @@ def check_parameters(users: Iterable[ca.Function | None], bounds: Bounds | None)
             raise ValueError(f"the free parameter p[{i}] occurs in no lagrangian, force, cost or constraint")
 
 
-def _in_absolute_values(function: ca.Function, argument: int) -> set[int]:
-    """Which entries of an argument the absolute values in a traced Function depend on."""
+def entries_within(function: ca.Function, argument: int, operations: Collection[int]) -> set[int]:
+    """Which entries of an argument some operations in a traced Function are applied to, or to what depends on them."""
     held: dict[int, set[int]] = {}
     found: set[int] = set()
     for k in range(function.n_instructions()):
@@ -65,7 +65,7 @@ def _in_absolute_values(function: ca.Function, argument: int) -> set[int]:
             entries = {inputs[1]} if inputs[0] == argument else set()
         else:
             entries = set().union(*(held.get(i, set()) for i in inputs))
-        if operation == ca.OP_FABS:
+        if operation in operations:
             found |= entries
         if operation != ca.OP_OUTPUT:
             held[function.instruction_output(k)[0]] = entries

@@ -266,7 +266,9 @@ class ControlTrajectory(DrivenTrajectory):
 
     def _kind(self) -> str:
         """The kind of critical point, in words; none where the solver has stopped before one."""
-        return "not yet optimal" if self._not_optimal() else super()._kind()
+        if not self._not_optimal():
+            return super()._kind()
+        return "not yet optimal" if self.cost_error is None else "optimal but for the error below"
 
     def _undetermined(self) -> list[str]:
         """Lines on large errors that the solver has left in the cost, or in a path on which the cost hardly depends."""

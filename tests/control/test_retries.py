@@ -104,3 +104,17 @@ def test_a_feasible_path_that_noise_keeps_from_the_usual_accuracy_is_accepted_wi
     path = cg.solve(rocket, cg.Galerkin(4), 100)
     assert path.cost == pytest.approx(-0.6337169, abs=2e-7)
     assert re.match(r"IPOPT \(Solved To Acceptable Level\), after IPOPT stopped with '(?!Infeasible)", path.solver)
+
+
+@pytest.mark.parametrize("kinked", [lambda u: ca.fmax(0, u), lambda u: ca.if_else(u > 0, u, 0)])
+def test_a_cost_with_a_kink_that_stops_the_solver_is_named(kinked):
+    problem = double_integrator(running_cost=lambda t, x, v, u: kinked(u[0]) + u[0] ** 2, control_bounds=(-20.0, 20.0))
+    with pytest.raises(cg.ConvergenceError, match=r"Maximum Iterations .* fmax, fmin or a comparison of a control"):
+        cg.solve(problem, cg.Galerkin(3), 10)
+    lifted = double_integrator(
+        controls=2,
+        force=lambda t, x, v, u: u[0],
+        running_cost=lambda t, x, v, u: u[1] + u[0] ** 2,
+        path_constraint=(lambda t, x, v, u: [u[1] - u[0], u[1]], 0.0, np.inf),
+    )
+    assert cg.solve(lifted, cg.Galerkin(3), 20).cost == pytest.approx(13.4852, rel=1e-3)
