@@ -9,7 +9,8 @@ import numpy as np
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.embedding import embedding
 from casadi_galerkin.functional.functional import Functional
-from casadi_galerkin.functional.numbering import Data, Numbering, joints_of
+from casadi_galerkin.functional.numbering import Data, joints_of
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
@@ -53,9 +54,9 @@ def refuse_undefined(functional: Functional, solution: Solution, path: Piecewise
     )
 
 
-def _isolate(numbering: Numbering) -> str:
+def _isolate(problem: BoundaryProblem) -> str:
     """What to change in a problem so that one path is the only one near it."""
-    if numbering.periodic and not numbering.stretched:
+    if problem.periodic and problem.autonomous and problem.energy is None:
         return (
             "A periodic path may begin anywhere on its orbit: give its energy instead of its period, or one component "
             "of its start, and compare the momenta at both ends"
@@ -64,12 +65,12 @@ def _isolate(numbering: Numbering) -> str:
 
 
 def conjugate(
-    numbering: Numbering, solution: Solution, path: PiecewisePolynomial, quotient: float
+    problem: BoundaryProblem, solution: Solution, path: PiecewisePolynomial, quotient: float
 ) -> ConjugatePointError:
     """Report that the second variation vanishes at a path that was found."""
     return ConjugatePointError(
         f"the second variation of the action vanishes (relative size {quotient:.0e}): the ends are conjugate points, "
-        f"or a family of paths joins them. {_isolate(numbering)}",
+        f"or a family of paths joins them. {_isolate(problem)}",
         Path(path),
         solution.residual,
         solution.iterations,
@@ -77,7 +78,11 @@ def conjugate(
 
 
 def explained(
-    stationarity: Stationarity, failure: SolveFailure, path: PiecewisePolynomial, data: Data
+    problem: BoundaryProblem,
+    stationarity: Stationarity,
+    failure: SolveFailure,
+    path: PiecewisePolynomial,
+    data: Data,
 ) -> ConvergenceError:
     """Report the failure of a solver; `path` is its last iterate."""
     unknowns, numbering = failure.unknowns, stationarity.functional.numbering
@@ -102,7 +107,7 @@ def explained(
         kind = ConjugatePointError
         words = (
             f"{failure}: {where}. The ends may be conjugate points, or a symmetry leaves a component free. "
-            f"{_isolate(numbering)}"
+            f"{_isolate(problem)}"
         )
     if numbering.multipliers:
         words += "; the constraints and the conditions on the ends may contradict one another, or say one thing twice"

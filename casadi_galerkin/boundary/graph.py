@@ -119,7 +119,7 @@ class BoundaryGraph:
                 solution = solver(self.stationarity, self.unknowns(values, data), data, verbose)
         except SolveFailure as failure:
             path = self.emb(failure.unknowns, data)
-            raise explained(self.stationarity, failure, path, data) from None
+            raise explained(problem, self.stationarity, failure, path, data) from None
         path = self.emb(solution.unknowns, solution.data)
         return CriticalPoint(solution, problem, path)
 
@@ -137,7 +137,7 @@ class BoundaryGraph:
         """Raise if the second variation vanishes at a critical point."""
         quotient = smallest_second_variation(self.stationarity, point.solution.unknowns, point.solution.data)
         if quotient < SINGULAR:
-            raise conjugate(self.numbering, point.solution, point.polynomial, quotient)
+            raise conjugate(self.problem, point.solution, point.polynomial, quotient)
 
     def guess_on_mesh(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:
         """Put a guess on a mesh, bent to meet the ends."""
