@@ -66,10 +66,10 @@ from casadi_galerkin.solvers.solver import Solver
 FIRST_INTERVALS = 8
 WARM_START_BARRIER = 1e-4  # first barrier from an earlier path: with 1e-2 a robot arm left its path, and found none
 # Ratio of IPOPT's tolerance to its last barrier where a control switches, times tol², and the largest such ratio, also
-# where the solver leaves the path open by more than this share of the tolerance.  The barrier keeps values off bounds
-# to which little pushes them: controls on the short intervals beside a switch, and a path along a bound at which it
-# would stay by itself.  With IPOPT's own ratio of 10, the mass of a rocket was accurate to 3e-7 only, and a path along
-# a wall to 1e-5.
+# where the solver leaves a bounded path open by more than this share of the tolerance.  The barrier keeps values off
+# bounds to which little pushes them: controls on the short intervals beside a switch, and a path along a bound at which
+# it would stay by itself.  With IPOPT's own ratio of 10, the mass of a rocket was accurate to 3e-7 only, and a path
+# along a wall to 1e-5.
 BARRIER_RATIO, LARGEST_BARRIER_RATIO, OPEN_SHARE = 3e-11, 1e4, 0.1
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
 PATIENCE = 10  # levels in a row without a smaller error after which every interval is halved: two meshes may alternate
@@ -143,7 +143,9 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         self.build_seconds = 0.0
         self.known: HigherDegree | None = None
         self.cost_known = np.inf  # smallest error so far of the cost of the path that is being refined
-        self.left_open = False  # whether the solver has left the path open by an error that counts
+        walls = np.array(problem.position_bounds)
+        self.walled = problem.path_constraint is not None or bool(np.any(np.isfinite(walls)))
+        self.left_open = False  # whether the solver leaves the path open, with bounds on it, by an error that counts
         self.jump: float | None = None  # time near which the jumps of callables change the cost by more than `tol`
 
     def solved(self, level: ControlTrajectory) -> tuple[PiecewisePolynomial, int, float]:
@@ -213,16 +215,18 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def check_solver(self, detail: HigherDegree) -> None:
         """Stop where, in both degrees, the solver leaves too large an error of the cost, or most of that of the path.
 
-        Of the path only with the smallest barrier, which is taken from now on if it may help.
+        Where bounds or path constraints may hold the path, the smallest barrier is tried before.
         """
         cost, path = map(min, detail.remaining_error(detail.path), detail.remaining_error(detail.higher))
         if cost > self.tol:
             raise self.stopped(f"the solver may have left {cost:.0e} of the cost", *self.best, UNITS)
-        if self.left_open and not self.of_cost and path > max(self.tol, detail.error):
+        if self.of_cost:
+            return
+        if path > max(self.tol, detail.error) and (self.left_open or not self.walled):
             passed = self.problem.waypoints and self.problem.duration_bounds is not None
             reason = f"the solver leaves the path open by {path:.0e} of its size"
             raise self.stopped(reason, *self.best, WAYPOINT if passed else HINT)
-        if not self.of_cost and detail.remaining_error(detail.path)[1] > OPEN_SHARE * self.tol:
+        if self.walled and detail.remaining_error(detail.path)[1] > OPEN_SHARE * self.tol:
             self.left_open = True
 
     def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:
