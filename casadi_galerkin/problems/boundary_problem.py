@@ -14,14 +14,17 @@ from reprlib import repr as shown
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from casadi_galerkin.calculus.numbers import components, counted, finite, flag, numbers, time_span, times_inside
 from casadi_galerkin.problems.callables import Traceable, arguments, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint
+from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import END_MOTIONS, with_changes
 
 Given = tuple[float | None, ...]
 ENDS = ("start", "end")
+SAME_ENERGY = 1e-9  # relative difference of two energies below which rounding may be the cause
 
 
 @dataclass(frozen=True, repr=False)
@@ -232,3 +235,26 @@ def _check_energy(problem: BoundaryProblem) -> None:
         raise ValueError(
             f"a given energy frees the duration, so that breakpoints have no place, got {problem.breakpoints}"
         )
+    _check_rest(problem, problem.energy)
+
+
+def _check_rest(problem: BoundaryProblem, energy: float) -> None:
+    """Refuse an energy below that of rest at a given end, which is the least one where kinetic energies are positive.
+
+    It is checked where ∂²L/∂v² does not depend on v: otherwise the energy need not be least at rest.
+    """
+    transform = legendre_transform(problem.lagrangian)
+    if transform.sparsity_jac(2, 1).nnz():
+        return
+    given = [] if problem.parameters is None else [problem.parameters]
+    for name in ENDS:
+        place = getattr(problem, name)
+        if None in place:
+            continue
+        at = (problem.t_span[0], place, [0.0] * problem.dimension, *given)
+        rest, mass = -float(problem.lagrangian(*at)), transform(*at)[1].full()
+        lower = rest - energy > SAME_ENERGY * max(abs(rest), abs(energy))
+        if lower and np.isfinite(mass).all() and np.all(np.linalg.eigvalsh(mass) > 0):
+            raise ValueError(
+                f"no path of the energy {energy:g} goes through the {name} {list(place)}, where rest has {rest:g}"
+            )

@@ -313,7 +313,7 @@ def _failed(linear: Linearization, at: Iterate, data: Data, iteration: int, reas
     numbering = linear.stationarity.functional.numbering
     changes, sizes = (_of_components(numbering, values) for values in (np.abs(at.step) / at.sizes, at.sizes))
     going = np.flatnonzero(changes**2 > EPS)
-    if 0 < len(going) < len(changes):
+    if 0 < len(going) < len(changes) and at.norm < SHORT:
         rest = ", ".join(f"x[{i}], of size {sizes[i]:.1e}" for i in going)
         reason += f", though all has converged but {rest}: rounding of the others may be all that moves it"
     return SolveFailure(reason, at.unknowns, iteration)

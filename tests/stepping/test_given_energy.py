@@ -202,8 +202,8 @@ def test_no_duration_is_no_answer(periodic):
         cg.shoot(problem, METHOD, 12, guess=launched(problem, [1.4]))
 
 
-def test_an_energy_that_does_not_reach_the_end_is_named():
-    problem = cg.BoundaryProblem(pendulum, (0, 1), [0.0], [1.0], energy=-0.8)
+def test_an_energy_that_does_not_reach_over_the_top_is_named():
+    problem = cg.BoundaryProblem(pendulum, (0, 1), [0.0], [6.0], energy=0.5)
     with pytest.raises(cg.ConvergenceError, match=r"the end is missed by .* there may be no path of this energy$"):
         cg.shoot(problem, METHOD, 8)
 
