@@ -139,7 +139,7 @@ def _contracts(norm: float, then: float) -> bool:
 
 def _with_rounded_components(linear: Linearization, at: Iterate, data: Data, iterations: int) -> Solution | None:
     """The solution where only some components still change, by what rounding does to them; None otherwise."""
-    going = _of_components(linear.stationarity.functional.numbering, np.abs(at.step) / at.sizes) ** 2 > EPS
+    going = _still_changing(linear.stationarity.functional.numbering, at)
     if np.all(going):
         return None
     solution, x = _with_zero_components(linear, at, data, iterations, going), at.unknowns + at.step
@@ -246,6 +246,11 @@ def _of_components(numbering: Numbering, values: np.ndarray) -> np.ndarray:
     return largest_of(values[:count], numbering.component[:count], numbering.dimension)
 
 
+def _still_changing(numbering: Numbering, at: Iterate) -> np.ndarray:
+    """Which components a Newton step still changes by so much that the next one would not be roundoff; (d,)."""
+    return np.asarray(_of_components(numbering, np.abs(at.step) / at.sizes) ** 2 > EPS)
+
+
 def _check_going_on(linear: Linearization, at: Iterate, iteration: int) -> None:
     """Stop where there is no step, or no time."""
     if not math.isfinite(at.norm):
@@ -311,10 +316,9 @@ def _failed(linear: Linearization, at: Iterate, data: Data, iteration: int, reas
     if softest(linear, at.unknowns, data)[1] < SINGULAR:
         return SolveFailure("the Hessian of the action is singular", at.unknowns, iteration, singular=True)
     numbering = linear.stationarity.functional.numbering
-    changes, sizes = (_of_components(numbering, values) for values in (np.abs(at.step) / at.sizes, at.sizes))
-    going = np.flatnonzero(changes**2 > EPS)
-    if 0 < len(going) < len(changes) and at.norm < SHORT:
-        rest = ", ".join(f"x[{i}], of size {sizes[i]:.1e}" for i in going)
+    going, sizes = _still_changing(numbering, at), _of_components(numbering, at.sizes)
+    if np.any(going) and not np.all(going) and at.norm < SHORT:
+        rest = ", ".join(f"x[{i}], of size {sizes[i]:.1e}" for i in np.flatnonzero(going))
         reason += f", though all has converged but {rest}: rounding of the others may be all that moves it"
     return SolveFailure(reason, at.unknowns, iteration)
 
