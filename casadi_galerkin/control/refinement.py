@@ -35,8 +35,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from functools import partial
-from typing import Any
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -119,6 +118,12 @@ def perturbed(path: ControlTrajectory, by: float) -> ControlTrajectory:
     )
 
 
+@lru_cache(8)  # a check of an option builds a solver
+def from_earlier_path(solver: Solver, **barrier: float) -> Solver:
+    """The solver for an earlier path as guess, with options of its last barrier, where it has no others of its own."""
+    return solver.with_options(**{"mu_init": WARM_START_BARRIER, **barrier, **solver.options})
+
+
 class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     """One refinement of a trajectory optimization to a tolerance: of all errors, or `of_cost` alone; see `solve`."""
 
@@ -179,12 +184,12 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     @property
     def warm_solver(self) -> Solver:
         """The solver from an earlier path."""
-        options: dict[str, Any] = {"mu_init": WARM_START_BARRIER}
         if self.left_open:
-            options["barrier_tol_factor"] = LARGEST_BARRIER_RATIO
-        elif self.known is not None and self.known.switches:
-            options["barrier_tol_factor"] = float(np.clip(BARRIER_RATIO / self.tol**2, 10, LARGEST_BARRIER_RATIO))
-        return self.solver.with_options(**{**options, **self.solver.options})
+            return from_earlier_path(self.solver, barrier_tol_factor=LARGEST_BARRIER_RATIO)
+        if self.known is not None and self.known.switches:
+            ratio = float(np.clip(BARRIER_RATIO / self.tol**2, 10, LARGEST_BARRIER_RATIO))
+            return from_earlier_path(self.solver, barrier_tol_factor=ratio)
+        return from_earlier_path(self.solver)
 
     def solve_finer(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """The path on a mesh or, where none is found, on one twice as fine."""
