@@ -53,13 +53,12 @@ def explained(
     name, place = name_equation(chain, worst) if worst < rows else name_unknown(chain, worst - rows)
     when = np.interp(place, np.arange(len(path.mesh)), path.mesh)
     what = name if worst < rows else f"the bound of {name}"
+    hint = HINTS.get(optimum.status, OTHER_HINT)
     if relative[worst] <= FEASIBLE:
         state = f"all constraints hold, with a cost of {cost:.6g}"
+        hint = OTHER_HINT if hint is NO_PATH else hint
     else:
         state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
-    hint = HINTS.get(optimum.status, OTHER_HINT)
-    if hint is NO_PATH and relative[worst] <= FEASIBLE:
-        hint = OTHER_HINT
     if hint is OTHER_HINT and entries_within(problem.running_cost, 3, KINKS):
         hint = KINK_HINT
     stopped = f"{solver} stopped with '{optimum.status}' after {optimum.iterations} iterations"

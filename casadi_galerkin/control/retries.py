@@ -27,7 +27,6 @@ DURATION_FACTORS = 4.0, 16.0
 # Parts of the way from the straight line to the guess for the retries after a failure: of 40 random guesses for an
 # acrobot, 29 lead to an optimum without them, 35 with the first, and 40 with both.
 GUESS_SHARES = {"halfway between the straight line and the guess": 0.5, "the straight line between the ends": 0.0}
-
 # Acceptable error for IPOPT where it fails on a feasible path: along a singular arc of a rocket on 100 intervals, noise
 # kept it above its usual 1e-9 until the restoration failed; the costs of both differed by 1e-12 where both ended.
 LOOSELY_ACCEPTABLE = 1e-8
@@ -63,7 +62,7 @@ def _fallback(solver: Solver, guess: Guess | None, failure: ConvergenceError) ->
     exact = isinstance(guess, ControlTrajectory) or "acceptable_tol" in solver.options
     if exact or failure.residual * EPS > FEASIBLE:
         return None
-    return solver.with_options(**{**solver.options, "acceptable_tol": LOOSELY_ACCEPTABLE})
+    return solver.with_options(acceptable_tol=LOOSELY_ACCEPTABLE)
 
 
 def retry_from_other_guesses(
