@@ -37,13 +37,17 @@ from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.1, 1e-9  # arc lengths, in which the path is relative to its size
+# arc lengths, in which the path is relative to how far the branch has led
+FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.1, 1e-9
+# cosine of the largest angle between a step and the tangents at its two ends; beyond it may be another branch
+LEAST_COSINE = 0.95
 CONVERGED_STEP = 1e-8  # last Newton step after which the next one is at roundoff
 # |ṡ| at a fold over its change between the points before and after it; the error of s is of the order of its square
 FOLD_TOLERANCE = 1e-8
-# least size of a component, relative to the change of the path up to the target at its first rate: components may
-# begin at zero
-LEAST = 1e-7
+# least change of an unknown that counts: over its size, so that rounding leaves steps of CONVERGED_STEP, and over the
+# largest expected change, because a component may be zero up to rounding
+LEAST_OF_SIZE, LEAST_OF_ALL = 1e-5, 1e-7
+ROUNDED = 1e-12  # size of an unknown over its expected change, below which it counts as zero
 ITERATIONS = 20  # most iterations for a fold; rounding may prevent FOLD_TOLERANCE
 POINTS = 1000  # most points of a branch
 
@@ -148,7 +152,9 @@ def continuation(
     """Follow a path while the parameters change from the problem's own to a target.
 
     At a fold the path meets another one, and beyond it neither exists.  Where a fold lies between, the branch turns
-    back there, and ends at the parameters it began with, at another path.
+    back there, and ends at the parameters it began with, at another path.  Steps are short enough for the branch to
+    turn little in each; only a pair of folds much nearer to each other than a tenth of what the branch has covered may
+    be passed over.
 
     Parameters
     ----------
@@ -206,7 +212,7 @@ class BranchFollower(Curve[Solution]):
         self.first, self.target = np.array(transcription.problem.parameters), target
         self.direction = target - self.first
         self.weights = np.ones(transcription.numbering.free + 1)
-        self._farthest = np.zeros(transcription.numbering.free)  # largest |ξ| of each unknown on the branch so far
+        self._lowest = self._highest = self._expected = np.zeros(transcription.numbering.free)
 
     def parameters(self, z: np.ndarray) -> np.ndarray:
         """Parameters at a point z, exact at both ends."""
@@ -245,10 +251,26 @@ class BranchFollower(Curve[Solution]):
                 return solution if self.length(moved) < CONVERGED_STEP else None
         return solution
 
+    def begin(self, z: np.ndarray, follow: np.ndarray) -> None:
+        """Expect of every unknown the change up to the target at its first rate, but at most its size, if it has one.
+
+        Near a fold the first rate is far too large.
+        """
+        self._lowest = self._highest = z[:-1]
+        size, change = np.abs(z[:-1]), np.abs(follow)
+        expected = np.where(size > ROUNDED * change, np.minimum(change, size), change)
+        largest = np.max(expected[: self.transcription.numbering.positions], initial=0.0)
+        self._expected = np.maximum(expected, LEAST_OF_ALL * largest)
+
     def weigh(self, z: np.ndarray) -> None:
-        """Set the weights of the path from its largest sizes on the branch up to this point, at least `LEAST`."""
-        self._farthest = np.maximum(self._farthest, np.abs(z[:-1]))
-        sizes = self.stationarity.sizes(self._farthest, self.data(z))
+        """Set the weights of the path from how far its components have changed on the branch up to this point.
+
+        Unlike the sizes of the components, these do not depend on the origin: all sheets of a branch stay apart.
+        """
+        self._lowest, self._highest = np.minimum(self._lowest, z[:-1]), np.maximum(self._highest, z[:-1])
+        changes = np.maximum.reduce((self._highest - self._lowest, self._expected, LEAST_OF_SIZE * np.abs(z[:-1])))
+        start, end, *further = self.data(z)
+        sizes = self.stationarity.sizes(changes, (0 * start, 0 * end, *further))
         self.weights[:-1] = 1 / (len(sizes) * sizes**2)
 
     def path(self, z: np.ndarray) -> PiecewisePolynomial:
@@ -259,8 +281,8 @@ class BranchFollower(Curve[Solution]):
         """Follow the branch until the target or the start is reached."""
         start = self.transcription.critical_point(guess=guess)
         z = np.append(start.solution.unknowns, 0.0)
-        follow, positions = self.directions(z)[1], self.transcription.numbering.positions
-        self._farthest[:positions] = LEAST * np.max(np.abs(follow[:positions]), initial=0.0)
+        follow = self.directions(z)[1]
+        self.begin(z, follow)
         points = [Point(z, np.append(follow, 1.0), self.transcription.trajectory(start, 0.0))]
         folds = []
         with progress("continuation", unit="path") as advance:
@@ -302,16 +324,16 @@ class BranchFollower(Curve[Solution]):
                 predicted, normal = point.z + share * tangent, np.append(np.zeros(len(point.z) - 1), 1.0)
                 predicted[-1] = end
             answer = self.corrected(predicted, normal, LONGEST_STEP)
-            try:
-                if answer is not None:
-                    z, solution = np.append(answer[1].unknowns, answer[0][-1]), answer[1]
+            if answer is not None and 0 <= answer[0][-1] <= 1:
+                z, solution = np.append(answer[1].unknowns, answer[0][-1]), answer[1]
+                chord = self.unit(z - point.z)
+                following = self.tangent(z, chord)
+                # NaN for a path that grows without bound
+                if min(self.cosine(chord, tangent), self.cosine(chord, following)) > LEAST_COSINE:
                     found = CriticalPoint(solution, self.problem(z), self.path(z))
-                    trajectory = self.transcription.trajectory(found, 0.0)
-                    following = self.tangent(z, tangent)
-                    if self.length(following) > 0:  # NaN for a path that grows without bound
+                    with suppress(ConjugatePointError):  # the point is at a fold
+                        trajectory = self.transcription.trajectory(found, 0.0)
                         return Point(z, following, trajectory), min(STEP_GROWTH * step, LONGEST_STEP)
-            except ConjugatePointError:
-                pass  # the point is at a fold
             step *= STEP_REDUCTION
         raise ConvergenceError(
             f"the branch cannot be followed beyond the parameters {self.parameters(point.z)}: no step is short enough. "

@@ -45,6 +45,10 @@ class Curve(ABC, Generic[Accepted]):
         with np.errstate(over="ignore", invalid="ignore"):
             return float(np.sqrt(step**2 @ self.weights))
 
+    def cosine(self, one: np.ndarray, other: np.ndarray) -> float:
+        """Cosine of the angle between two directions of length one."""
+        return float((one * other) @ self.weights)
+
     def unit(self, direction: np.ndarray) -> np.ndarray:
         """A direction of length one."""
         with np.errstate(invalid="ignore"):
@@ -61,8 +65,9 @@ class Curve(ABC, Generic[Accepted]):
         start, normal = z, normal * self.weights
         for iteration in range(1, CORRECTOR_ITERATIONS + 1):
             newton, follow = self.directions(z)
-            ds = -(normal[:-1] @ newton + normal @ (z - start)) / (normal[:-1] @ follow + normal[-1])
-            step = np.append(newton + ds * follow, ds)
+            with np.errstate(divide="ignore", invalid="ignore"):  # where the curve runs along the plane
+                ds = -(normal[:-1] @ newton + normal @ (z - start)) / (normal[:-1] @ follow + normal[-1])
+                step = np.append(newton + ds * follow, ds)
             z, length = z + step, self.length(step)
             if not length <= longest:
                 return None

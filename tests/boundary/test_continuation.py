@@ -6,6 +6,7 @@ import pytest
 from constrained import on_circle
 from control_problems import double_integrator
 from scenes import DAMPED, bratu_problem, bratu_theta, pendulum
+from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 from scipy.special import ellipk, ellipkinc
 
@@ -300,6 +301,58 @@ def test_a_branch_whose_paths_grow_without_bound_is_left_with_its_last_path():
     with pytest.raises(cg.ConvergenceError, match="grow without bound") as raised:
         cg.continuation(bratu_problem(0.0), [4.0], intervals=10)
     assert raised.value.path.x.max() > 100
+
+
+def s_curve(p, origin=0.0):
+    """A force that is switched on at a height of 1: weak and strong paths, and a third one between two folds."""
+
+    def energy(x):
+        return ca.log(1 + ca.exp(8 * (x - 1))) / 8 + 0.05 * x
+
+    return cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * energy(x[0] - origin), (0, 1), [origin], [origin], parameters=[p]
+    )
+
+
+def folds_of_s_curve():
+    """Both folds, from the energy integral: √(p/2) = ∫ dx / √(V(m) - V(x)) from 0 to the middle m."""
+
+    def energy(x):
+        return np.logaddexp(0, 8 * (x - 1)) / 8 + 0.05 * x
+
+    def parameter(m):
+        return 2 * quad(lambda s: 2 * m * s / np.sqrt(energy(m) - energy(m * (1 - s * s))), 0, 1, epsabs=1e-12)[0] ** 2
+
+    first = minimize_scalar(lambda m: -parameter(m), bounds=(0.3, 0.9), method="bounded", options={"xatol": 1e-9})
+    second = minimize_scalar(parameter, bounds=(1.1, 2.2), method="bounded", options={"xatol": 1e-9})
+    return -first.fun, second.fun
+
+
+@pytest.mark.parametrize("origin", [0.0, 100.0])
+@pytest.mark.parametrize("ends", [(1.0, 200.0), (200.0, 1.0)])
+def test_a_branch_is_not_left_for_another_sheet_of_an_s_curve(ends, origin):
+    """The folds are at heights of 0.6 and 1.5, and the last path is 26 high."""
+    branch = cg.continuation(s_curve(ends[0], origin), [ends[1]], intervals=20)
+    assert branch.reached
+    found = sorted(float(fold.parameters[0]) for fold in branch.folds)
+    np.testing.assert_allclose(found, sorted(folds_of_s_curve()), rtol=1e-6)
+    assert [path.morse_index for path in branch.trajectories][:: len(branch.trajectories) - 1] == [0, 0]
+
+
+def test_a_branch_that_turns_back_ends_where_it_began_even_near_zero():
+    """Where the parameter is near zero the other path is far: there the parameters must not leave their line."""
+    hardening = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - x[0] ** 2 / 2 - p[0] * x[0] ** 4 / 4,
+        (0, 3),
+        [0.0],
+        [1.0],
+        parameters=[0.002],
+    )
+    near, far = (cg.continuation(hardening, [target], intervals=16) for target in (10.0, 200.0))
+    for branch in (near, far):
+        assert branch.parameters[[0, -1]].tolist() == [[0.002], [0.002]]
+        assert np.all(branch.parameters >= 0.002)
+    np.testing.assert_allclose(far.trajectories[-1].x, near.trajectories[-1].x, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("height", [lambda path: path(0.5), lambda path: path(0.5)[0] / 0.0, lambda path: None])
