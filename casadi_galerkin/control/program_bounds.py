@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +12,7 @@ from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import is_limited
+from casadi_galerkin.problems.problem import ENDS
 
 
 @dataclass(frozen=True)
@@ -49,8 +50,8 @@ def _narrowed(low: np.ndarray, high: np.ndarray, relaxed: float) -> tuple[np.nda
 def bounds_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> ProgramBounds:
     """Bounds of the unknowns and of the equations; for given values both bounds are equal.
 
-    Durations and parameters are bounded at the last joint only, because they are equal at all joints.  Equations that
-    given ends satisfy anyway are not imposed, unless `implied` is set.
+    Durations and parameters are bounded at the last joint only, because they are equal at all joints.  Equations of a
+    constraint that given ends satisfy anyway are not imposed, unless `implied` is set.
     """
     fields, arriving = chain.fields, chain.fields["nodes"][chain.crossed - 1, -1]
     sides = np.full((2, chain.size), [[-np.inf], [np.inf]])
@@ -71,20 +72,22 @@ def bounds_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
     for name, limited in (("path", problem.path_constraint), ("ends", problem.end_conditions), *conditions):
         if limited is not None:
             _limit(equations, chain.rows[name], limited[1:])
-    for rows in () if implied else _implied(problem, chain):
-        _limit(equations, rows, ([-np.inf], [np.inf]))
-    return with_ends(ProgramBounds(*sides[:, : chain.unknowns], *equations), problem, chain)
+    return with_ends(ProgramBounds(*sides[:, : chain.unknowns], *equations), problem, chain, implied)
 
 
-def with_ends(bounds: ProgramBounds, problem: ControlProblem, chain: Chain) -> ProgramBounds:
-    """The same bounds with the ends and the velocities there that a problem gives."""
+def with_ends(bounds: ProgramBounds, problem: ControlProblem, chain: Chain, implied: bool = False) -> ProgramBounds:
+    """The same bounds with the ends and the velocities there that a problem gives; arguments as for `bounds_of`."""
     velocities = (*problem.start_velocity[: chain.mechanical], *problem.end_velocity[: chain.mechanical])
     stated = np.array([*problem.start, *problem.end, *velocities], dtype=float)  # NaN for None
     index = np.concatenate((*chain.fields["x"][[0, -1]], chain.fields["start_velocity"], chain.fields["end_velocity"]))
     given = np.isfinite(stated)
     sides = np.array([bounds.lower, bounds.upper])
     sides[:, index[given]] = stated[given]
-    return replace(bounds, lower=sides[0], upper=sides[1])
+    equations = np.array([bounds.equations_lower, bounds.equations_upper])
+    for rows, satisfied in _constraint_at_ends(problem, chain):
+        free = np.where(satisfied & (not implied), np.inf, 0.0)
+        _limit(equations, rows, (-free, free))
+    return ProgramBounds(*sides, *equations)
 
 
 def _limit(sides: np.ndarray, index: np.ndarray, bounds: ArrayLike) -> None:
@@ -93,15 +96,20 @@ def _limit(sides: np.ndarray, index: np.ndarray, bounds: ArrayLike) -> None:
         side[index] = bound
 
 
-def _implied(problem: ControlProblem, chain: Chain) -> list[np.ndarray]:
-    """Equations of a holonomic constraint that the given positions or velocities at the ends satisfy already."""
-    stated = [
-        (problem.start, chain.rows["start_constraint"]),
-        (problem.end, chain.rows["constraint"][-1, -1]),
-        (problem.start_velocity, chain.rows["start_tangent"]),
-        (problem.end_velocity, chain.rows["end_tangent"]),
-    ]
-    return [rows for given, rows in stated if None not in given]
+def _constraint_at_ends(problem: ControlProblem, chain: Chain) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Rows of a constraint and of its time derivative at both ends, and whether what is given satisfies them already.
+
+    A given position does, and then a given velocity, where the constraint depends on no free time or parameter; and
+    rest does wherever the constraint does not depend on time.
+    """
+    rows, ends, at_rest = chain.rows, list[tuple[np.ndarray, np.ndarray]](), ~problem.moving_constraints
+    of_constraint = rows["start_constraint"], rows["constraint"][-1, -1]
+    for k, (name, constraint) in enumerate(zip(ENDS, of_constraint, strict=True)):
+        x, v = getattr(problem, name), getattr(problem, f"{name}_velocity")
+        satisfied = problem.determined_constraints(k) & (None not in x)
+        tangent = (satisfied & (None not in v)) | (at_rest & all(rate == 0 for rate in v))
+        ends += [(constraint, satisfied), (rows[f"{name}_tangent"], tangent)]
+    return ends
 
 
 def check_count(chain: Chain, bounds: ProgramBounds) -> None:

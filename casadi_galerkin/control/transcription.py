@@ -224,14 +224,14 @@ class ControlTranscription:
         violation = float(np.max(relative))
         if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
             raise explained(problem, NAMES[solver.name], chain, optimum, report.cost, relative, path)
-        off = off_constraint(problem, path)
-        if off is not None:
-            raise ConvergenceError(f"no path was found: {off}", Path(path), violation / EPS, optimum.iterations)
         multipliers = optimum.multipliers / chain.units(values["sizes"])
         joints, mechanical = path.mesh, chain.mechanical
         parameters = None if problem.parameters is None else tuple(values["parameters"].tolist())
         breakpoints = tuple(joints[chain.breaks].tolist())
         found = problem.found((float(joints[0]), float(joints[-1])), parameters, breakpoints)
+        off = off_constraint(found, path)
+        if off is not None:
+            raise ConvergenceError(f"no path was found: {off}", Path(path), violation / EPS, optimum.iterations)
         others = np.zeros((chain.dimension - mechanical, len(joints)))
         momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
         rates = path.at_parts(np.array([0.0, 1.0]))[1][mechanical:, [0, -1], [0, 1]].T if len(others) else others.T

@@ -20,10 +20,9 @@ from casadi_galerkin.calculus.numbers import components, counted, finite, flag, 
 from casadi_galerkin.problems.callables import Traceable, arguments, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint
 from casadi_galerkin.problems.legendre_transform import legendre_transform
-from casadi_galerkin.problems.problem import END_MOTIONS, with_changes
+from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, with_changes
 
 Given = tuple[float | None, ...]
-ENDS = ("start", "end")
 SAME_ENERGY = 1e-9  # relative difference of two energies below which rounding may be the cause
 
 

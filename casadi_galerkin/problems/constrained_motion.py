@@ -10,7 +10,7 @@ with p = ∂L/∂v and M = ∂p/∂v.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -177,10 +177,10 @@ def work_of_constraint(problem: Problem, t: np.ndarray, x: np.ndarray, v: np.nda
     return np.asarray(np.sum(multipliers(motion, t, x, v) * _at(motion, t, x, v)[3], axis=0))
 
 
-def check_constraint(problem: Problem) -> None:
+def check_constraint(problem: Problem, positions: Collection[str] = ("start", "position", "end")) -> None:
     """Refuse too many constraints, and given positions that violate them or where they are redundant.
 
-    Only positions with all of their components given are looked at.
+    Only positions of these names with all of their components given are looked at.
     """
     if problem.constraint is None:
         return
@@ -198,7 +198,7 @@ def check_constraint(problem: Problem) -> None:
     first, last = problem.t_span
     for name, when in (("start", first), ("position", first), ("end", last)):
         where: Any = getattr(problem, name, (None,))
-        if None in where:
+        if name not in positions or None in where:
             continue
         symbols = function.sx_in()
         values, missed, slopes = (np.array(a) for a in relative_residuals(function(*symbols), symbols)(when, where))

@@ -18,6 +18,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.numbers import components, counted, flag, numbers, time_span, times_inside, whole_number
 from casadi_galerkin.calculus.roundoff import EPS
@@ -36,7 +37,7 @@ from casadi_galerkin.problems.callables import Traceable, arguments, of_nothing,
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
 from casadi_galerkin.problems.crossings import Crossing, Pairs, Waypoint, is_limited, jumps_of, waypoints_of
 from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
-from casadi_galerkin.problems.problem import section_times, with_changes, with_values
+from casadi_galerkin.problems.problem import ENDS, section_times, with_changes, with_values
 
 
 @dataclass(frozen=True, repr=False)
@@ -219,6 +220,28 @@ class ControlProblem:
         return 0 if self.constraint is None else int(self.constraint.numel_out(0))
 
     @property
+    def moving_constraints(self) -> np.ndarray:
+        """Which holonomic constraints depend on time; (constraints,)."""
+        return self._constraints_by(0, [True])
+
+    def determined_constraints(self, end: int) -> np.ndarray:
+        """Which of them depend at the start, 0, or at the end, 1, on no free time and no free parameter."""
+        open_ones = np.zeros(self.constraints, dtype=bool)
+        if self.parameter_bounds is not None:
+            open_ones |= self._constraints_by(2, np.less(*self.parameter_bounds))
+        if end == 1 and self.duration_bounds is not None:
+            open_ones |= self.moving_constraints
+        return ~open_ones
+
+    def _constraints_by(self, argument: int, chosen: ArrayLike) -> np.ndarray:
+        """Which holonomic constraints depend on the chosen components of an argument of theirs."""
+        depend = np.zeros(self.constraints, dtype=bool)
+        if self.constraint is not None:
+            rows, columns = (np.array(i, dtype=int) for i in self.constraint.sparsity_jac(argument, 0).get_triplet())
+            depend[rows[np.asarray(chosen)[columns]]] = True
+        return depend
+
+    @property
     def mechanical(self) -> int:
         """Number of components that have an equation of motion; the others follow rates."""
         return int(self.force.numel_out(0))
@@ -303,20 +326,20 @@ class ControlProblem:
                         f"{name}[{i}] = {value} lies on its position_bounds [{low[i]}, {high[i]}], and "
                         f"{name}_velocity[{i}] = {velocity} puts the path outside beside it"
                     )
-        if self.duration_bounds is None and self.parameter_bounds is None:
-            check_constraint(self)
-            self._check_end_state("start", self.t_span[0])
-            self._check_end_state("end", self.t_span[1])
+        check_constraint(self, [name for k, name in enumerate(ENDS) if self.determined_constraints(k).all()])
+        for k, name in enumerate(ENDS):
+            self._check_end_state(k, name)
         if self.end_conditions is not None:
             self._check_end_conditions(*self.end_conditions)
 
-    def _check_end_state(self, name: str, t: float) -> None:
+    def _check_end_state(self, end: int, name: str) -> None:
         """Refuse a given state at an end that violates a path constraint without controls, or is not tangent."""
-        x, v = getattr(self, name), getattr(self, f"{name}_velocity")
+        t, x, v = self.t_span[end], getattr(self, name), getattr(self, f"{name}_velocity")
         if None in (*x, *v):
             return
-        check_tangent(self, f"{name}_velocity", t, x, v)
-        if self.path_constraint is None:
+        if self.determined_constraints(end).all():
+            check_tangent(self, f"{name}_velocity", t, x, v)
+        if self.path_constraint is None or self.duration_bounds is not None or self.parameter_bounds is not None:
             return
         g, low, high = self.path_constraint
         given = [] if self.parameters is None else [self.parameters]

@@ -12,8 +12,9 @@ import numpy as np
 from casadi_galerkin.calculus.galerkin import check_method
 from casadi_galerkin.calculus.numbers import components, finite, numbers, time_span, times_inside
 
+ENDS = ("start", "end")
 END_MOTIONS = ("start_velocity", "end_velocity", "start_momentum", "end_momentum")
-VARIED = ("start", "end", "parameters", *END_MOTIONS, "energy")  # what can be varied, where a problem has it
+VARIED = (*ENDS, "parameters", *END_MOTIONS, "energy")  # what can be varied, where a problem has it
 
 
 class Problem(Protocol):
