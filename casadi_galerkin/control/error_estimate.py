@@ -14,7 +14,8 @@ Some errors are common to both degrees, so that the difference does not show the
   neither path shows the difference.
 - Bounds of positions, which hold at nodes only.  Where a path exceeds one by ε between nodes, the error of the path is
   about √ε; about ε for a component whose rate is controlled, which can follow its bound.
-- Bounds of controls and path constraints, which hold at quadrature points only: see `unseen_excess`.
+- Bounds of controls and path constraints, which hold at quadrature points only: see `unseen_excess`.  What a path
+  constraint is exceeded by changes the cost in first order: see `HigherDegree.excess_effects`.
 - The Hamiltonian, which is constant where nothing depends on time.  Its variation, times duration over cost, was
   measured to be of the order of D where both degrees switch at the same wrong time.
 - Jumps in time (`jumps_in_time`), whose effect is a lower bound of the errors of cost and path.
@@ -64,6 +65,7 @@ DIFFERING_ESTIMATES = 1e-4
 # distance over the duration below which switches are one, such as those of two controls at a breakpoint
 SAME_SWITCH = 1e-8
 ROUNDOFF = 1e-15  # of positions and of impulses, relative to their sizes
+FINEST = 12  # number of distances from a quadrature point, each half of the one before, at which excess is looked for
 UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
 
 
@@ -77,6 +79,15 @@ def position_errors(path: ControlTrajectory) -> np.ndarray:
     powers = np.full((len(excess), 1), 0.5)
     powers[[problem.mechanical + i for i in problem.rates.sparsity_jac(3, 0).row()]] = 1.0
     return np.asarray(np.max(excess**powers, axis=0))
+
+
+def around(points: np.ndarray) -> np.ndarray:
+    """Fractions of an interval at distances of all sizes from its quadrature points.
+
+    A narrow obstacle that one of the points meets is wider or narrower than any given distance.
+    """
+    distances = 0.5 ** np.arange(1, FINEST + 1)
+    return np.unique(np.clip(np.add.outer(points, np.append(-distances, distances)), 0.0, 1.0))
 
 
 def bounded_values(path: ControlTrajectory, parts: np.ndarray) -> np.ndarray:
@@ -179,6 +190,23 @@ class HigherDegree:
             return np.zeros(len(self.path.t) - 1)
         return np.array([self.of_cost(change) for change in jumps_in_time(self.path)])
 
+    @cached_property
+    def excess_effects(self) -> np.ndarray:
+        """Changes of the cost on each interval by what path constraints are exceeded between the points; (N,).
+
+        They are of first order in the excess ε, the same in both degrees: to allow a constraint of multiplier μ so much
+        changes the cost by ∫ μ ε dt.
+        """
+        path, constraint = self.path, self.path.problem.path_constraint
+        if constraint is None or path.path_multipliers is None:
+            return np.zeros(len(path.t) - 1)
+        low, high = (np.array(side)[:, None, None] for side in constraint[1:])
+        parts = around(path.method.element.points)
+        excess = np.min([bound_excess(p.path_constraints(parts), low, high) for p in (path, self.higher)], axis=0)
+        forces = np.abs(path.path_multipliers.values).reshape(*excess.shape[:2], -1)
+        impulses = np.diff(path.t) * (forces @ np.array(path.method.quadrature.weights))
+        return np.array([self.of_cost(change) for change in np.sum(np.max(excess, axis=2) * impulses, axis=0)])
+
     @property
     def jump_error(self) -> float:
         """Relative error of the cost by all jumps in time."""
@@ -201,14 +229,14 @@ class HigherDegree:
 
     @property
     def cost_error(self) -> float:
-        """Relative error of the cost; an error of the path changes the cost in second order only.
+        """Relative error of the cost; an error of a path that keeps to all bounds changes it in second order only.
 
         Where the two paths are far apart, their costs may agree by chance, and the distance of the paths is the error.
         """
         distance = self.change if self.change > FAR_FROM_GUESS else 0.0
         change, common = self.cost_change / (1 - SLOWEST), self.common_error
         variation = self.of_cost(self.path._hamiltonian_variation)
-        return max(change, common**2, variation**2, distance, self.jump_error)
+        return max(change, common**2, variation**2, distance, self.jump_error, float(np.sum(self.excess_effects)))
 
     def better_mesh(self, tol: float, cost_tol: float) -> np.ndarray:
         """Joints, in the time of the path of higher degree, with which both errors should be below their tolerances."""
@@ -220,7 +248,8 @@ class HigherDegree:
         parts = parts_wanted(error, path.method.degree + 1, tol)
         parts = np.where(kinked & (parts > 1), parts_wanted(error, KINK_ORDER, tol), parts)
         parts = np.maximum(parts, parts_wanted(np.maximum(self.bound_errors, self.control_misfit), 1, tol))
-        mesh, parts = self.widened(np.maximum(parts, parts_wanted(self.jump_effects, 1, cost_tol)))
+        of_cost = np.maximum(self.jump_effects, self.excess_effects)
+        mesh, parts = self.widened(np.maximum(parts, parts_wanted(of_cost, 1, cost_tol)))
         mesh = equidistributed(mesh, parts, MOST_PARTS, breakpoints=higher.problem.breakpoints)
         return self.with_jumps(mesh, tol)
 

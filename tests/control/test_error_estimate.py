@@ -117,3 +117,20 @@ def test_a_bound_of_a_component_whose_rate_is_controlled_needs_no_square_root(to
     error = np.max(np.abs(path(times)[0] - (rise * after - 2 * after**2))) / cap
     assert error <= path.error_estimate <= tol
     assert len(path.t) <= most
+
+
+@pytest.mark.parametrize(
+    ("width", "when", "height", "asked"),
+    [
+        (0.0083, 0.3658, 0.42, {"cost_tol": 1.4e-4}),
+        (0.00115, 0.2827, 1.19, {"cost_tol": 1e-4}),
+        (0.001679755, 0.4373338526, 1.1468407689, {"tol": 4.0143e-4}),
+    ],
+)
+def test_an_obstacle_narrower_than_the_points_are_apart_counts_in_the_cost(width, when, height, asked):
+    """One point of the path meets it, and it rises between the points.  To pass at its height costs almost as much."""
+    bump = lambda t, x, v, u: x[0] - height * ca.exp(-(((t - when) / width) ** 2))  # noqa: E731
+    path = cg.solve(double_integrator(end=[0.0], path_constraint=(bump, -1e-9, np.inf)), **asked)
+    least = cg.solve(double_integrator(end=[0.0], waypoints=[(when, [(height, np.inf)])]), cg.Galerkin(3), 10).cost
+    assert 1 - path.cost / least <= 1.2 * path.cost_error
+    assert path.cost_error <= asked.get("cost_tol", asked.get("tol"))
