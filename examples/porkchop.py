@@ -92,7 +92,7 @@ def draw(answer):
 if __name__ == "__main__":
     answer = transfers, cost = main()
     print(transfers)
-    print(f"{len(transfers.jumps)} transfers on another branch than their neighbors")
+    print(f"{len(transfers.jumps)} transfers seem on another branch than their neighbors")
     i, j = np.unravel_index(np.nanargmin(cost), cost.shape)
     print(f"cheapest: {cost[i, j]:.3f} km/s, launch {LAUNCHES[i]:.3f}, flight {FLIGHTS[j]:.3f} years")
     transfers.to_npz("porkchop.npz")  # what every transfer has at both ends

@@ -118,7 +118,7 @@ def shoot(
     if wrong is not None:
         raise ConvergenceError(wrong, Path(path.polynomial), shot.residual, iterations)
     path = replace(path, action=action, residual=shot.residual, solver=solver + _far(guess, path))
-    return replace(path, find_difference=partial(_difference, path))
+    return replace(path, find_difference=partial(_difference, path, _missed(shot)[0]))
 
 
 def check_start(problem: BoundaryProblem, guess: Trajectory | None) -> None:
@@ -146,8 +146,12 @@ def _other_end(problem: BoundaryProblem, path: Trajectory) -> str | None:
     )
 
 
-def _difference(path: Trajectory) -> float:
-    """Relative difference of a path and its duration from those of a higher degree that meets the same ends."""
+def _difference(path: Trajectory, missed: float) -> float:
+    """Relative difference of a path and its duration from those of a higher degree that meets the same ends.
+
+    Rounding moves the start of that one as it does its own, so that by what part of its size the path misses the end is
+    added.
+    """
     assert isinstance(path.problem, BoundaryProblem)
     own = path.polynomial
     try:
@@ -155,7 +159,7 @@ def _difference(path: Trajectory) -> float:
     except ConvergenceError:
         return math.inf
     change = largest_change(own, finer.nodes, finer.values - own.at(finer.nodes))
-    return max(change, abs(float(np.ptp(finer.mesh) / np.ptp(own.mesh)) - 1))
+    return max(change, abs(float(np.ptp(finer.mesh) / np.ptp(own.mesh)) - 1)) + missed
 
 
 def _far(guess: Trajectory | None, path: Trajectory) -> str:
@@ -273,11 +277,16 @@ def _refuse_conjugate(shot: Shot, iteration: int) -> None:
         raise ConjugatePointError(reason, Path(shot.path), shot.residual, iteration)
 
 
-def _met(shot: Shot, iteration: int) -> Shot:
-    """Return the last shot of Newton's method if it meets the end up to roundoff, in half of the digits; or raise."""
+def _missed(shot: Shot) -> tuple[float, float]:
+    """By what the end is missed, and by what the rounding of the start moves it, relative to the path's size."""
     sizes = np.abs(shot.by_ends) @ shot.sizes
     sizes = np.where(sizes > 0, sizes, 1.0)
-    missed, moved = (float(np.max(np.abs(a) / sizes)) for a in (shot.miss, shot.floor))
+    return float(np.max(np.abs(shot.miss) / sizes)), float(np.max(shot.floor / sizes))
+
+
+def _met(shot: Shot, iteration: int) -> Shot:
+    """Return the last shot of Newton's method if it meets the end up to roundoff, in half of the digits; or raise."""
+    missed, moved = _missed(shot)
     if missed <= MISS and shot.residual <= ACCEPTED:
         values = shot.path.values
         if shot.stepper.stretched and np.all(np.ptp(values, axis=1) <= MISS * np.max(np.abs(values), axis=1)):

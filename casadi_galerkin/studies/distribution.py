@@ -143,6 +143,19 @@ def _known(answer: Answer | None) -> list[Known]:
     return [(data_vector(answer.problem), answer)]
 
 
+def checked_pickle(given: object) -> bytes:
+    """Problems and what goes with them as bytes, after a check that CasADi can read what it has written."""
+    written = pickle.dumps(given)
+    try:
+        pickle.loads(written)
+    except RuntimeError as error:
+        raise TypeError(
+            "the problem cannot be pickled, because its callables use a CasADi Function that exists in this process "
+            f"only, such as a casadi.Callback: {error}"
+        ) from error
+    return written
+
+
 def in_words(error: BaseException) -> str:
     """The kind of an error and its words."""
     return f"{type(error).__name__}: {error}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
@@ -23,7 +22,17 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.export import Table, by_component
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
-from casadi_galerkin.studies.distribution import Answer, Batch, CutShort, Variation, in_words, solver_of, varied
+from casadi_galerkin.studies.distribution import (
+    Answer,
+    Batch,
+    CutShort,
+    Stated,
+    Variation,
+    checked_pickle,
+    in_words,
+    solver_of,
+    varied,
+)
 
 FIELDS = (*VARIED, "t_span", "guess")
 
@@ -36,6 +45,7 @@ class Sweep(Table):
     ----------
     answers : one for each variation, its Trajectory or the exception that says why there is none: a ConvergenceError,
         a CutShort where its worker failed or an interrupt came first, or whatever its guess raised
+    problems : the problem of each variation
 
     Examples
     --------
@@ -47,6 +57,7 @@ class Sweep(Table):
     """
 
     answers: tuple[Answer, ...]
+    problems: tuple[BoundaryProblem | ControlProblem, ...]
 
     def __len__(self) -> int:
         return len(self.answers)
@@ -95,9 +106,14 @@ class Sweep(Table):
         return self._stacked("cost")
 
     def table(self) -> dict[str, np.ndarray]:
-        """A row for each variation: why it failed, or an empty word; parameters, action, cost, duration, both ends."""
+        """A row for each variation: why it failed, or an empty word; parameters, action, cost, duration, both ends.
+
+        The parameters of one that failed are those that it states.
+        """
         size, failures = max((len(path.x) for path in self._paths.values()), default=0), self.failures
-        count = max((len(path.problem.parameters or ()) for path in self._paths.values()), default=0)
+        stated = [self._paths[i].problem if i in self._paths else problem for i, problem in enumerate(self.problems)]
+        count = max((len(problem.parameters or ()) for problem in stated), default=0)
+        parameters = np.array([problem.parameters or () for problem in stated]).reshape(len(self), count)
         names = [name for name in ("action", "cost") if any(hasattr(path, name) for path in self._paths.values())]
 
         def ends(name: str) -> dict[str, np.ndarray]:
@@ -107,7 +123,7 @@ class Sweep(Table):
 
         return {
             "failure": np.array([str(failures.get(i, "")) for i in range(len(self))]),
-            **by_component("p", self._rows(lambda path: path.problem.parameters or (), (count,)).T),
+            **by_component("p", parameters.T),
             **{name: self._rows(attrgetter(name)) for name in names},
             "duration": self._rows(lambda path: path.t[-1] - path.t[0]),
             **ends("x"),
@@ -116,12 +132,13 @@ class Sweep(Table):
 
     @cached_property
     def jumps(self) -> dict[int, int]:
-        """Number of the variation -> number of its neighbor, for those on another branch than their neighbor.
+        """Number of the variation -> number of its neighbor, for those that seem on another branch than their neighbor.
 
-        A neighbor is the nearest variation that was solved and comes before.  Two variations are on different branches
+        A neighbor is the nearest variation that was solved and comes before.  Two variations seem on different branches
         where their Morse indices differ, or where the action changes by more than its derivatives at both explain.
-        Branches that differ in neither, such as mirror images, are not told apart; under constraints, end conditions,
-        forces and a given energy only the index counts.
+        They do explain it where variations are so near that the action is convex or concave between them; else one
+        branch may seem two.  Branches that differ in neither, such as mirror images, are not told apart; under
+        constraints, end conditions, forces and a given energy only the index counts.
         """
         if not self._of_boundary_problems():
             raise ValueError("jumps between branches are told for boundary problems only")
@@ -153,7 +170,7 @@ class Sweep(Table):
             text += f", {cut_short} cut short"
         if self._of_boundary_problems() and self.jumps:
             i, neighbor = next(iter(self.jumps.items()))
-            text += f"\n  on another branch than their neighbors: {len(self.jumps)}, first {i} beside {neighbor}"
+            text += f"\n  seem on another branch than their neighbors: {len(self.jumps)}, first {i} beside {neighbor}"
         if not failures:
             return text
         first, error = next(iter(failures.items()))
@@ -219,7 +236,8 @@ def sweep(
         raise TypeError(
             f"executor must be a concurrent.futures.Executor, such as ProcessPoolExecutor(), got {executor!r}"
         )
-    checked = [_checked(problem, i, variation) for i, variation in enumerate(variations)]
+    given = [_checked(problem, i, variation) for i, variation in enumerate(variations)]
+    checked, problems = [variation for variation, _ in given], tuple(other for _, other in given)
     arguments = (problem, method, intervals, tol)
     solver = solver_of(*arguments)  # refuses here what would fail in every worker
     batch = Batch(solver, checked)
@@ -227,13 +245,13 @@ def sweep(
         if executor is None:
             batch.solve_here()
         else:
-            batch.solve_by(executor, pickle.dumps(arguments))
+            batch.solve_by(executor, checked_pickle(arguments))
     cut_short = CutShort("the sweep was interrupted before this variation was solved")
-    return Sweep(tuple(batch.answers.get(i, cut_short) for i in range(len(checked))))
+    return Sweep(tuple(batch.answers.get(i, cut_short) for i in range(len(checked))), problems)
 
 
-def _checked(problem: BoundaryProblem | ControlProblem, number: int, variation: Variation) -> Variation:
-    """Check one variation against the problem."""
+def _checked(problem: Stated, number: int, variation: Variation) -> tuple[Variation, Stated]:
+    """Check one variation against the problem; returns it with checked values, and its problem."""
     allowed = ", ".join(name for name in FIELDS if name not in VARIED or hasattr(problem, name))
     if not isinstance(variation, Mapping):
         raise TypeError(f"variation {number} must be a dict of {allowed}, got {variation!r}")
@@ -246,4 +264,4 @@ def _checked(problem: BoundaryProblem | ControlProblem, number: int, variation: 
         checked |= {name: getattr(other, name) for name in checked if name != "guess"}
     except (TypeError, ValueError) as error:
         raise type(error)(f"variation {number}: {error}") from None
-    return checked
+    return checked, other

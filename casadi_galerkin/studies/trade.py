@@ -33,6 +33,7 @@ from casadi_galerkin.solution.limits import check_tolerance
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.solver import Solver, ipopt, newton
+from casadi_galerkin.studies.distribution import checked_pickle
 from casadi_galerkin.studies.reference import AnyProblem, Measure, Reference, ReferenceSolution, finer, quantity
 from casadi_galerkin.studies.trade_table import Row, Trade
 
@@ -59,15 +60,15 @@ class _Cell:
         self.row = replace(self.row, solve_seconds=float(np.fmin(self.row.solve_seconds, seconds)))
 
 
-def _cell(problem: AnyProblem, row: Row, guess: Guess | None, measure: Measure | None) -> _Cell:
+def _cell(problem: AnyProblem, written: bytes, row: Row, guess: Guess | None, measure: Measure | None) -> _Cell:
     """Solve in one way for the first time, more than once, and build what its repeats need.
 
-    The second time finds CasADi's plugins loaded.
+    The second time finds CasADi's plugins loaded.  `written` is the pickled problem.
     """
     seconds: list[float] = []
     try:
         for _ in range(FIRST_CALLS):
-            fresh = pickle.loads(pickle.dumps(problem))  # a deep copy would share its Functions
+            fresh = pickle.loads(written)  # a deep copy would share its Functions
             began = time.perf_counter()
             path = row.solve(fresh, guess)
             seconds.append(time.perf_counter() - began)
@@ -103,10 +104,10 @@ def _on_its_mesh(problem: AnyProblem, cell: _Cell) -> Row:
 
 def _cells(problem: AnyProblem, ways: list[Row], guess: Guess | None, measure: Measure | None) -> list[_Cell]:
     """All ways, and then those on the meshes that tolerances have found, solved and repeated."""
-    cells, waiting = list[_Cell](), list(ways)
+    cells, waiting, written = list[_Cell](), list(ways), checked_pickle(problem)
     with progress("trade", (1 + REPEATS) * (len(ways) + len([way for way in ways if way.adaptive]))) as advance:
         while waiting:
-            cells.append(_cell(problem, waiting.pop(0), guess, measure))
+            cells.append(_cell(problem, written, waiting.pop(0), guess, measure))
             if cells[-1].row.adaptive and cells[-1].path is not None:
                 waiting.append(_on_its_mesh(problem, cells[-1]))
             advance(1)

@@ -14,6 +14,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted, finite
 from casadi_galerkin.calculus.quadrature import gauss, lobatto, radau
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.problem import map_times
 from casadi_galerkin.solution.export import Table
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.plotting import Pictured, plot_work_precision
@@ -89,13 +90,15 @@ class Row:
     def solve(self, problem: AnyProblem, guess: Guess | None = None) -> Trajectory:
         """Solve a problem in this way, the one that was traded or another; arguments and errors as for `solve`.
 
-        By shooting, `guess` is a Trajectory.
+        By shooting, `guess` is a Trajectory.  A mesh that was found for a tolerance is stretched to the time span.
         """
         if self.adaptive:
             return solve(problem, tol=self.tol, guess=guess, solver=self.solver)
         if not self.shooting:
-            intervals = self.intervals if self.mesh is None else None
-            return solve(problem, self.method, intervals, mesh=self.mesh, guess=guess, solver=self.solver)
+            if self.mesh is None:
+                return solve(problem, self.method, self.intervals, guess=guess, solver=self.solver)
+            mesh = map_times(np.array(self.mesh), [self.mesh[0], self.mesh[-1]], problem.t_span)
+            return solve(problem, self.method, mesh=mesh, guess=guess, solver=self.solver)
         given = cast(BoundaryProblem, problem), cast(Galerkin, self.method), self.intervals  # which `shoot` checks
         return shoot(*given, guess=cast(Trajectory | None, guess))
 

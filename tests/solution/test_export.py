@@ -88,8 +88,9 @@ def test_a_sweep_has_a_row_for_a_failure_too():
     np.testing.assert_array_equal(np.isnan(table["end_x[0]"]), [False, True])
 
 
-def test_a_sweep_over_parameters_has_their_columns():
+def test_a_sweep_over_parameters_has_their_columns_also_where_it_failed():
     fall = cg.BoundaryProblem(lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0], (0, 1), [0], [0], parameters=[1.0])
-    over = [{"parameters": [2.0]}, {"guess": lambda t: [np.nan]}, {}]
+    over = [{"parameters": [2.0]}, {"parameters": [3.0], "guess": lambda t: [np.nan]}, {}]
     table = cg.sweep(fall, over, cg.Galerkin(2), 2).table()
-    np.testing.assert_array_equal(table["p[0]"], [2.0, np.nan, 1.0])
+    np.testing.assert_array_equal(table["p[0]"], [2.0, 3.0, 1.0])
+    np.testing.assert_array_equal(np.isnan(table["action"]), [False, True, False])

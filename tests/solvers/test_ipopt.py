@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from callbacks import pendulum_with_callback
 from scenes import BY_NAME, oscillator, pendulum
 
 import casadi_galerkin as cg
@@ -54,28 +55,8 @@ def test_ipopt_finds_the_same_path_in_any_units(solver, action, length, time):
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.minimizer])
 def test_ipopt_needs_no_third_derivatives(solver):
     """A Callback for a cosine may have a first and a second derivative, and no more."""
-
-    class Known(ca.Callback):
-        def __init__(self, value, derivative=None):
-            super().__init__()
-            self.value, self.derivative = value, derivative
-            self.construct("known")
-
-        def eval(self, values):
-            return [self.value(values[0])]
-
-        def has_jacobian(self):
-            return self.derivative is not None
-
-        def get_jacobian(self, name, inputs, outputs, options):
-            x, y = ca.MX.sym("x"), ca.MX.sym("y")
-            return ca.Function(name, [x, y], [self.derivative(x)], inputs, outputs, options)
-
-    second = Known(lambda x: -ca.cos(x))
-    first = Known(lambda x: -ca.sin(x), second)
-    cosine = Known(ca.cos, first)
     actions = [
-        cg.solve(cg.BoundaryProblem(lagrangian, (0, 2), [0.0], [1.0]), cg.Galerkin(4), 10, solver=solver).action
-        for lagrangian in (lambda t, x, v: v[0] ** 2 / 2 + cosine(x[0]), pendulum)
+        cg.solve(problem, cg.Galerkin(4), 10, solver=solver).action
+        for problem in (pendulum_with_callback(), cg.BoundaryProblem(pendulum, (0, 2), [0.0], [1.0]))
     ]
     assert actions[0] == pytest.approx(actions[1], rel=1e-12)

@@ -296,3 +296,13 @@ def test_the_estimate_counts_the_error_of_a_duration_of_given_energy():
     error = abs(path.t[-1] / duration - 1)
     assert error > 1e-2
     assert 0.9 * error < path.estimate_error() < 10 * error
+
+
+@pytest.mark.parametrize("duration", [16, 18])
+def test_the_estimate_counts_by_how_much_the_end_is_missed(duration):
+    """An inverted pendulum, on which rounding grows as e^t: a shot of a higher degree is moved by the same rounding."""
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - ca.cos(x[0]), (0, duration), [0.5], [0.3])
+    true = cg.solve(problem, tol=1e-12)
+    path, times = cg.shoot(problem, cg.Galerkin(8), 4 * duration, guess=true), np.linspace(0, duration, 500)
+    error = np.max(np.abs(path(times) - true(times))) / 0.5
+    assert error <= 1.2 * path.estimate_error() < 1e-7

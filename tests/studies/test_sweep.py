@@ -10,6 +10,7 @@ from multiprocessing import get_context
 import casadi as ca
 import numpy as np
 import pytest
+from callbacks import pendulum_with_callback
 from control_problems import double_integrator
 from motions import henon_heiles, kepler
 from scenes import BY_NAME, DAMPED, bratu_problem
@@ -184,7 +185,7 @@ def test_variations_on_another_branch_are_told():
     assert [path.morse_index for path in sweep] == [0, 0, 0, 0, 0, 1, 0, 0, 0]
     assert sweep.jumps == {5: 4, 6: 5}
     assert str(sweep) == (
-        "Sweep of 9 variations, 9 solved\n  on another branch than their neighbors: 2, first 5 beside 4"
+        "Sweep of 9 variations, 9 solved\n  seem on another branch than their neighbors: 2, first 5 beside 4"
     )
 
 
@@ -358,6 +359,13 @@ def test_a_variation_that_does_not_fit_a_control_problem_is_refused(arguments, e
         cg.sweep(double_integrator(), [{}], 4, tol=1e-3)
     with pytest.raises(ValueError, match="tol must be a number between 0 and 1, got 2"):
         cg.sweep(double_integrator(), [{}], tol=2)
+
+
+def test_a_problem_with_a_function_of_this_process_is_solved_here_and_refused_for_other_processes(pool):
+    problem, ends = pendulum_with_callback(), [{"end": [0.5]}, {"end": [0.6]}]
+    assert not cg.sweep(problem, ends, METHOD, INTERVALS).failures
+    with pytest.raises(TypeError, match=r"cannot be pickled, .* such as a casadi\.Callback"):
+        cg.sweep(problem, ends, METHOD, INTERVALS, executor=pool)
 
 
 # executors

@@ -8,6 +8,7 @@ import casadi as ca
 import mpmath
 import numpy as np
 import pytest
+from callbacks import pendulum_with_callback
 from control_problems import double_integrator, pendulum_in_three
 from scenes import oscillator_problem, pendulum
 
@@ -106,6 +107,14 @@ def test_a_mesh_that_a_tolerance_has_found_is_solved_on_again(every_way):
     (row,) = (row for row in measured.rows if row.way == "newton, mesh of 1e-09")
     found = cg.solve(problem, tol=1e-9, guess=guess)
     assert row.solve(problem, guess).t.tolist() == list(row.mesh) == found.t.tolist()
+    first, last = problem.t_span
+    longer = row.solve(problem.varied({}, (first, 1.1 * last)))
+    np.testing.assert_allclose(longer.t, 1.1 * found.t, rtol=1e-14)
+
+
+def test_a_problem_with_a_function_of_this_process_is_refused_before_any_cell():
+    with pytest.raises(TypeError, match=r"cannot be pickled, .* such as a casadi\.Callback"):
+        cg.trade(pendulum_with_callback(), [cg.Galerkin(4)], [10])
 
 
 def test_a_way_that_fails_is_a_row_that_says_why():
