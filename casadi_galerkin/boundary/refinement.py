@@ -317,8 +317,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                     failure = ConvergenceError(words, failure.path, failure.residual, failure.iterations)
                 failures.append(failure)
                 if self.out_of_time():
-                    late = f"{self.limits.seconds:g} seconds have passed before there was a path"
-                    raise LimitReached(f"{late}: {failure}", failure.path, failure.residual, self.iterations) from None
+                    raise self.late(failure) from None
                 if self.verbose:
                     spent = f"{self.iterations - before} iterations, {time.perf_counter() - began:.3f} s"
                     print(f"{strategy.name}: no path, {spent}")

@@ -283,14 +283,19 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         Raises
         ------
         LimitReached
-            with the best path attached
+            with the best path attached, or the last iterate if there is none
         ConvergenceError
             where the solver finds no path on the first mesh, nor on one twice as fine
         """
         if isinstance(guess, ControlTrajectory):
             guess = replace(guess, problem=with_joined_phases(guess.problem))
-        with until(self.began + STARTS_TIME_SHARE * self.limits.seconds):
-            optima, summary = optima_of(starts, self.problem, guess, partial(self.solve_finer, mesh))
+        try:
+            with until(self.began + STARTS_TIME_SHARE * self.limits.seconds):
+                optima, summary = optima_of(starts, self.problem, guess, partial(self.solve_finer, mesh))
+        except ConvergenceError as failure:
+            if self.out_of_time():
+                raise self.late(failure) from None
+            raise
         found, failures, change = list[ControlTrajectory](), list[ConvergenceError](), 0.0
         end, levels = self.deadline, distinct_optima(optima)
         for level in levels:

@@ -144,6 +144,11 @@ class Refinement(ABC, Generic[Level, Detail]):
             self.iterations,
         )
 
+    def late(self, failure: ConvergenceError) -> LimitReached:
+        """The error for a failure after which the time is up, before there was a path."""
+        words = f"{self.limits.seconds:g} seconds have passed before there was a path: {failure}"
+        return LimitReached(words, failure.path, failure.residual, self.iterations)
+
     def _report(self, number: int, level: Level, estimate: Estimate[Detail]) -> None:
         """Print one line per level."""
         if not self.verbose:

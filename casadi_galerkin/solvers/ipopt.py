@@ -130,16 +130,18 @@ def _nlpsol(functional: Functional, minimize: bool, verbose: int, given: Mapping
 
 
 def check_option(name: str, value: object, plugin: str = "ipopt") -> None:
-    """Refuse an option that the solver does not know, by building one with it; fatrop refuses only when it is run."""
+    """Refuse an option that the solver does not know, by building one with it and running it.
+
+    fatrop knows its options only when it runs, and IPOPT whether the linear solver that one names is installed.
+    """
     x, quiet = ca.MX.sym("x"), {"print_level": 0} | ({"sb": "yes"} if plugin == "ipopt" else {})
     called = "IPOPT" if plugin == "ipopt" else plugin
     refusal = ValueError(f"{called} has no option {name} that takes {value!r}")
     try:
         asked = ca.nlpsol("asked", plugin, {"x": x, "f": x**2}, {"print_time": False, plugin: {**quiet, name: value}})
-        if plugin == "ipopt":
-            return
         asked(x0=1.0)
     except (RuntimeError, NotImplementedError, TypeError) as error:
         raise refusal from error
-    if not asked.stats()["success"]:
+    stats = asked.stats()
+    if stats["return_status"] == "Invalid_Option" if plugin == "ipopt" else not stats["success"]:
         raise refusal

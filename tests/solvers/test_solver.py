@@ -193,6 +193,7 @@ def test_an_unknown_option_is_refused_by_its_name(solver, name, capfd):
         (cg.rootfinder, {"max_iter": "many"}),
         (cg.ipopt, {"max_iter": "many"}),
         (cg.ipopt, {"linear_solver": "no such"}),
+        (cg.ipopt, {"linear_solver": "pardiso"}),  # from a library that CasADi does not bring along
         (cg.minimizer, {"tol": "small"}),
     ],
     ids=str,
