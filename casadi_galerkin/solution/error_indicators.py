@@ -81,7 +81,7 @@ def scaled_indicators(problem: Problem, path: PiecewisePolynomial, momentum: np.
 def error_indicators(problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray) -> tuple[np.ndarray, ...]:
     """Energy imbalance, misfit of L between points, and effect of jumps of the force, on each interval; (N,) each.
 
-    They are relative to the sizes of their terms; from the first two, the roundoff is subtracted.  The balance is that
+    They are relative to the sizes of their terms, and roundoff is subtracted.  The balance is that
     between breakpoints, because the energy jumps where L jumps in time.  A misfit of L below `LAGRANGIAN_MISFIT` is set
     to zero.
 
@@ -114,11 +114,12 @@ def _at_places(problem: Problem, function: ca.Function, *given: np.ndarray) -> l
 
 @lru_cache(8)
 def _force_along(force: ca.Function) -> ca.Function:
-    """(t, x, v, a[, p]) -> F, and its derivative with time at an acceleration a; (d,) each."""
+    """(t, x, v, a, w[, p]) -> F, dF/dt at an acceleration a, and |∂F/∂x||x| + |∂F/∂v| w; (d,) each."""
     t, x, v, *p = force.sx_in()
-    a, value = ca.SX.sym("a", x.numel()), force(t, x, v, *p)
+    a, w, value = ca.SX.sym("a", x.numel()), ca.SX.sym("w", x.numel()), force(t, x, v, *p)
     rate = ca.jtimes(value, ca.vertcat(t, x, v), ca.vertcat(1, v, a))
-    return ca.Function("along", [t, x, v, a, *p], [value, ca.densify(rate)])
+    changes = ca.mtimes(ca.fabs(ca.jacobian(value, ca.vertcat(x, v))), ca.vertcat(ca.fabs(x), w))
+    return ca.Function("along", [t, x, v, a, w, *p], [ca.densify(output) for output in (value, rate, changes)])
 
 
 def _jumps_of_force(
@@ -135,12 +136,15 @@ def _jumps_of_force(
     bends = lagrange_values(path.nodes, detector.parts) @ slopes @ slopes
     accelerations = (local - local[:, :, :1]) @ bends.T / steps[:, None] ** 2
     _, x, v = path.sampled(detector.parts)
-    along = _at_places(problem, _force_along(problem.force), detector.times, x, v, accelerations.reshape(x.shape))
-    forces, rates = (a.T for a in along)
+    blurred = _rounding(tuple(path.nodes.tolist())) * np.max(np.abs(local), axis=2) / steps
+    given = x, v, accelerations.reshape(x.shape), np.repeat(blurred, len(detector.parts), axis=1)
+    along = _at_places(problem, _force_along(problem.force), detector.times, *given)
+    forces, rates, rounded = (a.T for a in along)
     sizes = np.where(np.isfinite(forces), np.abs(forces), 0.0)
     means = sizes.reshape(len(local), len(steps), -1).mean(axis=2)
     whole = np.max(np.abs(momentum), axis=1) + means @ steps + moving + TINY
-    return np.asarray(np.max(detector.jump_effects(forces, rates) / whole[:, None], axis=0))
+    effects = detector.jump_effects(forces, rates, ROUNDING_FACTOR * EPS * rounded)
+    return np.asarray(np.max(effects / whole[:, None], axis=0))
 
 
 @lru_cache(64)

@@ -12,6 +12,7 @@ make the same error, which their difference does not show.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
@@ -47,9 +48,19 @@ class JumpDetector:
         early, late = (np.repeat(side, len(self.parts)) for side in inside)
         return np.asarray(np.clip(times_at(self._mesh, self.parts), early, late))
 
-    def jump_effects(self, values: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """Largest change of the integral over each interval by jumps, from f and df/dt (..., N r K); (..., N)."""
+    def jump_effects(self, values: np.ndarray, rates: np.ndarray, rounded: ArrayLike = 0.0) -> np.ndarray:
+        """Largest change of the integral over each interval by jumps, (..., N), beyond the roundoff of f.
+
+        Parameters
+        ----------
+        values, rates : f and df/dt; (..., N r K) each
+        rounded : the roundoff of f, which broadcasts to these
+        """
         lasting = np.diff(self._mesh)[:, None] * np.diff(self._edges)
-        f, slopes = (a.reshape(*a.shape[:-1], *lasting.shape, -1) for a in (values, rates))
-        missing = f[..., -1] - f[..., 0] - lasting * (slopes[..., 1:-1] @ np.array(INNER.weights))
-        return np.asarray(np.nansum(np.abs(missing * lasting), axis=-1))
+        f, slopes, least = (
+            a.reshape(*a.shape[:-1], *lasting.shape, -1)
+            for a in (values, rates, np.broadcast_to(rounded, values.shape))
+        )
+        missing = np.abs(f[..., -1] - f[..., 0] - lasting * (slopes[..., 1:-1] @ np.array(INNER.weights)))
+        beyond = np.maximum(missing - least[..., -1] - least[..., 0], 0.0)
+        return np.asarray(np.nansum(beyond * lasting, axis=-1))

@@ -240,10 +240,11 @@ class Trajectory(Path):
         return animate_linkage(times, self._places(points, times), duration / count, axes, unit)
 
     def _accuracy(self) -> list[str]:
-        """A line on the error of x, if it is known, or that this mesh does not resolve the path."""
+        """Lines on the error of x, if it is known, and that this mesh does not resolve the path, if so."""
         if self.error_estimate is None:
             return self._unresolved() or self._unbalanced()
-        return [f"  error       {self.error_estimate:.1e}, estimated, relative to the size of each component"]
+        words = f"  error       {self.error_estimate:.1e}, estimated, relative to the size of each component"
+        return [words, *self._unresolved()]
 
     def _unresolved(self) -> list[str]:
         """A line with the largest truncation error, if it is large."""

@@ -143,6 +143,18 @@ def test_a_periodic_path_takes_from_its_drive_what_friction_takes_from_it():
     np.testing.assert_allclose(path.x[0], exact, rtol=0, atol=CLOSED_FORM)
 
 
+@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_a_force_with_a_pole_that_a_radial_path_cancels_is_no_jump(n, tol):
+    """x'' = 1 - n x'/t with x(1) = 0 in a ball: v/t is constant, but rounding of v over a small t is not."""
+    ball = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2, (0, 1), [None], [0.0], force=lambda t, x, v: 1 - n * v[0] / t
+    )
+    path = cg.solve(ball, tol=tol)
+    np.testing.assert_allclose(path.x[0], (path.t**2 - 1) / (2 * n + 2), rtol=0, atol=CLOSED_FORM)
+    assert len(path.t) < 20
+
+
 @pytest.mark.parametrize("solver", [cg.rootfinder, cg.ipopt], ids=str)
 def test_solvers_agree_on_a_forced_path(solver):
     newton, other = (cg.solve(projectile(), METHOD, intervals=4, solver=each) for each in (cg.newton, solver))

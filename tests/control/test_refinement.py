@@ -375,7 +375,9 @@ def test_best_path_is_attached_when_the_time_is_up(monkeypatch):
 
 
 def test_time_is_a_limit_within_a_level():
-    with pytest.raises(cg.LimitReached, match=r"before there was a path.*Maximum WallTime Exceeded.*Allow more") as caught:
+    with pytest.raises(
+        cg.LimitReached, match=r"before there was a path.*Maximum WallTime Exceeded.*Allow more"
+    ) as caught:
         cg.solve(cart_pole(), tol=1e-8, intervals=300, limits=cg.Limits(seconds=1e-3))
     assert caught.value.path.x.shape == (2, 301)
 

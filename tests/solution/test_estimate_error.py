@@ -112,6 +112,8 @@ def test_a_path_that_is_plainly_not_resolved_says_so(degree, few, many):
     coarse = cg.solve(problem, cg.Galerkin(degree), few)
     fine = cg.solve(problem, cg.Galerkin(degree), many)
     assert "NOT RESOLVED" in str(coarse)
+    assert coarse.estimate_error() > 1e-3
+    assert "NOT RESOLVED" in str(coarse)
     assert "NOT RESOLVED" not in str(fine)
 
 
