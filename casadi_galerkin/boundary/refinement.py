@@ -137,9 +137,11 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         if largest > max(self.tol, TRUNCATION_FLOOR):
             self.check_stagnation(level, "Legendre coefficients", truncation, TRUNCATION_PATIENCE)
             return Estimate(largest, False, "Legendre coefficients", self.parts(truncation))
+        self.check_time()
         floor = self.floor(level)
         higher = self.graph(path).higher
         error, varied = discretization_error(higher, path, refined=floor > 0)
+        self.check_time()
         error = math.hypot(error, floor)
         mesh, stretched = path.mesh, self.graphs.problem.energy is not None
         self.roundoff_level = FLOOR_FACTOR * max(

@@ -136,9 +136,10 @@ class Refinement(ABC, Generic[Level, Detail]):
     def stopped(self, reason: str, level: Level, error: float, hint: str = HINT) -> LimitReached:
         """The error that reports the error reached and what to try, with the best path attached."""
         path = self.path(level, error)
+        known = f"an estimated error of {error:.1e}" if np.isfinite(error) else "no finite error estimate"
         return LimitReached(
             f"tolerance {self.tol:g} was not reached: {reason}. The best path has {len(path.t) - 1} intervals "
-            f"and an estimated error of {error:.1e}; it is attached to this error as `path`. {hint}",
+            f"and {known}; it is attached to this error as `path`. {hint}",
             path,
             self.solved(level)[2],
             self.iterations,
