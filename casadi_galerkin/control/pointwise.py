@@ -27,6 +27,7 @@ from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.pointwise import pulled_back
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import Crossing
+from casadi_galerkin.problems.legendre_transform import momentum_at
 
 Terms = dict[str, ca.SX]  # the rows, and the cost and the action where there are any
 NO_TERM = ca.SX(1, 1)  # structurally zero
@@ -159,7 +160,7 @@ def _at_points(problem: ControlProblem, *inputs: Any) -> Terms:
 
 def _at_either_end(problem: ControlProblem, *inputs: Any) -> Terms:
     x, v, p, t, sizes = inputs
-    rows = [ca.gradient(problem.lagrangian(t, x, _filled(v, x), *p), v) / sizes]
+    rows = [_momentum(problem, t, x, _filled(v, x), p) / sizes]
     if problem.constraint is not None:
         g = problem.constraint(t, x, *p)
         rows.append(ca.mtimes(ca.jacobian(g, x), v) + ca.jacobian(g, t))
@@ -185,17 +186,15 @@ def _at_crossing(problem: ControlProblem, *inputs: Any, crossing: Crossing) -> T
     x, v, duration, p, begin, share, sizes = inputs
     t, before = begin + duration * share, (x, _filled(v, x))
     after = before if crossing.jump is None else crossing.jump(*before, *p)
-    rows = [after[0], *(_momentum(problem, t, state, p) / sizes for state in (before, after))]
+    rows = [after[0], *(_momentum(problem, t, place, velocity, p) / sizes for place, velocity in (before, after))]
     if crossing.condition is not None:
         rows.append(crossing.condition[0](*before, *p))
     return {"rows": ca.vertcat(*rows)}
 
 
-def _momentum(problem: ControlProblem, t: ca.SX, state: tuple[ca.SX, ca.SX], p: list[ca.SX]) -> ca.SX:
-    """∂L/∂v of the mechanical components at a state (x, v) of expressions."""
-    symbols = [ca.SX.sym(name, problem.dimension) for name in ("x", "v")]
-    momentum = ca.gradient(problem.lagrangian(t, *symbols, *p), symbols[1])
-    return ca.substitute(momentum[: problem.mechanical, 0], ca.vertcat(*symbols), ca.densify(ca.vertcat(*state)))
+def _momentum(problem: ControlProblem, t: ca.SX, x: ca.SX, v: ca.SX, p: list[ca.SX]) -> ca.SX:
+    """∂L/∂v of the mechanical components."""
+    return momentum_at(problem.lagrangian, t, x, v, *p)[: problem.mechanical, 0]
 
 
 def _filled(v: ca.SX, x: ca.SX) -> ca.SX:

@@ -36,6 +36,7 @@ from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_valu
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.pointwise import pointwise
+from casadi_galerkin.problems.legendre_transform import momentum_at
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF, solve_scaled
 
 DOUBLINGS = 4  # doublings of the number of Newton iterations, to at most 16; 1 to 8 were needed, most for large steps
@@ -250,8 +251,7 @@ def _constrained_equations(
     pushed = ca.horzcat(*(ca.fabs(slopes[a]).T @ ca.fabs(impulses[:, a]) for a in range(m)))
     by_node = ca.repmat(ca.DM(b).T, m, 1) - ca.DM(values[:m])  # ψ_j at the end minus ψ_j at the node
     before = free_momentum + ca.sum2(pushes)
-    rate = ca.SX.sym("v", d)
-    momentum = ca.substitute(ca.gradient(lagrangian(t + h, x_at[:, m], rate), rate), rate, v)
+    momentum = momentum_at(lagrangian, t + h, x_at[:, m], v)
     fastest = ca.vertcat(*(ca.mmax(ca.fabs(unknowns[i, :])) for i in range(d)))  # h v_1 alone may pass through zero
     masses = ca.fabs(ca.jacobian(momentum, last))
     largest_momenta = masses @ fastest

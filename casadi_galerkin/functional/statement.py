@@ -19,6 +19,9 @@ x = given is imposed on it (`imposed` below).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import casadi as ca
 import numpy as np
 
@@ -32,6 +35,7 @@ from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Numbering
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem, is_given
+from casadi_galerkin.problems.legendre_transform import momentum_at
 from casadi_galerkin.problems.problem import END_MOTIONS
 
 AT_REST = 1e-3  # speed at the start over the largest one below which the start does not determine the phase
@@ -211,7 +215,7 @@ class _Statement:
         outputs = [ca.densify(added), ca.densify(rows), ca.project(jacobian, pattern)]
         return ca.Function(name, [y, t, self.parameters, self.given], outputs)
 
-    def _called(self, function: ca.Function, *arguments: ca.SX) -> ca.SX:
+    def _called(self, function: Callable[..., ca.SX], *arguments: ca.SX) -> ca.SX:
         """A callable of the problem at these arguments and, where there are some, the parameters."""
         return function(*arguments, *([] if self.problem.parameters is None else [self.parameters]))
 
@@ -266,7 +270,7 @@ class _Statement:
             velocities, positions_here = ca.SX.sym("v", len(unknown)), ca.SX.sym("x", len(imposed))
             v = stated[END_MOTIONS[k]]
             v[unknown] = velocities
-            momentum = (-1) ** k * self._momentum(t[k], x[k], v)
+            momentum = (-1) ** k * self._called(partial(momentum_at, problem.lagrangian), t[k], x[k], v)
             natural = [momentum[i] - rows[k * d + i] for i in unknown if i not in imposed]
             further = ca.vertcat(further, *natural, *(x[k][i] - positions_here[j] for j, i in enumerate(imposed)))
             for i in (*given, *imposed):
@@ -287,8 +291,3 @@ class _Statement:
             name: ca.vertcat(*(zero if value is None else next(given) for value in getattr(self.problem, name)))
             for name in END_MOTIONS
         }
-
-    def _momentum(self, t: ca.SX, x: ca.SX, v: ca.SX) -> ca.SX:
-        """∂L/∂v, (d,)."""
-        symbol = ca.SX.sym("v", self.problem.dimension)
-        return ca.substitute(ca.gradient(self._called(self.problem.lagrangian, t, x, symbol), symbol), symbol, v)

@@ -23,6 +23,13 @@ def legendre_transform(lagrangian: ca.Function) -> ca.Function:
     return ca.Function("legendre", symbols, [ca.densify(momentum), ca.densify(mass)])
 
 
+def momentum_at(lagrangian: ca.Function, t: ca.SX, x: ca.SX, v: ca.SX, *parameters: ca.SX) -> ca.SX:
+    """∂L/∂v at expressions of the arguments of L, (d,)."""
+    symbol = ca.SX.sym("v", v.numel())
+    momentum = ca.gradient(lagrangian(t, x, symbol, *parameters), symbol)
+    return ca.substitute(momentum, symbol, ca.densify(v))
+
+
 def _at(transform: ca.Function, t: np.ndarray, x: np.ndarray) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """Velocities v (d, K) -> momenta (d, K), mass matrices (K, d, d)."""
     mapped = transform.map(len(t))
