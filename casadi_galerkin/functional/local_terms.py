@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.functional.embedding import gathered
+from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.functional.numbering import Numbering
 
 
@@ -40,9 +41,7 @@ class LocalTerm:
         size, count = self.entries.shape
         y = ca.reshape(u.get_nz(False, self.entries.ravel(order="F").tolist()), size, count)
         t = ca.reshape(ca.mtimes(ca.MX(self.times), joints), self.function.size1_in(1), count)
-        added, rows, jacobian = self.function.map(self.function.name(), "serial", count, [2, 3], []).call(
-            [y, t, parameters, given]
-        )
+        added, rows, jacobian = one_by_one(self.function, count, (2, 3)).call([y, t, parameters, given])
         return [added, rows, ca.reshape(ca.MX(jacobian.nz[:]), -1, count)]
 
     def gathered(self, numbering: Numbering, rows: ca.MX) -> ca.MX:
