@@ -88,7 +88,7 @@ def explained(
     unknowns, numbering = failure.unknowns, stationarity.functional.numbering
     g, floor = stationarity.gradient_and_floor(unknowns, data)
     with np.errstate(invalid="ignore"):  # where both are infinite, or a free duration is
-        residual, times = np.abs(g) / floor, path.times(path.nodes[:-1])
+        residual, times = np.abs(g) / floor, path.node_times
     worst = int(np.argmax(np.where(np.isfinite(residual), residual, np.inf)))
     when = times[np.argmax((numbering.of_nodes == worst).any(axis=1))]
     place = f"the largest residual is at t = {when:.6g}"

@@ -69,7 +69,7 @@ def guess_on_resolving_mesh(
 
 def _smoothed(guess: PiecewisePolynomial) -> PiecewisePolynomial:
     """The least-squares cubic polynomial of a guess, without its corners and noise."""
-    times, (first, last) = guess.times(guess.nodes[:-1]), guess.mesh[[0, -1]]
+    times, (first, last) = guess.node_times, guess.mesh[[0, -1]]
     parts = (2 * times - first - last) / (last - first)
     return PiecewisePolynomial(guess.mesh, guess.nodes, legval(parts, legfit(parts, guess.values.T, 3)))
 
@@ -77,7 +77,7 @@ def _smoothed(guess: PiecewisePolynomial) -> PiecewisePolynomial:
 def _distance(guess: PiecewisePolynomial, point: CriticalPoint) -> float:
     """Distance of a path from the guess, at the same fractions of their durations, relative to the guess's size."""
     path = point.polynomial
-    times = map_times(guess.times(guess.nodes[:-1]), guess.mesh[[0, -1]], path.mesh[[0, -1]])
+    times = map_times(guess.node_times, guess.mesh[[0, -1]], path.mesh[[0, -1]])
     return relative_distance(path(times), guess.values)
 
 

@@ -86,6 +86,11 @@ class PiecewisePolynomial:
         return np.append(times_at(self.mesh, parts), self.mesh[-1])
 
     @property
+    def node_times(self) -> np.ndarray:
+        """Times of the values, joints and control points; (N m + 1,)."""
+        return self.times(self.nodes[:-1])
+
+    @property
     def local(self) -> np.ndarray:
         """Values at the nodes of every interval, (d, N, m + 1)."""
         m, values = self.degree, self.values

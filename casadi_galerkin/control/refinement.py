@@ -107,7 +107,7 @@ def perturbed(path: ControlTrajectory, by: float) -> ControlTrajectory:
     longer = ends + np.array([0.0, 0.0 if problem.duration_bounds is None else by]) * np.ptp(ends)
     mesh, times = (map_times(own, ends, longer) for own in (path.t, np.array(section_times(problem))))
     sizes = by * np.max(np.abs(before.values), axis=1)
-    parts = (before.times(before.nodes[:-1]) - ends[0]) / np.ptp(ends)
+    parts = (before.node_times - ends[0]) / np.ptp(ends)
     values = before.values + waves(np.random.default_rng(0), sizes)(parts)
     first, *breakpoints, last = times.tolist()
     return replace(
