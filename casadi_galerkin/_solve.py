@@ -13,7 +13,6 @@ from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_mesh
 from casadi_galerkin.boundary.sensitivity import boundary_function
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
-from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import method_for
 from casadi_galerkin.calculus.numbers import check_verbose
@@ -25,7 +24,7 @@ from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import check_kind
+from casadi_galerkin.problems.problem import check_kind, mesh_for
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits, check_tolerance
@@ -143,7 +142,7 @@ def solve(
             raise ValueError(f"an InitialProblem is solved step by step, and takes no {' and '.join(extra)}")
         if method is None:
             raise ValueError("give a method and intervals, got no method")
-        return integrate(problem, method, mesh_of(problem.t_span, intervals, mesh), verbose)
+        return integrate(problem, method, mesh_for(problem, intervals, mesh), verbose)
     _check_limits(limits, tolerance)
     if tolerance is None:
         graph = _graph(problem, method, intervals, mesh, one_by_one if starts == 1 else by_rows)

@@ -31,7 +31,7 @@ from casadi_galerkin.boundary.first_path import RANDOM, Strategy, first_path_str
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.transcription import Transcription
-from casadi_galerkin.calculus.discrete_calculus import NEAREST, mesh_of
+from casadi_galerkin.calculus.discrete_calculus import NEAREST
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import (
     FEWEST,
@@ -42,7 +42,7 @@ from casadi_galerkin.calculus.mesh_adaptation import (
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.problem import check_types
+from casadi_galerkin.problems.problem import check_types, mesh_for
 from casadi_galerkin.solution.error_indicators import scaled_indicators
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess, joined_by_lines
@@ -364,4 +364,4 @@ def first_mesh(problem: BoundaryProblem, method: Galerkin, intervals: int | None
     check_types(problem, method, BoundaryProblem)
     if intervals is None and mesh is None:
         intervals = max(FEWEST, math.ceil(FIRST_NODES / method.degree), 1 + len(problem.breakpoints))
-    return mesh_of(problem.t_span, intervals, mesh, problem.breakpoints)
+    return mesh_for(problem, intervals, mesh)

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.boundary.error_estimate import error_between_ends
 from casadi_galerkin.boundary.failure_report import refuse_undefined
 from casadi_galerkin.boundary.graph import BoundaryGraph, CriticalPoint
-from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -25,7 +24,7 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import off_constraint
 from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
-from casadi_galerkin.problems.problem import END_MOTIONS, check_types
+from casadi_galerkin.problems.problem import END_MOTIONS, check_types, mesh_for
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.path import Path
@@ -248,4 +247,4 @@ def transcribed(
     """Check what is given, and build the graph; arguments as for `transcribe`, and how L is evaluated at the points."""
     check_types(problem, method, BoundaryProblem)
     check_mass(problem)
-    return Transcription(problem, method, mesh_of(problem.t_span, intervals, mesh, problem.breakpoints), mapping)
+    return Transcription(problem, method, mesh_for(problem, intervals, mesh), mapping)

@@ -154,7 +154,7 @@ class DiscreteCalculus:
 
 
 def mesh_of(
-    t_span: tuple[float, float], intervals: int | None, mesh: ArrayLike | None, breakpoints: tuple[float, ...] = ()
+    t_span: tuple[float, float], intervals: int | None, mesh: ArrayLike | None, breakpoints: tuple[float, ...]
 ) -> np.ndarray:
     """Joints from a number of intervals, or from the joints themselves; exactly one must be given.
 

@@ -40,7 +40,6 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -52,7 +51,7 @@ from casadi_galerkin.control.several_starts import distinct_optima, optima_of
 from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import check_types, map_times, section_times
+from casadi_galerkin.problems.problem import check_types, map_times, mesh_for, section_times
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
@@ -340,4 +339,4 @@ def first_control_mesh(
             "not to be refined: give a method and intervals in place of a tolerance"
         )
     count = FIRST_INTERVALS + len(problem.breakpoints) if intervals is None and mesh is None else intervals
-    return mesh_of(problem.t_span, count, mesh, problem.breakpoints)
+    return mesh_for(problem, count, mesh)

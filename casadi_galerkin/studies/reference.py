@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin._solve import solve
-from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, mesh_of
+from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import resolving_interpolant, truncation_error
 from casadi_galerkin.calculus.numbers import APART, counted, number
@@ -25,7 +25,7 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import map_times, section_times
+from casadi_galerkin.problems.problem import map_times, mesh_for, section_times
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, check_finite_values, sampled
@@ -152,9 +152,8 @@ def _interpolated(problem: AnyProblem, at: Callable[[np.ndarray], np.ndarray]) -
         check_finite_values("the reference", values, calculus.node_times)
         return calculus.emb(values)
 
-    breakpoints = problem.breakpoints
-    mesh = mesh_of(problem.t_span, SAMPLES // 30 + 2 * len(breakpoints), None, breakpoints)
-    return resolving_interpolant(on, mesh, RESOLVED, SAMPLES, breakpoints)
+    mesh = mesh_for(problem, SAMPLES // 30 + 2 * len(problem.breakpoints), None)
+    return resolving_interpolant(on, mesh, RESOLVED, SAMPLES, problem.breakpoints)
 
 
 def quantity(measure: Measure, path: Path) -> float:
