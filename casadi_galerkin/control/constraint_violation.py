@@ -11,9 +11,6 @@ from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.problems.bounds import bound_excess
 
 ZERO_TERMS = 1e-20  # terms below which a component counts as zero; the solvers' tolerances are absolute
-# relative change of momenta below which a force cannot be told from zero; the solvers leave some 1e-12
-NEGLIGIBLE_MOMENTUM = 1e-10
-UNITS = "The solver's tolerances are absolute: take units in which cost, lengths, times and masses are near one"
 VANISHED = 1e-13  # terms of a component over those along the guess below which they are roundoff
 
 

@@ -43,8 +43,8 @@ from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, pa
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
-from casadi_galerkin.control.constraint_violation import NEGLIGIBLE_MOMENTUM
 from casadi_galerkin.control.jumps_in_time import jumps_in_time
+from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM
 from casadi_galerkin.control.switching import Switch, switches
 from casadi_galerkin.problems.bounds import bound_excess
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory

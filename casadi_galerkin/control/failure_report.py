@@ -9,7 +9,6 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.constraint_violation import UNITS
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.problems.bounds import FEASIBLE
@@ -19,6 +18,7 @@ from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 
 INVALID = "Invalid Number Detected"
+UNITS = "The solver's tolerances are absolute: take units in which cost, lengths, times and masses are near one"
 NO_PATH = (
     "There may be no path within these ends and bounds; else try a guess nearer to it, several `starts`, or units in "
     "which lengths, times and masses are near one"

@@ -22,6 +22,8 @@ ITERATION_LIMIT = 500  # the scenes take 5 to 100; with an unbounded cost the it
 TOLERANCE = 1e-12  # for IPOPT's scaled optimality error; with 1e-10 errors of the cost of 3e-9 were seen
 ACCEPTABLE = 1e-9  # accepted after ACCEPTABLE_ITERATIONS where roundoff keeps IPOPT from TOLERANCE
 ACCEPTABLE_ITERATIONS = 4
+# relative change of momenta below which a force cannot be told from zero; the solvers leave some 1e-12
+NEGLIGIBLE_MOMENTUM = 1e-10
 # IPOPT's barrier grows with the number of bounds.  With its default of 0.1 on a fine mesh, which has many bounds, the
 # first iterates move far from the guess: the cart-pole of degree 8 on 60 intervals took 207 iterations to another
 # minimum, and 19 with this.

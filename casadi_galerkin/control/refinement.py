@@ -44,8 +44,8 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
-from casadi_galerkin.control.constraint_violation import UNITS
 from casadi_galerkin.control.error_estimate import HigherDegree
+from casadi_galerkin.control.failure_report import UNITS
 from casadi_galerkin.control.phases import with_joined_phases, with_parted_phases
 from casadi_galerkin.control.several_starts import distinct_optima, optima_of
 from casadi_galerkin.control.transcription import SHORTEST, transcribed_control

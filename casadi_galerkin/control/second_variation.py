@@ -15,9 +15,8 @@ import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.constraint_violation import NEGLIGIBLE_MOMENTUM
 from casadi_galerkin.control.graph import ControlGraph
-from casadi_galerkin.control.optimizer import Optimum
+from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM, Optimum
 from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.control.solver_error import estimate_remaining_error
 from casadi_galerkin.functional.mapping import one_by_one
