@@ -13,7 +13,7 @@ from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.dependence import entries_within
+from casadi_galerkin.problems.dependence import controls_within
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 
@@ -59,7 +59,7 @@ def explained(
         hint = OTHER_HINT if hint is NO_PATH else hint
     else:
         state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
-    if hint is OTHER_HINT and entries_within(problem.running_cost, 3, KINKS):
+    if hint is OTHER_HINT and controls_within(problem.running_cost, KINKS):
         hint = KINK_HINT
     stopped = f"{solver} stopped with '{optimum.status}' after {optimum.iterations} iterations"
     return ConvergenceError(f"{stopped}; {state}. {hint}", Path(path), float(relative[worst] / EPS), optimum.iterations)
