@@ -22,8 +22,8 @@ from casadi_galerkin.calculus.numbers import checked_index, finite, numbers
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mass import check_mass
 from casadi_galerkin.functional.numbering import Data
-from casadi_galerkin.functional.statement import refuse_free_phase
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.orbit_phase import refuse_free_phase
 from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.guess import Guess

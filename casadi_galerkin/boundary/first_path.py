@@ -20,7 +20,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import resized_mesh, resolving_interpolant
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import by_rows
-from casadi_galerkin.functional.statement import has_phase
+from casadi_galerkin.problems.orbit_phase import has_phase
 from casadi_galerkin.problems.problem import map_times
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, Guess, relative_distance

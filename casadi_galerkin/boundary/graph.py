@@ -19,10 +19,11 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.end_velocities import end_velocities
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Data, joints_of
-from casadi_galerkin.functional.statement import functional_of, given_values, has_phase, phase_plane
+from casadi_galerkin.functional.statement import functional_of, given_values
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import tangent_at_joints
+from casadi_galerkin.problems.orbit_phase import has_phase, phase_plane
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
 from casadi_galerkin.solvers.newton import Solution, SolveFailure
 from casadi_galerkin.solvers.second_variation import SINGULAR, smallest_second_variation

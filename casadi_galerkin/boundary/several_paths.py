@@ -31,8 +31,8 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import checked_index, counted, real_array, whole_number
 from casadi_galerkin.calculus.roundoff import component_sizes
-from casadi_galerkin.functional.statement import refuse_free_phase
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.orbit_phase import refuse_free_phase
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.guess import waves
 from casadi_galerkin.solution.plotting import Pictured, plot_family

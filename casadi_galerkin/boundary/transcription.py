@@ -19,11 +19,11 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.functional.mass import check_mass
 from casadi_galerkin.functional.numbering import Data
-from casadi_galerkin.functional.statement import turned_back
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import off_constraint
 from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
+from casadi_galerkin.problems.orbit_phase import turned_back
 from casadi_galerkin.problems.problem import END_MOTIONS, check_types, mesh_for
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess

@@ -23,11 +23,11 @@ from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method, large
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.end_velocities import end_velocities
-from casadi_galerkin.functional.statement import turned_back
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform
+from casadi_galerkin.problems.orbit_phase import turned_back
 from casadi_galerkin.problems.problem import check_types, mesh_for
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS, guess_values, relative_distance

@@ -17,8 +17,8 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.buffers import Evaluator
-from casadi_galerkin.functional.statement import has_phase, phase_plane
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.orbit_phase import has_phase, phase_plane
 from casadi_galerkin.solution.guess import guess_values
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.end_equations import end_equations
