@@ -33,10 +33,9 @@ from casadi_galerkin.control.second_variation import CostVariation
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
 from casadi_galerkin.functional.mapping import PointMap, by_rows
 from casadi_galerkin.functional.mass import check_mass
-from casadi_galerkin.functional.statement import check_points
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.bounds import FEASIBLE
-from casadi_galerkin.problems.constrained_motion import off_constraint, tangent_at_joints
+from casadi_galerkin.problems.constrained_motion import check_points, off_constraint, tangent_at_joints
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import check_types, mesh_for
 from casadi_galerkin.solution.control_path import ControlPath

@@ -27,13 +27,13 @@ import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.nodes import lobatto_points
 from casadi_galerkin.functional.end_velocities import end_velocities
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.local_terms import LocalTerm
 from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Numbering
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem, is_given
+from casadi_galerkin.problems.constrained_motion import check_points
 from casadi_galerkin.problems.legendre_transform import momentum_at
 from casadi_galerkin.problems.orbit_phase import has_phase
 from casadi_galerkin.problems.problem import END_MOTIONS
@@ -53,20 +53,6 @@ def given_values(problem: BoundaryProblem, plane: np.ndarray | None = None) -> n
     if has_phase(problem):
         values += [0.0] * (2 * problem.dimension) if plane is None else plane.tolist()
     return np.array(values + ([] if problem.energy is None else [problem.energy]))
-
-
-def check_points(constraint: ca.Function | None, method: Galerkin) -> None:
-    """Refuse control points that lose the order of a constrained path.
-
-    Impulses at Lobatto points are an integral of the constraint's force of order 2m.  At equally spaced or Chebyshev
-    points the order of the path was measured to be the next even number from m on, with every rule.
-    """
-    points, expected = np.array(method.control_points), lobatto_points(method.degree)
-    if constraint is not None and not np.allclose(points, expected, rtol=0, atol=1e-12):
-        raise ValueError(
-            "a constraint is held at the control points; to keep order 2m, they must be the default, "
-            f"lobatto_points({method.degree}), got {points.tolist()}"
-        )
 
 
 def rows_of_ends(

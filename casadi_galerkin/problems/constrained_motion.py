@@ -17,6 +17,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.nodes import lobatto_points
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
@@ -215,6 +217,20 @@ def check_constraint(problem: Problem, positions: Collection[str] = ("start", "p
                 f"the constraints are redundant at the given {name}, x = {list(where)}: their gradients, the rows of "
                 f"{slope.tolist()}, are linearly dependent"
             )
+
+
+def check_points(constraint: ca.Function | None, method: Galerkin) -> None:
+    """Refuse control points that lose the order of a constrained path.
+
+    Impulses at Lobatto points are an integral of the constraint's force of order 2m.  At equally spaced or Chebyshev
+    points the order of the path was measured to be the next even number from m on, with every rule.
+    """
+    points, expected = np.array(method.control_points), lobatto_points(method.degree)
+    if constraint is not None and not np.allclose(points, expected, rtol=0, atol=1e-12):
+        raise ValueError(
+            "a constraint is held at the control points; to keep order 2m, they must be the default, "
+            f"lobatto_points({method.degree}), got {points.tolist()}"
+        )
 
 
 def relative_residuals(value: ca.SX, symbols: Sequence[ca.SX], further: Sequence[ca.SX] = ()) -> ca.Function:
