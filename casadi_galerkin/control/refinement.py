@@ -83,7 +83,7 @@ def control_method_for(tol: float) -> Galerkin:
     return Galerkin(int(np.clip(np.ceil(1 - np.log10(tol)), 4, 10)))
 
 
-def higher_degree_method(method: Galerkin) -> Galerkin:
+def raised(method: Galerkin) -> Galerkin:
     """The method of the same kind with `HIGHER` more degrees and quadrature points."""
     rule = lobatto if method.quadrature.points[0] == 0 else gauss
     return Galerkin(method.degree + HIGHER, quadrature=rule(len(method.quadrature) + HIGHER))
@@ -202,7 +202,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
     def estimate(self, level: ControlTrajectory) -> Estimate[HigherDegree | None]:
         """The error estimated from a path of higher degree on the same mesh, where there is one."""
-        method = higher_degree_method(self.method)
+        method = raised(self.method)
         self.check_time()
         try:
             higher = self.solve(method, self.scaled(level.t, level), perturbed(level, math.sqrt(self.tol)))

@@ -21,7 +21,7 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.progress import progress
 
 HINT = "Try a looser tolerance, a guess nearer to the path, or higher limits"
-ROUND = "Try another tolerance, looser or tighter, breakpoints where controls switch, or a guess nearer to the path"
+NO_NEARER = "Try another tolerance, looser or tighter, breakpoints where controls switch, or a guess nearer to the path"
 
 Level = TypeVar("Level")
 Detail = TypeVar("Detail")
@@ -117,7 +117,7 @@ class Refinement(ABC, Generic[Level, Detail]):
                     raise self.stopped(f"{self.tol:g} asked, {smallest:.0e} is the roundoff floor here", *self.best)
                 self.check_time()
                 if self.fruitless >= self.persistence:
-                    raise self.stopped(f"{self.fruitless} levels in a row came no nearer", *self.best, ROUND)
+                    raise self.stopped(f"{self.fruitless} levels in a row came no nearer", *self.best, NO_NEARER)
                 if number + 1 >= self.limits.levels:
                     words = "level was" if self.limits.levels == 1 else "levels were"
                     raise self.stopped(f"{self.limits.levels:g} {words} not enough", *self.best)
