@@ -1,4 +1,7 @@
-"""Reports of an optimization that failed: how the solver ended, what is violated worst and when, what to try."""
+"""Reports of a failed optimization: what is not finite at the guess, or how the solver ended; what to try.
+
+Of a solver's last point they name what is violated worst, and when.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.control.embedding import ChainEmbedding
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.problems.bounds import FEASIBLE
@@ -63,6 +67,49 @@ def explained(
         hint = KINK_HINT
     stopped = f"{solver} stopped with '{optimum.status}' after {optimum.iterations} iterations"
     return ConvergenceError(f"{stopped}; {state}. {hint}", Path(path), float(relative[worst] / EPS), optimum.iterations)
+
+
+def refuse_values(problem: ControlProblem, embedding: ChainEmbedding, values: dict[str, np.ndarray]) -> None:
+    """Name the first callable that is not finite at the guess."""
+    chain, points = embedding.chain, embedding.points
+    seen = (embedding.matrix @ np.concatenate(chain.pack(values))).full().ravel()
+    at = {name: seen[points.row(name)].T for name in points.rows}
+    times, step = at["begin"] + at["duration"] * at["share"], at["duration"] * at["part"]
+    given = [] if problem.parameters is None else [at["parameters"]]
+    state = [times, at["x"], at["slope"] / step]
+    inputs = [*state, at["controls"], *given]
+    constraint = None if problem.path_constraint is None else problem.path_constraint[0]
+    for name, function, arguments in (
+        ("running_cost", problem.running_cost, inputs),
+        ("force", problem.force, inputs),
+        ("rates", problem.rates, inputs),
+        ("path_constraint", constraint, inputs),
+        ("lagrangian", problem.lagrangian, [*state, *given]),
+    ):
+        if function:
+            _refuse_not_finite(name, np.array(function.map(points.count)(*arguments)), times[0])
+    rest, when = np.zeros(chain.dimension - chain.mechanical), values["begin"] + np.sum(values["durations"])
+    p = [values["parameters"]] if given else []
+    first, last = (
+        (values["x"][i], np.append(values[f"{name}_velocity"], rest)) for i, name in ((0, "start"), (-1, "end"))
+    )
+    if problem.terminal_cost is not None:
+        _refuse_not_finite("terminal_cost", np.array(problem.terminal_cost(when, *last, *p)), when)
+    for k, (crossing, joint) in enumerate(zip(problem.crossings, chain.crossed, strict=True)):
+        state = [values["nodes"][joint - 1, -1], np.append(values["velocity"][k], rest), *p]
+        for name, function in crossing.functions:
+            _refuse_not_finite(name, np.array(ca.vertcat(*function.call(state))), np.array([crossing.time]))
+    if problem.end_conditions is not None:
+        _refuse_not_finite("end_conditions", np.array(problem.end_conditions[0](*first, *last, *p)), when)
+
+
+def _refuse_not_finite(name: str, values: np.ndarray, times: np.ndarray) -> None:
+    wrong = ~np.isfinite(values).all(axis=0)
+    if np.any(wrong):
+        k = int(np.argmax(wrong))
+        raise ValueError(
+            f"{name} is not finite at the guess: {values[:, k]} at t = {times[k]:.6g}. Give a guess that avoids it"
+        )
 
 
 def refuse_derivatives(graph: ControlGraph, unknowns: np.ndarray, data: np.ndarray, mesh: np.ndarray) -> None:

@@ -1,15 +1,13 @@
-"""The starting point of an optimization: values for every field of the `Chain`, and the check that they are finite."""
+"""The starting point of an optimization: values for every field of the `Chain`."""
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.numbers import counted, real_array
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.embedding import ChainEmbedding
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
@@ -159,46 +157,3 @@ def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus,
         raise ValueError(f"{name} must have the shape {shape} for values {where}, got {values.shape}")
     check_finite_values(name, values, times)
     return np.asarray(np.clip(values.T, *problem.control_bounds)).reshape(chain.intervals, -1, chain.controls)
-
-
-def check_finite(problem: ControlProblem, embedding: ChainEmbedding, values: dict[str, np.ndarray]) -> None:
-    """Raise a ValueError that names the first callable, and the time, that is not finite at the guess."""
-    chain, points = embedding.chain, embedding.points
-    seen = (embedding.matrix @ np.concatenate(chain.pack(values))).full().ravel()
-    at = {name: seen[points.row(name)].T for name in points.rows}
-    times, step = at["begin"] + at["duration"] * at["share"], at["duration"] * at["part"]
-    given = [] if problem.parameters is None else [at["parameters"]]
-    state = [times, at["x"], at["slope"] / step]
-    inputs = [*state, at["controls"], *given]
-    constraint = None if problem.path_constraint is None else problem.path_constraint[0]
-    for name, function, arguments in (
-        ("running_cost", problem.running_cost, inputs),
-        ("force", problem.force, inputs),
-        ("rates", problem.rates, inputs),
-        ("path_constraint", constraint, inputs),
-        ("lagrangian", problem.lagrangian, [*state, *given]),
-    ):
-        if function:
-            _report(name, np.array(function.map(points.count)(*arguments)), times[0])
-    rest, when = np.zeros(chain.dimension - chain.mechanical), values["begin"] + np.sum(values["durations"])
-    p = [values["parameters"]] if given else []
-    first, last = (
-        (values["x"][i], np.append(values[f"{name}_velocity"], rest)) for i, name in ((0, "start"), (-1, "end"))
-    )
-    if problem.terminal_cost is not None:
-        _report("terminal_cost", np.array(problem.terminal_cost(when, *last, *p)), when)
-    for k, (crossing, joint) in enumerate(zip(problem.crossings, chain.crossed, strict=True)):
-        state = [values["nodes"][joint - 1, -1], np.append(values["velocity"][k], rest), *p]
-        for name, function in crossing.functions:
-            _report(name, np.array(ca.vertcat(*function.call(state))), np.array([crossing.time]))
-    if problem.end_conditions is not None:
-        _report("end_conditions", np.array(problem.end_conditions[0](*first, *last, *p)), when)
-
-
-def _report(name: str, values: np.ndarray, times: np.ndarray) -> None:
-    wrong = ~np.isfinite(values).all(axis=0)
-    if np.any(wrong):
-        k = int(np.argmax(wrong))
-        raise ValueError(
-            f"{name} is not finite at the guess: {values[:, k]} at t = {times[k]:.6g}. Give a guess that avoids it"
-        )

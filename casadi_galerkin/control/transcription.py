@@ -23,9 +23,9 @@ from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import violations
 from casadi_galerkin.control.continuous_controls import continuous_controls
-from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives
+from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives, refuse_values
 from casadi_galerkin.control.graph import ControlGraph
-from casadi_galerkin.control.initial_guess import check_finite, first_values, near_answer
+from casadi_galerkin.control.initial_guess import first_values, near_answer
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, with_ends
 from casadi_galerkin.control.retries import retry_from_other_guesses, with_fallbacks
@@ -284,7 +284,7 @@ class ControlTranscription:
             values = {name: share * values[name] + (1 - share) * straight[name] for name in values}
         report = self.graph.report(*chain.pack(values))
         if not np.isfinite(report.cost + report.action + np.sum(report.equations)):
-            check_finite(problem, self.graph.embedding, values)
+            refuse_values(problem, self.graph.embedding, values)
         largest = report.sizes.copy()
         if wild:
             line = self.graph.report(*chain.pack(straight)).sizes
