@@ -27,6 +27,7 @@ from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.linear_solver import all_finite
 from casadi_galerkin.solvers.rootfinder import embeddable
 from casadi_galerkin.solvers.stationarity import ACCEPTED, Stationarity
+from casadi_galerkin.solvers.verified_function import verified_function
 
 
 def boundary_function(
@@ -52,9 +53,7 @@ def boundary_function(
     verified = _check(problem, transcription.stationarity)(unknowns=root, **joints, **data)["verified"]
     inputs = {name: symbol for name, symbol in data.items() if symbol.numel()} | {"guess": nodes}
     outputs = {"x": x, "momentum": summary["momentum"], "action": summary["action"]}
-    checked = [ca.if_else(verified, value, np.nan) for value in outputs.values()]
-    needed = {"default_in": [0.0 if name == "guess" else np.nan for name in inputs]}  # where a call leaves them out
-    return ca.Function("solution", list(inputs.values()), checked, list(inputs), list(outputs), needed)
+    return verified_function(inputs, outputs, verified, ["guess"])
 
 
 def _check(problem: BoundaryProblem, stationarity: Stationarity) -> ca.Function:

@@ -18,6 +18,7 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solvers.linear_solver import all_finite
 from casadi_galerkin.solvers.solver import Solver
+from casadi_galerkin.solvers.verified_function import verified_function
 
 STATIONARY = 1e-6  # accepted gradient of the Lagrangian over the sizes of its terms; optima were measured below 1e-9
 
@@ -74,10 +75,7 @@ def control_function(
         "duration": ca.sum1(everything[f["durations"][-1].tolist()]),
         "cost": found["f"],
     }
-    checked = [ca.if_else(verified, value, np.nan) for value in outputs.values()]
-    guessed = ("guess", "controls")
-    needed = {"default_in": [0.0 if name in guessed else np.nan for name in inputs]}  # where a call leaves them out
-    return ca.Function("solution", list(inputs.values()), checked, list(inputs), list(outputs), needed)
+    return verified_function(inputs, outputs, verified, ["guess", "controls"])
 
 
 def _given(problem: ControlProblem, chain: Chain) -> dict[str, np.ndarray]:
