@@ -10,14 +10,13 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscription
 from casadi_galerkin.boundary.graph_cache import GraphCache
-from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_mesh
+from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_discretization
 from casadi_galerkin.boundary.sensitivity import boundary_function
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import method_for
 from casadi_galerkin.calculus.numbers import check_verbose
 from casadi_galerkin.control.control_function import control_function
-from casadi_galerkin.control.refinement import ControlRefinement, control_method_for, first_control_mesh
+from casadi_galerkin.control.refinement import ControlRefinement, first_control_discretization
 from casadi_galerkin.control.several_starts import best_of
 from casadi_galerkin.control.transcription import ControlTranscription, check_solver, transcribed_control
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
@@ -153,13 +152,11 @@ def solve(
     path: Trajectory
     if isinstance(problem, ControlProblem):
         check_solver(solver or ipopt)
-        method = control_method_for(tolerance) if method is None else method
-        joints = first_control_mesh(problem, method, intervals, mesh)
+        method, joints = first_control_discretization(problem, tolerance, method, intervals, mesh)
         refinement = ControlRefinement(problem, tolerance, of_cost, method, limits, solver or ipopt, verbose)
         path = refinement.run(joints, guess, starts)
     else:
-        method = method_for(tolerance) if method is None else method
-        joints = first_mesh(problem, method, intervals, mesh)
+        method, joints = first_discretization(problem, tolerance, method, intervals, mesh)
         graphs, solver = GraphCache(problem, verbose=verbose), solver or newton
         path = BoundaryRefinement(graphs, tolerance, method, solver, limits).run(joints, guess)
     if verbose:

@@ -19,10 +19,9 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.problem_data import ends_replaced, interpolated_problem, same_statement
-from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_mesh
+from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_discretization
 from casadi_galerkin.boundary.transcription import check_given
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import method_for
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -73,8 +72,7 @@ class AdaptiveTranscription:
         limits: Limits | None,
     ) -> None:
         self.problem, self.tol, self.limits = problem, check_tolerance(tol), limits or Limits()
-        self.method = method_for(self.tol) if method is None else method
-        self._coarse = first_mesh(problem, self.method, intervals, mesh)
+        self.method, self._coarse = first_discretization(problem, self.tol, method, intervals, mesh)
         self._graphs = GraphCache(problem, by_rows)
         self.first: Trajectory | None = None
 

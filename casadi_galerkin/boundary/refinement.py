@@ -36,6 +36,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import (
     FEWEST,
     equidistributed,
+    method_for,
     parts_wanted,
     truncation_error,
 )
@@ -359,9 +360,12 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         )
 
 
-def first_mesh(problem: BoundaryProblem, method: Galerkin, intervals: int | None, mesh: ArrayLike | None) -> np.ndarray:
-    """Joints where a refinement begins; refuses what does not fit, see `solve` for the arguments."""
+def first_discretization(
+    problem: BoundaryProblem, tol: float, method: Galerkin | None, intervals: int | None, mesh: ArrayLike | None
+) -> tuple[Galerkin, np.ndarray]:
+    """Method and joints with which a refinement begins; refuses what does not fit, see `solve` for the arguments."""
+    method = method_for(tol) if method is None else method
     check_types(problem, method, BoundaryProblem)
     if intervals is None and mesh is None:
         intervals = max(FEWEST, math.ceil(FIRST_NODES / method.degree), 1 + len(problem.breakpoints))
-    return mesh_for(problem, intervals, mesh)
+    return method, mesh_for(problem, intervals, mesh)

@@ -328,10 +328,11 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         return replace(path, error_estimate=error, cost_error=cost)
 
 
-def first_control_mesh(
-    problem: ControlProblem, method: Galerkin, intervals: int | None, mesh: ArrayLike | None
-) -> np.ndarray:
-    """Joints where a refinement begins; refuses what does not fit, see `solve` for the arguments."""
+def first_control_discretization(
+    problem: ControlProblem, tol: float, method: Galerkin | None, intervals: int | None, mesh: ArrayLike | None
+) -> tuple[Galerkin, np.ndarray]:
+    """Method and joints with which a refinement begins; refuses what does not fit, see `solve` for the arguments."""
+    method = control_method_for(tol) if method is None else method
     check_types(problem, method, ControlProblem)
     if problem.hold:
         raise ValueError(
@@ -339,4 +340,4 @@ def first_control_mesh(
             "not to be refined: give a method and intervals in place of a tolerance"
         )
     count = FIRST_INTERVALS + len(problem.breakpoints) if intervals is None and mesh is None else intervals
-    return mesh_for(problem, count, mesh)
+    return method, mesh_for(problem, count, mesh)

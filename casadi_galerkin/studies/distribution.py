@@ -25,7 +25,7 @@ from casadi_galerkin._solve import solve, transcribe
 from casadi_galerkin.boundary.problem_data import data_vector, nearest
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.control.refinement import control_method_for, first_control_mesh
+from casadi_galerkin.control.refinement import first_control_discretization
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -96,8 +96,8 @@ def solver_of(
     if tol is not None:
         if isinstance(problem, BoundaryProblem):
             return Neighbors(problem, method, intervals, tol)
-        method = control_method_for(check_tolerance(tol)) if method is None else method
-        first_control_mesh(problem, method, intervals, None)  # refuses here what would fail in every variation
+        # refuses here what would fail in every variation
+        first_control_discretization(problem, check_tolerance(tol), method, intervals, None)
 
         def refined(variation: Variation, _: Sequence[Known]) -> Trajectory:
             return solve(varied(problem, variation), method, intervals, tol=tol, guess=variation.get("guess"))
