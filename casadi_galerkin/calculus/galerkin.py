@@ -11,7 +11,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values, lobatto_points
+from casadi_galerkin.calculus.nodes import lagrange_basis, lagrange_values, lobatto_points
 from casadi_galerkin.calculus.numbers import real_array, whole_number
 from casadi_galerkin.calculus.piecewise_polynomial import times_at
 from casadi_galerkin.calculus.quadrature import Quadrature, gauss
@@ -97,8 +97,7 @@ class Galerkin:
         """The reference interval of this method."""
         nodes = np.concatenate(([0.0], self.control_points, [1.0]))
         points = np.array(self.quadrature.points)
-        values = lagrange_values(nodes, points)
-        return Element(nodes, points, np.array(self.quadrature.weights), values, values @ differentiation_matrix(nodes))
+        return Element(nodes, points, np.array(self.quadrature.weights), *lagrange_basis(nodes, points))
 
     def __repr__(self) -> str:
         """Name the method."""

@@ -77,3 +77,9 @@ def differentiation_matrix(nodes: np.ndarray) -> np.ndarray:
     np.fill_diagonal(matrix, 0.0)
     np.fill_diagonal(matrix, -matrix.sum(axis=1))
     return np.asarray(matrix)
+
+
+def lagrange_basis(nodes: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lagrange polynomials l_j(s_k) of the nodes, and their derivatives; (len(s), len(nodes)) each."""
+    values = lagrange_values(nodes, s)
+    return values, values @ differentiation_matrix(nodes)

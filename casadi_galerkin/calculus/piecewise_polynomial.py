@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
+from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_basis, lagrange_values
 from casadi_galerkin.calculus.numbers import counted, real_array, spanned, whole
 from casadi_galerkin.calculus.roundoff import component_sizes
 
@@ -35,9 +35,8 @@ def sampling_parts(degree: int) -> np.ndarray:
 
 @lru_cache(64)
 def _basis(nodes: tuple[float, ...], parts: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Lagrange polynomials of the nodes, and their derivatives, at fractions (K,) of an interval; (K, m + 1) each."""
-    values = lagrange_values(np.array(nodes), np.array(parts))
-    return values, values @ differentiation_matrix(np.array(nodes))
+    """The `lagrange_basis` at fractions (K,) of an interval, kept for other paths; (K, m + 1) each."""
+    return lagrange_basis(np.array(nodes), np.array(parts))
 
 
 class PiecewisePolynomial:
