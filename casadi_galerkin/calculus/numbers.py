@@ -1,4 +1,4 @@
-"""Numbers that a user gives, read in one way and checked before anything is solved."""
+"""Numbers that a user gives, read in one way and checked before anything is solved; and numbers in words."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def control_method_for(tol: float) -> Galerkin:
 
 
 def raised(method: Galerkin) -> Galerkin:
-    """The method of the same kind with `HIGHER` more degrees and quadrature points."""
+    """The method with `HIGHER` more degrees and quadrature points: Lobatto's where this has one at 0, else Gauss's."""
     rule = lobatto if method.quadrature.points[0] == 0 else gauss
     return Galerkin(method.degree + HIGHER, quadrature=rule(len(method.quadrature) + HIGHER))
 

@@ -72,7 +72,7 @@ class Numbering:
 
     @cached_property
     def component(self) -> np.ndarray:
-        """Component of the path to which every entry of u belongs; (size,)."""
+        """Component of the path to which every entry of u belongs, 0 for those that are no values of it; (size,)."""
         component = np.zeros(self.size, dtype=np.int64)
         component[self.of_nodes] = np.arange(self.dimension)
         return component
