@@ -191,7 +191,7 @@ def staged(**changes):
 FRACTIONS = np.linspace(0, 1, 1001)
 
 
-FINE = cg.Galerkin(12)  # on 20 intervals its errors are below 1e-11, see the published costs in test_control
+FINE = cg.Galerkin(12)  # on 20 intervals its errors are below 1e-11, see the published costs in test_transcription
 
 
 @lru_cache
@@ -205,3 +205,10 @@ def true_error(path, cost, way):
     found = path(path.t[0] + FRACTIONS * np.ptp(path.t))
     sizes = np.max(np.abs(way), axis=1, keepdims=True)
     return max(abs(path.cost / cost - 1), np.max(np.abs(found - way) / sizes))
+
+
+NEAR = {  # a problem, a method, and what differs in a problem near by
+    "cart-pole": (cart_pole, cg.Galerkin(4), {"start": [0.02, -0.03], "start_velocity": [0.05, 0.1]}),
+    "bang-bang": (minimum_time, cg.Galerkin(3), {"start": [0.1], "end_velocity": [0.05]}),
+    "everything": (everything, cg.Galerkin(3), {"start": [0.12, None], "end_velocity": [0.12, None]}),
+}

@@ -49,10 +49,6 @@ def double_pendulum(t, x, v):
     return kinetic + GRAVITY * (2 * ca.cos(x[0]) + ca.cos(x[1]))
 
 
-def damped(t, x, v):
-    return ca.exp(t / 2) * (v[0] ** 2 - 4 * x[0] ** 2) / 2
-
-
 MOTIONS = {
     "pendulum": (pendulum, [2.0], [0.3], 0.2),
     "kepler": (kepler, [0.4, 0.0], [0.0, 2.0], 0.1),

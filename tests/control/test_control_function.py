@@ -7,16 +7,11 @@ import subprocess
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import cart_pole, double_integrator, everything, minimum_time, pendulum, staged
+from control_problems import NEAR, double_integrator, pendulum, staged
 
 import casadi_galerkin as cg
 
 SOLVED = 1e-8  # what a solver leaves of the optimality conditions, amplified by their conditioning
-PROBLEMS = {
-    "cart-pole": (cart_pole, cg.Galerkin(4), {"start": [0.02, -0.03], "start_velocity": [0.05, 0.1]}),
-    "bang-bang": (minimum_time, cg.Galerkin(3), {"start": [0.1], "end_velocity": [0.05]}),
-    "everything": (everything, cg.Galerkin(3), {"start": [0.12, None], "end_velocity": [0.12, None]}),
-}
 
 
 def arguments(problem, path, **changes):
@@ -27,9 +22,9 @@ def arguments(problem, path, **changes):
 
 
 @pytest.mark.parametrize("solver", [cg.ipopt, cg.fatrop], ids=str)
-@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("name", NEAR)
 def test_function_of_the_data_is_the_solve(name, solver):
-    problem, method, changes = PROBLEMS[name]
+    problem, method, changes = NEAR[name]
     program = cg.transcribe(problem(), method, 10)
     first = program.solve()
     path = program.solve(**changes, guess=first)

@@ -5,7 +5,7 @@ import pickle
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import cart_pole, double_integrator, everything, minimum_time, pendulum
+from control_problems import NEAR, cart_pole, double_integrator, minimum_time, pendulum
 
 import casadi_galerkin as cg
 from casadi_galerkin.control.initial_guess import first_values, near_answer
@@ -123,13 +123,6 @@ def test_controls_of_a_pair_are_where_the_solve_starts(swinging):
 def test_a_pair_that_does_not_fit_is_refused(guess, kind, message):
     with pytest.raises(kind, match=message):
         cg.solve(pendulum(3.0), cg.Galerkin(4), 10, guess=guess)
-
-
-NEAR = {
-    "cart-pole": (cart_pole, cg.Galerkin(4), {"start": [0.02, -0.03], "start_velocity": [0.05, 0.1]}),
-    "bang-bang": (minimum_time, cg.Galerkin(3), {"start": [0.1], "end_velocity": [0.05]}),
-    "everything": (everything, cg.Galerkin(3), {"start": [0.12, None], "end_velocity": [0.12, None]}),
-}
 
 
 @pytest.mark.parametrize("name", NEAR)

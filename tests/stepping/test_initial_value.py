@@ -5,7 +5,8 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
-from motions import damped, double_pendulum, oscillator, pendulum, quartic, start_of, varying_mass
+from motions import double_pendulum, oscillator, pendulum, quartic, start_of, varying_mass
+from scenes import damped
 
 import casadi_galerkin as cg
 from casadi_galerkin.stepping.initial_value import start_state
