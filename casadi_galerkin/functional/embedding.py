@@ -107,7 +107,7 @@ def gathered(numbering: Numbering, entries: np.ndarray, values: ca.MX) -> ca.MX:
     return ca.densify(ca.mtimes(ca.MX(selection), ca.vec(values)))  # zero for an unknown without values
 
 
-def _slopes(numbering: Numbering) -> list[ca.MX]:
+def _coefficients(numbering: Numbering) -> list[ca.MX]:
     """Symbols of the coefficients of δx and δx', (d, N r) each."""
     return [ca.MX.sym(name, numbering.dimension, numbering.points) for name in ("fx", "fv")]
 
@@ -125,8 +125,8 @@ def _integrated(numbering: Numbering, fx: ca.MX, fv: ca.MX) -> ca.MX:
 @lru_cache(CACHE_SIZE)
 def integration(numbering: Numbering) -> ca.Function:
     """Eᵀ: coefficients fx, fv (d, N r) of δx and δx' -> their sums for every unknown."""
-    slopes = _slopes(numbering)
-    return ca.Function("integration", slopes, [_integrated(numbering, *slopes)], ["fx", "fv"], ["gradient"])
+    coefficients = _coefficients(numbering)
+    return ca.Function("integration", coefficients, [_integrated(numbering, *coefficients)], ["fx", "fv"], ["gradient"])
 
 
 @lru_cache(CACHE_SIZE)
@@ -144,7 +144,7 @@ def variation(numbering: Numbering) -> ca.Function:
     Momenta (d, N + 1) are -∂S/∂x_0 at the first joint and ∂S_k/∂x_{k+1}, of interval k, at the others.  The
     roundoff of a sum is a few eps times the sum of the sizes of its terms.
     """
-    element, d, (fx, fv) = numbering.method.element, numbering.dimension, _slopes(numbering)
+    element, d, (fx, fv) = numbering.method.element, numbering.dimension, _coefficients(numbering)
     w, f = element.weights[:, None], ca.MX.sym("f", 1, numbering.points)
     both, basis = _side_by_side(numbering, fx, fv), np.vstack((w * element.values, w * element.slopes))
     first, last = ca.horzsplit(_times(both, basis[:, [0, -1]]))
@@ -205,10 +205,10 @@ def assembly(
     for positions, places in pattern.others:  # overlaps at joints; added in place, as a sum of matrices would copy all
         where = places.tolist()
         values.nz[where] = values.nz[where] + entries.nz[positions.tolist()]
-    matrix, slopes = ca.MX(pattern.sparsity, values), _slopes(numbering)
-    outputs = [matrix, _integrated(numbering, *slopes)]
+    matrix, coefficients = ca.MX(pattern.sparsity, values), _coefficients(numbering)
+    outputs = [matrix, _integrated(numbering, *coefficients)]
     names = ["fx", "fv", *(f"block{i}{j}" for i, j in blocks)]
-    return ca.Function("assembly", [*slopes, *inputs], outputs, names, ["matrix", "gradient"])
+    return ca.Function("assembly", [*coefficients, *inputs], outputs, names, ["matrix", "gradient"])
 
 
 @dataclass(frozen=True)

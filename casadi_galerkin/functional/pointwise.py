@@ -56,7 +56,7 @@ class Pointwise:
             gradient = gradient + ca.vertcat(self._work, ca.SX(d, 1))
             self._jacobian += ca.vertcat(ca.jacobian(self._work, both), ca.SX(d, 2 * d))
         gradient, rows = ca.densify(gradient), tuple(enumerate((of_x, of_slope)))
-        self._slopes = {"fx": gradient[of_x], "fv": gradient[of_slope]}
+        self._coefficients = {"fx": gradient[of_x], "fv": gradient[of_slope]}
         self._cells = {(i, j): self._jacobian[row, column] for i, row in rows for j, column in rows}
         self.blocks = tuple(key for key, cell in self._cells.items() if cell.nnz())
         if not self.blocks:
@@ -71,7 +71,7 @@ class Pointwise:
     @cached_property
     def first(self) -> ca.Function:
         """L̂, and the coefficients of δx and δx': ∂L̂/∂x + h F and ∂L̂/∂x'."""
-        return self._function("first", {"f": self._value, **self._slopes})
+        return self._function("first", {"f": self._value, **self._coefficients})
 
     @cached_property
     def derivatives(self) -> ca.Function:
@@ -92,7 +92,7 @@ class Pointwise:
     @cached_property
     def _all(self) -> dict[str, ca.SX]:
         columns = {f"block{i}{j}": ca.project(self._cells[i, j], self.pattern).nz[:] for i, j in self.blocks}
-        return {"f": self._value, **self._slopes, **columns}
+        return {"f": self._value, **self._coefficients, **columns}
 
     def mass(self, blocks: Sequence[np.ndarray]) -> np.ndarray:
         """∂²L̂/∂x'² at K points, (K, d, d), from the columns of `blocks`, (entries, K) each; zero where L is linear."""
