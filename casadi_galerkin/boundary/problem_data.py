@@ -9,6 +9,7 @@ from itertools import chain
 
 import numpy as np
 
+from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem, Given, is_given
 from casadi_galerkin.problems.problem import VARIED, Problem
 
@@ -59,5 +60,5 @@ def ends_replaced(values: np.ndarray, problem: BoundaryProblem) -> np.ndarray:
 
 def nearest(values: np.ndarray, known: np.ndarray, spread: np.ndarray) -> int:
     """Number of the row of `known` that is nearest to `values`, with distances in units of `spread`."""
-    difference = (known - values) / np.where(spread > 0, spread, 1.0)
+    difference = (known - values) / or_one(spread)
     return int(np.argmin(np.sum(difference**2, axis=1)))

@@ -7,6 +7,11 @@ TINY = float(np.finfo(float).tiny)
 ZERO = 1e-150  # size below which a component counts as zero everywhere: its square, an energy, underflows
 
 
+def or_one(sizes: np.ndarray) -> np.ndarray:
+    """Sizes to divide by: those that are positive, and one in place of all others."""
+    return np.where(sizes > 0, sizes, 1.0)
+
+
 def component_sizes(values: np.ndarray) -> np.ndarray:
     """Largest size in each row of (d, K), to which errors are relative; 1 for a component that is zero; (d,)."""
     largest = np.max(np.abs(values), axis=1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadi_galerkin.calculus.roundoff import largest_of
+from casadi_galerkin.calculus.roundoff import largest_of, or_one
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.graph import Report
 from casadi_galerkin.control.program_bounds import ProgramBounds
@@ -24,7 +24,7 @@ def equation_scales(chain: Chain, bounds: ProgramBounds, report: Report, before:
     sizes = np.where(report.sizes <= VANISHED * before, before, report.sizes)
     stated = largest_of(bounds.sizes[1], chain.kinds)
     sizes = np.fmax(np.where(sizes > ZERO_TERMS, sizes, 0.0), stated)
-    return np.asarray(np.where(sizes > 0, sizes, 1.0)[chain.kinds])
+    return np.asarray(or_one(sizes)[chain.kinds])
 
 
 def violations(
@@ -41,9 +41,7 @@ def violations(
     kinds = chain.unknown_kinds
     sizes, stated = largest_of(np.abs(unknowns), kinds), largest_of(bounds.sizes[0], kinds)
     sizes = np.where(sizes > ZERO_TERMS, sizes, stated)[kinds]
-    return np.concatenate(
-        (excess / equation_scales(chain, bounds, report, before), outside / np.where(sizes > 0, sizes, 1.0))
-    )
+    return np.concatenate((excess / equation_scales(chain, bounds, report, before), outside / or_one(sizes)))
 
 
 def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

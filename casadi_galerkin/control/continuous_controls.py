@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.problems.control_problem import ControlProblem
 
@@ -81,8 +82,7 @@ def continuous_controls(
     if problem.parameters is not None:
         at.append(np.tile(values["parameters"][:, None], len(controls)))
     wanted = np.array(effect.map(len(controls))(controls.T, *at)[0])
-    scale = np.max(np.abs(wanted), axis=1)
-    scale = np.where(scale > 0, scale, 1.0)
+    scale = or_one(np.max(np.abs(wanted), axis=1))
     low, high = (np.array(bound) for bound in problem.control_bounds)
 
     for k in range(1, len(controls)):

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM, Optimum
@@ -72,7 +73,7 @@ class CostVariation:
         low, high, least, most = bounds.sides
         free = np.flatnonzero(~_active(at.unknowns, low, high, at.bound_multipliers, sizes)).tolist()
         held = np.flatnonzero(_active(rows, least, most, at.multipliers, np.abs(rows))).tolist()
-        units, flat = (ca.diag(ca.DM(a)) for a in (np.where(sizes > 0, sizes, 1.0), np.where(sizes > 0, FLAT, 0.0)))
+        units, flat = (ca.diag(ca.DM(a)) for a in (or_one(sizes), np.where(sizes > 0, FLAT, 0.0)))
         curved = ca.mtimes(units, ca.mtimes(hessian, units))
         largest = float(ca.norm_inf(curved))
         if largest == 0:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.numbers import counted, whole_number
+from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.control.optimizer import TOLERANCE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
@@ -61,13 +62,13 @@ def optima_of(
         return [solve(guess=guess)], ""
     begin, end = problem.t_span
     ends = np.array([problem.start, problem.end], dtype=float)  # NaN for None
-    sizes = np.max(np.nan_to_num(np.abs(ends)), axis=0)
+    sizes = or_one(np.max(np.nan_to_num(np.abs(ends)), axis=0))
     random, optima, failures = np.random.default_rng(0), list[ControlTrajectory](), list[Exception]()
 
     def another() -> Callable[[ArrayLike], np.ndarray]:
         """A random path as a function of times."""
         amplitude = 2 ** random.uniform(SMALLEST, LARGEST)
-        path = waves(random, amplitude * np.where(sizes > 0, sizes, 1.0))
+        path = waves(random, amplitude * sizes)
         return lambda times: path((np.asarray(times) - begin) / (end - begin))
 
     with progress("starts", starts) as advance:

@@ -25,7 +25,7 @@ from typing import TypeAlias
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of
+from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of, or_one
 from casadi_galerkin.control.embedding import sparse
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
@@ -58,7 +58,7 @@ def estimate_remaining_error(
     largest = [largest_of(np.where(np.isfinite(a), np.abs(a), np.inf), kinds) for a in steps]
     first, rounding, second, _, third, _ = largest
     with np.errstate(invalid="ignore"):  # where both steps are infinite
-        ratio = np.fmin(LARGEST_RATIO, third / np.where(second > 0, second, 1.0))
+        ratio = np.fmin(LARGEST_RATIO, third / or_one(second))
     errors = np.fmax(first + second * (1 + np.sqrt(ratio)) / (1 - ratio), rounding)
     durations = kinds[chain.fields["durations"][-1]] if "durations" in chain.free else kinds[:0]
     of_durations = float(np.max(errors[durations] / sizes[durations], initial=0.0))
@@ -154,8 +154,7 @@ def _entries(matrix: ca.DM, rows: np.ndarray, columns: np.ndarray) -> Entries:
 
 def _largest(index: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     """Largest size of the values of every index, or one where all are zero; (count,)."""
-    largest = largest_of(np.abs(values), index, count)
-    return np.where(largest > 0, largest, 1.0)
+    return or_one(largest_of(np.abs(values), index, count))
 
 
 def _distances(values: np.ndarray, multipliers: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus, remeshed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
-from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import violations
 from casadi_galerkin.control.continuous_controls import continuous_controls
@@ -290,8 +290,7 @@ class ControlTranscription:
             line = self.graph.report(*chain.pack(straight)).sizes
             line[chain.motions] = _significant(line[chain.motions], UNMOVED)
             largest = np.where((line > TOLERANCE) & np.isfinite(line), np.fmin(WILD * line, largest), largest)
-        sizes = _significant(largest[chain.motions], TOLERANCE)
-        values["sizes"] = np.where(sizes > 0, sizes, 1.0)
+        values["sizes"] = or_one(_significant(largest[chain.motions], TOLERANCE))
         largest[chain.motions] /= values["sizes"]
         momentum = -report.equations[chain.departures] if near is None else near.momentum[: chain.mechanical].T
         values["momentum"] = np.where(np.isfinite(momentum), momentum, 0.0) / values["sizes"]

@@ -21,7 +21,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.nodes import lobatto_points
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts, times_at
-from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes
+from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes, or_one
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.problems.problem import Problem
@@ -211,8 +211,8 @@ def check_constraint(problem: Problem, positions: Collection[str] = ("start", "p
                 f"{values[i, 0]:g}, and only rounding, up to {abs(values[i, 0]) / missed[i, 0]:.0e}, is accepted"
             )
         slope = slopes[:, 1:]
-        rows = np.linalg.norm(slope, axis=1)
-        if np.linalg.matrix_rank(slope / np.where(rows > 0, rows, 1)[:, None], tol=1e3 * EPS) < k:
+        rows = or_one(np.linalg.norm(slope, axis=1))
+        if np.linalg.matrix_rank(slope / rows[:, None], tol=1e3 * EPS) < k:
             raise ValueError(
                 f"the constraints are redundant at the given {name}, x = {list(where)}: their gradients, the rows of "
                 f"{slope.tolist()}, are linearly dependent"

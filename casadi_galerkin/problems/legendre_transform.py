@@ -8,7 +8,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.calculus.roundoff import EPS, or_one
 
 ITERATIONS = 100
 FOUND = 1e-9  # relative step from which a velocity counts as found if roundoff keeps it from converging further
@@ -49,8 +49,7 @@ def scaled_masses(masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     scales = np.ones_like(masses)
     while True:
-        largest = np.max(np.abs(masses / scales), axis=-1)
-        rows = np.sqrt(np.where(largest > 0, largest, 1.0))
+        rows = np.sqrt(or_one(np.max(np.abs(masses / scales), axis=-1)))
         scales = scales * rows[..., :, None] * rows[..., None, :]
         if not np.any(np.abs(np.log2(rows)) > 1):
             return masses / scales, scales

@@ -11,7 +11,7 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts
 from casadi_galerkin.calculus.quadrature import gauss
-from casadi_galerkin.calculus.roundoff import TINY, component_sizes
+from casadi_galerkin.calculus.roundoff import TINY, component_sizes, or_one
 from casadi_galerkin.problems.bounds import bound_excess
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -88,7 +88,7 @@ class DrivenTrajectory(Trajectory):
         at_joints = self._momenta
         defect = np.abs(momentum - at_joints[:, :-1, None] - impulse).max(axis=2)
         size = np.abs(at_joints).max(axis=1) + np.abs(impulse).max(axis=(1, 2))
-        return np.asarray((defect / np.where(size > 0, size, 1.0)[:, None]).max(axis=0))
+        return np.asarray((defect / or_one(size)[:, None]).max(axis=0))
 
     @cached_property
     def control_misfit(self) -> np.ndarray:
@@ -104,7 +104,7 @@ class DrivenTrajectory(Trajectory):
         rules = rule, gauss(len(rule) + 2)
         impulse, finer = (self._motion(np.array(r.points))[1] @ np.array(r.weights) * steps for r in rules)
         size = np.abs(self._momenta).max(axis=1) + np.abs(impulse).sum(axis=1)
-        return np.asarray((np.abs(finer - impulse) / np.where(size > 0, size, 1.0)[:, None]).max(axis=0))
+        return np.asarray((np.abs(finer - impulse) / or_one(size)[:, None]).max(axis=0))
 
     @cached_property
     def control_overshoot(self) -> np.ndarray:

@@ -21,7 +21,7 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method, largest_change
 from casadi_galerkin.calculus.numbers import counted
-from casadi_galerkin.calculus.roundoff import EPS, TINY
+from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
 from casadi_galerkin.functional.end_velocities import end_velocities
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
@@ -256,13 +256,12 @@ def _direction(shot: Shot, miss: np.ndarray, iteration: int = 0) -> np.ndarray:
 
 def _scaled(shot: Shot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The derivative by the start with rows and columns scaled to equal units, and their scales (n, 1) and (n,)."""
-    sizes = shot.sizes[: len(shot.miss)]
-    scale = np.where(sizes > 0, sizes, 1.0)
+    scale = or_one(shot.sizes[: len(shot.miss)])
     rows = np.max(shot.terms * (scale / np.max(scale)), axis=1, keepdims=True)  # which would overflow with the growth
     rows[rows == 0] = 1.0
     with np.errstate(over="ignore", invalid="ignore"):
         columns = np.max(shot.terms / rows, axis=0)
-        return shot.by_start / rows / np.where(columns > 0, columns, 1.0), rows, columns
+        return shot.by_start / rows / or_one(columns), rows, columns
 
 
 def _singular(scaled: np.ndarray) -> bool:
@@ -279,8 +278,7 @@ def _refuse_conjugate(shot: Shot, iteration: int) -> None:
 
 def _missed(shot: Shot) -> tuple[float, float]:
     """By what the end is missed, and by what the rounding of the start moves it, relative to the path's size."""
-    sizes = np.abs(shot.by_ends) @ shot.sizes
-    sizes = np.where(sizes > 0, sizes, 1.0)
+    sizes = or_one(np.abs(shot.by_ends) @ shot.sizes)
     return float(np.max(np.abs(shot.miss) / sizes)), float(np.max(shot.floor / sizes))
 
 
