@@ -88,6 +88,11 @@ def largest_change(path: PiecewisePolynomial, nodes: np.ndarray, values: np.ndar
     return float(np.max(np.abs(sampled) / path.sizes[:, None, None]))
 
 
+def largest_difference(path: PiecewisePolynomial, other: PiecewisePolynomial) -> float:
+    """`largest_change` from a path to one of another degree on as many intervals."""
+    return largest_change(path, other.nodes, other.values - path.at(other.nodes))
+
+
 def spread_over(
     mesh: np.ndarray, cumulated: np.ndarray, intervals: int, breakpoints: tuple[float, ...] = ()
 ) -> np.ndarray:

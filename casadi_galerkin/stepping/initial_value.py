@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method, largest_change
+from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method, largest_difference
 from casadi_galerkin.calculus.numbers import told_apart
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -101,13 +101,11 @@ def path_of(roll: Roll, stepper: Stepper, count: int) -> PiecewisePolynomial:
 
 def _difference(problem: InitialProblem, path: PiecewisePolynomial, momentum: np.ndarray) -> float:
     """Relative difference of a stepped path from one of a higher degree with the same first position and momentum."""
-    higher = higher_degree_method(path.degree)
-    stepper, intervals = Stepper(problem, higher), len(path.mesh) - 1
+    stepper, intervals = Stepper(problem, higher_degree_method(path.degree)), len(path.mesh) - 1
     roll = stepper.roll(path.values[:, 0], momentum, path(path.mesh[0], 1), path.mesh)
     if roll.solved_steps < intervals:
         return math.inf
-    finer, nodes = path_of(roll, stepper, intervals), higher.element.nodes
-    return largest_change(path, nodes, finer.values - path.at(nodes))
+    return largest_difference(path, path_of(roll, stepper, intervals))
 
 
 def trajectory(

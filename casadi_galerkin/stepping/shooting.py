@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method, largest_change
+from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method, largest_difference
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
 from casadi_galerkin.functional.end_velocities import end_velocities
@@ -158,8 +158,7 @@ def _difference(path: Trajectory, missed: float) -> float:
         finer = shoot(path.problem, higher_degree_method(own.degree), mesh=own.mesh, guess=path).polynomial
     except ConvergenceError:
         return math.inf
-    change = largest_change(own, finer.nodes, finer.values - own.at(finer.nodes))
-    return max(change, abs(float(np.ptp(finer.mesh) / np.ptp(own.mesh)) - 1)) + missed
+    return max(largest_difference(own, finer), abs(float(np.ptp(finer.mesh) / np.ptp(own.mesh)) - 1)) + missed
 
 
 def _far(guess: Trajectory | None, path: Trajectory) -> str:
