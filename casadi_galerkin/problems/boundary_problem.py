@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.numbers import components, counted, finite, flag, numbers, time_span, times_inside
-from casadi_galerkin.problems.callables import Traceable, arguments, trace_if, trace_lagrangian
+from casadi_galerkin.problems.callables import Traceable, arguments, depends_on_time, trace_if, trace_lagrangian
 from casadi_galerkin.problems.constrained_motion import check_constraint
 from casadi_galerkin.problems.legendre_transform import legendre_transform
 from casadi_galerkin.problems.problem import END_MOTIONS, ENDS, with_changes
@@ -154,8 +154,7 @@ class BoundaryProblem:
     @property
     def autonomous(self) -> bool:
         """Whether the energy is conserved: no force acts, and neither Lagrangian nor constraint depends on time."""
-        functions = [f for f in (self.lagrangian, self.constraint) if f is not None]
-        return self.force is None and not any(f.sparsity_jac(0, 0).nnz() for f in functions)
+        return self.force is None and not depends_on_time(self.lagrangian, self.constraint)
 
     def varied(self, changes: Mapping[str, Any], t_span: Sequence[float] | None = None) -> BoundaryProblem:
         """Copy with other given values.

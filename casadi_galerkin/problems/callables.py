@@ -167,6 +167,11 @@ def arguments(parameters: tuple[float, ...] | None, **sizes: int) -> dict[str, i
     return sizes if parameters is None else sizes | {"p": len(parameters)}
 
 
+def depends_on_time(*functions: ca.Function | None) -> bool:
+    """Whether the value of one of these Functions depends on its first argument, the time; that of None does not."""
+    return any(f is not None and f.sparsity_jac(0, 0).nnz() for f in functions)
+
+
 def of_nothing(name: str, sizes: Mapping[str, int]) -> ca.Function:
     """A Function without values, for a callable that is left out."""
     symbols = [ca.SX.sym(key, size) for key, size in sizes.items()]

@@ -22,7 +22,7 @@ from casadi_galerkin.calculus.nodes import lobatto_points
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes, or_one
-from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.callables import depends_on_time, with_parameters
 from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.problems.problem import Problem
 
@@ -173,7 +173,7 @@ def multipliers(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray
 
 def work_of_constraint(problem: Problem, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
     """λ·∂g/∂t, the power that a constraint takes from the path, which is zero unless it depends on time; (K,)."""
-    if problem.constraint is None or not problem.constraint.sparsity_jac(0, 0).nnz():
+    if not depends_on_time(problem.constraint):
         return 0 * t
     motion = motion_of(problem, problem.force)
     return np.asarray(np.sum(multipliers(motion, t, x, v) * _at(motion, t, x, v)[3], axis=0))

@@ -33,7 +33,15 @@ from casadi_galerkin.problems.bounds import (
     parameter_bounds_of,
     within_rounding,
 )
-from casadi_galerkin.problems.callables import Traceable, arguments, of_nothing, trace, trace_if, trace_lagrangian
+from casadi_galerkin.problems.callables import (
+    Traceable,
+    arguments,
+    depends_on_time,
+    of_nothing,
+    trace,
+    trace_if,
+    trace_lagrangian,
+)
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
 from casadi_galerkin.problems.crossings import Crossing, Pairs, Waypoint, is_limited, jumps_of, waypoints_of
 from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
@@ -260,8 +268,7 @@ class ControlProblem:
     @property
     def autonomous(self) -> bool:
         """Whether nothing along the path depends on time, so that the Hamiltonian is constant between breakpoints."""
-        functions = [f for f in (*self._along, self.lagrangian, self.constraint) if f is not None]
-        return not any(f.sparsity_jac(0, 0).nnz() for f in functions)
+        return not depends_on_time(*self._along, self.lagrangian, self.constraint)
 
     def found(
         self, t_span: tuple[float, float], parameters: tuple[float, ...] | None, breakpoints: tuple[float, ...]
