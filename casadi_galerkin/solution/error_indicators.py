@@ -248,7 +248,9 @@ def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """The arguments of `energy_imbalance`, at all joints."""
     h, v, (lagrangian, work, slope, *_) = at.h[at.joints], at.v[:, at.joints], at.derivatives
     kinetic, speed, sizes, masses = np.sum(momentum * v, axis=0), np.abs(v), at.path.sizes, np.abs(at.masses)
-    energy = kinetic - lagrangian[at.joints, 0] / h + _correction(at.masses, momentum - slope[at.joints].T)
+    rounded = np.broadcast_to(EPS * np.max(np.abs(momentum), axis=1, keepdims=True), momentum.shape)
+    correction, noise = _corrections(at.masses, momentum - slope[at.joints].T, rounded)
+    energy = kinetic - lagrangian[at.joints, 0] / h + correction
 
     pushed, duration = np.einsum("tij,jt->it", masses, speed), float(np.sum(at.steps))
     local = np.abs(kinetic) + np.abs(energy) + np.sum(speed * pushed, axis=0)  # the terms of p·v may cancel
@@ -261,7 +263,7 @@ def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarra
     before = np.maximum(np.arange(len(at.joints)) - 1, 0)  # a momentum belongs to the interval before its joint
     blurred = rounding * np.sum(places[:, before] * pushed, axis=0) / at.steps[before]
     pulled = np.sum(np.abs(at.x[:, at.joints] * work[at.joints].T), axis=0) / h
-    floor = ROUNDING_FACTOR * EPS * (blurred + pulled + scale)
+    floor = ROUNDING_FACTOR * EPS * (blurred + pulled + scale) + np.abs(noise)
 
     supplied = at.steps * at.integral(work_of_constraint(at.problem, at.times, at.x, at.v))
     if at.terms.supplied is not None:
@@ -283,18 +285,19 @@ def _unresolved(at: _Sampled, scale: np.ndarray, floor: np.ndarray) -> np.ndarra
     return np.where(relative > LAGRANGIAN_MISFIT, relative, 0.0)
 
 
-def _correction(mass: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """δᵀ(∂²L/∂v²)⁻¹δ/2, the energy of a momentum p minus (p·v - L) up to terms of third order; (K,).
+def _corrections(mass: np.ndarray, *missing: np.ndarray) -> np.ndarray:
+    """δᵀ(∂²L/∂v²)⁻¹δ/2, the energy of a momentum p minus (p·v - L) up to terms of third order; (n, K).
 
     Parameters
     ----------
     mass : (K, d, d), ∂²L/∂v²
-    missing : (d, K), δ = p - ∂L/∂v at the velocity v of the path
+    missing : n arrays (d, K), δ = p - ∂L/∂v at the velocity v of the path, or a rounding of p
     """
     scaled, scales = scaled_masses(mass)
     values, vectors = np.linalg.eigh(scaled)
     regular = np.abs(values) > EPS * np.max(np.abs(values), axis=1, keepdims=True) + TINY
     inverse = np.divide(1.0, values, out=np.zeros_like(values), where=regular)
-    measured = missing.T / np.sqrt(np.diagonal(scales, axis1=1, axis2=2))  # squares of momenta may overflow
-    roots = np.einsum("ti,tij->tj", measured, vectors) * np.sqrt(np.abs(inverse))
-    return np.asarray(np.sum(np.sign(values) * roots**2, axis=1) / 2)
+    units = np.sqrt(np.diagonal(scales, axis1=1, axis2=2))  # squares of momenta may overflow
+    measured = np.array([momenta.T for momenta in missing]) / units
+    roots = np.einsum("nti,tij->ntj", measured, vectors) * np.sqrt(np.abs(inverse))
+    return np.asarray(np.sum(np.sign(values) * roots**2, axis=2) / 2)

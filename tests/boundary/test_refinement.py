@@ -437,3 +437,14 @@ def test_a_pivot_moved_along_a_spline_is_followed_with_and_without_its_knots(nam
     )
     path = cg.solve(bob, tol=tol)
     assert relative_error(path, lambda times: places(times, exact(times)[0])) <= tol
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6])
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_a_path_from_the_center_of_a_ball_is_found_on_few_intervals(n, tol):
+    """The mass tⁿ vanishes at the center: there forces move the path without bound, and rounding the energy."""
+    ball = cg.BoundaryProblem(lambda t, x, v: t**n * (v[0] ** 2 / 2 + x[0]), (0, 1), [None], [0.0])
+    path = cg.solve(ball, tol=tol)
+    np.testing.assert_allclose(path.x[0] * 2 * (n + 1), path.t**2 - 1, rtol=0, atol=tol)
+    assert len(path.t) < 32
+    assert cg.solve(ball, cg.Galerkin(5), 20).estimate_error() < 1e-9
