@@ -78,12 +78,13 @@ def refuse_values(problem: ControlProblem, embedding: ChainEmbedding, values: di
     given = [] if problem.parameters is None else [at["parameters"]]
     state = [times, at["x"], at["slope"] / step]
     inputs = [*state, at["controls"], *given]
-    constraint = None if problem.path_constraint is None else problem.path_constraint[0]
+    limited = None if problem.path_constraint is None else problem.path_constraint[0]
     for name, function, arguments in (
         ("running_cost", problem.running_cost, inputs),
         ("force", problem.force, inputs),
         ("rates", problem.rates, inputs),
-        ("path_constraint", constraint, inputs),
+        ("path_constraint", limited, inputs),
+        ("constraint", problem.constraint, [times, at["x"], *given]),
         ("lagrangian", problem.lagrangian, [*state, *given]),
     ):
         if function:
