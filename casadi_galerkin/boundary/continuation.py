@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # arc lengths, in which the path is relative to how far the branch has led
-FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.1, 1e-9
+FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.1, 1e-12
 # cosine of the largest angle between a step and the tangents at its two ends; beyond it may be another branch
 LEAST_COSINE = 0.95
 CONVERGED_STEP = 1e-8  # last Newton step after which the next one is at roundoff
@@ -246,32 +246,38 @@ class BranchFollower(Curve[Solution]):
         # a component may be zero up to rounding: Newton's method makes it zero
         if solution is None and iteration == CORRECTOR_ITERATIONS:
             with suppress(SolveFailure):
-                solution = damped_newton(self.stationarity, unknowns, data)
+                solution = damped_newton(self.stationarity, unknowns, data, max_iter=CORRECTOR_ITERATIONS)
                 moved = np.append(solution.unknowns - unknowns, 0.0)
                 return solution if self.length(moved) < CONVERGED_STEP else None
         return solution
 
     def begin(self, z: np.ndarray, follow: np.ndarray) -> None:
-        """Expect of every unknown the change up to the target at its first rate, but at most its size, if it has one.
+        """Expect changes of the path up to the target from those a little way ahead, but at most its sizes.
 
-        Near a fold the first rate is far too large.
+        The first rate alone may be zero, or far too large near a fold.
         """
-        self._lowest = self._highest = z[:-1]
         size, change = np.abs(z[:-1]), np.abs(follow)
-        expected = np.where(size > ROUNDED * change, np.minimum(change, size), change)
-        largest = np.max(expected[: self.transcription.numbering.positions], initial=0.0)
-        self._expected = np.maximum(expected, LEAST_OF_ALL * largest)
+        self._lowest = self._highest = z[:-1]
+        self._expected = np.where(size > ROUNDED * change, size, change)
+        self.weigh(z)
+        found = self.corrected(np.append(z[:-1], FIRST_STEP), np.append(0 * follow, 1.0), np.inf)
+        if found is not None:
+            ahead = np.abs(found[0][:-1] - z[:-1]) / FIRST_STEP
+            self._expected = np.where(size > ROUNDED * ahead, np.minimum(ahead, size), ahead)
 
     def weigh(self, z: np.ndarray) -> None:
         """Set the weights of the path from how far its components have changed on the branch up to this point.
 
-        Unlike the sizes of the components, these do not depend on the origin: all sheets of a branch stay apart.
+        Unlike the sizes of the components, these do not depend on the origin: all sheets of a branch stay apart.  What
+        was expected at first counts less and less.
         """
         self._lowest, self._highest = np.minimum(self._lowest, z[:-1]), np.maximum(self._highest, z[:-1])
         changes = np.maximum.reduce((self._highest - self._lowest, self._expected, LEAST_OF_SIZE * np.abs(z[:-1])))
+        largest = np.max(changes[: self.transcription.numbering.positions], initial=0.0)
         start, end, *further = self.data(z)
-        sizes = self.stationarity.sizes(changes, (0 * start, 0 * end, *further))
+        sizes = self.stationarity.sizes(np.maximum(changes, LEAST_OF_ALL * largest), (0 * start, 0 * end, *further))
         self.weights[:-1] = 1 / (len(sizes) * sizes**2)
+        self._expected = self._expected / 2
 
     def path(self, z: np.ndarray) -> PiecewisePolynomial:
         """The path of a point z."""
@@ -282,6 +288,12 @@ class BranchFollower(Curve[Solution]):
         start = self.transcription.critical_point(guess=guess)
         z = np.append(start.solution.unknowns, 0.0)
         follow = self.directions(z)[1]
+        if not np.isfinite(follow).all():
+            raise ConvergenceError(
+                f"the branch cannot be followed from the parameters {self.first}: the path changes there at a rate "
+                "that is not finite. Begin at other parameters",
+                self.transcription.trajectory(start, 0.0),
+            )
         self.begin(z, follow)
         points = [Point(z, np.append(follow, 1.0), self.transcription.trajectory(start, 0.0))]
         folds = []
@@ -328,8 +340,8 @@ class BranchFollower(Curve[Solution]):
                 z, solution = np.append(answer[1].unknowns, answer[0][-1]), answer[1]
                 chord = self.unit(z - point.z)
                 following = self.tangent(z, chord)
-                # NaN for a path that grows without bound
-                if min(self.cosine(chord, tangent), self.cosine(chord, following)) > LEAST_COSINE:
+                bends = np.array([self.cosine(chord, tangent), self.cosine(chord, following)])
+                if np.all(bends > LEAST_COSINE):  # NaN for a path that grows without bound
                     found = CriticalPoint(solution, self.problem(z), self.path(z))
                     with suppress(ConjugatePointError):  # the point is at a fold
                         trajectory = self.transcription.trajectory(found, 0.0)
@@ -346,16 +358,19 @@ class BranchFollower(Curve[Solution]):
         """Find the zero of ṡ between two points, by the secant and bisection on the chord between them."""
         tangent = self.unit(before.tangent)
         ends, rates = [before.z, after.z], [tangent[-1], after.tangent[-1]]
-        z, rate, level = before.z, tangent[-1], FOLD_TOLERANCE * abs(rates[0] - rates[1])
+        level, failed = FOLD_TOLERANCE * abs(rates[0] - rates[1]), 0
         for iteration in range(ITERATIONS):
-            if abs(rate) < level:
+            if min(map(abs, rates)) < level:
                 break
             share = 0.5 if iteration % 3 == 2 else rates[0] / (rates[0] - rates[1])
+            if failed:  # too near to a crossing with another branch: come nearer from either side
+                share = share / 2 if failed % 2 else (1 + share) / 2
             answer = self.corrected(ends[0] + share * (ends[1] - ends[0]), tangent, LONGEST_STEP)
-            if answer is None:  # too near to a crossing with another branch
-                break
-            z = answer[0]
-            rate = self.tangent(z, tangent)[-1]
+            if answer is None:
+                failed += 1
+                continue
+            rate = self.tangent(answer[0], tangent)[-1]
             side = int(rate * rates[0] <= 0)
-            ends[side], rates[side] = z, rate
+            ends[side], rates[side] = answer[0], rate
+        z = ends[int(abs(rates[1]) < abs(rates[0]))]
         return Fold(self.parameters(z), Path(self.path(z)), count)

@@ -380,3 +380,67 @@ def test_a_branch_that_meets_its_mirror_image_turns_where_another_one_crosses():
         beside = duffing.varied({"parameters": [fold.parameters[0] * (1 + share)]})
         symmetric = cg.solve(beside, cg.Galerkin(8), 20, guess=lambda t: [-0.8 * np.cos(t)])
         assert symmetric.morse_index == index
+
+
+def two_folds(beyond, origin):
+    """Constant paths along p = 16 y⁵ - 20 y³ + 5.3 y, from `beyond` the fold at y = -0.31981588, with y = x there."""
+    first = -0.31981588 + beyond
+
+    def force(y):
+        return 16 * y**5 - 20 * y**3 + 5.3 * y
+
+    def lagrangian(t, x, v, p):
+        y = x[0] + first - origin
+        return v[0] ** 2 / 2 + (16 * y**6 / 6 - 5 * y**4 + 5.3 * y**2 / 2 - p[0] * x[0]) / 10
+
+    return cg.BoundaryProblem(lagrangian, (0, 1), [None], [None], parameters=[force(first)])
+
+
+@pytest.mark.parametrize("origin", [0.0, 5.0])
+@pytest.mark.parametrize("beyond", [1e-2, 1e-3])
+def test_a_branch_that_begins_beside_a_fold_finds_the_next_ones(beyond, origin):
+    """The first rate is far too large there, and where x is zero there is no size to compare it with."""
+    branch = cg.continuation(two_folds(beyond, origin), [3.0], cg.Galerkin(2), 2, guess=lambda t: [origin])
+    folds = [fold.parameters[0] for fold in branch.folds]
+    y = np.sqrt((60 - np.sqrt(3600 - 4 * 80 * 5.3)) / 160), np.sqrt((60 + np.sqrt(3600 - 4 * 80 * 5.3)) / 160)
+    expected = [16 * a**5 - 20 * a**3 + 5.3 * a for a in y]
+    np.testing.assert_allclose(folds, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("target", [2.0, 400.0])
+def test_a_branch_whose_first_rate_is_zero_is_followed(target):
+    """The parameter enters squared: x = sinh(p t)/sinh p."""
+    tunnel = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 + (p[0] * x[0]) ** 2 / 2, (0, 1), [0.0], [1.0], parameters=[0.0]
+    )
+    branch = cg.continuation(tunnel, [target], cg.Galerkin(6), intervals=40)
+    assert branch.reached
+    assert len(branch.trajectories) < 150
+
+
+@pytest.mark.parametrize(("method", "intervals"), [(cg.Galerkin(8), 16), (cg.Galerkin(4), 20)])
+def test_swings_shrink_to_rest_where_they_meet_their_mirror_images(method, intervals):
+    """The energy of rest is -1; there the corrector fails, and the fold lies between points on both sides."""
+    turn = np.pi / 2
+    pendulum_of_energy = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 + ca.cos(x[0]) + p[0],
+        (0, 7.4),
+        [0.0],
+        periodic=True,
+        energy=0.0,
+        parameters=[0.0],
+    )
+    branch = cg.continuation(
+        pendulum_of_energy, [-3.0], method, intervals, guess=lambda t: [turn * np.sin(2 * np.pi * t / 7.4)]
+    )
+    (fold,) = branch.folds
+    assert fold.parameters[0] == pytest.approx(-1, abs=1e-6)
+
+
+@pytest.mark.parametrize("force", [ca.sqrt, lambda p: ca.exp(-1 / p)])
+def test_a_branch_that_begins_where_it_has_no_rate_is_refused(force):
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 - force(p[0]) * x[0], (0, 1), [0.0], [1.0], parameters=[0.0]
+    )
+    with pytest.raises(cg.ConvergenceError, match=r"changes there at a rate that is not finite. Begin at other"):
+        cg.continuation(problem, [1.0], cg.Galerkin(4), intervals=4)
