@@ -77,6 +77,8 @@ class Chain:
     crossed : (K,), numbers of the joints of the crossings
     jumped : (K,), whether the path jumps there
     phases : (N,), number of the phase to which every interval belongs; phases have free durations of their own
+    velocities_of_rates : whether the running cost or a path constraint depends on the velocity of a component that
+        follows a rate
     unknowns, equations, size : numbers of unknowns, of equations, and of entries of ξ
     fields : name -> entries of ξ: "x" (N + 1, d), "momentum" (N + 1, mechanical), "nodes" (N, m, d), the values at the
         nodes after the first, "controls" (N, points, n), "impulses" (N, m, constraints) at these nodes and
@@ -116,6 +118,10 @@ class Chain:
         parted = self.breaks if "durations" in self.free else ()
         self.phases = np.searchsorted(parted, np.arange(self.intervals), side="right")
         self.control_times = np.array([0.5]) if problem.hold else method.element.points
+        along = problem.running_cost, *(problem.path_constraint or ())[:1]
+        self.velocities_of_rates = any(
+            max(f.sparsity_jac(2, 0).get_col(), default=-1) >= self.mechanical for f in along
+        )
         self._number_unknowns()
         self._number_equations()
 
@@ -220,8 +226,8 @@ class Chain:
 
     @cached_property
     def _rate_basis(self) -> np.ndarray:
-        """Test polynomials of the rates at the nodes before the last; (m, m)."""
-        return lagrange_values(np.array(gauss(self.method.degree).points), self.method.element.nodes[:-1])
+        """Test polynomials of the rates at the nodes; (m + 1, m)."""
+        return lagrange_values(np.array(gauss(self.method.degree).points), self.method.element.nodes)
 
     def costate(
         self, multipliers: np.ndarray, bounds: np.ndarray, arriving: np.ndarray, mesh: np.ndarray
@@ -229,7 +235,8 @@ class Chain:
         """The multipliers of the equations of motion, and of the rates, as a path.
 
         Those of the rates are polynomials of degree m - 1 between the joints.  At the joints they are the multipliers
-        of the continuity of x, at a breakpoint with those of the bounds.
+        of the continuity of x, at a breakpoint with those of the bounds.  Where the cost or a path constraint depends
+        on the velocity z' of such a component, the latter contain their derivatives by z', and the polynomials hold.
 
         Parameters
         ----------
@@ -240,10 +247,12 @@ class Chain:
         m, others = self.method.degree, slice(self.mechanical, None)
         motion = multipliers[self.rows["motion"]].reshape(self.intervals * m, self.mechanical)
         motion = np.vstack((motion, -multipliers[self.rows["momentum"][-1]]))
-        rates = -self._rate_basis @ multipliers[self.rows["rates"]]
-        ends = -multipliers[self.rows["x"]][:, others]
-        rates[1:, 0] = ends[:-1]
-        rates[self.breaks, 0] -= bounds[self.fields["x"][self.breaks, others]]
+        between = -self._rate_basis @ multipliers[self.rows["rates"]]
+        rates, ends = between[:, :-1], between[:, -1]
+        if not self.velocities_of_rates:
+            ends = -multipliers[self.rows["x"]][:, others]
+            rates[1:, 0] = ends[:-1]
+            rates[self.breaks, 0] -= bounds[self.fields["x"][self.breaks, others]]
         values = np.hstack((motion, np.vstack((rates.reshape(self.intervals * m, ends.shape[1]), ends[-1])))).T
         if len(self.breaks) == 0:
             return PiecewisePolynomial(mesh, self.method.element.nodes, values)

@@ -51,7 +51,7 @@ def control_function(
             given = [value is not None for value in getattr(problem, name)]
             least, most = (ca.DM(side[given]) for side in np.array(problem.position_bounds))
             allowed = ca.logic_and(allowed, ca.mmin(ca.logic_and(least <= inputs[name], inputs[name] <= most)))
-        value = ca.if_else(number, inputs[name], 0.0)  # the solver refuses NaN
+        value = ca.if_else(number, inputs[name], ca.DM(np.concatenate(known)[entries]))  # the solver refuses NaN
         if name == "parameters":
             data[(entries - chain.unknowns).tolist()] = value
         else:

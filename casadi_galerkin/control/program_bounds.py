@@ -43,7 +43,8 @@ class ProgramBounds:
 
 
 def _narrowed(low: np.ndarray, high: np.ndarray, relaxed: float) -> tuple[np.ndarray, np.ndarray]:
-    move = [relaxed * (low < high) * np.fmax(1.0, np.where(np.isfinite(b), np.abs(b), 1.0)) for b in (low, high)]
+    most = np.where(low < high, (high - low) / 4, 0.0)  # bounds narrower than the relaxation stay bounds
+    move = [np.fmin(relaxed * np.fmax(1.0, np.where(np.isfinite(b), np.abs(b), 1.0)), most) for b in (low, high)]
     return low + move[0], high - move[1]
 
 

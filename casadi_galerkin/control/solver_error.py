@@ -112,7 +112,7 @@ def _kkt_solution(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Solve the symmetric equations (H + Σ) δ + Aᵀδλ = a, A δ - D δλ = b.
 
-    They are scaled so that the largest entry of every column of A, of every row of A, and of H is one.
+    They are scaled so that the largest entry of every column of A, of every row of A, and of H and a is one.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def _kkt_solution(
     (i, j, h), (k, column, slopes), (a, b), n = curved, across, sides, len(sides[0])
     scale = 1 / _largest(column, slopes, n)
     slopes, h = slopes * scale[column], scale[i] * h * scale[j]
-    row, unit = 1 / _largest(k, slopes, len(b)), np.max(np.abs(h), initial=0.0) or 1.0
+    row, unit = 1 / _largest(k, slopes, len(b)), np.max(np.abs(np.append(h, scale * a)), initial=0.0) or 1.0
     units, off_diagonal = np.append(scale, unit * row), i != j
     rows = np.concatenate((i[off_diagonal], j[off_diagonal], n + k, column))
     columns = np.concatenate((j[off_diagonal], i[off_diagonal], column, n + k))

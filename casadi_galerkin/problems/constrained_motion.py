@@ -10,7 +10,7 @@ with p = ∂L/∂v and M = ∂p/∂v.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -179,10 +179,11 @@ def work_of_constraint(problem: Problem, t: np.ndarray, x: np.ndarray, v: np.nda
     return np.asarray(np.sum(multipliers(motion, t, x, v) * _at(motion, t, x, v)[3], axis=0))
 
 
-def check_constraint(problem: Problem, positions: Collection[str] = ("start", "position", "end")) -> None:
+def check_constraint(problem: Problem, known: Mapping[str, np.ndarray] | None = None) -> None:
     """Refuse too many constraints, and given positions that violate them or where they are redundant.
 
-    Only positions of these names with all of their components given are looked at.
+    Only positions with all of their components given are looked at.  `known` says by name which constraints depend on
+    nothing free there, (k,); by default all do.
     """
     if problem.constraint is None:
         return
@@ -200,19 +201,20 @@ def check_constraint(problem: Problem, positions: Collection[str] = ("start", "p
     first, last = problem.t_span
     for name, when in (("start", first), ("position", first), ("end", last)):
         where: Any = getattr(problem, name, (None,))
-        if name not in positions or None in where:
+        if None in where:
             continue
+        looked_at = np.ones(k, dtype=bool) if known is None else known[name]
         symbols = function.sx_in()
         values, missed, slopes = (np.array(a) for a in relative_residuals(function(*symbols), symbols)(when, where))
-        if not np.all(missed <= 1):
-            i = int(np.argmax(missed))
+        if not np.all(missed[looked_at] <= 1):
+            i = int(np.argmax(np.where(looked_at, missed[:, 0], -1.0)))
             raise ValueError(
                 f"the constraint must be zero at the given {name}, x = {list(where)}: constraint[{i}] is "
                 f"{values[i, 0]:g}, and only rounding, up to {abs(values[i, 0]) / missed[i, 0]:.0e}, is accepted"
             )
         slope = slopes[:, 1:]
         rows = or_one(np.linalg.norm(slope, axis=1))
-        if np.linalg.matrix_rank(slope / rows[:, None], tol=1e3 * EPS) < k:
+        if looked_at.all() and np.linalg.matrix_rank(slope / rows[:, None], tol=1e3 * EPS) < k:
             raise ValueError(
                 f"the constraints are redundant at the given {name}, x = {list(where)}: their gradients, the rows of "
                 f"{slope.tolist()}, are linearly dependent"
@@ -246,8 +248,17 @@ def relative_residuals(value: ca.SX, symbols: Sequence[ca.SX], further: Sequence
     )
 
 
-def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v: tuple[float, ...]) -> None:
+def check_tangent(
+    problem: Problem,
+    name: str,
+    t: float,
+    x: tuple[float, ...],
+    v: tuple[float, ...],
+    known: np.ndarray | None = None,
+) -> None:
     """Refuse a velocity of this name, given at a position, that leaves the constraint: G v + ∂g/∂t must be zero.
+
+    `known` says which constraints depend on nothing free there, (k,); by default all do.
 
     The accepted rounding of a velocity is relative to its own size, or to that of the position over the duration if it
     is larger: a velocity so small moves the path by no more than the rounding of its position.
@@ -262,6 +273,8 @@ def check_tangent(problem: Problem, name: str, t: float, x: tuple[float, ...], v
     lengths = np.abs(x)
     sizes = np.concatenate(([abs(t)], lengths, np.fmax(np.abs(v), lengths / np.ptp(problem.t_span))))
     excess = np.abs(rates[:, 0]) - CONSTRAINT_TOLERANCE * np.abs(slopes) @ sizes
+    if known is not None:
+        excess = np.where(known, excess, 0.0)
     if np.any(excess > 0):
         i = int(np.argmax(excess))
         raise ValueError(

@@ -333,7 +333,7 @@ class ControlProblem:
                         f"{name}[{i}] = {value} lies on its position_bounds [{low[i]}, {high[i]}], and "
                         f"{name}_velocity[{i}] = {velocity} puts the path outside beside it"
                     )
-        check_constraint(self, [name for k, name in enumerate(ENDS) if self.determined_constraints(k).all()])
+        check_constraint(self, {name: self.determined_constraints(k) for k, name in enumerate(ENDS)})
         for k, name in enumerate(ENDS):
             self._check_end_state(k, name)
         if self.end_conditions is not None:
@@ -344,8 +344,7 @@ class ControlProblem:
         t, x, v = self.t_span[end], getattr(self, name), getattr(self, f"{name}_velocity")
         if None in (*x, *v):
             return
-        if self.determined_constraints(end).all():
-            check_tangent(self, f"{name}_velocity", t, x, v)
+        check_tangent(self, f"{name}_velocity", t, x, v, self.determined_constraints(end))
         if self.path_constraint is None or self.duration_bounds is not None or self.parameter_bounds is not None:
             return
         g, low, high = self.path_constraint

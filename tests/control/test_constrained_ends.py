@@ -122,3 +122,37 @@ def test_a_constraint_that_is_not_finite_at_the_guess_is_named():
     assert cg.solve(inside, METHOD, INTERVALS, guess=quarter).cost == pytest.approx(
         cg.solve(on_circle(), METHOD, INTERVALS, guess=quarter).cost, rel=1e-9
     )
+
+
+def on_bent_rod(**changes):
+    """A mass on the circle in two coordinates, beside a third one that follows p times the first, p being free."""
+    stated = {
+        "lagrangian": lambda t, x, v, p: ca.dot(v, v) / 2,
+        "start": [0.0, -1.0, 0.0],
+        "end": [1.0, 0.0, None],
+        "start_velocity": [0.0, 0.0, 0.0],
+        "end_velocity": [None, None, None],
+        "force": lambda t, x, v, u, p: [u[0], u[1], 0],
+        "running_cost": lambda t, x, v, u, p: ca.dot(u, u) / 2,
+        "controls": 2,
+        "constraint": lambda t, x, p: [ca.dot(x[:2], x[:2]) - 1, x[2] - p[0] * x[0]],
+        "parameters": [1.0],
+        "parameter_bounds": (0.5, 2.0),
+    }
+    return on_circle(**{**stated, **changes})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"start": [0.0, -1.05, 0.0]}, r"zero at the given start, .*: constraint\[0\] is 0.1025"),
+        (
+            {"start_velocity": [0.5, 0.3, 0.5]},
+            r"start_velocity must be tangent .*: the rate of constraint\[0\] is -0.6",
+        ),
+    ],
+)
+def test_a_constraint_that_depends_on_nothing_free_is_checked_beside_one_that_does(changes, message):
+    assert on_bent_rod().constraints == 2
+    with pytest.raises(ValueError, match=message):
+        on_bent_rod(**changes)

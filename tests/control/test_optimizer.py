@@ -94,3 +94,17 @@ def test_fatrop_takes_the_derivatives_of_the_graph():
     program, graph = transcription.program(cg.fatrop, warm=False, verbose=0), transcription.graph
     for name, function in (("nlp_jac_g", graph.jacobian), ("nlp_hess_l", graph.whole_hessian)):
         assert hash(program.get_function(name)) == hash(function)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"control_bounds": (0.0, 1e-8), "end": [None], "end_velocity": [None]},
+        {"duration_bounds": (1 - 1e-9, 1 + 1e-9)},
+        {"waypoints": [(0.5, [(0.5, 0.5 + 1e-8)])]},
+    ],
+)
+def test_bounds_narrower_than_fatrop_relaxes_them_are_kept(changes):
+    problem = double_integrator(**changes)
+    narrow, other = (cg.solve(problem, cg.Galerkin(3), 8, solver=solver) for solver in (cg.fatrop, cg.ipopt))
+    assert narrow.cost == pytest.approx(other.cost, abs=1e-6)

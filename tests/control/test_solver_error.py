@@ -204,3 +204,27 @@ def test_a_control_without_effect_in_a_phase_does_not_hide_the_cost():
     path = cg.solve(hop, tol=1e-6)
     assert path.cost == pytest.approx(1.4554232430585838, rel=1e-9)  # a cubic to 0.7, then a throw to 1.2
     assert path.unseen_change < 1e-9 * path.cost
+
+
+@pytest.mark.parametrize("tol", [1e-2, 1e-6])
+def test_no_cost_is_called_open_where_all_controls_are_at_their_bounds(tol):
+    """A tank that is emptied at full rate in the least time, 0.6 s: then nothing is left to be chosen."""
+    burn = cg.ControlProblem(
+        lambda t, x, v: x[1] * v[0] ** 2 / 2,
+        (0.0, 2.0),
+        start=[0.0, 1.0],
+        end=[None, 0.4],
+        start_velocity=[0.0, None],
+        end_velocity=[None, None],
+        force=lambda t, x, v, u: u[0] * (2 - v[0]),
+        rates=lambda t, x, v, u: -u[0],
+        controls=1,
+        running_cost=lambda t, x, v, u: 1,
+        control_bounds=(0.0, 1.0),
+        duration_bounds=(0.05, 2.0),
+    )
+    fixed = cg.solve(burn, cg.Galerkin(6), 4)
+    assert fixed.unseen_change < 1e-9
+    assert "NOT DETERMINED" not in repr(fixed)
+    path = cg.solve(burn, tol=tol)
+    assert abs(path.cost - 0.6) <= path.cost_error < 1e-9

@@ -302,3 +302,30 @@ def test_without_path_constraints_there_are_no_values_of_any():
     path = cg.solve(double_integrator(), cg.Galerkin(3), intervals=4)
     assert path.path_constraints(np.array([0.0, 0.5, 1.0])).shape == (0, 4, 3)
     assert path.constraint_excess.tolist() == [0.0] * 4
+
+
+def test_costate_is_the_price_of_a_rate_where_the_cost_depends_on_the_velocity():
+    """More of a rate, ε f(t), costs ∫ λ f dt."""
+
+    def solved(more):
+        return cg.solve(
+            cg.ControlProblem(
+                None,
+                (0.0, 1.0),
+                [0.0],
+                [1.0],
+                [None],
+                [None],
+                force=None,
+                controls=1,
+                rates=lambda t, x, v, u: u - x / 2 + more * ca.exp(-20 * (t - 0.4) ** 2),
+                running_cost=lambda t, x, v, u: (v[0] ** 2 + u[0] ** 2) / 2,
+            ),
+            cg.Galerkin(4),
+            8,
+        )
+
+    price = (solved(1e-4).cost - solved(-1e-4).cost) / 2e-4
+    path = solved(0.0)
+    priced = quad(lambda t: path.costate(t)[0] * np.exp(-20 * (t - 0.4) ** 2), 0, 1, points=path.t)[0]
+    assert priced == pytest.approx(price, rel=1e-6)
