@@ -18,7 +18,7 @@ LEAST_AGREEMENT = 0.95  # agreement below which a given mesh does not resolve th
 LARGEST_RATIO = 0.9  # largest ratio of two Newton steps with which their geometric series is summed
 FORCES = 3  # number of forces with which two degrees are compared: with one alone they may agree by chance
 SMALL_RESPONSE = 1e-6  # responses below this part of the largest mean response count as this part of it
-LARGE_RESPONSE = 10.0  # largest response that counts, over the median of the responses at all nodes
+LARGE_RESPONSE = 30.0  # largest response that counts, over the median of the responses at all nodes
 ROUNDING = 0.2  # root mean square of the error of rounding to the nearest double, over eps
 
 

