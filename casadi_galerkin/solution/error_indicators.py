@@ -34,7 +34,7 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.functional.pointwise import pointwise
-from casadi_galerkin.problems.constrained_motion import work_of_constraint
+from casadi_galerkin.problems.constrained_motion import tangent_momenta, work_of_constraint
 from casadi_galerkin.problems.legendre_transform import scaled_masses
 from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solution.jump_detection import JumpDetector
@@ -215,6 +215,9 @@ def _between_breakpoints(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Energy imbalance and misfit of L, see `error_indicators`, of a path without breakpoints, and largest masses."""
     sampled = _Sampled(problem, path)
+    if problem.constraint is not None:  # where it moves in another way from a breakpoint on, its impulse acts there
+        place = sampled.times[sampled.joints], sampled.x[:, sampled.joints]
+        momentum = tangent_momenta(problem, *place, momentum, sampled.v[:, sampled.joints])
     conserved, scale, floor = _energies(sampled, momentum)
     masses = np.max(np.where(np.isfinite(sampled.masses), np.abs(sampled.masses), 0.0), axis=0)
     most = _most_change(sampled)

@@ -434,3 +434,31 @@ def test_a_component_that_a_constraint_keeps_at_zero_is_zero_but_for_rounding(ho
     wheel = np.sin(times) / np.sin(1)
     assert np.max(np.abs(path(times) - [wheel, -wheel, 0 * times])) < 1e-8
     assert np.max(np.abs(path.x[2])) < 1e-15
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-9])
+def test_a_pivot_that_turns_at_a_named_time_takes_no_energy_unseen(tol):
+    """Its velocity jumps, and so does that of the rod, at a breakpoint; the same in the angle of the rod."""
+
+    def at(t, angle):
+        return [0.2 * abs(t - 0.5) + np.sin(angle), -np.cos(angle)]
+
+    rod = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - 9.81 * x[1],
+        (0.0, 1.0),
+        at(0, -0.5),
+        at(1, 0.7),
+        constraint=lambda t, x: (x[0] - 0.2 * ca.fabs(t - 0.5)) ** 2 + x[1] ** 2 - 1,
+        breakpoints=[0.5],
+    )
+    angle = cg.BoundaryProblem(
+        lambda t, q, v: (
+            ((0.2 * ca.sign(t - 0.5) + ca.cos(q[0]) * v[0]) ** 2 + (ca.sin(q[0]) * v[0]) ** 2) / 2 + 9.81 * ca.cos(q[0])
+        ),
+        (0.0, 1.0),
+        [-0.5],
+        [0.7],
+        breakpoints=[0.5],
+    )
+    path = cg.solve(rod, tol=tol, guess=lambda t: at(t, -0.5 + 1.2 * t))
+    assert path.action == pytest.approx(cg.solve(angle, tol=1e-11).action, rel=tol)
