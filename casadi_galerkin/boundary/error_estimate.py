@@ -18,7 +18,6 @@ LEAST_AGREEMENT = 0.95  # agreement below which a given mesh does not resolve th
 LARGEST_RATIO = 0.9  # largest ratio of two Newton steps with which their geometric series is summed
 FORCES = 3  # number of forces with which two degrees are compared: with one alone they may agree by chance
 SMALL_RESPONSE = 1e-6  # responses below this part of the largest mean response count as this part of it
-LARGE_RESPONSE = 30.0  # largest response that counts, over the median of the responses at all nodes
 ROUNDING = 0.2  # root mean square of the error of rounding to the nearest double, over eps
 
 
@@ -73,10 +72,8 @@ def agreement(
     differ in how stiffly they hold it.
 
     It is the smallest ratio, over all forces and components, of the mean responses over the nodes.  Means are taken
-    because single responses may be large in a layer that the path itself does not have.  Where a mass vanishes, as at
-    the center of a ball, they grow without bound, so that each counts as at most `LARGE_RESPONSE` times the median.  A
-    small mean counts as `SMALL_RESPONSE` times the largest.  `of_higher` and `refined` are those of
-    `discretization_error`.
+    because single responses may be large in a layer that the path itself does not have.  A small mean counts as
+    `SMALL_RESPONSE` times the largest.  `of_higher` and `refined` are those of `discretization_error`.
     """
     if not graph.numbering.positions:
         return 1.0  # nothing can vary
@@ -90,9 +87,7 @@ def agreement(
     of_lower = _joined(graph, path, varied)
     if not (np.isfinite(of_lower.values).all() and np.isfinite(of_higher.values).all()):
         return 0.0  # one of the Hessians is singular
-    both = [np.abs(values) for values in (of_lower.at(of_higher.nodes), of_higher.values)]
-    most = [LARGE_RESPONSE * np.median(sizes, axis=1, keepdims=True) for sizes in both]
-    means = np.array([np.mean(np.minimum(sizes, bound), axis=1) for sizes, bound in zip(both, most, strict=True)])
+    means = np.array([np.mean(np.abs(values), axis=1) for values in (of_lower.at(of_higher.nodes), of_higher.values)])
     means = np.maximum(means, SMALL_RESPONSE * np.max(means) + TINY)
     return float(np.min(means.min(axis=0) / means.max(axis=0)))
 

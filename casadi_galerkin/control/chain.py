@@ -236,7 +236,8 @@ class Chain:
 
         Those of the rates are polynomials of degree m - 1 between the joints.  At the joints they are the multipliers
         of the continuity of x, at a breakpoint with those of the bounds.  Where the cost or a path constraint depends
-        on the velocity z' of such a component, the latter contain their derivatives by z', and the polynomials hold.
+        on the velocity z' of such a component, the latter contain their derivatives by z': there the polynomials hold,
+        which jump where z' does.
 
         Parameters
         ----------
@@ -254,9 +255,13 @@ class Chain:
             rates[1:, 0] = ends[:-1]
             rates[self.breaks, 0] -= bounds[self.fields["x"][self.breaks, others]]
         values = np.hstack((motion, np.vstack((rates.reshape(self.intervals * m, ends.shape[1]), ends[-1])))).T
-        if len(self.breaks) == 0:
+        jumping = np.arange(1, self.intervals) if self.velocities_of_rates else self.breaks
+        if len(jumping) == 0:
             return PiecewisePolynomial(mesh, self.method.element.nodes, values)
-        before = np.hstack((motion[m * self.breaks], ends[self.breaks - 1]))
-        arrived = arriving[others].T + bounds[self.fields["nodes"][self.crossed - 1, -1, others]]
-        before[np.isin(self.breaks, self.crossed)] = np.hstack((-multipliers[self.rows["arrival"]], arrived))
-        return self._jumping(mesh, values, self.breaks, before)
+        before = np.hstack((motion[m * jumping], ends[jumping - 1]))
+        at_crossings = np.isin(jumping, self.crossed)
+        before[at_crossings, : self.mechanical] = -multipliers[self.rows["arrival"]]
+        if not self.velocities_of_rates:
+            arrived = arriving[others].T + bounds[self.fields["nodes"][self.crossed - 1, -1, others]]
+            before[at_crossings, others] = arrived
+        return self._jumping(mesh, values, jumping, before)

@@ -203,6 +203,7 @@ class HigherDegree:
         low, high = (np.array(side)[:, None, None] for side in constraint[1:])
         parts = around(path.method.element.points)
         excess = np.min([bound_excess(p.path_constraints(parts), low, high) for p in (path, self.higher)], axis=0)
+        excess = np.where(np.isfinite(excess), excess, 0.0)  # as of a ratio of two positions that vanish at an end
         forces = np.abs(path.path_multipliers.values).reshape(*excess.shape[:2], -1)
         impulses = np.diff(path.t) * (forces @ np.array(path.method.quadrature.weights))
         return np.array([self.of_cost(change) for change in np.sum(np.max(excess, axis=2) * impulses, axis=0)])

@@ -43,9 +43,11 @@ class ProgramBounds:
 
 
 def _narrowed(low: np.ndarray, high: np.ndarray, relaxed: float) -> tuple[np.ndarray, np.ndarray]:
-    most = np.where(low < high, (high - low) / 4, 0.0)  # bounds narrower than the relaxation stay bounds
-    move = [np.fmin(relaxed * np.fmax(1.0, np.where(np.isfinite(b), np.abs(b), 1.0)), most) for b in (low, high)]
-    return low + move[0], high - move[1]
+    move = [relaxed * (low < high) * np.fmax(1.0, np.where(np.isfinite(b), np.abs(b), 1.0)) for b in (low, high)]
+    least, most = low + move[0], high - move[1]
+    crossed = least > most  # what has no room between its bounds is fixed in the middle
+    least[crossed] = most[crossed] = (low[crossed] + high[crossed]) / 2
+    return least, most
 
 
 def bounds_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> ProgramBounds:

@@ -72,5 +72,7 @@ def zero(path: ControlTrajectory, i: int, first: float, last: float) -> float:
     if len(changes) == 0:
         return np.nan
     k = int(changes[0])
+    if path.costate.arrivals is not None and np.any((times[k] < path.t) & (path.t <= times[k + 1])):
+        return np.nan  # the costate, and with it the switching function, may change its sign by a jump at the joint
     change = values[k] - values[k + 1]
     return float(times[k] + (times[k + 1] - times[k]) * (values[k] / change if change else 0.0))

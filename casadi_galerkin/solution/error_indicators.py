@@ -253,6 +253,7 @@ def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarra
     kinetic, speed, sizes, masses = np.sum(momentum * v, axis=0), np.abs(v), at.path.sizes, np.abs(at.masses)
     rounded = np.broadcast_to(EPS * np.max(np.abs(momentum), axis=1, keepdims=True), momentum.shape)
     correction, noise = _corrections(at.masses, momentum - slope[at.joints].T, rounded)
+    correction[np.abs(correction) <= ROUNDING_FACTOR**2 * np.abs(noise)] = 0.0  # rounding over a mass that vanishes
     energy = kinetic - lagrangian[at.joints, 0] / h + correction
 
     pushed, duration = np.einsum("tij,jt->it", masses, speed), float(np.sum(at.steps))
@@ -266,7 +267,7 @@ def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarra
     before = np.maximum(np.arange(len(at.joints)) - 1, 0)  # a momentum belongs to the interval before its joint
     blurred = rounding * np.sum(places[:, before] * pushed, axis=0) / at.steps[before]
     pulled = np.sum(np.abs(at.x[:, at.joints] * work[at.joints].T), axis=0) / h
-    floor = ROUNDING_FACTOR * EPS * (blurred + pulled + scale) + np.abs(noise)
+    floor = ROUNDING_FACTOR * EPS * (blurred + pulled + scale)
 
     supplied = at.steps * at.integral(work_of_constraint(at.problem, at.times, at.x, at.v))
     if at.terms.supplied is not None:

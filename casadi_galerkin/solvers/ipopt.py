@@ -139,6 +139,8 @@ def check_option(name: str, value: object, plugin: str = "ipopt") -> None:
     refusal = ValueError(f"{called} has no option {name} that takes {value!r}")
     try:
         asked = ca.nlpsol("asked", plugin, {"x": x, "f": x**2}, {"print_time": False, plugin: {**quiet, name: value}})
+        if name == "print_level":
+            return  # which would print
         asked(x0=1.0)
     except (RuntimeError, NotImplementedError, TypeError) as error:
         raise refusal from error

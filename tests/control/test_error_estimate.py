@@ -134,3 +134,22 @@ def test_an_obstacle_narrower_than_the_points_are_apart_counts_in_the_cost(width
     least = cg.solve(double_integrator(end=[0.0], waypoints=[(when, [(height, np.inf)])]), cg.Galerkin(3), 10).cost
     assert 1 - path.cost / least <= 1.2 * path.cost_error
     assert path.cost_error <= asked.get("cost_tol", asked.get("tol"))
+
+
+def test_a_path_constraint_that_is_not_finite_at_an_end_does_not_stop_the_refinement():
+    """A glide slope down to the origin, where it is zero over zero."""
+    glide = cg.ControlProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - x[1],
+        (0.0, 2.0),
+        [2.0, 1.5],
+        [0.0, 0.0],
+        [-1.0, 0.0],
+        [None, None],
+        force=lambda t, x, v, u: u,
+        controls=2,
+        running_cost=lambda t, x, v, u: ca.dot(u, u) / 2,
+        path_constraint=(lambda t, x, v, u: x[1] / x[0], 0.4, np.inf),
+    )
+    path = cg.solve(glide, cost_tol=1e-4)
+    assert path.cost_error <= 1e-4
+    assert np.all(path.x[1, :-1] >= 0.4 * path.x[0, :-1] - 1e-6)
