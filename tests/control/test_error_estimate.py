@@ -139,11 +139,11 @@ def test_an_obstacle_narrower_than_the_points_are_apart_counts_in_the_cost(width
 def test_a_path_constraint_that_is_not_finite_at_an_end_does_not_stop_the_refinement():
     """A glide slope down to the origin, where it is zero over zero."""
     glide = cg.ControlProblem(
-        lambda t, x, v: ca.dot(v, v) / 2 - x[1],
-        (0.0, 2.0),
-        [2.0, 1.5],
+        lambda t, x, v: ca.dot(v, v) / 2,
+        (0.0, 1.0),
+        [2.0, 1.0],
         [0.0, 0.0],
-        [-1.0, 0.0],
+        [0.0, -1.0],
         [None, None],
         force=lambda t, x, v, u: u,
         controls=2,
