@@ -25,6 +25,7 @@ from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.dependence import rows_that_depend
 
 Layout = Mapping[str, tuple[int, ...]]  # the shapes of named arrays, in their order
 
@@ -119,9 +120,8 @@ class Chain:
         self.phases = np.searchsorted(parted, np.arange(self.intervals), side="right")
         self.control_times = np.array([0.5]) if problem.hold else method.element.points
         along = problem.running_cost, *(problem.path_constraint or ())[:1]
-        self.velocities_of_rates = any(
-            max(f.sparsity_jac(2, 0).get_col(), default=-1) >= self.mechanical for f in along
-        )
+        of_rates = np.arange(self.dimension) >= self.mechanical
+        self.velocities_of_rates = any(rows_that_depend(f, 2, of_rates).any() for f in along)
         self._number_unknowns()
         self._number_equations()
 

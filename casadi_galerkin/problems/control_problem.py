@@ -18,7 +18,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.numbers import components, counted, flag, numbers, time_span, times_inside, whole_number
 from casadi_galerkin.calculus.roundoff import EPS
@@ -44,7 +43,13 @@ from casadi_galerkin.problems.callables import (
 )
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
 from casadi_galerkin.problems.crossings import Crossing, Pairs, Waypoint, is_limited, jumps_of, waypoints_of
-from casadi_galerkin.problems.dependence import check_absolute_values, check_controls, check_parameters, check_rates
+from casadi_galerkin.problems.dependence import (
+    check_absolute_values,
+    check_controls,
+    check_parameters,
+    check_rates,
+    rows_that_depend,
+)
 from casadi_galerkin.problems.problem import ENDS, section_times, with_changes, with_values
 
 
@@ -230,24 +235,16 @@ class ControlProblem:
     @property
     def moving_constraints(self) -> np.ndarray:
         """Which holonomic constraints depend on time; (constraints,)."""
-        return self._constraints_by(0, [True])
+        return rows_that_depend(self.constraint, 0, [True])
 
     def determined_constraints(self, end: int) -> np.ndarray:
-        """Which of them depend at the start, 0, or at the end, 1, on no free time and no free parameter."""
+        """Which holonomic constraints depend at the start, 0, or the end, 1, on no free time and no free parameter."""
         open_ones = np.zeros(self.constraints, dtype=bool)
         if self.parameter_bounds is not None:
-            open_ones |= self._constraints_by(2, np.less(*self.parameter_bounds))
+            open_ones |= rows_that_depend(self.constraint, 2, np.less(*self.parameter_bounds))
         if end == 1 and self.duration_bounds is not None:
             open_ones |= self.moving_constraints
         return ~open_ones
-
-    def _constraints_by(self, argument: int, chosen: ArrayLike) -> np.ndarray:
-        """Which holonomic constraints depend on the chosen components of an argument of theirs."""
-        depend = np.zeros(self.constraints, dtype=bool)
-        if self.constraint is not None:
-            rows, columns = (np.array(i, dtype=int) for i in self.constraint.sparsity_jac(argument, 0).get_triplet())
-            depend[rows[np.asarray(chosen)[columns]]] = True
-        return depend
 
     @property
     def mechanical(self) -> int:
@@ -365,10 +362,7 @@ class ControlProblem:
         free = [np.isnan(values) for values in given]
         if self.parameter_bounds is not None:
             free[-1] = np.less(*self.parameter_bounds)
-        depends = np.zeros(len(low), dtype=bool)
-        for k, which in enumerate(free):
-            rows, columns = (np.array(index, dtype=int) for index in g.sparsity_jac(k, 0).get_triplet())
-            depends[rows[which[columns]]] = True
+        depends = np.any([rows_that_depend(g, k, which) for k, which in enumerate(free)], axis=0)
         values = np.array(g(*map(np.nan_to_num, given))).ravel()
         accepted = FEASIBLE * np.fmax(1.0, np.abs(values))
         for i in np.flatnonzero(~depends):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 
 import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
 
 from casadi_galerkin.problems.bounds import Bounds
 
@@ -15,6 +17,16 @@ Used = tuple[str, ca.Function | None, Sequence[int]]  # name, Function, and whic
 def _entries(function: ca.Function, argument: int) -> set[int]:
     """Which entries of an argument the values of a Function depend on."""
     return {i for k in range(function.n_out()) for i in function.sparsity_jac(argument, k).get_col()}
+
+
+def rows_that_depend(function: ca.Function | None, argument: int, chosen: ArrayLike) -> np.ndarray:
+    """Which values of a Function depend on the chosen entries of an argument, (values,); that of None has no values."""
+    if function is None:
+        return np.zeros(0, dtype=bool)
+    depend = np.zeros(function.numel_out(0), dtype=bool)
+    rows, entries = (np.array(index, dtype=int) for index in function.sparsity_jac(argument, 0).get_triplet())
+    depend[rows[np.asarray(chosen)[entries]]] = True
+    return depend
 
 
 def check_rates(users: Iterable[Used], own: range) -> None:
