@@ -34,6 +34,7 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.functional.pointwise import pointwise
+from casadi_galerkin.problems.callables import depends_on_time
 from casadi_galerkin.problems.constrained_motion import tangent_momenta, work_of_constraint
 from casadi_galerkin.problems.legendre_transform import scaled_masses
 from casadi_galerkin.problems.problem import Problem
@@ -215,7 +216,7 @@ def _between_breakpoints(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Energy imbalance and misfit of L, see `error_indicators`, of a path without breakpoints, and largest masses."""
     sampled = _Sampled(problem, path)
-    if problem.constraint is not None:  # where it moves in another way from a breakpoint on, its impulse acts there
+    if depends_on_time(problem.constraint):  # where it moves in another way from a breakpoint on, it pushes there
         place = sampled.times[sampled.joints], sampled.x[:, sampled.joints]
         momentum = tangent_momenta(problem, *place, momentum, sampled.v[:, sampled.joints])
     conserved, scale, floor = _energies(sampled, momentum)
@@ -251,10 +252,9 @@ def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """The arguments of `energy_imbalance`, at all joints."""
     h, v, (lagrangian, work, slope, *_) = at.h[at.joints], at.v[:, at.joints], at.derivatives
     kinetic, speed, sizes, masses = np.sum(momentum * v, axis=0), np.abs(v), at.path.sizes, np.abs(at.masses)
-    rounded = np.broadcast_to(EPS * np.max(np.abs(momentum), axis=1, keepdims=True), momentum.shape)
-    correction, noise = _corrections(at.masses, momentum - slope[at.joints].T, rounded)
-    correction[np.abs(correction) <= ROUNDING_FACTOR**2 * np.abs(noise)] = 0.0  # rounding over a mass that vanishes
-    energy = kinetic - lagrangian[at.joints, 0] / h + correction
+    missing, rounded = momentum - slope[at.joints].T, EPS * np.max(np.abs(momentum), axis=1, keepdims=True)
+    missing[np.abs(missing) <= ROUNDING_FACTOR * rounded] = 0.0  # over a mass that vanishes it would not be small
+    energy = kinetic - lagrangian[at.joints, 0] / h + _correction(at.masses, missing)
 
     pushed, duration = np.einsum("tij,jt->it", masses, speed), float(np.sum(at.steps))
     local = np.abs(kinetic) + np.abs(energy) + np.sum(speed * pushed, axis=0)  # the terms of p·v may cancel
@@ -289,19 +289,18 @@ def _unresolved(at: _Sampled, scale: np.ndarray, floor: np.ndarray) -> np.ndarra
     return np.where(relative > LAGRANGIAN_MISFIT, relative, 0.0)
 
 
-def _corrections(mass: np.ndarray, *missing: np.ndarray) -> np.ndarray:
-    """δᵀ(∂²L/∂v²)⁻¹δ/2, the energy of a momentum p minus (p·v - L) up to terms of third order; (n, K).
+def _correction(mass: np.ndarray, missing: np.ndarray) -> np.ndarray:
+    """δᵀ(∂²L/∂v²)⁻¹δ/2, the energy of a momentum p minus (p·v - L) up to terms of third order; (K,).
 
     Parameters
     ----------
     mass : (K, d, d), ∂²L/∂v²
-    missing : n arrays (d, K), δ = p - ∂L/∂v at the velocity v of the path, or a rounding of p
+    missing : (d, K), δ = p - ∂L/∂v at the velocity v of the path
     """
     scaled, scales = scaled_masses(mass)
     values, vectors = np.linalg.eigh(scaled)
     regular = np.abs(values) > EPS * np.max(np.abs(values), axis=1, keepdims=True) + TINY
     inverse = np.divide(1.0, values, out=np.zeros_like(values), where=regular)
-    units = np.sqrt(np.diagonal(scales, axis1=1, axis2=2))  # squares of momenta may overflow
-    measured = np.array([momenta.T for momenta in missing]) / units
-    roots = np.einsum("nti,tij->ntj", measured, vectors) * np.sqrt(np.abs(inverse))
-    return np.asarray(np.sum(np.sign(values) * roots**2, axis=2) / 2)
+    measured = missing.T / np.sqrt(np.diagonal(scales, axis1=1, axis2=2))  # squares of momenta may overflow
+    roots = np.einsum("ti,tij->tj", measured, vectors) * np.sqrt(np.abs(inverse))
+    return np.asarray(np.sum(np.sign(values) * roots**2, axis=1) / 2)

@@ -87,7 +87,7 @@ class LoadedCurve(Curve[bool]):
                 return
             found = self.corrected(z + self.step * tangent, tangent, self.step)
             following = tangent if found is None else self.tangent(found[0], tangent)
-            if found is None or not (following * tangent) @ self.weights > LEAST_COSINE:
+            if found is None or not self.cosine(following, tangent) > LEAST_COSINE:
                 self.step *= STEP_REDUCTION
                 if self.step < SMALLEST_STEP:
                     return
