@@ -72,9 +72,8 @@ UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, b
 def position_errors(path: ControlTrajectory) -> np.ndarray:
     """Errors of the path on each interval, (N,), because its positions exceed their bounds between the nodes."""
     problem = path.problem
-    low, high = (np.array(side)[:, None, None] for side in problem.position_bounds)
     positions = path.polynomial.values_at_parts(sampling_parts(path.method.degree))
-    outside = bound_excess(positions, low, high) / path.sizes[:, None, None]
+    outside = bound_excess(positions, *problem.position_bounds) / path.sizes[:, None, None]
     excess = np.max(np.where(outside > ROUNDOFF, outside, 0.0), axis=2)
     powers = np.full((len(excess), 1), 0.5)
     powers[[problem.mechanical + i for i in problem.rates.sparsity_jac(3, 0).row()]] = 1.0
@@ -109,9 +108,8 @@ def unseen_excess(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndar
         _, least, most = path.problem.path_constraint
         low, high = low + least, high + most
     both = np.stack([bounded_values(p, sampling_parts(path.method.degree)) for p in (path, higher)])
-    sizes = component_sizes(both[0].reshape(len(low), -1))
-    lowest, highest, size = (np.reshape(a, (-1, 1, 1)) for a in (low, high, sizes))
-    excess = np.min(bound_excess(both, lowest, highest), axis=0)
+    size = component_sizes(both[0].reshape(len(low), -1))[:, None, None]
+    excess = np.min([bound_excess(values, low, high) for values in both], axis=0)
     difference, largest = (np.max(a, axis=-1, keepdims=True) for a in (np.ptp(both, axis=0), excess))
     return np.asarray(np.max(np.where(difference < UNSEEN_RATIO * largest, excess, 0.0) / size, axis=(0, 2)))
 
@@ -200,9 +198,9 @@ class HigherDegree:
         path, constraint = self.path, self.path.problem.path_constraint
         if constraint is None or path.path_multipliers is None:
             return np.zeros(len(path.t) - 1)
-        low, high = (np.array(side)[:, None, None] for side in constraint[1:])
         parts = around(path.method.element.points)
-        excess = np.min([bound_excess(p.path_constraints(parts), low, high) for p in (path, self.higher)], axis=0)
+        both = [bound_excess(p.path_constraints(parts), *constraint[1:]) for p in (path, self.higher)]
+        excess = np.min(both, axis=0)
         excess = np.where(np.isfinite(excess), excess, 0.0)  # as of a ratio of two positions that vanish at an end
         forces = np.abs(path.path_multipliers.values).reshape(*excess.shape[:2], -1)
         impulses = np.diff(path.t) * (forces @ np.array(path.method.quadrature.weights))

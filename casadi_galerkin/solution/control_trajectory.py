@@ -242,10 +242,10 @@ class ControlTrajectory(Trajectory):
         It is large where a control jumps inside an interval (bang-bang), where a joint at the jump would help; the
         summary then shows it.
         """
-        low, high = (np.array(side)[:, None] for side in self.problem.control_bounds)
+        low, high = np.array(self.problem.control_bounds)
         width = np.where(np.isfinite(high - low) & (high > low), high - low, 1.0)
         u = self.control.at(sampling_parts(len(self.method.quadrature)))
-        excess = bound_excess(u, low, high) / width
+        excess = bound_excess(u, low, high) / width[:, None]
         return np.asarray(excess.max(axis=0).reshape(len(self.t) - 1, -1).max(axis=1))
 
     def path_constraints(self, parts: np.ndarray) -> np.ndarray:
