@@ -36,8 +36,8 @@ def violations(
     leave a single value, IPOPT moves the bound by rounding, and a value that should be zero is then as large as this
     shift.  Where all values of a kind are nearly zero, they are compared with their bounds.
     """
-    excess = _excess(report.equations, bounds.equations_lower, bounds.equations_upper)
-    outside = _excess(unknowns, bounds.lower, bounds.upper)
+    excess = _excess(report.equations, *bounds.equations)
+    outside = _excess(unknowns, *bounds.unknowns)
     kinds = chain.unknown_kinds
     sizes, stated = largest_of(np.abs(unknowns), kinds), largest_of(bounds.sizes[0], kinds)
     sizes = np.where(sizes > ZERO_TERMS, sizes, stated)[kinds]

@@ -41,7 +41,7 @@ def control_function(
     first, data = (ca.MX(ca.DM(part)) for part in known)
     checked_by = bounds_of(problem, chain, implied=True)  # ends that are data may violate a constraint
     programmed = bounds.narrowed(BOUND_RELAXATION[solver.name])
-    stated, narrow = ([ca.MX(ca.DM(side)) for side in b.sides] for b in (checked_by, programmed))
+    stated, narrow = ([ca.MX(ca.DM(side)) for side in (*b.unknowns, *b.equations)] for b in (checked_by, programmed))
     inputs, allowed = {}, ca.MX(1)
     for name, entries in _given(problem, chain).items():
         inputs[name] = ca.MX.sym(name, len(entries))

@@ -125,9 +125,11 @@ def optimize(
 ) -> Optimum:
     """Run the solver from a guess and, for a warm start, the multipliers of the bounds and of the equations."""
     with solver.lend() as run:
-        x, _, _, of_bounds, of_equations, _ = run(guess, data, *bounds.sides, *(duals or (0.0, 0.0)))
+        given = guess, data, *bounds.unknowns, *bounds.equations
+        x, _, _, of_bounds, of_equations, _ = run(*given, *(duals or (0.0, 0.0)))
         stats = run.stats
     status = str(stats["return_status"]).replace("_", " ")
     status = FATROP_WORDS.get(status, status)
-    unknowns = np.where(bounds.lower == bounds.upper, bounds.lower, x)  # in fatrop given values are equations
+    low, high = bounds.unknowns
+    unknowns = np.where(low == high, low, x)  # in fatrop given values are equations
     return Optimum(unknowns, of_equations, of_bounds, bool(stats["success"]), status, int(stats["iter_count"]))

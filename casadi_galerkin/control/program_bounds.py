@@ -17,37 +17,34 @@ from casadi_galerkin.problems.problem import ENDS
 
 @dataclass(frozen=True)
 class ProgramBounds:
-    """Bounds of the unknowns and of the equations."""
+    """Lower and upper bounds of the unknowns, (2, unknowns), and of the equations, (2, equations)."""
 
-    lower: np.ndarray
-    upper: np.ndarray
-    equations_lower: np.ndarray
-    equations_upper: np.ndarray
-
-    @property
-    def sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Lower and upper bounds of the unknowns, then of the equations."""
-        return self.lower, self.upper, self.equations_lower, self.equations_upper
+    unknowns: np.ndarray
+    equations: np.ndarray
 
     @cached_property
     def sizes(self) -> tuple[np.ndarray, np.ndarray]:
         """Largest sizes of the finite bounds of every unknown, and of every equation."""
-        finite = [np.where(np.isfinite(side), np.abs(side), 0.0) for side in self.sides]
-        return np.fmax(*finite[:2]), np.fmax(*finite[2:])
+        return _sizes(self.unknowns), _sizes(self.equations)
 
     def narrowed(self, relaxed: float) -> ProgramBounds:
         """Bounds that become these after a solver relaxes every bound b by this part of max(1, |b|)."""
         if relaxed == 0:
             return self
-        return ProgramBounds(*_narrowed(*self.sides[:2], relaxed), *_narrowed(*self.sides[2:], relaxed))
+        return ProgramBounds(_narrowed(self.unknowns, relaxed), _narrowed(self.equations, relaxed))
 
 
-def _narrowed(low: np.ndarray, high: np.ndarray, relaxed: float) -> tuple[np.ndarray, np.ndarray]:
-    move = [relaxed * (low < high) * np.fmax(1.0, np.where(np.isfinite(b), np.abs(b), 1.0)) for b in (low, high)]
-    least, most = low + move[0], high - move[1]
+def _sizes(sides: np.ndarray) -> np.ndarray:
+    return np.asarray(np.max(np.where(np.isfinite(sides), np.abs(sides), 0.0), axis=0))
+
+
+def _narrowed(sides: np.ndarray, relaxed: float) -> np.ndarray:
+    low, high = sides
+    moves = relaxed * (low < high) * np.fmax(1.0, np.where(np.isfinite(sides), np.abs(sides), 1.0))
+    least, most = low + moves[0], high - moves[1]
     crossed = least > most  # what has no room between its bounds is fixed in the middle
     least[crossed] = most[crossed] = (low[crossed] + high[crossed]) / 2
-    return least, most
+    return np.stack((least, most))
 
 
 def bounds_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> ProgramBounds:
@@ -75,7 +72,7 @@ def bounds_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
     for name, limited in (("path", problem.path_constraint), ("ends", problem.end_conditions), *conditions):
         if limited is not None:
             _limit(equations, chain.rows[name], limited[1:])
-    return with_ends(ProgramBounds(*sides[:, : chain.unknowns], *equations), problem, chain, implied)
+    return with_ends(ProgramBounds(sides[:, : chain.unknowns], equations), problem, chain, implied)
 
 
 def with_ends(bounds: ProgramBounds, problem: ControlProblem, chain: Chain, implied: bool = False) -> ProgramBounds:
@@ -84,13 +81,12 @@ def with_ends(bounds: ProgramBounds, problem: ControlProblem, chain: Chain, impl
     stated = np.array([*problem.start, *problem.end, *velocities], dtype=float)  # NaN for None
     index = np.concatenate((*chain.fields["x"][[0, -1]], chain.fields["start_velocity"], chain.fields["end_velocity"]))
     given = np.isfinite(stated)
-    sides = np.array([bounds.lower, bounds.upper])
+    sides, equations = bounds.unknowns.copy(), bounds.equations.copy()
     sides[:, index[given]] = stated[given]
-    equations = np.array([bounds.equations_lower, bounds.equations_upper])
     for rows, satisfied in _constraint_at_ends(problem, chain):
         free = np.where(satisfied & (not implied), np.inf, 0.0)
         _limit(equations, rows, (-free, free))
-    return ProgramBounds(*sides, *equations)
+    return ProgramBounds(sides, equations)
 
 
 def _limit(sides: np.ndarray, index: np.ndarray, bounds: ArrayLike) -> None:
@@ -118,8 +114,8 @@ def _constraint_at_ends(problem: ControlProblem, chain: Chain) -> list[tuple[np.
 def check_count(chain: Chain, bounds: ProgramBounds) -> None:
     """Refuse more equations than unknowns, as on a very coarse mesh; equations of the next states are not counted."""
     passed = sum(states for states, *_ in chain.stages[1:]) + chain.mechanical
-    equations = int(np.count_nonzero(bounds.equations_lower == bounds.equations_upper)) - passed
-    unknowns = int(np.count_nonzero(bounds.lower < bounds.upper)) - passed
+    equations = int(np.count_nonzero(np.equal(*bounds.equations))) - passed
+    unknowns = int(np.count_nonzero(np.less(*bounds.unknowns))) - passed
     if equations > unknowns:
         raise ValueError(
             f"{counted(equations, 'equation')} for {counted(unknowns, 'unknown')} on "
@@ -141,8 +137,8 @@ def check_stages(problem: ControlProblem, chain: Chain, bounds: ProgramBounds) -
     for i, following in enumerate(np.append(states[1:], 0)):
         begin, row = row + following, row + following + counts[i]
         first, unknown = unknown, unknown + states[i] + others[i]
-        equations = np.count_nonzero((bounds.equations_lower == bounds.equations_upper)[begin:row])
-        equations += np.count_nonzero((bounds.lower == bounds.upper)[first:unknown])
+        equations = np.count_nonzero(np.equal(*bounds.equations[:, begin:row]))
+        equations += np.count_nonzero(np.equal(*bounds.unknowns[:, first:unknown]))
         if equations > unknown - first:
             where = f"interval {i}" if i < chain.intervals else "the end"
             raise ValueError(

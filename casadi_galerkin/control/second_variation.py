@@ -70,9 +70,8 @@ class CostVariation:
         costs = slope @ sizes > NEGLIGIBLE_MOMENTUM * (np.abs(at.multipliers) @ terms)
         multipliers = at.multipliers if costs else 0 * at.multipliers  # these are then errors of the solver
         hessian = graph.whole_hessian(at.unknowns, self.data, 1.0, multipliers)[1]
-        low, high, least, most = bounds.sides
-        free = np.flatnonzero(~_active(at.unknowns, low, high, at.bound_multipliers, sizes)).tolist()
-        held = np.flatnonzero(_active(rows, least, most, at.multipliers, np.abs(rows))).tolist()
+        free = np.flatnonzero(~_active(at.unknowns, bounds.unknowns, at.bound_multipliers, sizes)).tolist()
+        held = np.flatnonzero(_active(rows, bounds.equations, at.multipliers, np.abs(rows))).tolist()
         units, flat = (ca.diag(ca.DM(a)) for a in (or_one(sizes), np.where(sizes > 0, FLAT, 0.0)))
         curved = ca.mtimes(units, ca.mtimes(hessian, units))
         largest = float(ca.norm_inf(curved))
@@ -117,13 +116,10 @@ def _slopes(chain: Chain, mesh: np.ndarray) -> ca.DM:
     return ca.diag(ca.DM(units)) + ca.DM.triplet(*where, ca.DM.ones(nodes.size), *[chain.unknowns] * 2)
 
 
-def _active(
-    values: np.ndarray, low: np.ndarray, high: np.ndarray, multipliers: np.ndarray, sizes: np.ndarray
-) -> np.ndarray:
+def _active(values: np.ndarray, bounds: np.ndarray, multipliers: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """Which values are at an active bound: those nearer to it than the size of its multiplier, or very near."""
-    return np.asarray(
-        np.minimum(values - low, high - values) <= np.maximum(np.abs(multipliers), ACTIVE_TOLERANCE * sizes)
-    )
+    inside = np.minimum(values - bounds[0], bounds[1] - values)
+    return np.asarray(inside <= np.maximum(np.abs(multipliers), ACTIVE_TOLERANCE * sizes))
 
 
 def _normed(rows: ca.DM) -> ca.DM:

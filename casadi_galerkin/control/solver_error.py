@@ -78,14 +78,14 @@ def newton_step(
 
     `sizes` are those of the unknowns.  The rounding is that of the terms of the equations, with random signs.
     """
-    low, high, least, most = bounds.sides
     report, kinds, alike = graph.report(unknowns, data, of_equations), graph.chain.kinds, graph.chain.unknown_kinds
-    to_bounds = _distances(unknowns, of_bounds, low, high)
-    to_limits = _distances(report.equations, of_equations, least, most)
-    free, active = (low < high) & (to_bounds > 0), np.isfinite(to_limits)
+    to_bounds = _distances(unknowns, of_bounds, *bounds.unknowns)
+    to_limits = _distances(report.equations, of_equations, *bounds.equations)
+    free, active = np.less(*bounds.unknowns) & (to_bounds > 0), np.isfinite(to_limits)
     stiffness = np.abs(of_bounds[free]) / to_bounds[free]
     states = np.concatenate([graph.chain.fields[name].ravel() for name in ("x", "nodes", "momentum")])
-    gaps = np.where(least == most, most - report.equations, np.copysign(to_limits, of_equations))
+    low, high = bounds.equations
+    gaps = np.where(low == high, high - report.equations, np.copysign(to_limits, of_equations))
     multiplier_sizes = largest_of(np.abs(of_equations), kinds)[kinds]
     row, column, slopes = _entries(graph.jacobian(unknowns, data)[1], active, free)
     quantities = kinds[active][row] * (alike.max() + 1) + alike[free][column]
