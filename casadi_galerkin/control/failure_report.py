@@ -74,43 +74,37 @@ def refuse_values(problem: ControlProblem, embedding: ChainEmbedding, values: di
     chain, points = embedding.chain, embedding.points
     seen = (embedding.matrix @ np.concatenate(chain.pack(values))).full().ravel()
     at = {name: seen[points.row(name)].T for name in points.rows}
-    times, step = at["begin"] + at["duration"] * at["share"], at["duration"] * at["part"]
-    given = [] if problem.parameters is None else [at["parameters"]]
-    state = [times, at["x"], at["slope"] / step]
-    inputs = [*state, at["controls"], *given]
-    limited = None if problem.path_constraint is None else problem.path_constraint[0]
-    for name, function, arguments in (
-        ("running_cost", problem.running_cost, inputs),
-        ("force", problem.force, inputs),
-        ("rates", problem.rates, inputs),
-        ("path_constraint", limited, inputs),
-        ("constraint", problem.constraint, [times, at["x"], *given]),
-        ("lagrangian", problem.lagrangian, [*state, *given]),
-    ):
-        if function:
-            _refuse_not_finite(name, np.array(function.map(points.count)(*arguments)), times[0])
-    rest, when = np.zeros(chain.dimension - chain.mechanical), values["begin"] + np.sum(values["durations"])
-    p = [values["parameters"]] if given else []
+    times, end = at["begin"] + at["duration"] * at["share"], values["begin"] + np.sum(values["durations"])
+    state = [times, at["x"], at["slope"] / (at["duration"] * at["part"])]
+    p = [] if problem.parameters is None else [values["parameters"]]
+    inputs, rest = [*state, at["controls"], *p], np.zeros(chain.dimension - chain.mechanical)
     first, last = (
-        (values["x"][i], np.append(values[f"{name}_velocity"], rest)) for i, name in ((0, "start"), (-1, "end"))
+        [values["x"][i], np.append(values[f"{name}_velocity"], rest)] for i, name in ((0, "start"), (-1, "end"))
     )
-    if problem.terminal_cost is not None:
-        _refuse_not_finite("terminal_cost", np.array(problem.terminal_cost(when, *last, *p)), when)
-    for k, (crossing, joint) in enumerate(zip(problem.crossings, chain.crossed, strict=True)):
-        state = [values["nodes"][joint - 1, -1], np.append(values["velocity"][k], rest), *p]
-        for name, function in crossing.functions:
-            _refuse_not_finite(name, np.array(ca.vertcat(*function.call(state))), np.array([crossing.time]))
-    if problem.end_conditions is not None:
-        _refuse_not_finite("end_conditions", np.array(problem.end_conditions[0](*first, *last, *p)), when)
-
-
-def _refuse_not_finite(name: str, values: np.ndarray, times: np.ndarray) -> None:
-    wrong = ~np.isfinite(values).all(axis=0)
-    if np.any(wrong):
-        k = int(np.argmax(wrong))
-        raise ValueError(
-            f"{name} is not finite at the guess: {values[:, k]} at t = {times[k]:.6g}. Give a guess that avoids it"
-        )
+    before = zip(problem.crossings, values["nodes"][chain.crossed - 1, -1], values["velocity"], strict=True)
+    for name, function, arguments, when in (
+        ("running_cost", problem.running_cost, inputs, times),
+        ("force", problem.force, inputs, times),
+        ("rates", problem.rates, inputs, times),
+        ("path_constraint", (problem.path_constraint or (None,))[0], inputs, times),
+        ("constraint", problem.constraint, [times, at["x"], *p], times),
+        ("lagrangian", problem.lagrangian, [*state, *p], times),
+        ("terminal_cost", problem.terminal_cost, [end, *last, *p], end),
+        *(
+            (name, function, [x, np.append(v, rest), *p], np.array(crossing.time))
+            for crossing, x, v in before
+            for name, function in crossing.functions
+        ),
+        ("end_conditions", (problem.end_conditions or (None,))[0], [*first, *last, *p], end),
+    ):
+        found = ca.DM(0, 1) if function is None else ca.vertcat(*function.call(arguments))
+        wrong = ~np.isfinite(np.array(found)).all(axis=0)
+        if np.any(wrong):
+            k = int(np.argmax(wrong))
+            raise ValueError(
+                f"{name} is not finite at the guess: {np.array(found)[:, k]} at t = {when.ravel()[k]:.6g}. "
+                "Give a guess that avoids it"
+            )
 
 
 def refuse_derivatives(graph: ControlGraph, unknowns: np.ndarray, data: np.ndarray, mesh: np.ndarray) -> None:
