@@ -129,6 +129,10 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     roundoff_level = 1e-8  # error that the solvers leave
     persistence = PATIENCE + 5  # problems of the literature needed up to 4 levels in a row without a smaller error
     iterations = 0  # of the solver in all solves so far
+    build_seconds = 0.0
+    known: HigherDegree | None = None  # the last error estimate
+    cost_known = math.inf  # smallest error so far of the cost of the path that is being refined
+    left_open = False  # whether the solver leaves the path open, with bounds on it, by an error that counts
 
     def __init__(
         self,
@@ -142,15 +146,8 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     ) -> None:
         super().__init__(tol, limits, verbose)
         self.stated, self.problem = problem, with_joined_phases(problem)
-        self.of_cost, self.solver = of_cost, solver
-        self.method = method
-        self.build_seconds = 0.0
-        self.known: HigherDegree | None = None
-        self.cost_known = np.inf  # smallest error so far of the cost of the path that is being refined
-        walls = np.array(problem.position_bounds)
-        self.walled = problem.path_constraint is not None or bool(np.any(np.isfinite(walls)))
-        self.left_open = False  # whether the solver leaves the path open, with bounds on it, by an error that counts
-        self.jump: float | None = None  # time near which the jumps of callables change the cost by more than `tol`
+        self.of_cost, self.method, self.solver = of_cost, method, solver
+        self.walled = problem.path_constraint is not None or bool(np.any(np.isfinite(problem.position_bounds)))
 
     def solved(self, level: ControlTrajectory) -> tuple[PiecewisePolynomial, int, float]:
         """The path of one level, the solver's iterations, and the violation that they left."""
@@ -210,8 +207,6 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             self.check_time()
             return Estimate(np.inf, False, f"no answer of degree {method.degree}", None)
         detail = HigherDegree(level, higher)
-        i = int(np.argmax(detail.jump_effects))
-        self.jump = float(np.mean(level.t[i : i + 2])) if detail.jump_error > self.tol else None
         cost, path = detail.errors if detail.cost_error <= self.tol else (detail.cost_error, detail.error)
         self.known, self.cost_known = detail, min(self.cost_known, cost)
         return Estimate(cost if self.of_cost else path, True, f"degree {method.degree}", detail)
@@ -262,8 +257,10 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
     def stopped(self, reason: str, level: ControlTrajectory, error: float, hint: str = HINT) -> LimitReached:
         """Report the error reached; where the cost alone is within `tol`, as with a singular arc, report that."""
-        if self.jump is not None:
-            hint = f"A callable is not smooth in time near t = {self.jump:.6g}, or changes there too fast for this mesh"
+        if self.known is not None and self.known.jump_error > self.tol:
+            i, t = int(np.argmax(self.known.jump_effects)), self.known.path.t
+            when = f"t = {np.mean(t[i : i + 2]):.6g}"
+            hint = f"A callable is not smooth in time near {when}, or changes there too fast for this mesh"
             hint += ": name that time in the breakpoints"
         elif level.unseen_change > self.tol * abs(level.cost):
             hint = UNITS
@@ -320,7 +317,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
     def refined(self, level: ControlTrajectory) -> ControlTrajectory:
         """Refine a path and return it with its errors."""
-        self.known, self.cost_known, self.jump, self.left_open = None, np.inf, None, False
+        self.known, self.cost_known, self.left_open = None, math.inf, False
         path, _ = self.refine(level)
         assert self.known is not None, "a path is accepted by its error estimate"
         path = with_parted_phases(path, self.stated)
