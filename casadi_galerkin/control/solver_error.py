@@ -20,6 +20,7 @@ the path.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TypeAlias
 
 import casadi as ca
@@ -48,13 +49,12 @@ def estimate_remaining_error(
     """
     chain, kinds = graph.chain, graph.chain.unknown_kinds
     sizes = largest_of(np.abs(optimum.unknowns), kinds)
-    at, steps, change = (optimum.unknowns, optimum.multipliers, optimum.bound_multipliers), list[np.ndarray](), 0.0
+    at, steps, change = optimum, list[np.ndarray](), 0.0
     for _ in range(3):
-        step, rounding_effect, *after = newton_step(graph, bounds, data, sizes[kinds], *at)
-        slope = graph.gradient(at[0], data)[1]
+        slope = graph.gradient(at.unknowns, data)[1]
+        step, rounding_effect, at = newton_step(graph, bounds, data, sizes[kinds], at)
         change += abs(float(ca.dot(slope, step)))
         steps += [step, rounding_effect]
-        at = after[0], after[1], after[2]
     largest = [largest_of(np.where(np.isfinite(a), np.abs(a), np.inf), kinds) for a in steps]
     first, rounding, second, _, third, _ = largest
     with np.errstate(invalid="ignore"):  # where both steps are infinite
@@ -66,18 +66,13 @@ def estimate_remaining_error(
 
 
 def newton_step(
-    graph: ControlGraph,
-    bounds: ProgramBounds,
-    data: np.ndarray,
-    sizes: np.ndarray,
-    unknowns: np.ndarray,
-    of_equations: np.ndarray,
-    of_bounds: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The step δ, the effect of rounding of its equations on it, and unknowns and multipliers after the step.
+    graph: ControlGraph, bounds: ProgramBounds, data: np.ndarray, sizes: np.ndarray, at: Optimum
+) -> tuple[np.ndarray, np.ndarray, Optimum]:
+    """The step δ from a point, the effect of rounding of its equations on it, and the point after it.
 
     `sizes` are those of the unknowns.  The rounding is that of the terms of the equations, with random signs.
     """
+    unknowns, of_equations, of_bounds = at.unknowns, at.multipliers, at.bound_multipliers
     report, kinds, alike = graph.report(unknowns, data, of_equations), graph.chain.kinds, graph.chain.unknown_kinds
     to_bounds = _distances(unknowns, of_bounds, *bounds.unknowns)
     to_limits = _distances(report.equations, of_equations, *bounds.equations)
@@ -104,7 +99,8 @@ def newton_step(
     equations_after[active] += changed
     with np.errstate(invalid="ignore"):  # where the step is infinite
         bounds_after[free] = stiffness * moved
-    return step, rounding_effect, unknowns + step, equations_after, bounds_after
+    after = replace(at, unknowns=unknowns + step, multipliers=equations_after, bound_multipliers=bounds_after)
+    return step, rounding_effect, after
 
 
 def _kkt_solution(
