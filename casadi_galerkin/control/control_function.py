@@ -11,7 +11,7 @@ from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import equation_scales
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION
-from casadi_galerkin.control.program_bounds import bounds_of
+from casadi_galerkin.control.program_bounds import bounds_of, given_at_ends
 from casadi_galerkin.control.transcription import transcribed_control
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -80,17 +80,10 @@ def control_function(
 
 def _given(problem: ControlProblem, chain: Chain) -> dict[str, np.ndarray]:
     """Entries of ξ that the problem gives, by name; names without entries are left out."""
-    f, mechanical = chain.fields, slice(chain.mechanical)
-    stated = {
-        "start": (f["x"][0], problem.start),
-        "end": (f["x"][-1], problem.end),
-        "start_velocity": (f["start_velocity"], problem.start_velocity[mechanical]),
-        "end_velocity": (f["end_velocity"], problem.end_velocity[mechanical]),
-    }
-    entries = {name: where[[value is not None for value in values]] for name, (where, values) in stated.items()}
+    entries = {name: index for name, (index, _) in given_at_ends(problem, chain).items()}
     if "parameters" not in chain.free:
-        entries["parameters"] = f["parameters"][0]
-    return {name: where for name, where in entries.items() if where.size}
+        entries["parameters"] = chain.fields["parameters"][0]
+    return {name: index for name, index in entries.items() if index.size}
 
 
 def _violation(graph: ControlGraph, sizes: np.ndarray) -> ca.Function:

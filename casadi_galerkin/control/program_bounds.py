@@ -77,16 +77,23 @@ def bounds_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
 
 def with_ends(bounds: ProgramBounds, problem: ControlProblem, chain: Chain, implied: bool = False) -> ProgramBounds:
     """The same bounds with the ends and the velocities there that a problem gives; arguments as for `bounds_of`."""
-    velocities = (*problem.start_velocity[: chain.mechanical], *problem.end_velocity[: chain.mechanical])
-    stated = np.array([*problem.start, *problem.end, *velocities], dtype=float)  # NaN for None
-    index = np.concatenate((*chain.fields["x"][[0, -1]], chain.fields["start_velocity"], chain.fields["end_velocity"]))
-    given = np.isfinite(stated)
     sides, equations = bounds.unknowns.copy(), bounds.equations.copy()
-    sides[:, index[given]] = stated[given]
+    for index, values in given_at_ends(problem, chain).values():
+        sides[:, index] = values
     for rows, satisfied in _constraint_at_ends(problem, chain):
         free = np.where(satisfied & (not implied), np.inf, 0.0)
         _limit(equations, rows, (-free, free))
     return ProgramBounds(sides, equations)
+
+
+def given_at_ends(problem: ControlProblem, chain: Chain) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Entries of ξ that the problem gives at the ends, and their values, by name."""
+    f, given = chain.fields, dict[str, tuple[np.ndarray, np.ndarray]]()
+    places = {"start": f["x"][0], "end": f["x"][-1], **{name: f[name] for name in ("start_velocity", "end_velocity")}}
+    for name, index in places.items():
+        values = np.array(getattr(problem, name)[: len(index)], dtype=float)  # NaN for None
+        given[name] = index[np.isfinite(values)], values[np.isfinite(values)]
+    return given
 
 
 def _limit(sides: np.ndarray, index: np.ndarray, bounds: ArrayLike) -> None:
