@@ -189,10 +189,10 @@ class Chain:
         self.motions = slice(self.dimension, self.dimension + self.mechanical)
 
     def pack(self, values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Unknowns and data from one array per field."""
+        """Unknowns and data from one array per field; zero where a field has none."""
         everything = np.zeros(self.size)
-        for name, index in self.fields.items():
-            everything[index] = values[name]
+        for name, array in values.items():
+            everything[self.fields[name]] = array
         return everything[: self.unknowns], everything[self.unknowns :]
 
     def unpack(self, unknowns: np.ndarray, data: np.ndarray) -> dict[str, np.ndarray]:

@@ -24,11 +24,11 @@ def first_values(
     near: ControlTrajectory | None,
     longer: float = 1.0,
 ) -> dict[str, np.ndarray]:
-    """Values of all fields at a guess, within the bounds and with the given values; for `near` see `near_answer`.
+    """Values of the fields at a guess, within the bounds and with the given values; for `near` see `near_answer`.
 
     Without a guess the path is the straight line between the ends, and controls are zero, or the middle of their
-    bounds where these exclude zero.  Momenta are zero and their units one.  Free durations are `longer` times those of
-    the mesh, within their bounds; those of an earlier solution are kept.
+    bounds where these exclude zero.  Momenta and impulses are left out, and the units of momenta are one.  Free
+    durations are `longer` times those of the mesh, within their bounds; those of an earlier solution are kept.
     """
     path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical
@@ -68,10 +68,7 @@ def first_values(
         "begin": mesh[:1],
         "left": (mesh[:-1] - of_phases[chain.phases]) / lasting,
         "part": np.diff(mesh) / lasting,
-        "momentum": np.zeros((n + 1, dm)),
         "sizes": np.ones(dm),
-        "impulses": np.zeros((n, degree, chain.constraints)),
-        "start_impulse": np.zeros(chain.constraints),
     }
 
 

@@ -58,7 +58,7 @@ class StartingPoint:
 
     Attributes
     ----------
-    values : one array for every field of the `Chain`
+    values : one array for every field of the `Chain` but impulses, which begin at zero
     duals : multipliers of the bounds and of the equations for a warm start, or an empty tuple
     sizes : sizes of the terms of every kind of equation
     """
