@@ -163,17 +163,14 @@ class ChainEmbedding:
             (p.row("controls"), f["controls"][interval, k % f["controls"].shape[1]], 1.0),
             (p.row("part"), f["part"][interval][:, None], 1.0),
             *self._times_and_parameters(p, interval, element.points[k]),
-            (self.either_end.row("time")[1], f["durations"][-1], 1.0),
         ]
-        velocities = f["start_velocity"], f["end_velocity"]
-        entries = {"x": f["x"][[0, -1]], "velocity": np.stack(velocities), "parameters": f["parameters"][[0, -1]]}
-        entries |= {"time": f["begin"], "sizes": f["sizes"]}
-        triplets += [(self.either_end.row(name), index, 1.0) for name, index in entries.items()]
-        if self.both_ends.count:
-            entries = {f"x{k}": f["x"][-k] for k in (0, 1)} | {f"velocity{k}": velocities[k] for k in (0, 1)}
-            entries |= {"parameters": f["parameters"][-1], "time": f["begin"]}
-            triplets += [(self.both_ends.row(name), index, 1.0) for name, index in entries.items()]
-            triplets.append((self.both_ends.row("time"), f["durations"][-1:], 1.0))
+        x, velocity = f["x"][[0, -1]], np.stack((f["start_velocity"], f["end_velocity"]))
+        at_either = {"x": x, "velocity": velocity, "parameters": f["parameters"][[0, -1]], "sizes": f["sizes"]}
+        at_both = {"x0": x[0], "velocity0": velocity[0], "x1": x[1], "velocity1": velocity[1]}
+        at_both["parameters"] = f["parameters"][-1]
+        for place, entries in ((self.either_end, at_either), (self.both_ends, at_both)):
+            triplets += [(place.row(name), index, 1.0) for name, index in entries.items()]
+            triplets += [(place.row("time"), f["begin"], 1.0), (place.row("time")[-1:], f["durations"][-1], 1.0)]
         if self.chain.constraints:  # at the first node, then at those after it on every interval
             interval, a = np.divmod(np.arange(self.chain.intervals * m), m)
             impulses = f["impulses"].reshape(-1, self.chain.constraints)
