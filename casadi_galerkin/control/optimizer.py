@@ -78,46 +78,40 @@ def with_ipopt(graph: ControlGraph, warm: bool, verbose: int, given: Mapping[str
     problem with active bounds.
     """
     options = {
-        "print_level": 5 if verbose > 1 else 0,
         "sb": "yes",
         "tol": TOLERANCE,
         "acceptable_tol": ACCEPTABLE,
         "acceptable_iter": ACCEPTABLE_ITERATIONS,
         "tiny_step_tol": 0.0,  # tiny steps, where roundoff keeps an optimum from TOLERANCE, are no failure
         "bound_relax_factor": 0.0,
-        "mu_init": FIRST_BARRIER,
-        "max_iter": ITERATION_LIMIT,
         **(WARM if warm else {}),
         **limited(given),
     }
     derivatives = {"grad_f": graph.gradient, "jac_g": graph.jacobian, "hess_lag": graph.hessian}
-    return _built(graph, "ipopt", {**derivatives, "calc_lam_p": False, "no_nlp_grad": True, "ipopt": options})
+    return _built(graph, "ipopt", verbose, {**derivatives, "calc_lam_p": False, "no_nlp_grad": True}, options)
 
 
 def with_fatrop(graph: ControlGraph, verbose: int, given: Mapping[str, Any]) -> ca.Function:
     """Build fatrop for a program, stage by stage; arguments as for `with_ipopt`.  It does not start warm."""
     states, others, equations = (list(column) for column in zip(*graph.chain.stages, strict=True))
     structure = {"N": graph.chain.intervals, "nx": states, "nu": others, "ng": equations}
-    options = {
-        "print_level": 5 if verbose > 1 else 0,
-        "tol": FATROP_TOLERANCE,
-        "linsol_lu_fact_tol": PIVOT,
-        "mu_init": FIRST_BARRIER,
-        "max_iter": ITERATION_LIMIT,
-        **given,
-    }
+    options = {"tol": FATROP_TOLERANCE, "linsol_lu_fact_tol": PIVOT, **given}
     # it takes no options for derivatives, but finds them in its cache
     unknowns, data = graph.unknowns, graph.data
     gradient = ca.Function("nlp_grad_f", [unknowns, data], [graph.gradient(unknowns, data)[1]])
     derivatives = {"nlp_grad_f": gradient, "nlp_jac_g": graph.jacobian, "nlp_hess_l": graph.whole_hessian}
     chain = {"cache": derivatives, "structure_detection": "manual", **structure}
-    return _built(graph, "fatrop", {**chain, "fatrop": options})
+    return _built(graph, "fatrop", verbose, chain, options)
 
 
-def _built(graph: ControlGraph, plugin: str, options: dict[str, Any]) -> ca.Function:
+def _built(
+    graph: ControlGraph, plugin: str, verbose: int, program: dict[str, Any], options: dict[str, Any]
+) -> ca.Function:
+    """Build a solver from what CasADi is told of the program, and the options of the solver itself."""
     nlp = {"x": graph.unknowns, "p": graph.data, "f": graph.cost, "g": graph.equations}
-    common = {"print_time": False, "show_eval_warnings": False}
-    return ca.nlpsol("optimizer", plugin, nlp, common | options)
+    shared = {"print_level": 5 if verbose > 1 else 0, "mu_init": FIRST_BARRIER, "max_iter": ITERATION_LIMIT}
+    quiet = {"print_time": False, "show_eval_warnings": False}
+    return ca.nlpsol("optimizer", plugin, nlp, {**quiet, **program, plugin: {**shared, **options}})
 
 
 def optimize(
