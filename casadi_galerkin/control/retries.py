@@ -5,7 +5,7 @@ Iterations of failed solves are counted, and the report of the solution names wh
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -81,7 +81,7 @@ def retry_from_other_guesses(
         of the solve from the guess, with the other beginnings that were tried
     """
     tried, failures = list[str](), list[ConvergenceError]()
-    for name, beginning in _beginnings(problem, guess).items():
+    for name, beginning in _beginnings(problem, guess):
         try:
             path = solved(**beginning)
         except ConvergenceError as failure:
@@ -105,21 +105,22 @@ def retry_from_other_guesses(
     raise ConvergenceError(words, first.path, first.residual, sum(failure.iterations for failure in failures))
 
 
-def _beginnings(problem: ControlProblem, guess: Guess | None) -> dict[str, dict[str, float]]:
-    """The guess, and then the other beginnings by name.
+def _beginnings(problem: ControlProblem, guess: Guess | None) -> Iterator[tuple[str, dict[str, float]]]:
+    """The guess, and then the other beginnings, each with its name.
 
     There are none for an earlier solution, and no longer durations where these are unbounded, because the cost may then
     decrease without a limit.
     """
-    bounds, beginnings = problem.duration_bounds, dict[str, dict[str, float]](guess={})
+    yield "guess", {}
     if isinstance(guess, ControlTrajectory):
-        return beginnings
+        return
     if guess is not None:
-        beginnings |= {name: {"share": share} for name, share in GUESS_SHARES.items()}
+        for name, share in GUESS_SHARES.items():
+            yield name, {"share": share}
+    bounds = problem.duration_bounds
     if bounds is not None and np.isfinite(bounds[1]).all():
         last, longest = 1.0, float(np.max(np.divide(bounds[1], np.diff(section_times(problem)))))
         for factor in DURATION_FACTORS:
             if min(factor, longest) >= 2 * last:  # else it is almost the same guess again
                 last = min(factor, longest)
-                beginnings[f"{last:g} times the duration of the guess"] = {"longer": last}
-    return beginnings
+                yield f"{last:g} times the duration of the guess", {"longer": last}
