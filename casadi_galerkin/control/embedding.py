@@ -86,67 +86,54 @@ class PlaceLayout:
         return starts[:, None] + np.arange(self.rows[name])
 
 
+def stacked(counts: Iterable[int], rows: Iterable[dict[str, int]]) -> list[PlaceLayout]:
+    """Layouts of several kinds of places, one after the other, from the number and the rows of each."""
+    layouts, first = list[PlaceLayout](), 0
+    for count, named in zip(counts, rows, strict=True):
+        layouts.append(PlaceLayout(count, named, first))
+        first = layouts[-1].last
+    return layouts
+
+
 class ChainEmbedding:
     """A, Ê, Θ and Λ of a chain.
+
+    At a quadrature point the outputs are f and g of the mechanical components, the defects of the others, and the path
+    constraints; at either end ∂L/∂v and the time derivative of the constraint; at both ends the end conditions; at the
+    nodes the constraint and its impulse; at a crossing x after it, ∂L/∂v before and after it, and the condition there.
 
     Attributes
     ----------
     points, either_end, both_ends, nodes : layouts of the inputs at the quadrature points, at each end, at both ends
         together, and at the nodes with a constraint
     crossings : layouts of the inputs at each crossing
+    inputs, outputs : layouts of the inputs, and of the outputs, at all kinds of places that exist
     """
 
     def __init__(self, chain: Chain) -> None:
         self.chain = chain
-        d, mechanical, common = chain.dimension, chain.mechanical, {"parameters": chain.parameters}
-        at_end = {"x": d, "velocity": mechanical, **common, "time": 1, "sizes": mechanical}
-        when = {"duration": 1, **common, "begin": 1, "share": 1}
-        at_point = {"x": d, "slope": d, "controls": chain.controls, **when, "part": 1, "sizes": mechanical}
+        d, dm, constraints = chain.dimension, chain.mechanical, chain.constraints
+        common = {"parameters": chain.parameters}
+        at_end = {"x": d, "velocity": dm, **common, "time": 1, "sizes": dm}
         both = {f"{name}{k}": at_end[name] for k in (0, 1) for name in ("x", "velocity")} | {**common, "time": 1}
-        at_node = {"x": d, "impulse": chain.constraints, **when, "sizes": mechanical}
-        r, m = len(chain.method.quadrature), chain.method.degree
-        self.points = PlaceLayout(chain.intervals * r, at_point, 0)
-        self.either_end = PlaceLayout(2, at_end, self.points.last)
-        joined = chain.conditions > 0 or chain.terminal_cost
-        self.both_ends = PlaceLayout(int(joined), both, self.either_end.last)
-        self.nodes = PlaceLayout((chain.intervals * m + 1) * (chain.constraints > 0), at_node, self.both_ends.last)
-        crossing, first = {"x": d, "velocity": mechanical, **when, "sizes": mechanical}, self.nodes.last
-        width = sum(crossing.values())
-        self.crossings = [PlaceLayout(1, crossing, first + k * width) for k in range(len(chain.crossed))]
-
-    @property
-    def inputs(self) -> list[PlaceLayout]:
-        """Layouts of the inputs at all kinds of places that exist."""
-        kinds = (self.points, self.either_end, self.both_ends, self.nodes, *self.crossings)
-        return [place for place in kinds if place.count]
-
-    @cached_property
-    def _all_outputs(self) -> list[PlaceLayout]:
-        """Layouts of the outputs of the pointwise functions at all kinds of places, also those that do not exist.
-
-        At a quadrature point the outputs are f and g of the mechanical components, the defects of the others, and the
-        path constraints; at either end ∂L/∂v and the time derivative of the constraint; at both ends the end
-        conditions; at the nodes the constraint and its impulse; at a crossing x after it, ∂L/∂v before and after it,
-        and the condition there.
-        """
-        chain, dm, layouts, first = self.chain, self.chain.mechanical, list[PlaceLayout](), 0
-        at_point = {"f": dm, "g": dm, "defect": chain.dimension - dm, "path": chain.path_constraints}
-        crossed = {"x": chain.dimension, "before": dm, "after": dm}
-        for place, rows in (
-            (self.points, at_point),
-            (self.either_end, {"momentum": dm, "tangent": chain.constraints}),
-            (self.both_ends, {"conditions": chain.conditions}),
-            (self.nodes, {"constraint": chain.constraints, "push": dm}),
-            *zip(self.crossings, ({**crossed, "condition": k} for k in chain.conditions_there), strict=True),
-        ):
-            layouts.append(PlaceLayout(place.count, rows, first))
-            first = layouts[-1].last
-        return layouts
-
-    @property
-    def outputs(self) -> list[PlaceLayout]:
-        """Layouts of the outputs at all kinds of places that exist."""
-        return [place for place in self._all_outputs if place.count]
+        when = {"duration": 1, **common, "begin": 1, "share": 1}
+        at_point = {"x": d, "slope": d, "controls": chain.controls, **when, "part": 1, "sizes": dm}
+        at_node = {"x": d, "impulse": constraints, **when, "sizes": dm}
+        crossing = {"x": d, "velocity": dm, **when, "sizes": dm}
+        r, m, joined = len(chain.method.quadrature), chain.method.degree, chain.conditions > 0 or chain.terminal_cost
+        counts, inputs, outputs = zip(
+            (chain.intervals * r, at_point, {"f": dm, "g": dm, "defect": d - dm, "path": chain.path_constraints}),
+            (2, at_end, {"momentum": dm, "tangent": constraints}),
+            (int(joined), both, {"conditions": chain.conditions}),
+            ((chain.intervals * m + 1) * (constraints > 0), at_node, {"constraint": constraints, "push": dm}),
+            *((1, crossing, {"x": d, "before": dm, "after": dm, "condition": k}) for k in chain.conditions_there),
+            strict=True,
+        )
+        all_inputs, self._all_outputs = stacked(counts, inputs), stacked(counts, outputs)
+        self.points, self.either_end, self.both_ends, self.nodes, *self.crossings = all_inputs
+        self.inputs, self.outputs = (
+            [place for place in layouts if place.count] for layouts in (all_inputs, self._all_outputs)
+        )
 
     @cached_property
     def matrix(self) -> ca.DM:
