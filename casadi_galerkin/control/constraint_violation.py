@@ -7,6 +7,7 @@ import numpy as np
 from casadi_galerkin.calculus.roundoff import largest_of, or_one
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.graph import Report
+from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.problems.bounds import bound_excess
 
@@ -27,15 +28,14 @@ def equation_scales(chain: Chain, bounds: ProgramBounds, report: Report, before:
     return np.asarray(or_one(sizes)[chain.kinds])
 
 
-def violations(
-    chain: Chain, bounds: ProgramBounds, unknowns: np.ndarray, report: Report, before: np.ndarray
-) -> np.ndarray:
+def violations(chain: Chain, optimum: Optimum, report: Report, before: np.ndarray) -> np.ndarray:
     """Violation of every equation, then of every unknown's bounds, relative to what is compared.
 
     A value outside its bounds is compared with the largest of its kind, not with itself: where an equation and a bound
     leave a single value, IPOPT moves the bound by rounding, and a value that should be zero is then as large as this
     shift.  Where all values of a kind are nearly zero, they are compared with their bounds.
     """
+    bounds, unknowns = optimum.bounds, optimum.unknowns
     excess = _excess(report.equations, *bounds.equations)
     outside = _excess(unknowns, *bounds.unknowns)
     kinds = chain.unknown_kinds

@@ -56,6 +56,7 @@ class Optimum:
 
     Attributes
     ----------
+    data, bounds : those of the program
     unknowns, multipliers, bound_multipliers : ξ, the λ of the equations and the μ of the bounds on ξ (casadi's sign:
         f + λ·G + μ·ξ is stationary)
     success : whether the solver reports an optimum
@@ -63,6 +64,8 @@ class Optimum:
     iterations : int
     """
 
+    data: np.ndarray
+    bounds: ProgramBounds
     unknowns: np.ndarray
     multipliers: np.ndarray
     bound_multipliers: np.ndarray
@@ -115,15 +118,22 @@ def _built(
 
 
 def optimize(
-    solver: ObjectPool[Evaluator], guess: np.ndarray, data: np.ndarray, bounds: ProgramBounds, *duals: Any
+    solver: ObjectPool[Evaluator],
+    guess: np.ndarray,
+    data: np.ndarray,
+    bounds: ProgramBounds,
+    relaxation: float,
+    *duals: Any,
 ) -> Optimum:
-    """Run the solver from a guess and, for a warm start, the multipliers of the bounds and of the equations."""
+    """Run a solver that relaxes bounds from a guess and, for a warm start, the multipliers of bounds and equations."""
+    narrow = bounds.narrowed(relaxation)
     with solver.lend() as run:
-        given = guess, data, *bounds.unknowns, *bounds.equations
+        given = guess, data, *narrow.unknowns, *narrow.equations
         x, _, _, of_bounds, of_equations, _ = run(*given, *(duals or (0.0, 0.0)))
         stats = run.stats
     status = str(stats["return_status"]).replace("_", " ")
     status = FATROP_WORDS.get(status, status)
-    low, high = bounds.unknowns
+    low, high = narrow.unknowns
     unknowns = np.where(low == high, low, x)  # in fatrop given values are equations
-    return Optimum(unknowns, of_equations, of_bounds, bool(stats["success"]), status, int(stats["iter_count"]))
+    ended = bool(stats["success"]), status, int(stats["iter_count"])
+    return Optimum(data, bounds, unknowns, of_equations, of_bounds, *ended)

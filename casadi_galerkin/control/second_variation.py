@@ -18,7 +18,6 @@ from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM, Optimum
-from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.control.solver_error import estimate_remaining_error
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -38,8 +37,7 @@ class CostVariation:
     Attributes
     ----------
     problem, method, mesh : as they were solved
-    bounds : ProgramBounds of the program
-    optimum, data : the point where the solver stopped, with multipliers, and the data of the program
+    optimum : the point where the solver stopped
     cost : cost of the optimum
     graph : ControlGraph, or None before it is built again
     """
@@ -47,9 +45,7 @@ class CostVariation:
     problem: ControlProblem
     method: Galerkin
     mesh: np.ndarray
-    bounds: ProgramBounds
     optimum: Optimum
-    data: np.ndarray
     cost: float
     graph: ControlGraph | None
 
@@ -61,17 +57,17 @@ class CostVariation:
 
         A relative decrease of at most `FLAT`, for changes as large as the path, is not counted.
         """
-        graph, at, bounds = self._graph(), self.optimum, self.bounds
+        graph, at = self._graph(), self.optimum
         chain = graph.chain
-        values, gradients = graph.jacobian(at.unknowns, self.data)
+        values, gradients = graph.jacobian(at.unknowns, at.data)
         sizes, rows = _sizes(chain, at.unknowns), np.array(values).ravel()
-        slope = np.abs(np.array(graph.gradient(at.unknowns, self.data)[1]).ravel())
+        slope = np.abs(np.array(graph.gradient(at.unknowns, at.data)[1]).ravel())
         terms = np.array(ca.mtimes(ca.fabs(gradients), sizes)).ravel()
         costs = slope @ sizes > NEGLIGIBLE_MOMENTUM * (np.abs(at.multipliers) @ terms)
         multipliers = at.multipliers if costs else 0 * at.multipliers  # these are then errors of the solver
-        hessian = graph.whole_hessian(at.unknowns, self.data, 1.0, multipliers)[1]
-        free = np.flatnonzero(~_active(at.unknowns, bounds.unknowns, at.bound_multipliers, sizes)).tolist()
-        held = np.flatnonzero(_active(rows, bounds.equations, at.multipliers, np.abs(rows))).tolist()
+        hessian = graph.whole_hessian(at.unknowns, at.data, 1.0, multipliers)[1]
+        free = np.flatnonzero(~_active(at.unknowns, at.bounds.unknowns, at.bound_multipliers, sizes)).tolist()
+        held = np.flatnonzero(_active(rows, at.bounds.equations, at.multipliers, np.abs(rows))).tolist()
         units, flat = (ca.diag(ca.DM(a)) for a in (or_one(sizes), np.where(sizes > 0, FLAT, 0.0)))
         curved = ca.mtimes(units, ca.mtimes(hessian, units))
         largest = float(ca.norm_inf(curved))
@@ -88,7 +84,7 @@ class CostVariation:
 
     def remaining_error(self) -> RemainingError:
         """Errors of path, durations and cost that the solver has left; see `estimate_remaining_error`."""
-        return estimate_remaining_error(self._graph(), self.bounds, self.optimum, self.data)
+        return estimate_remaining_error(self._graph(), self.optimum)
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "graph": None}

@@ -30,7 +30,6 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of, or_one
 from casadi_galerkin.control.embedding import sparse
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
-from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
 from casadi_galerkin.solution.control_trajectory import RemainingError
 
@@ -40,9 +39,7 @@ Pair: TypeAlias = tuple[np.ndarray, np.ndarray]  # of the unknowns and of the mu
 LARGEST_RATIO = 0.9  # largest ratio of two steps with which their geometric series is summed
 
 
-def estimate_remaining_error(
-    graph: ControlGraph, bounds: ProgramBounds, optimum: Optimum, data: np.ndarray
-) -> RemainingError:
+def estimate_remaining_error(graph: ControlGraph, optimum: Optimum) -> RemainingError:
     """Estimate the errors of path, durations and cost that the solver has left.
 
     They are at least the effect of rounding, and infinite where the Newton steps are not finite.
@@ -51,8 +48,8 @@ def estimate_remaining_error(
     sizes = largest_of(np.abs(optimum.unknowns), kinds)
     at, steps, change = optimum, list[np.ndarray](), 0.0
     for _ in range(3):
-        slope = graph.gradient(at.unknowns, data)[1]
-        step, rounding_effect, at = newton_step(graph, bounds, data, sizes[kinds], at)
+        slope = graph.gradient(at.unknowns, at.data)[1]
+        step, rounding_effect, at = newton_step(graph, sizes[kinds], at)
         change += abs(float(ca.dot(slope, step)))
         steps += [step, rounding_effect]
     largest = [largest_of(np.where(np.isfinite(a), np.abs(a), np.inf), kinds) for a in steps]
@@ -65,28 +62,26 @@ def estimate_remaining_error(
     return RemainingError(errors[: chain.dimension], of_durations, change if np.isfinite(change) else np.inf)
 
 
-def newton_step(
-    graph: ControlGraph, bounds: ProgramBounds, data: np.ndarray, sizes: np.ndarray, at: Optimum
-) -> tuple[np.ndarray, np.ndarray, Optimum]:
+def newton_step(graph: ControlGraph, sizes: np.ndarray, at: Optimum) -> tuple[np.ndarray, np.ndarray, Optimum]:
     """The step δ from a point, the effect of rounding of its equations on it, and the point after it.
 
     `sizes` are those of the unknowns.  The rounding is that of the terms of the equations, with random signs.
     """
     unknowns, of_equations, of_bounds = at.unknowns, at.multipliers, at.bound_multipliers
-    report, kinds, alike = graph.report(unknowns, data, of_equations), graph.chain.kinds, graph.chain.unknown_kinds
-    to_bounds = _distances(unknowns, of_bounds, *bounds.unknowns)
-    to_limits = _distances(report.equations, of_equations, *bounds.equations)
-    free, active = np.less(*bounds.unknowns) & (to_bounds > 0), np.isfinite(to_limits)
+    report, kinds, alike = graph.report(unknowns, at.data, of_equations), graph.chain.kinds, graph.chain.unknown_kinds
+    to_bounds = _distances(unknowns, of_bounds, *at.bounds.unknowns)
+    to_limits = _distances(report.equations, of_equations, *at.bounds.equations)
+    free, active = np.less(*at.bounds.unknowns) & (to_bounds > 0), np.isfinite(to_limits)
     stiffness = np.abs(of_bounds[free]) / to_bounds[free]
     states = np.concatenate([graph.chain.fields[name].ravel() for name in ("x", "nodes", "momentum")])
-    low, high = bounds.equations
+    low, high = at.bounds.equations
     gaps = np.where(low == high, high - report.equations, np.copysign(to_limits, of_equations))
     multiplier_sizes = largest_of(np.abs(of_equations), kinds)[kinds]
-    row, column, slopes = _entries(graph.jacobian(unknowns, data)[1], active, free)
+    row, column, slopes = _entries(graph.jacobian(unknowns, at.data)[1], active, free)
     quantities = kinds[active][row] * (alike.max() + 1) + alike[free][column]
     rounded = np.abs(slopes) <= EPS * largest_of(np.abs(slopes), quantities)[quantities]  # as of a control switched off
     moved, blurred, changed = _kkt_solution(
-        _entries(graph.hessian(unknowns, data, 1.0, of_equations), free, free),
+        _entries(graph.hessian(unknowns, at.data, 1.0, of_equations), free, free),
         (row, column, np.where(rounded, 0.0, slopes)),
         (stiffness, to_limits[active] / np.maximum(np.abs(of_equations[active]), TINY)),
         (-report.slope[free], gaps[active]),

@@ -210,7 +210,7 @@ class ControlTranscription:
         bounds = self.bounds if problem is self.problem else with_ends(self.bounds, problem, chain)
         unknowns, data = chain.pack(start.values)
         way = self._kept_program(solver, bool(start.duals), verbose)
-        optimum = optimize(way, unknowns, data, bounds.narrowed(BOUND_RELAXATION[solver.name]), *start.duals)
+        optimum = optimize(way, unknowns, data, bounds, BOUND_RELAXATION[solver.name], *start.duals)
         if optimum.status == INVALID:
             refuse_derivatives(self.graph, unknowns, data, mesh)
         values = chain.unpack(optimum.unknowns, data)
@@ -219,7 +219,7 @@ class ControlTranscription:
             values["controls"] = continuous_controls(problem, chain, path, values)
             optimum.unknowns[chain.fields["controls"]] = values["controls"]
         report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
-        relative = violations(chain, bounds, optimum.unknowns, report, start.sizes)
+        relative = violations(chain, optimum, report, start.sizes)
         violation = float(np.max(relative))
         if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
             raise explained(problem, NAMES[solver.name], chain, optimum, report.cost, relative, path)
@@ -234,7 +234,7 @@ class ControlTranscription:
         others = np.zeros((chain.dimension - mechanical, len(joints)))
         momentum = np.vstack(((values["momentum"] * values["sizes"]).T, others))
         rates = path.at_parts(np.array([0.0, 1.0]))[1][mechanical:, [0, -1], [0, 1]].T if len(others) else others.T
-        variation = CostVariation(problem, self.method, mesh, bounds, optimum, data, report.cost, self.graph)
+        variation = CostVariation(problem, self.method, mesh, optimum, report.cost, self.graph)
         return ControlTrajectory(
             polynomial=path,
             momentum=tangent_at_joints(found, path, momentum),
