@@ -225,7 +225,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             passed = self.problem.waypoints and self.problem.duration_bounds is not None
             reason = f"the solver leaves the path open by {path:.0e} of its size"
             raise self.stopped(reason, *self.best, WAYPOINT if passed else HINT)
-        if self.walled and detail.remaining_error(detail.path)[1] > OPEN_SHARE * self.tol:
+        if self.walled and detail.path.solver_error > OPEN_SHARE * self.tol:
             self.left_open = True
 
     def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:

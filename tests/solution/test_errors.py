@@ -67,11 +67,3 @@ def test_a_picture_of_what_is_no_answer_says_so():
         FAILURES["newton"]()
     assert caught.value.path.plot().get_title() == "A path of degree 4 on 6 intervals, not an answer"
     assert repr(caught.value.path).endswith("not an answer")
-
-
-def test_the_best_path_at_a_limit_is_one():
-    problem = cg.BoundaryProblem(lambda t, x, v: (v[0] ** 2 + x[0] ** 4) / 2, (0, 1), [1.0], [2.0])
-    with pytest.raises(cg.LimitReached) as caught:
-        cg.solve(problem, cg.Galerkin(2), tol=1e-12, limits=cg.Limits(levels=1))
-    path = caught.value.path
-    assert path(path.t).shape == path.x.shape

@@ -55,12 +55,6 @@ def test_the_first_derivative_is_the_slope_of_the_path(path):
     np.testing.assert_allclose(path(inside, 1), slope, rtol=0, atol=1e-6 * np.max(np.abs(slope)))
 
 
-def test_a_path_and_its_polynomial_are_the_same(path):
-    times = np.linspace(path.t[0], path.t[-1], 57)
-    for order in (0, 1, 2):
-        np.testing.assert_array_equal(path(times, order), path.polynomial(times, order))
-
-
 def test_derivatives_of_a_parabola_are_exact():
     path = BY_NAME["uniform gravity"].solve()
     times = np.linspace(0, 2, 21)
