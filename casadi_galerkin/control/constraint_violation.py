@@ -23,7 +23,7 @@ def equation_scales(chain: Chain, bounds: ProgramBounds, report: Report, before:
     kind).  For a path constraint or an end condition g it is |∇g||z|, or its finite bound if that is larger.
     """
     sizes = np.where(report.sizes <= VANISHED * before, before, report.sizes)
-    stated = largest_of(bounds.sizes[1], chain.kinds)
+    stated = largest_of(_bound_sizes(bounds.equations), chain.kinds)
     sizes = np.fmax(np.where(sizes > ZERO_TERMS, sizes, 0.0), stated)
     return np.asarray(or_one(sizes)[chain.kinds])
 
@@ -39,9 +39,14 @@ def violations(chain: Chain, optimum: Optimum, report: Report, before: np.ndarra
     excess = _excess(report.equations, *bounds.equations)
     outside = _excess(unknowns, *bounds.unknowns)
     kinds = chain.unknown_kinds
-    sizes, stated = largest_of(np.abs(unknowns), kinds), largest_of(bounds.sizes[0], kinds)
+    sizes, stated = largest_of(np.abs(unknowns), kinds), largest_of(_bound_sizes(bounds.unknowns), kinds)
     sizes = np.where(sizes > ZERO_TERMS, sizes, stated)[kinds]
     return np.concatenate((excess / equation_scales(chain, bounds, report, before), outside / or_one(sizes)))
+
+
+def _bound_sizes(sides: np.ndarray) -> np.ndarray:
+    """Larger sizes of the finite ones of lower and upper bounds (2, n); zero where there is none."""
+    return np.asarray(np.max(np.where(np.isfinite(sides), np.abs(sides), 0.0), axis=0))
 
 
 def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

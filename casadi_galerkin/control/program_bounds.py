@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -22,20 +21,11 @@ class ProgramBounds:
     unknowns: np.ndarray
     equations: np.ndarray
 
-    @cached_property
-    def sizes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Largest sizes of the finite bounds of every unknown, and of every equation."""
-        return _sizes(self.unknowns), _sizes(self.equations)
-
     def narrowed(self, relaxed: float) -> ProgramBounds:
         """Bounds that become these after a solver relaxes every bound b by this part of max(1, |b|)."""
         if relaxed == 0:
             return self
         return ProgramBounds(_narrowed(self.unknowns, relaxed), _narrowed(self.equations, relaxed))
-
-
-def _sizes(sides: np.ndarray) -> np.ndarray:
-    return np.asarray(np.max(np.where(np.isfinite(sides), np.abs(sides), 0.0), axis=0))
 
 
 def _narrowed(sides: np.ndarray, relaxed: float) -> np.ndarray:
@@ -92,7 +82,8 @@ def given_at_ends(problem: ControlProblem, chain: Chain) -> dict[str, tuple[np.n
     places = {"start": f["x"][0], "end": f["x"][-1], **{name: f[name] for name in ("start_velocity", "end_velocity")}}
     for name, index in places.items():
         values = np.array(getattr(problem, name)[: len(index)], dtype=float)  # NaN for None
-        given[name] = index[np.isfinite(values)], values[np.isfinite(values)]
+        stated = np.isfinite(values)
+        given[name] = index[stated], values[stated]
     return given
 
 

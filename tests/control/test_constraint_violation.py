@@ -117,7 +117,7 @@ def test_the_change_of_the_cost_that_is_told_bounds_its_error(solver, scale):
     assert "NOT DETERMINED" not in repr(best)
 
 
-@pytest.mark.parametrize("length", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("length", [1e-3, 1e3])
 def test_an_optimum_is_found_in_units_near_one(length):
     here, there = (cg.solve(pushed_pendulum(a, 1.0, 1.0), cg.Galerkin(4), intervals=10) for a in (1.0, length))
     assert there.cost == pytest.approx(length**2 * here.cost, rel=1e-9)
