@@ -22,7 +22,8 @@ Some errors are common to both degrees, so that the difference does not show the
 - The error that the solver leaves (`solver_error`).
 - Controls as functions of time, which the equations see at the points only (`ControlTrajectory.control_misfit`).
 
-The estimated error of the cost is at least the square of each of the first four.
+The estimated error of the cost is at least the square of each of the first four, and at least the excess over path
+constraints, because nothing tells how steeply the cost changes where no point meets one.
 
 The new mesh equidistributes the part of the finer path that degree m cannot represent.  Where a higher degree does not
 reduce this part, the path has a kink, and intervals are split as for a method of order 2.  Where a control switches
@@ -33,20 +34,24 @@ and its switching time is about ten times more accurate.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, parts_wanted, truncation_error
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts, times_at
-from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.calculus.roundoff import TINY, component_sizes
 from casadi_galerkin.control.jumps_in_time import jumps_in_time
 from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM
 from casadi_galerkin.control.switching import Switch, switches
 from casadi_galerkin.problems.bounds import bound_excess
+from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 
@@ -64,6 +69,7 @@ SWITCH_RESOLUTION = 0.05
 DIFFERING_ESTIMATES = 1e-4
 # distance over the duration below which switches are one, such as those of two controls at a breakpoint
 SAME_SWITCH = 1e-8
+FINER = 4  # times as many samples as for the path, to see obstacles that are as narrow as a twentieth of an interval
 ROUNDOFF = 1e-15  # of positions and of impulses, relative to their sizes
 FINEST = 12  # number of distances from a quadrature point, each half of the one before, at which excess is looked for
 UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
@@ -89,29 +95,56 @@ def around(points: np.ndarray) -> np.ndarray:
     return np.unique(np.clip(np.add.outer(points, np.append(-distances, distances)), 0.0, 1.0))
 
 
-def bounded_values(path: ControlTrajectory, parts: np.ndarray) -> np.ndarray:
-    """Controls, and then path constraints, at fractions (K,) of every interval; (count, N, K)."""
-    controls = path.control.at(parts).reshape(-1, len(path.t) - 1, len(parts))
-    return np.concatenate((controls, path.path_constraints(parts)))
-
-
-def unseen_excess(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndarray:
-    """Excess over the bounds of controls and path constraints between the quadrature points, common to both degrees.
+def unseen_excess(values: list[np.ndarray], bounds: Sequence[ArrayLike], sizes: np.ndarray) -> np.ndarray:
+    """Excess of bounded values over their bounds between the quadrature points, which is common to both degrees.
 
     Bounds hold at quadrature points only, and a control may be largest between them, as next to an end of the path.
-    Both degrees then exceed the bound by the same ε, relative to the size of the bounded value, and hardly differ on
-    the interval.  Where a control jumps they do differ, and the excess is not counted.  The error of the path is at
-    most about ε.  Returns the largest relative excess on each interval, (N,).
+    Both degrees then exceed the bound by the same amount, and hardly differ on the interval.  Where a control jumps
+    they do differ, and the excess is not counted.
+
+    Parameters
+    ----------
+    values : of both degrees at the same fractions of every interval, (n, N, K) each
+    bounds : lower and upper bounds, (n,) each
+    sizes : by how much the values change with the path, (n, N, K) or to be broadcast
+
+    Returns
+    -------
+    the part ε of its size by which the path has to change, about and at most one: the largest on each interval, (N,)
     """
-    low, high = path.problem.control_bounds
-    if path.problem.path_constraint is not None:
-        _, least, most = path.problem.path_constraint
-        low, high = low + least, high + most
-    both = np.stack([bounded_values(p, sampling_parts(path.method.degree)) for p in (path, higher)])
-    size = component_sizes(both[0].reshape(len(low), -1))[:, None, None]
-    excess = np.min([bound_excess(values, low, high) for values in both], axis=0)
-    difference, largest = (np.max(a, axis=-1, keepdims=True) for a in (np.ptp(both, axis=0), excess))
-    return np.asarray(np.max(np.where(difference < UNSEEN_RATIO * largest, excess, 0.0) / size, axis=(0, 2)))
+    excess = np.min([bound_excess(one, *bounds) for one in values], axis=0)
+    difference, largest = (np.max(a, axis=-1, keepdims=True) for a in (np.ptp(values, axis=0), excess))
+    unseen = np.where(difference < UNSEEN_RATIO * largest, excess, 0.0)
+    return np.asarray(np.max(unseen / np.maximum(sizes, np.maximum(unseen, TINY)), axis=(0, 2), initial=0.0))
+
+
+def unseen_control_excess(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndarray:
+    """The `unseen_excess` of controls, relative to the largest, (N,)."""
+    parts = sampling_parts(path.method.degree)
+    values = [p.control.at(parts).reshape(-1, len(p.t) - 1, len(parts)) for p in (path, higher)]
+    return unseen_excess(values, path.problem.control_bounds, component_sizes(path.control.values)[:, None, None])
+
+
+def unseen_constraint_excess(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndarray:
+    """The `unseen_excess` of path constraints g, relative to Σ |∂g/∂z| |z| there, (N,).
+
+    The z are x, v and u, and |z| their sizes.  The largest value of g is no measure: the square of the distance to an
+    obstacle is as large as that of the path, and is exceeded by the square of the size of the obstacle alone.
+    """
+    if path.problem.path_constraint is None:
+        return np.zeros(len(path.t) - 1)
+    function, *bounds = path.problem.path_constraint
+    parts = sampling_parts(FINER * path.method.degree)
+    values = [p.path_constraints(parts) for p in (path, higher)]
+    times, x, v = path.polynomial.sampled(parts)
+    lengths = zip("txvu", (1, len(x), len(x), path.problem.controls), strict=True)
+    t, *z = (ca.SX.sym(name, count) for name, count in lengths)
+    derivative = ca.jacobian(with_parameters(function, path.parameters)(t, *z), ca.vertcat(*z))
+    sizes = np.concatenate((path.sizes, component_sizes(v), component_sizes(path.control.values)))
+    terms = ca.Function("terms", [t, *z], [ca.mtimes(ca.fabs(derivative), sizes)]).map(len(times))
+    found = np.array(terms(times[None, :], x, v, path.control.at(parts)))
+    found[~np.isfinite(found)] = np.inf  # as of a ratio of two positions that vanish at an end
+    return unseen_excess(values, bounds, found.reshape(values[0].shape))
 
 
 def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
@@ -167,7 +200,13 @@ class HigherDegree:
     @cached_property
     def bound_errors(self) -> np.ndarray:
         """Errors of the path on each interval because bounds hold at nodes or points only, (N,); see the module."""
-        return np.asarray(np.maximum(position_errors(self.path), unseen_excess(self.path, self.higher)))
+        of_controls = unseen_control_excess(self.path, self.higher)
+        return np.asarray(np.max([position_errors(self.path), of_controls, self.constraint_errors], axis=0))
+
+    @cached_property
+    def constraint_errors(self) -> np.ndarray:
+        """Those of path constraints alone, (N,)."""
+        return unseen_constraint_excess(self.path, self.higher)
 
     @cached_property
     def control_misfit(self) -> np.ndarray:
@@ -235,7 +274,8 @@ class HigherDegree:
         distance = self.change if self.change > FAR_FROM_GUESS else 0.0
         change, common = self.cost_change / (1 - SLOWEST), self.common_error
         variation = self.of_cost(self.path._hamiltonian_variation)
-        return max(change, common**2, variation**2, distance, self.jump_error, float(np.sum(self.excess_effects)))
+        effects = self.jump_error, float(np.sum(self.excess_effects)), float(np.max(self.constraint_errors))
+        return max(change, common**2, variation**2, distance, *effects)
 
     def better_mesh(self, tol: float, cost_tol: float) -> np.ndarray:
         """Joints, in the time of the path of higher degree, with which both errors should be below their tolerances."""

@@ -153,3 +153,25 @@ def test_a_path_constraint_that_is_not_finite_at_an_end_does_not_stop_the_refine
     path = cg.solve(glide, cost_tol=1e-6)
     assert path.cost_error <= 1e-6
     assert np.all(path.x[1, :-1] >= 0.4 * path.x[0, :-1] - 1e-6)
+
+
+@pytest.mark.parametrize("asked", [{"tol": 1e-3}, {"cost_tol": 1e-3}], ids=list)
+@pytest.mark.parametrize(("radius", "where"), [(1.2, 45.5), (0.7, 58.9), (1.1, 40.8)])
+def test_a_pole_that_no_quadrature_point_meets_is_passed(radius, where, asked):
+    """Its squared distance is exceeded by the square of its radius, which is small beside that of the path."""
+    distance = lambda t, x, v, u: (x[0] - where) ** 2 + (x[1] - 0.01) ** 2  # noqa: E731
+    flight = cg.ControlProblem(
+        lambda t, x, v: ca.dot(v, v) / 2,
+        (0.0, 20.0),
+        [0.0, 0.0],
+        [100.0, 0.0],
+        [0.0, 0.0],
+        [0.0, 0.0],
+        force=lambda t, x, v, u: u,
+        controls=2,
+        running_cost=lambda t, x, v, u: ca.dot(u, u) / 2,
+        path_constraint=(distance, radius**2, np.inf),
+    )
+    path = cg.solve(flight, **asked)
+    nearest = np.min(np.hypot(*(path(np.linspace(0, 20, 20001)) - [[where], [0.01]])))
+    assert nearest > 0.99 * radius
