@@ -221,7 +221,7 @@ class BranchFollower(Curve[Solution]):
 
     def problem(self, z: np.ndarray) -> BoundaryProblem:
         """The problem at a point z."""
-        return self.transcription.varied({"parameters": self.parameters(z).tolist()}, self.transcription.mesh)
+        return self.transcription.problem.varied({"parameters": self.parameters(z).tolist()})
 
     def data(self, z: np.ndarray) -> Data:
         """The graph's other inputs at a point z."""

@@ -21,7 +21,7 @@ from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Data, joints_of
 from casadi_galerkin.functional.statement import functional_of, given_values
 from casadi_galerkin.functional.threads import fork_waits
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem, given_positions
 from casadi_galerkin.problems.constrained_motion import tangent_at_joints
 from casadi_galerkin.problems.orbit_phase import has_phase, phase_plane
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
@@ -33,7 +33,6 @@ from casadi_galerkin.solvers.stationarity import Stationarity, joined
 Graph = TypeVar("Graph", bound="BoundaryGraph")
 
 REGULAR = 1e-9  # `Solution.regularity` above which the second variation need not be computed
-FREE = [np.nan]  # value of a position that is not given
 
 
 @dataclass(frozen=True)
@@ -103,18 +102,17 @@ class BoundaryGraph:
     ) -> CriticalPoint:
         """Find the node values of the path, without the checks and quantities that `trajectory` adds.
 
-        Parameters are those of `varied` and of `solve`.
+        Parameters are those of `BoundaryProblem.varied` and of `solve`.
         """
         if not callable(solver):
             raise TypeError(f"solver must be cg.newton, cg.rootfinder, cg.ipopt or cg.minimizer, got {solver!r}")
         calculus = self._calculus if mesh is None else remeshed(self._calculus, mesh, self.problem.breakpoints)
-        joints = calculus.mesh
-        problem = self.varied(changes or {}, joints)
+        problem = self.problem.varied(changes or {}, calculus.mesh[[0, -1]].tolist())
         graph = self.for_problem(problem)
-        data = graph.data(joints)
-        values = self._guess(guess, calculus, data)
+        data = graph.data(calculus.mesh)
+        values = graph._guess(guess, calculus)
         if has_phase(problem):
-            data = graph.data(joints, self.plane(calculus.emb(values.T)))
+            data = graph.data(calculus.mesh, self.plane(calculus.emb(values.T)))
         try:
             with fork_waits:  # it builds its Functions when they are first needed
                 solution = solver(self.stationarity, self.unknowns(values, data), data, verbose)
@@ -144,16 +142,12 @@ class BoundaryGraph:
         """Put a guess on a mesh, bent to meet the ends."""
         same = np.array_equal(mesh, self.mesh)
         calculus = self._calculus if same else DiscreteCalculus(self.method, mesh)
-        return calculus.emb(self._guess(guess, calculus, self.data(mesh)).T)
+        return calculus.emb(self._guess(guess, calculus).T)
 
     def change(self, step: np.ndarray) -> np.ndarray:
         """Node values (d, N m + 1) of a step of the unknowns."""
         given = np.zeros(self.numbering.size - self.numbering.free)
         return np.asarray(np.concatenate((step, given))[self.numbering.of_nodes].T)
-
-    def varied(self, changes: Mapping[str, object], joints: np.ndarray) -> BoundaryProblem:
-        """The problem with other given values on other joints; see its own `varied`."""
-        return self.problem.varied(changes, (float(joints[0]), float(joints[-1])))
 
     def data(self, joints: np.ndarray, plane: np.ndarray | None = None) -> Data:
         """Values of all inputs of the graph except the unknowns.
@@ -208,7 +202,7 @@ class BoundaryGraph:
                 found.append(end.of_momentum(t, path.values[:, end.joint], v, momenta[:, end.joint], parameters))
         return np.concatenate(found)
 
-    def _guess(self, guess: Guess | None, calculus: DiscreteCalculus, data: Data) -> np.ndarray:
-        """Node values (N m + 1, d) of a guess, bent to meet the fixed ends."""
-        ends = np.concatenate((*data[:2], FREE))[self.numbering.of_ends]
-        return meeting_ends(guess_values(guess, calculus, self.problem.dimension).T, calculus.node_parts, ends)
+    def _guess(self, guess: Guess | None, calculus: DiscreteCalculus) -> np.ndarray:
+        """Node values (N m + 1, d) of a guess, bent to meet the given ends."""
+        values = guess_values(guess, calculus, self.problem.dimension).T
+        return meeting_ends(values, calculus.node_parts, given_positions(self.problem))

@@ -10,7 +10,7 @@ from itertools import chain
 import numpy as np
 
 from casadi_galerkin.calculus.roundoff import or_one
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem, Given, is_given
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem, Given, given_positions, is_given
 from casadi_galerkin.problems.problem import VARIED, Problem
 
 
@@ -51,10 +51,8 @@ def interpolated_problem(one: BoundaryProblem, other: BoundaryProblem, share: fl
 
 def ends_replaced(values: np.ndarray, problem: BoundaryProblem) -> np.ndarray:
     """Node values (d, N m + 1) of a path with the ends of another problem, and nothing else changed."""
-    moved, ends = values.copy(), np.array([problem.start, problem.end], dtype=float).T  # NaN for None
+    moved, ends = values.copy(), given_positions(problem).T
     moved[:, [0, -1]] = np.where(np.isnan(ends), values[:, [0, -1]], ends)
-    if problem.periodic:
-        moved[:, -1] = moved[:, 0]
     return moved
 
 

@@ -199,6 +199,11 @@ def is_given(value: object) -> bool:
     return any(a is not None for a in value) if isinstance(value, tuple) else value is not None
 
 
+def given_positions(problem: BoundaryProblem) -> np.ndarray:
+    """Positions given at the start and at the end, NaN where none is; those of a periodic path hold at both; (2, d)."""
+    return np.array([problem.start, problem.start if problem.periodic else problem.end], dtype=float)
+
+
 def _check_end_function(name: str, function: ca.Function, taken: list[list[str]]) -> None:
     """Refuse a function of the ends that no free component can follow; `taken` lists what is given of each."""
     d = len(taken) // 2

@@ -181,7 +181,7 @@ def test_a_hessian_that_is_singular_on_the_path_but_not_beside_it_is_named(miss)
     unknowns = tr.unknowns(values.T, tr.data(tr.mesh))
 
     def positive(stiffness):
-        data = tr.for_problem(tr.varied({"parameters": [stiffness]}, tr.mesh)).data(tr.mesh)
+        data = tr.for_problem(problem.varied({"parameters": [stiffness]})).data(tr.mesh)
         hessian = np.array(ca.DM(tr.hessian(unknowns, *data)))
         return np.linalg.eigvalsh(hessian[::2, ::2] - hessian[::2, 1::2])[0] > 0
 
