@@ -116,7 +116,7 @@ def first_path_strategies(
     `intermediate_path` finds; a descent of the action with moving joints; and finally, without a guess, the search for
     `several_paths`, otherwise `solver` itself.  With a guess, a path near it is preferred to one that is far from it.
     """
-    problem, name = graphs.problem, repr(solver)
+    problem = graphs.problem
     given = guess_on_resolving_mesh(graphs, method, guess, mesh, COARSE_RESOLUTION)
 
     @cache
@@ -126,32 +126,33 @@ def first_path_strategies(
     def solved(begun: PiecewisePolynomial, by: SolverLike) -> CriticalPoint:
         return graphs.solve(method, begun.mesh, begun.values, by)
 
-    if is_newton(solver):
-        plain, brief = partial(damped_newton, **solver.options), warm_newton(solver)
-        first, ways = partial(solved, given, plain), dict[str, Find]()
-        if guess is not None:
-            ways["Newton's method from the guess smoothed"] = lambda: solved(_smoothed(given), brief)
-            ways["Newton's method on a finer mesh"] = lambda: solved(finer(), brief)
-            first = partial(_nearest, given, first, [partial(_near, given, find) for find in ways.values()])
-        yield Strategy("Newton's method", first)
-        stationarity = graphs.transcription(method, given.mesh).stationarity
-        ways |= {name: partial(solved, given, rescue) for name, rescue in rescues(stationarity).items()}
-        for name, find in ways.items():
-            yield Strategy(name, find if guess is None else partial(_near, given, find))
-        fine = finer().mesh
-        fine = resized_mesh(fine, max(MORE * (len(given.mesh) - 1), len(fine) - 1), problem.breakpoints)
-        if problem.force is not None:
-            start = graphs.transcription(method, fine).guess_on_mesh(guess, fine)
-            find = partial(path_by_homotopy, graphs, start, intermediate_path)
-            yield Strategy("Newton's method under a growing force", find)
-        if stationarity.variational and not stationarity.functional.numbering.multipliers:
-            joints = resized_mesh(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
-            yield Strategy("descent of the action", partial(_by_descent, graphs, method, joints, guess, brief))
-        name = "Newton's method with its rescues"
-        if guess is None and not has_phase(problem):
-            yield Strategy(RANDOM, partial(_by_random_guesses, graphs, method, mesh, brief))
-            return
-    yield Strategy(name, partial(solved, given, solver))
+    if not is_newton(solver):
+        yield Strategy(repr(solver), partial(solved, given, solver))
+        return
+    plain, brief = partial(damped_newton, **solver.options), warm_newton(solver)
+    first, ways = partial(solved, given, plain), dict[str, Find]()
+    if guess is not None:
+        ways["Newton's method from the guess smoothed"] = lambda: solved(_smoothed(given), brief)
+        ways["Newton's method on a finer mesh"] = lambda: solved(finer(), brief)
+        first = partial(_nearest, given, first, [partial(_near, given, find) for find in ways.values()])
+    yield Strategy("Newton's method", first)
+    stationarity = graphs.transcription(method, given.mesh).stationarity
+    ways |= {name: partial(solved, given, rescue) for name, rescue in rescues(stationarity).items()}
+    for name, find in ways.items():
+        yield Strategy(name, find if guess is None else partial(_near, given, find))
+    fine = finer().mesh
+    fine = resized_mesh(fine, max(MORE * (len(given.mesh) - 1), len(fine) - 1), problem.breakpoints)
+    if problem.force is not None:
+        start = graphs.transcription(method, fine).guess_on_mesh(guess, fine)
+        find = partial(path_by_homotopy, graphs, start, intermediate_path)
+        yield Strategy("Newton's method under a growing force", find)
+    if stationarity.variational and not stationarity.functional.numbering.multipliers:
+        joints = resized_mesh(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
+        yield Strategy("descent of the action", partial(_by_descent, graphs, method, joints, guess, brief))
+    if guess is None and not has_phase(problem):
+        yield Strategy(RANDOM, partial(_by_random_guesses, graphs, method, mesh, brief))
+    else:
+        yield Strategy("Newton's method with its rescues", partial(solved, given, solver))
 
 
 def _by_descent(
