@@ -109,13 +109,11 @@ class BoundaryGraph:
         calculus = self._calculus if mesh is None else remeshed(self._calculus, mesh, self.problem.breakpoints)
         problem = self.problem.varied(changes or {}, calculus.mesh[[0, -1]].tolist())
         graph = self.for_problem(problem)
-        data = graph.data(calculus.mesh)
-        values = graph._guess(guess, calculus)
-        if has_phase(problem):
-            data = graph.data(calculus.mesh, self.plane(calculus.emb(values.T)))
+        begun = graph._guessed(guess, calculus)
         try:
-            with fork_waits:  # it builds its Functions when they are first needed
-                solution = solver(self.stationarity, self.unknowns(values, data), data, verbose)
+            with fork_waits:  # Functions are built when they are first needed
+                unknowns, data = graph.on_path(begun)
+                solution = solver(self.stationarity, unknowns, data, verbose)
         except SolveFailure as failure:
             path = self.emb(failure.unknowns, data)
             raise explained(problem, self.stationarity, failure, path, data) from None
@@ -142,7 +140,7 @@ class BoundaryGraph:
         """Put a guess on a mesh, bent to meet the ends."""
         same = np.array_equal(mesh, self.mesh)
         calculus = self._calculus if same else DiscreteCalculus(self.method, mesh)
-        return calculus.emb(self._guess(guess, calculus).T)
+        return self._guessed(guess, calculus)
 
     def change(self, step: np.ndarray) -> np.ndarray:
         """Node values (d, N m + 1) of a step of the unknowns."""
@@ -202,7 +200,7 @@ class BoundaryGraph:
                 found.append(end.of_momentum(t, path.values[:, end.joint], v, momenta[:, end.joint], parameters))
         return np.concatenate(found)
 
-    def _guess(self, guess: Guess | None, calculus: DiscreteCalculus) -> np.ndarray:
-        """Node values (N m + 1, d) of a guess, bent to meet the given ends."""
+    def _guessed(self, guess: Guess | None, calculus: DiscreteCalculus) -> PiecewisePolynomial:
+        """The path of a guess, bent to meet the given ends."""
         values = guess_values(guess, calculus, self.problem.dimension).T
-        return meeting_ends(values, calculus.node_parts, given_positions(self.problem))
+        return calculus.emb(meeting_ends(values, calculus.node_parts, given_positions(self.problem)).T)
