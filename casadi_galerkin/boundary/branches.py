@@ -89,7 +89,7 @@ def _slopes(functional: Functional) -> ca.Function:
 
     def parts() -> Parts:
         action, (_, *data) = functional.action, functional.symbols.items()
-        names = ["action", *(f"by_{name}" for name, _ in data)]
-        return {}, names, [action, *(ca.densify(ca.gradient(action, symbol)) for _, symbol in data)]
+        slopes = {f"by_{name}": ca.densify(ca.gradient(action, symbol)) for name, symbol in data}
+        return {}, {"action": action, **slopes}
 
     return functional.keep("slopes", parts)

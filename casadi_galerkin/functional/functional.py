@@ -45,7 +45,7 @@ from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.functional.numbering import Data, Numbering, kept
 from casadi_galerkin.functional.pointwise import pointwise
 
-Parts: TypeAlias = tuple[dict[str, ca.MX], list[str], list[ca.MX]]  # inputs beside the symbols; names; outputs
+Parts: TypeAlias = tuple[dict[str, ca.MX], dict[str, ca.MX]]  # inputs beside the symbols, and outputs, by name
 
 MANY = 1000  # points from which `by_rows` is faster within one solve: building it takes some 25 us per instruction
 
@@ -191,13 +191,13 @@ class Functional:
         return self._with_terms(integration(self.numbering)(*self._first[1:]))
 
     @cached_property
-    def first_variation(self) -> list[ca.MX]:
+    def first_variation(self) -> dict[str, ca.MX]:
         """The action with the end action, momenta at the joints, ∇S by the unknowns ξ, and the sizes of its terms."""
         action, momenta, gradient, sizes = variation(self.numbering).call(self._first)
         for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
             sizes += term.gathered(self.numbering, ca.fabs(rows))
         action = sum((ca.sum2(added[0, :]) for added, _, _ in self._terms), action)
-        return [action, momenta, self._with_terms(gradient), sizes]
+        return {"action": action, "momentum": momenta, "gradient": self._with_terms(gradient), "terms": sizes}
 
     @cached_property
     def derivatives(self) -> tuple[ca.MX, ca.MX]:
@@ -237,11 +237,11 @@ class Functional:
           points, so that it has no rounding of the entries of ∇²S
         """
         builders: dict[str, Callable[[], Parts]] = {
-            "action": lambda: ({}, ["action"], [self.action]),
-            "gradient": lambda: ({}, ["gradient"], [self.gradient]),
-            "hessian": lambda: ({}, ["hessian"], [self.derivatives[0]]),
-            "derivatives": lambda: ({}, ["matrix", "gradient"], [*self.derivatives]),
-            "summary": lambda: ({}, ["action", "momentum", "gradient", "terms"], self.first_variation),
+            "action": lambda: ({}, {"action": self.action}),
+            "gradient": lambda: ({}, {"gradient": self.gradient}),
+            "hessian": lambda: ({}, {"hessian": self.derivatives[0]}),
+            "derivatives": lambda: ({}, {"matrix": self.derivatives[0], "gradient": self.derivatives[1]}),
+            "summary": lambda: ({}, self.first_variation),
             "joint_time_derivatives": self._joint_time_derivatives,
             "inertia_weighted": self._inertia_weighted,
             "curvature": self._curvature,
@@ -252,13 +252,13 @@ class Functional:
 
     def _joint_time_derivatives(self) -> Parts:
         at_points = one_by_one(self.pointwise.time_derivatives, self.numbering.points, self._shared).call(self._at)
-        names = ["by_joint", "twice_by_joint", "by_neighbors"]
-        return {}, names, [*joint_time_derivatives(self.numbering, *at_points)]
+        by_joint, twice_by_joint, by_neighbors = joint_time_derivatives(self.numbering, *at_points)
+        return {}, {"by_joint": by_joint, "twice_by_joint": twice_by_joint, "by_neighbors": by_neighbors}
 
     def _inertia_weighted(self) -> Parts:
         inertia, blocks = ca.MX.sym("inertia"), zip(self.pointwise.blocks, self._second[3:], strict=True)
         weighted = [inertia * values if block == (1, 1) else values for block, values in blocks]
-        return {"inertia": inertia}, ["matrix"], [self._assembled(weighted)[0]]
+        return {"inertia": inertia}, {"matrix": self._assembled(weighted)[0]}
 
     def _curvature(self) -> Parts:
         left, right = (ca.MX.sym(name, self.numbering.free) for name in ("left", "right"))
@@ -266,14 +266,14 @@ class Functional:
         if self._further is not None:
             signed += ca.bilin(self._further, left, right)
             positive += ca.bilin(ca.fabs(self._further), ca.fabs(left), ca.fabs(right))
-        return {"left": left, "right": right}, ["signed", "positive"], [signed, positive]
+        return {"left": left, "right": right}, {"signed": signed, "positive": positive}
 
     def _product(self) -> Parts:
         direction = ca.MX.sym("direction", self.numbering.free)
         change = integration(self.numbering)(*self._along(self.pointwise.product, direction))
         if self._further is not None:
             change += ca.mtimes(self._further, direction)
-        return {"direction": direction}, ["change"], [change]
+        return {"direction": direction}, {"change": change}
 
     def _along(self, function: ca.Function, *directions: ca.MX) -> list[ca.MX]:
         """A Function of the points and of changes of (x, x') there, evaluated for directions of the unknowns."""
@@ -285,15 +285,14 @@ class Functional:
         parameters = ca.vertcat(*self._parameters)
         direction = ca.MX.sym("direction", parameters.numel())
         change = ca.jtimes(self.gradient, parameters, direction)
-        return {"direction": direction}, ["change"], [ca.densify(change)]  # few rows may depend on parameters
+        return {"direction": direction}, {"change": ca.densify(change)}  # few rows may depend on parameters
 
     def keep(self, name: str, build: Callable[[], Parts]) -> ca.Function:
         """A Function of the graph, built when it is first used."""
         if name not in self._functions:
             began = time.perf_counter()
-            further, names, outputs = build()
-            symbols = self.symbols | further
-            expressions = symbols | dict(zip(names, outputs, strict=True))  # passed faster by name than in lists
-            self._functions[name] = ca.Function(name.split()[0], expressions, list(symbols), names)
+            further, outputs = build()
+            inputs = self.symbols | further  # all are passed faster by name than in lists
+            self._functions[name] = ca.Function(name, inputs | outputs, list(inputs), list(outputs))
             self.build_seconds += time.perf_counter() - began
         return self._functions[name]

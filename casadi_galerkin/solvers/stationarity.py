@@ -101,9 +101,9 @@ class Stationarity:
         """(ξ, data) -> gradient ∇S, and floor, the roundoff floor of every entry of it."""
 
         def parts() -> Parts:
-            _, _, gradient, terms = self.functional.first_variation
-            floor = self.linear_solver.floor(self.functional.derivatives[0], self.functional.u, terms)[0]
-            return {}, ["gradient", "floor"], [gradient, floor]
+            first, second = self.functional.first_variation, self.functional.derivatives[0]
+            floor = self.linear_solver.floor(second, self.functional.u, first["terms"])[0]
+            return {}, {"gradient": first["gradient"], "floor": floor}
 
         return self.functional.keep("floor", parts)
 
