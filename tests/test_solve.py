@@ -18,16 +18,11 @@ def test_what_is_no_problem_is_refused(other, given):
         cg.solve(other, **given)
 
 
-@pytest.mark.parametrize("other", [None, 4, "gauss", cg.Galerkin, cg.gauss(3)])
-def test_what_is_no_method_is_refused(other):
-    with pytest.raises(TypeError, match=r"method must be a Galerkin, such as Galerkin.degree=4., got"):
-        cg.solve(oscillator_problem(), other, intervals=2)
-
-
+@pytest.mark.parametrize("given", [{"intervals": 2}, {"tol": 1e-3}], ids=list)
 @pytest.mark.parametrize("other", [0, 6, "gauss", cg.Galerkin, cg.gauss(3)])
-def test_what_is_no_method_is_refused_with_a_tolerance(other):
+def test_what_is_no_method_is_refused(other, given):
     with pytest.raises(TypeError, match=r"method must be a Galerkin, such as Galerkin.degree=4., got"):
-        cg.solve(oscillator_problem(), other, tol=1e-3)
+        cg.solve(oscillator_problem(), other, **given)
 
 
 @pytest.mark.parametrize("name", ["lagrange", "tspan", "ends", "params"])

@@ -133,13 +133,6 @@ def test_transcriptions_of_one_layout_can_be_solved_in_turn():
     assert expected[0].action != expected[1].action
 
 
-def test_a_path_without_unknowns_is_the_straight_line():
-    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2, (0.0, 2.0), [0.0], [1.0])
-    path = cg.solve(problem, cg.Galerkin(1), 1)
-    assert path.action == 0.25
-    np.testing.assert_array_equal(path.momentum, [[0.5, 0.5]])
-
-
 def test_a_rescue_by_ipopt_is_the_same_the_second_time():
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0.0, 20.0), [0.0], [3.0])
     tr = cg.transcribe(problem, cg.Galerkin(6), 80)

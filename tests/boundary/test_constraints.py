@@ -294,12 +294,6 @@ def test_the_morse_index_on_a_constraint_is_that_in_the_angle(duration):
     assert path.morse_index == angle.morse_index
 
 
-def test_small_oscillations_on_a_circle_have_an_index_for_every_half_period():
-    guess = lambda t: on_circle(0.01 * np.sin(t) / np.sin(10))  # noqa: E731
-    problem = cg.BoundaryProblem(planar, (0, 10), on_circle(0.0), on_circle(0.01), constraint=unit_length)
-    assert cg.solve(problem, METHOD, intervals=12, guess=guess).morse_index == 3
-
-
 def test_fifty_coupled_rods_are_solved():
     """Pendulums side by side, each coupled to the next by a spring between their masses."""
     count = 50

@@ -151,17 +151,6 @@ def test_jacobian_is_that_of_the_closed_form():
         assert np.abs(expected).max() > 0.1
 
 
-def test_jacobian_by_the_ends_is_propagated_by_the_state_transition_matrix():
-    f, path = solved(spring())
-    dx, dp, _ = derivatives(*at_data(f, path.polynomial.values), order=1)
-    states = np.stack([value.reshape(4, -1)[:2] for value in (dx, dp)])  # (x or p, by which end, joint)
-    for i, t in enumerate(path.t):
-        c, s = np.cos(RATE * t), np.sin(RATE * t)
-        transition = np.array([[c, s / RATE], [-RATE * s, c]])
-        np.testing.assert_allclose(states[:, :, i], transition @ states[:, :, 0], rtol=0, atol=AGREEMENT)
-    np.testing.assert_allclose(states[0][:, [0, -1]], np.eye(2), rtol=0, atol=AGREEMENT)
-
-
 def test_second_derivatives_are_those_of_the_closed_form():
     f, path = solved(spring())
     ours = derivatives(*at_data(f, path.polynomial.values), order=2)

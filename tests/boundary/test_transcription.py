@@ -32,12 +32,6 @@ def test_a_repeated_solve_with_input_that_does_not_fit_is_refused(changes, kind,
         tr.solve(**changes)
 
 
-def test_parameters_of_another_length_are_refused():
-    tr = cg.transcribe(oscillator_problem(lagrangian=lambda t, x, v, p: p * v[0] ** 2, parameters=[1.0]), METHOD, 2)
-    with pytest.raises(ValueError, match=r"parameters must have 1 component, got 2"):
-        tr.solve(parameters=[1.0, 2.0])
-
-
 def test_a_free_component_cannot_be_given_later():
     tr = cg.transcribe(oscillator_problem(end=[None]), METHOD, 2)
     with pytest.raises(ValueError, match=r"end must have None where the problem has it, \(None,\), got \(1.0,\)"):
@@ -130,14 +124,6 @@ def test_repeated_solves_equal_fresh_ones():
         np.testing.assert_array_equal(again.momentum, fresh.momentum)
         np.testing.assert_array_equal(again.t, fresh.t)
         assert (again.action, again.iterations, again.morse_index) == (fresh.action, fresh.iterations, 0)
-
-
-def test_a_problem_is_not_changed_by_solving_it():
-    scene = BY_NAME["short pendulum"]
-    tr = cg.transcribe(scene.problem, cg.Galerkin(4), 5)
-    first = tr.solve()
-    tr.solve(start=[0.5], end=[2.0])
-    np.testing.assert_array_equal(tr.solve().polynomial.values, first.polynomial.values)
 
 
 @pytest.mark.parametrize("degree", [30, 60])
