@@ -25,6 +25,7 @@ from casadi_galerkin._solve import solve, transcribe
 from casadi_galerkin.boundary.problem_data import data_vector, nearest
 from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
+from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.control.refinement import first_control_discretization
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -224,7 +225,7 @@ class Batch:
             return []
         size = min(LARGEST_CHUNK, max(SMALLEST_NEIGHBORHOOD, -(-count // CHUNKS)))
         values = np.array([data_vector(varied(problem, variation)) for variation in self.variations])
-        scaled = values / [spread if spread > 0 else 1.0 for spread in np.ptp(values, axis=0)]
+        scaled = values / or_one(np.ptp(values, axis=0))
         centers = np.arange(0, count, size)
         apart = np.array([np.sum((scaled - scaled[center]) ** 2, axis=1) for center in centers])
         waiting = np.where(centers == 0, 0.0, np.inf)  # distances from what is solved; NaN for what is
