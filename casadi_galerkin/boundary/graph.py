@@ -110,10 +110,10 @@ class BoundaryGraph:
         problem = self.problem.varied(changes or {}, calculus.mesh[[0, -1]].tolist())
         graph = self.for_problem(problem)
         begun = graph._guessed(guess, calculus)
+        data = graph.data(calculus.mesh, graph.plane(begun))
         try:
-            with fork_waits:  # Functions are built when they are first needed
-                unknowns, data = graph.on_path(begun)
-                solution = solver(self.stationarity, unknowns, data, verbose)
+            with fork_waits:  # it builds its Functions when they are first needed
+                solution = solver(self.stationarity, self.unknowns(begun.values.T, data), data, verbose)
         except SolveFailure as failure:
             path = self.emb(failure.unknowns, data)
             raise explained(problem, self.stationarity, failure, path, data) from None
@@ -203,4 +203,5 @@ class BoundaryGraph:
     def _guessed(self, guess: Guess | None, calculus: DiscreteCalculus) -> PiecewisePolynomial:
         """The path of a guess, bent to meet the given ends."""
         values = guess_values(guess, calculus, self.problem.dimension).T
-        return calculus.emb(meeting_ends(values, calculus.node_parts, given_positions(self.problem)).T)
+        values = meeting_ends(values, calculus.node_parts, given_positions(self.problem))
+        return PiecewisePolynomial(calculus.mesh, self.method.element.nodes, values.T)
