@@ -40,11 +40,11 @@ def not_finite(functional: Functional, unknowns: np.ndarray, data: Data) -> str:
     return "the Lagrangian overflows"
 
 
-def refuse_undefined(functional: Functional, solution: Solution, path: PiecewisePolynomial, data: Data) -> None:
+def refuse_undefined(functional: Functional, solution: Solution, path: PiecewisePolynomial) -> None:
     """Raise if the action is not finite on a path that solves the equations."""
     if math.isfinite(solution.action):
         return
-    place = not_finite(functional, solution.unknowns, data)
+    place = not_finite(functional, solution.unknowns, solution.data)
     raise ConvergenceError(
         f"no path was found: the equations have a solution, but on it {place}. "
         "Try a guess that stays where the Lagrangian is defined",

@@ -319,10 +319,10 @@ class Search:
 
     def consider(self, solution: Solution, seconds: float) -> None:
         """Keep a critical point if it is new and regular, and its error is small."""
-        polynomial = self.transcription.emb(solution.unknowns, solution.data)
-        point = CriticalPoint(solution, self.transcription.problem, polynomial)
         if not self.is_new(solution.unknowns):
             return
+        polynomial = self.transcription.emb(solution.unknowns, solution.data)
+        point = CriticalPoint(solution, self.transcription.problem, polynomial)
         try:
             path = self.transcription.trajectory(point, seconds)
         except ConvergenceError as failure:

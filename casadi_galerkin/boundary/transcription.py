@@ -138,10 +138,9 @@ class Transcription(BoundaryGraph):
 
     def trajectory(self, point: CriticalPoint, solve_seconds: float) -> Trajectory:
         """Add momenta, action and Morse index to a critical point; arguments and errors as for `solve`."""
-        solution, data = point.solution, point.solution.data
-        problem, path = point.problem, point.polynomial
-        refuse_undefined(self.functional, solution, path, data)
-        wrong = turned_back(problem, path, self.plane_in(data)) or off_constraint(problem, path)
+        solution, problem, path = point.solution, point.problem, point.polynomial
+        refuse_undefined(self.functional, solution, path)
+        wrong = turned_back(problem, path, self.plane_in(solution.data)) or off_constraint(problem, path)
         if wrong is not None:
             raise ConvergenceError(wrong, Path(path), solution.residual, solution.iterations)
         self.refuse_conjugate(point)
