@@ -61,19 +61,19 @@ def _check(problem: BoundaryProblem, stationarity: Stationarity) -> ca.Function:
 
     Ends that are data are also checked against a constraint, which no equation imposes on them.
     """
-    floor = stationarity.floor
-    symbols, names = floor.mx_in(), floor.name_in()
-    residual, least = floor.call(symbols)
+    symbols = stationarity.functional.symbols
+    residual, least = stationarity.floor.call(list(symbols.values()))
     passed = [ca.norm_inf(residual / least) <= ACCEPTED, all_finite(residual)]
     if problem.constraint is not None:
-        data, terms = dict(zip(names, symbols, strict=True)), problem.constraint.sx_in()
+        terms = problem.constraint.sx_in()
         missed = relative_residuals(problem.constraint(*terms), terms[:2], terms[2:])
-        for name, when in (("start", data["mesh"][0]), ("end", data["mesh"][-1])):
-            if data[name].numel() == problem.dimension:
-                further = [data["parameters"]] if "parameters" in data else []
-                passed.append(ca.norm_inf(missed(when, data[name], *further)[1]) <= 1)
+        for name, when in (("start", symbols["mesh"][0]), ("end", symbols["mesh"][-1])):
+            if symbols[name].numel() == problem.dimension:
+                further = [symbols["parameters"]] if "parameters" in symbols else []
+                passed.append(ca.norm_inf(missed(when, symbols[name], *further)[1]) <= 1)
     verified = ca.mmin(ca.vertcat(*passed))
-    return ca.Function("check", symbols, [verified], names, ["verified"], {"is_diff_out": [False]})
+    expressions = symbols | {"verified": verified}
+    return ca.Function("check", expressions, list(symbols), ["verified"], {"is_diff_out": [False]})
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -147,8 +147,7 @@ def sensitivity(path: Trajectory) -> Sensitivity:
 def at_joints(problem: BoundaryProblem, path: Trajectory) -> Sensitivity:
     """`sensitivity` of the path of a problem, where the energy is given at joints that move with the data."""
     transcription = transcribed(problem, path.method, None, path.t)
-    numbering, function = transcription.numbering, transcription.gradient
-    symbols = dict(zip(function.name_in(), function.mx_in(), strict=True))
+    numbering, symbols = transcription.numbering, transcription.functional.symbols
     data = ca.vertcat(*(symbols[name] for name in ("start", "end", "parameters") if name in symbols))
     matrix, gradient = transcription.functional.function("derivatives").call(list(symbols.values()))
     solutions = transcription.stationarity.linear_solver.solutions("qr", data.numel(), transposed=False)
