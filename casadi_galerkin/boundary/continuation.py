@@ -331,7 +331,8 @@ class BranchFollower(Curve[Solution]):
         while step > SMALLEST_STEP:
             predicted, normal = point.z + step * tangent, tangent
             end = float(np.clip(predicted[-1], 0.0, 1.0))
-            if predicted[-1] != end:  # a step beyond the end is shortened to it
+            ends = bool(predicted[-1] != end)
+            if ends:  # a step beyond the end is shortened to it
                 share = (end - point.z[-1]) / tangent[-1]
                 predicted, normal = point.z + share * tangent, np.append(np.zeros(len(point.z) - 1), 1.0)
                 predicted[-1] = end
@@ -341,7 +342,8 @@ class BranchFollower(Curve[Solution]):
                 chord = self.unit(z - point.z)
                 following = self.tangent(z, chord)
                 bends = np.array([self.cosine(chord, tangent), self.cosine(chord, following)])
-                if np.all(bends > LEAST_COSINE):  # NaN for a path that grows without bound
+                returns = ends and following[-1] * tangent[-1] < 0  # from a fold beyond the end
+                if np.all(bends > LEAST_COSINE) and not returns:  # NaN for a path that grows without bound
                     found = CriticalPoint(solution, self.problem(z), self.path(z))
                     with suppress(ConjugatePointError):  # the point is at a fold
                         trajectory = self.transcription.trajectory(found, 0.0)

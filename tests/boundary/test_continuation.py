@@ -444,3 +444,19 @@ def test_a_branch_that_begins_where_it_has_no_rate_is_refused(force):
     )
     with pytest.raises(cg.ConvergenceError, match=r"changes there at a rate that is not finite. Begin at other"):
         cg.continuation(problem, [1.0], cg.Galerkin(4), intervals=4)
+
+
+@pytest.mark.parametrize(("depth", "where", "waves"), [(6e-4, 0.8, 3.0), (3.5e-4, 1.1, 2.0)])
+def test_a_branch_ends_before_a_fold_that_lies_just_beyond_its_end(depth, where, waves):
+    """Back at p = 0 there is one rest position on either side of that fold."""
+    before = where - np.sqrt(depth)
+
+    def lagrangian(t, x, v, p):
+        height = x[0] ** 4 / 4 - 2 * where * x[0] ** 3 / 3 + (where**2 - depth) * x[0] ** 2 / 2 - p[0] * x[0]
+        return ca.sumsqr(v) / 2 - height - (x[1] - 3 * ca.sin(waves * x[0])) ** 2 / 2
+
+    problem = cg.BoundaryProblem(lagrangian, (0, 1), [None, None], [None, None], parameters=[0.0])
+    branch = cg.continuation(problem, [1.0], cg.Galerkin(2), 2)
+    assert not branch.reached
+    assert len(branch.folds) == 1
+    assert branch.trajectories[-1](0.5)[0] == pytest.approx(before, abs=1e-9)
