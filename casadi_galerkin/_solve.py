@@ -143,21 +143,23 @@ def solve(
             raise ValueError("give a method and intervals, got no method")
         return integrate(problem, method, mesh_for(problem, intervals, mesh), verbose)
     _check_limits(limits, tolerance)
+    if solver is None:
+        solver = ipopt if isinstance(problem, ControlProblem) else newton
     if tolerance is None:
         graph = _graph(problem, method, intervals, mesh, one_by_one if starts == 1 else by_rows)
         if isinstance(graph, ControlTranscription):
-            return best_of(starts, graph.problem, guess, partial(graph.solve, solver=solver or ipopt, verbose=verbose))
-        return graph.solve(guess=guess, solver=solver or newton, verbose=verbose)
+            return best_of(starts, graph.problem, guess, partial(graph.solve, solver=solver, verbose=verbose))
+        return graph.solve(guess=guess, solver=solver, verbose=verbose)
     limits, of_cost = limits or Limits(), cost_tol is not None
     path: Trajectory
     if isinstance(problem, ControlProblem):
-        check_solver(solver or ipopt)
+        check_solver(solver)
         method, joints = first_control_discretization(problem, tolerance, method, intervals, mesh)
-        refinement = ControlRefinement(problem, tolerance, of_cost, method, limits, solver or ipopt, verbose)
+        refinement = ControlRefinement(problem, tolerance, of_cost, method, limits, solver, verbose)
         path = refinement.run(joints, guess, starts)
     else:
         method, joints = first_discretization(problem, tolerance, method, intervals, mesh)
-        graphs, solver = GraphCache(problem, verbose=verbose), solver or newton
+        graphs = GraphCache(problem, verbose=verbose)
         path = BoundaryRefinement(graphs, tolerance, method, solver, limits).run(joints, guess)
     if verbose:
         print(path)
@@ -339,7 +341,7 @@ def solution_function(
     """
     check_kind(problem, BoundaryProblem, ControlProblem)
     if isinstance(problem, ControlProblem):
-        return control_function(problem, method, intervals, mesh, guess, solver or ipopt)
+        return control_function(problem, method, intervals, mesh, guess, ipopt if solver is None else solver)
     if solver is not None:
         raise ValueError(f"the Function of a BoundaryProblem runs CasADi's Newton method, got solver={solver!r}")
     return boundary_function(problem, method, intervals, mesh, guess)

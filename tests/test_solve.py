@@ -1,5 +1,6 @@
 """The two verbs: which arguments go together, and what is neither problem nor method."""
 
+import numpy as np
 import pytest
 from control_problems import double_integrator
 from motions import start_of
@@ -23,6 +24,14 @@ def test_what_is_no_problem_is_refused(other, given):
 def test_what_is_no_method_is_refused(other, given):
     with pytest.raises(TypeError, match=r"method must be a Galerkin, such as Galerkin.degree=4., got"):
         cg.solve(oscillator_problem(), other, **given)
+
+
+@pytest.mark.parametrize("given", [{"method": cg.Galerkin(3), "intervals": 2}, {"tol": 1e-3}], ids=list)
+@pytest.mark.parametrize("other", [0, [], "newton", np.zeros(2)], ids=repr)
+@pytest.mark.parametrize("problem", [oscillator_problem(), double_integrator()], ids=lambda p: type(p).__name__)
+def test_what_is_no_solver_is_refused(problem, other, given):
+    with pytest.raises((TypeError, ValueError), match=r"cg.ipopt or cg.(minimizer|fatrop), got"):
+        cg.solve(problem, solver=other, **given)
 
 
 @pytest.mark.parametrize("name", ["lagrange", "tspan", "ends", "params"])

@@ -180,7 +180,7 @@ def continuation(
     >>> continuation(problem, [4.0], intervals=10).folds[0].parameters.round(6)
     array([3.513831])
     """
-    method = method or Galerkin(8)
+    method = Galerkin(8) if method is None else method
     check_types(problem, method, BoundaryProblem)
     if problem.parameters is None:
         raise ValueError(
