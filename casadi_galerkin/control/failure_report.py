@@ -36,11 +36,16 @@ HINTS = {
     "Restoration Failed": NO_PATH,
 }
 OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"
-KINKS = ca.OP_FMAX, ca.OP_FMIN, ca.OP_LT, ca.OP_LE
-KINK_HINT = (
-    "The running cost holds fmax, fmin or a comparison of a control, and its derivative may jump there: replace "
-    "fmax(a, b) by a further control e, and add e - a >= 0 and e - b >= 0 as path_constraint"
-)
+KINK_HINTS = {  # by operations on controls in the running cost
+    (ca.OP_FMAX, ca.OP_FMIN, ca.OP_LT, ca.OP_LE): (
+        "The running cost holds fmax, fmin or a comparison of a control, and its derivative may jump there: replace "
+        "fmax(a, b) by a further control e, and add e - a >= 0 and e - b >= 0 as path_constraint"
+    ),
+    (ca.OP_SQRT,): (
+        "The running cost holds a root or norm of controls, whose derivative jumps where that is zero: a small number "
+        "under the root keeps it smooth, as in sqrt(sumsqr(u) + 1e-8)"
+    ),
+}
 
 
 def explained(
@@ -63,8 +68,9 @@ def explained(
         hint = OTHER_HINT if hint is NO_PATH else hint
     else:
         state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
-    if hint is OTHER_HINT and controls_within(problem.running_cost, KINKS):
-        hint = KINK_HINT
+    if hint is OTHER_HINT:
+        kinks = (words for kind, words in KINK_HINTS.items() if controls_within(problem.running_cost, kind))
+        hint = next(kinks, hint)
     stopped = f"{solver} stopped with '{optimum.status}' after {optimum.iterations} iterations"
     return ConvergenceError(f"{stopped}; {state}. {hint}", Path(path), float(relative[worst] / EPS), optimum.iterations)
 
@@ -121,7 +127,7 @@ def refuse_derivatives(graph: ControlGraph, unknowns: np.ndarray, data: np.ndarr
     else:
         return
     when = np.interp(place, np.arange(len(mesh)), mesh)
-    hint = "Give a guess that avoids it, or square a root or norm"
+    hint = "Give a guess that avoids it, or add a small number under a root, as in sqrt(sumsqr(u) + 1e-8) for a norm"
     raise ValueError(f"{what} is not finite at the guess at t = {when:.6g}. {hint}")
 
 

@@ -115,10 +115,16 @@ def check_count(chain: Chain, bounds: ProgramBounds) -> None:
     equations = int(np.count_nonzero(np.equal(*bounds.equations))) - passed
     unknowns = int(np.count_nonzero(np.less(*bounds.unknowns))) - passed
     if equations > unknowns:
+        tied = int(np.count_nonzero(np.equal(*bounds.equations[:, chain.rows["path"]])))
+        advice = "take more intervals, a higher degree or more controls, or free a component"
+        if tied:
+            advice = (
+                f"{tied} of them are path_constraint with equal bounds, at every quadrature point: leave out the "
+                "controls that they determine, or state what positions alone have to meet as `constraint`"
+            )
         raise ValueError(
             f"{counted(equations, 'equation')} for {counted(unknowns, 'unknown')} on "
-            f"{counted(chain.intervals, 'interval')} of degree {chain.method.degree}: take more intervals, a higher "
-            "degree or more controls, or free a component"
+            f"{counted(chain.intervals, 'interval')} of degree {chain.method.degree}: {advice}"
         )
 
 

@@ -109,7 +109,10 @@ class BoundaryProblem:
         dimension = len(checked_start)
         checked_end = (None,) * dimension if end is None else components("end", end, dimension)
         if periodic and any(value is not None for value in checked_end):
-            raise ValueError(f"a periodic path ends where it starts: leave out end, got {end!r}")
+            raise ValueError(
+                f"a periodic path ends where it starts: leave out end, got {end!r}; a path that ends whole turns later "
+                "has end_conditions in place of periodic"
+            )
         if end is None and not periodic:
             raise ValueError(f"end must have {counted(dimension, 'component')}, got None; None is for a periodic path")
         checked = None if parameters is None else numbers("parameters", parameters)

@@ -78,7 +78,7 @@ class ControlProblem:
     parameter_bounds : (lo, hi); frees the parameters within them, `parameters` is then the guess
     rates : callable (t, x, v, u) -> k values: the last k components of x follow dx/dt = rates instead of an equation of
         motion, as a mass, a battery, an integral or an actuator does.  Their velocities given at the ends are None, and
-        nothing but the running cost and path constraints may depend on them
+        nothing but the running cost and path constraints may depend on these velocities
     end_conditions : (g, lo, hi) with g(x0, v0, x1, v1) -> scalar or vector of positions and velocities at both ends
     breakpoints : increasing times inside of `t_span` that are joints of every mesh, as where a callable is not smooth
         in time.  Where one jumps, take gauss: a function of time has one value there, and a rule with points at the

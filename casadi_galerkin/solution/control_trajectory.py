@@ -72,10 +72,10 @@ class ControlTrajectory(Trajectory):
         leaves out breakpoints with a free time and neither a waypoint nor a jump; where it has left some out, its
         solution gives a warm start only to another solve to a tolerance
     hamiltonian : (N,), mean of I - v·∂I/∂v - dλ/dt·∂I/∂(dλ/dt) over each interval, where
-        I = ℓ + λ·(∂L/∂x + F) + dλ/dt·∂L/∂v; of order 2m.  The same on all intervals where nothing depends on t and
-        no waypoint or jump has a given time; zero as well where the duration is free, was found strictly inside
-        `duration_bounds`, and no terminal cost depends on t.  With `hold` neither is true of single intervals, but
-        the second is of the mean over a phase of free duration
+        I = ℓ + λ·(∂L/∂x + F) + dλ/dt·∂L/∂v; of order 2m.  The same on all intervals where nothing depends on t, no
+        waypoint or jump has a given time, and no phase a duration at its bounds; zero as well where the duration is
+        free, was found strictly inside `duration_bounds`, and no terminal cost depends on t.  With `hold` neither is
+        true of single intervals, but the second is of the mean over a phase of free duration
     violation : largest violation of an equation or bound, relative to the sizes of the terms it compares; at most 1e-8
     residual : the same in units of the relative precision of a double, 2.2e-16; at most 4.5e7
     start_velocity, end_velocity : (d,), the velocities given or found at the ends; of a component that follows a rate,

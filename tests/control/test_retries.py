@@ -118,3 +118,27 @@ def test_a_cost_with_a_kink_that_stops_the_solver_is_named(kinked):
         path_constraint=(lambda t, x, v, u: [u[1] - u[0], u[1]], 0.0, np.inf),
     )
     assert cg.solve(lifted, cg.Galerkin(3), 20).cost == pytest.approx(13.4852, rel=1e-3)
+
+
+def test_a_cost_with_a_norm_that_stops_the_solver_is_named():
+    """Where the thrust is zero in between, the derivative of its size jumps."""
+
+    def carried(size):
+        return cg.ControlProblem(
+            lambda t, x, v: ca.dot(v, v) / 2,
+            (0.0, 1.0),
+            [0.0, 0.0],
+            [1.0, 1.0],
+            [0.0, 0.0],
+            [0.0, 0.0],
+            force=lambda t, x, v, u: u,
+            running_cost=lambda t, x, v, u: size(u),
+            controls=2,
+            path_constraint=(lambda t, x, v, u: ca.sumsqr(u), 0.0, 100.0),
+        )
+
+    guess = (lambda t: [t, t], lambda t: [0.1, 0.1])
+    with pytest.raises(cg.ConvergenceError, match=r"all constraints hold, .* root or norm of controls, .* \+ 1e-8"):
+        cg.solve(carried(ca.norm_2), cg.Galerkin(3), 10, guess=guess)
+    path = cg.solve(carried(lambda u: ca.sqrt(ca.sumsqr(u) + 1e-8)), cg.Galerkin(3), 10, guess=guess)
+    assert path.cost == pytest.approx(3.40771, rel=1e-3)

@@ -327,6 +327,14 @@ def test_more_equations_than_unknowns_are_refused():
         cg.solve(double_integrator(), cg.Galerkin(1), intervals=1)
 
 
+def test_equations_between_controls_at_more_points_than_there_are_controls_are_refused():
+    """With hold, one control of every interval would have to meet them at four points."""
+    same = (lambda t, x, v, u: u[1] - u[0], 0, 0)
+    tied = double_integrator(controls=2, hold=True, force=lambda t, x, v, u: u[1], path_constraint=same)
+    with pytest.raises(ValueError, match="32 of them are path_constraint with equal bounds, at every quadrature point"):
+        cg.solve(tied, cg.Galerkin(4), intervals=8)
+
+
 def test_other_solvers_are_refused():
     with pytest.raises(ValueError, match="solved by cg"):
         cg.solve(double_integrator(), cg.Galerkin(2), intervals=4, solver=cg.minimizer)
