@@ -174,9 +174,7 @@ class ControlTranscription:
 
         def solved(**beginning: float) -> ControlTrajectory:
             begun = self.starting_point(problem, calculus, guess, **beginning)
-            return with_fallbacks(
-                solver, guess, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began)
-            )
+            return with_fallbacks(solver, lambda way: self._solved(way, problem, calculus.mesh, begun, verbose, began))
 
         with fork_waits:  # it builds its Functions when they are first needed
             path = retry_from_other_guesses(problem, guess, solved)
