@@ -1,4 +1,4 @@
-"""A folder imports only from those below it; Matplotlib is loaded only when a plot is asked for."""
+"""A folder imports only from those above it in the README's table; Matplotlib is loaded only for a plot."""
 
 import ast
 import re

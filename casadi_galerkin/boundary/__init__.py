@@ -3,7 +3,7 @@
 A `graph` holds one problem, and a `transcription` solves it as often as wanted.  `refinement` chooses degree and mesh
 for a tolerance: `first_path` finds a first path, if necessary by `homotopy`, `action_descent` or the search for
 `several_paths`; `graph_cache` caches its graphs, and `error_estimate` estimates the error of each path.
-`adaptive_transcription` does so repeatedly, for different data of one problem.  `continuation` follows a path while
+`adaptive_transcription` refines repeatedly, for different data of one problem.  `continuation` follows a path while
 parameters change; `several_paths` finds other paths between the same ends; `sensitivity` differentiates.
 `problem_data` compares problems that differ in given values, and `branches` compares their paths.  `failure_report`
 reports failures.

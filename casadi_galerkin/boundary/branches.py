@@ -1,9 +1,10 @@
 """Whether paths of neighboring problems lie on one branch, judged by the change of the action and the Morse index.
 
 Along a smooth family of critical points, the action changes by its partial derivatives by the data only, since its
-derivatives by the path vanish: dS = p_N·dx_N - p_0·dx_0 - E_N dt_N + E_0 dt_0 + ∂S/∂p·dp.  Where S is convex or concave
-between two of them, its change lies between the first-order predictions from both.  A path of another branch has
-another action.  It may also have another Morse index, which changes along a family at conjugate points only.
+derivatives by the path vanish: dS = p_N·dx_N - p_0·dx_0 - E_N dt_N + E_0 dt_0 + ∂S/∂π·dπ, with parameters π.  Where S
+is convex or concave between two of them, its change lies between the first-order predictions from both.  A path of
+another branch has another action.  It may also have another Morse index, which changes along a family at conjugate
+points only.
 """
 
 from __future__ import annotations

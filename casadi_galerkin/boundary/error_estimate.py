@@ -1,4 +1,4 @@
-"""Error estimates of a path between two ends: from Newton steps in a higher degree, and of its roundoff.
+"""Errors of a path between two ends: of its discretization, by Newton steps in a higher degree, and of its roundoff.
 
 Both hold only where the mesh resolves also the variations of the path: see `agreement`.
 """

@@ -1,9 +1,8 @@
 """Control points C in ]0, 1[ and barycentric Lagrange interpolation on the nodes {0} ∪ C ∪ {1}.
 
-The m - 1 control points and the two ends are the m + 1 nodes of the Lagrange polynomials l_0 ... l_m of one
-interval (paper, section 2).  Their choice changes conditioning, and the solution only where bounds or a constraint are
-imposed at them.  Formulas after J.-P. Berrut and L. N. Trefethen, "Barycentric Lagrange interpolation", SIAM Review 46
-(2004).
+The m - 1 control points and the two ends are the m + 1 nodes of the Lagrange polynomials l_0 ... l_m of one interval
+(paper, section 2).  Their choice changes conditioning, and the solution only where bounds are imposed at them.
+Formulas after J.-P. Berrut and L. N. Trefethen, "Barycentric Lagrange interpolation", SIAM Review 46 (2004).
 """
 
 from __future__ import annotations

@@ -2,9 +2,10 @@
 
 The inputs of the pointwise functions are linear in ξ,
 
-    (x, x', u, T, p, t_0, s, σ, S) at all quadrature points,    (x, v, p, t, S) at either end    =  A ξ,
+    (x, x', u, T, π, t_0, s, σ, S) at all quadrature points,    (x, v, π, t, S) at either end    =  A ξ,
 
-with reference slopes x' = h v.  Here t_0 is the start and T the duration of a phase, and s and σ are fractions of it:
+and so are those at both ends together, at the nodes of a constraint, and at crossings.  The x' = h v are reference
+slopes, and π the parameters.  Here t_0 is the start and T the duration of a phase, and s and σ are fractions of it:
 the time is t = t_0 + T s and the step h = T σ.  S are the units of the momenta.  The derivatives are products with
 
     Ê = the rows of A whose inputs depend on unknowns, and the columns of the unknowns     (inputs <- unknowns)
@@ -16,11 +17,12 @@ with Λ, these are the discrete Legendre transforms (a = 0 and m) and the contro
 
     p_i + Σ ( l_0 f + l_0' g ) = 0,      Σ ( l_a f + l_a' g ) = 0,      p_{i+1} - Σ ( l_m f + l_m' g ) = 0,
 
-which together are the discrete Lagrange-d'Alembert equations.  Momenta are measured in units S, the sizes of the terms
-of these equations, and the equations are divided by S.  A component that follows a rate has no momentum: there Θ tests
-its defect z' - h ρ with the polynomials of degree m - 1.  Λ also makes every state equal to the value at the end of the
-interval before, x_{i+1} - X_m = 0.  A constraint adds its impulse GᵀΛ_a to the equation of every node but the first.
-There it adds it to the equation of the velocity at the start.
+with f = ∂L̂/∂x + h F and g = ∂L̂/∂x' at the points and Σ the quadrature sum.  Together they are the discrete
+Lagrange-d'Alembert equations.  Momenta are measured in units S, the sizes of the terms of these equations, and the
+equations are divided by S.  A component that follows a rate has no momentum: there Θ tests its defect z' - h ρ with the
+polynomials of degree m - 1.  Λ also makes every state equal to the value at the end of the interval before, x_{i+1} -
+X_m = 0.  A constraint adds its impulse GᵀI_a to the equation of every node after the path's first; at the first, to the
+equation of the velocity at the start.
 
 At a crossing, with p_- before it and x_+ and p_+ after it, these equations are x_{i+1} - x_+ = 0 and p_{i+1} - p_+ = 0,
 and p_- - Σ ( l_m f + l_m' g ) = 0 determines the velocity just before the crossing.

@@ -2,10 +2,11 @@
 
 Let D be the largest of three differences between the two paths: the relative changes of the cost and of the duration,
 and the largest change of x at the same fraction of the duration, relative to the size of its component.  Let q be the
-ratio of the truncation errors of the two paths (`truncation_error`).  The estimated error is D / (1 - q).  The error
-of the cost alone is far smaller, of the order of D².  Where phases have free durations, the joints of the two paths are
-at different fractions of the duration, and the paths may jump there.  So they are compared at the same fractions of
-intervals, and the change of x by the shift in time is subtracted.
+ratio of the truncation errors of the two paths (`truncation_error`), at most 2/3, and 2/3 where controls switch or
+there is a path constraint.  The estimated error is D / (1 - q).  The error of the cost alone is far smaller, of the
+order of D².  Where phases have free durations, the joints of the two paths are at different fractions of the duration,
+and the paths may jump there.  So they are compared at the same fractions of intervals, and the change of x by the shift
+in time is subtracted.
 
 Some errors are common to both degrees, so that the difference does not show them.  They are estimated separately:
 
@@ -18,7 +19,7 @@ Some errors are common to both degrees, so that the difference does not show the
   constraint is exceeded by changes the cost in first order: see `HigherDegree.excess_effects`.
 - The Hamiltonian, which is constant where nothing depends on time.  Its variation, times duration over cost, was
   measured to be of the order of D where both degrees switch at the same wrong time.
-- Jumps in time (`jumps_in_time`), whose effect is a lower bound of the errors of cost and path.
+- Jumps in time (`jumps_in_time`): the errors of cost and path are estimated to be at least their effect.
 - The error that the solver leaves (`solver_error`).
 - Controls as functions of time, which the equations see at the points only (`ControlTrajectory.control_misfit`).
 

@@ -3,11 +3,12 @@
 With A, Ê, Θ and Λ of the `ChainEmbedding`, and at every place z_k the cost c_k and the rows e_k of `pointwise`,
 
     cost        f  = Σ w_k c_k                    ∇f = Êᵀ [w_k ∇c_k]
-    equations   G  = Θ [e_k] + Λ ξ                ∇G = Θ blockdiag(∇e_k) Ê + Λ
+    equations   G  = Θ [e_k] + Λ y                ∇G = Θ blockdiag(∇e_k) Ê + Λ
     Lagrangian  f̄  = φ f + λ·G                    ∇²f̄ = Êᵀ blockdiag(∇²[φ w_k c_k + e_k·(Θᵀλ)_k]) Ê
 
-The multipliers λ are a discrete path, and (Θᵀλ)_k = w_k (δx, δx') is its embedding at the point, weighted.  The inputs,
-or the outputs, at all places of one kind are one matrix with a column for every place.
+The y are the unknowns in ξ.  The multipliers λ of the equations of motion are a discrete path, and (Θᵀλ)_k = w_k (δx,
+δx') is its embedding at the point, weighted.  The inputs, or the outputs, at all places of one kind are one matrix with
+a column for every place.
 """
 
 from __future__ import annotations

@@ -2,13 +2,13 @@
 
 At a quadrature point, with L̂(t, h, x, x') = h L(t, x, x'/h), the cost and the rows of the equations are
 
-    c = h ℓ(t, x, v, u),        e = [ (∂L̂/∂x + h F) / S,  ∂L̂/∂x' / S,  z' - h ρ,  g ],
+    cost  h ℓ(t, x, v, u),        e = [ (∂L̂/∂x + h F) / S,  ∂L̂/∂x' / S,  z' - h ρ,  g ],
 
-with z the components that follow the rates ρ.  At either end e = ∂L/∂v(t, x, v) / S.  At both ends together, c = τ is
-the terminal cost, and e are the end conditions.  A holonomic constraint g is imposed at the nodes by impulses Λ: there
-e = [ g,  GᵀΛ / S ] with G = ∂g/∂x, and at either end G v + ∂g/∂t is appended to e, so that velocities are tangent.  At
-a crossing with a law of the jump, (x, v) -> (x_+, v_+), e = [ x_+,  p / S,  p_+ / S,  w ], with p = ∂L/∂v before it and
-p_+ after it, and w the function that is bounded there.
+with z the components that follow the rates ρ, and g the path constraints.  At either end e = ∂L/∂v(t, x, v) / S.  At
+both ends together, the cost is the terminal cost, and e are the end conditions.  A holonomic constraint c is imposed at
+the nodes by impulses I: there e = [ c,  GᵀI / S ] with G = ∂c/∂x, and at either end G v + ∂c/∂t is appended to e, so
+that velocities are tangent.  At a crossing, with (x, v) -> (x_+, v_+) the law of a jump or no change,
+e = [ x_+,  p / S,  p_+ / S,  w ], with p = ∂L/∂v before it and p_+ after it, and w the function that is bounded there.
 """
 
 from __future__ import annotations

@@ -6,12 +6,13 @@ At the optimum the equations hold, the slopes vanish, and every multiplier or it
 
     (∇²f̄ + Σ) δ + Aᵀδλ = -∇f̄,        A δ - D δλ = -G,        Σ = |μ| / d,        D = d / |λ|,
 
-where ∇f̄ are the slopes of the Lagrangian without the multipliers μ of bounds.  The right-hand side is d in place of -G,
-and D is not zero, only for inequalities.  Where the cost hardly depends on the path, steps are long even if all slopes
-are far below any tolerance.  After the first step, the next two are extrapolated as a geometric series: where the cost
-is like a fourth power, each step leaves two thirds of the distance.  Their ratio r is uncertain where it is not small,
-and the series is multiplied by 1 + √r: without that, errors were seen to be 2 to 3 times their estimates.  Where the
-path is not determined at all, all slopes may vanish, and the effect of rounding of the equations shows this.
+where ∇f̄ are the slopes of the Lagrangian without the multipliers μ of bounds.  For inequalities alone, D is not zero,
+and the right-hand side is ±d, with the sign of the multiplier, in place of -G.  Where the cost hardly depends on the
+path, steps are long even if all slopes are far below any tolerance.  After the first step, the next two are
+extrapolated as a geometric series: where the cost is like a fourth power, each step leaves two thirds of the distance.
+Their ratio r is uncertain where it is not small, and the series is multiplied by 1 + √r: without that, errors were seen
+to be 2 to 3 times their estimates.  Where the path is not determined at all, all slopes may vanish, and the effect of
+rounding of the equations shows this.
 
 `EPS` on the diagonal regularizes undetermined unknowns, such as the shares of two redundant controls.  It is not added
 for states, which follow from the other unknowns: there it would outweigh the curvature of a cost that hardly depends on

@@ -5,8 +5,8 @@ reference `Element`.  Because the step is an input of the pulled-back Lagrangian
 they are cached for other Lagrangians.
 
 Slopes are computed from differences to the first value of the interval, and the gradient by that value from the sum of
-the others (the columns of l_j' sum to zero).  Roundoff then stays near 1e-14 at 1e5 intervals instead of growing with
-1/h.
+the others (the l_j sum to one, the l_j' to zero).  Roundoff then stays near 1e-14 at 1e5 intervals instead of growing
+with 1/h.
 
 Local node values are arranged as a matrix of shape (d N, m + 1): column a is node a of all intervals, component
 fastest.  Points are numbered the same way: quadrature point slowest, then interval, then component.

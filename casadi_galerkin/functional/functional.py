@@ -12,8 +12,8 @@ through the graph.  E, Eᵀ and Eᵀ blockdiag(·) E depend on the numbering alo
 
 Whatever else a problem states beside L is a further term of the same sum:
 
-    S̄  =  S  +  φ(x_0, x_N)  +  μ·ψ(x_0, x_N)  +  Σ Λ_a·g(t_a, x_a)  +  E T
-                end action      end conditions    holonomic constraints   given energy, free duration
+    S̄  =  S  +  φ(x_0, x_N)  +  μ·ψ(x_0, x_N)  +  Σ Λ_a·g(t_a, x_a)  +  ε T
+                end action      end conditions    holonomic constraints   given energy ε, free duration
 
 The middle three are sums over single places (`local_terms`); the last makes the duration T an unknown.  A force is not
 a term of S̄, but adds its virtual work to the equations (`pointwise`).  Below, ∇S are all equations of the unknowns, and
@@ -222,12 +222,12 @@ class Functional:
     def function(self, name: str) -> ca.Function:
         """One of the functional's own Functions.
 
-        - action : -> S
+        - action : -> S, with the end action and the work of given momenta
         - gradient : -> ∇S
         - hessian : -> ∇²S, sparse
         - derivatives : -> matrix ∇²S, gradient ∇S
-        - summary : -> action S; momentum (d, N + 1), -∂S/∂x_0 and then ∂S_k/∂x_{k+1} of every interval; gradient ∇S;
-          terms, the sums of the sizes of the gradient's terms
+        - summary : -> action S, with the end action; momentum (d, N + 1), -∂S/∂x_0 and then ∂S_k/∂x_{k+1} of every
+          interval; gradient ∇S; terms, the sums of the sizes of the gradient's terms
         - joint_time_derivatives : -> by_joint ∂S/∂t_i, the jumps of the energy; twice_by_joint ∂²S/∂t_i²; by_neighbors
           ∂²S/∂t_i∂t_{i+1}; all at fixed node values
         - inertia_weighted : with inertia -> matrix ∇²S with ∂²L/∂v² multiplied by it

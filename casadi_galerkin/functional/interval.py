@@ -14,11 +14,11 @@ The path and the equations contain the same rounded ψ, l and b.  So an affine s
 up to the rounding of single operations, which accumulates like a random walk.  A force adds its virtual work
 h w_k F_k·δ(q_k) (Lagrange-d'Alembert), that is, h w_k F_k to f_k.  The equations do not depend on the control points.
 
-A holonomic constraint g(t, x) = 0 is imposed at the nodes c_1 ... c_m, by impulses Λ_a at the nodes c_0 ... c_{m-1}.
-With G = ∂g/∂x, these add the virtual work Σ G_aᵀΛ_a·δ(c_a); that of an impulse at the last node would cancel in R.  A
+A holonomic constraint c(t, x) = 0 is imposed at the nodes n_1 ... n_m, by impulses Λ_a at the nodes n_0 ... n_{m-1}.
+With G = ∂c/∂x, these add the virtual work Σ G_aᵀΛ_a·δ(n_a); that of an impulse at the last node would cancel in R.  A
 further impulse μ at the end makes the velocity v_1 there tangent to the constraint:
 
-    g(c_a) = 0,     p_1 = ∂L/∂v(t_1, x_1, v_1) = p_0 + Σ f_k + Σ G_aᵀΛ_a + G_mᵀμ,     G_m v_1 + ∂g/∂t = 0.
+    c(n_a) = 0,     p_1 = ∂L/∂v(t_1, x_1, v_1) = p_0 + Σ f_k + Σ G_aᵀΛ_a + G_mᵀμ,     G_m v_1 + ∂c/∂t = 0.
 
 Where the duration is free, all steps are stretched, h = λ h̄.  The stretch λ is then one more component of x, constant
 along the path, and its momentum accumulates ∂S/∂λ from interval to interval: p_λ,1 = p_λ,0 + ∂S/∂λ.

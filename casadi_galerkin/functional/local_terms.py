@@ -1,4 +1,4 @@
-"""Terms of the functional at single places: at the two ends, or at every node.
+"""Terms of the functional at single places: at the ends, or at every node whose position is not given.
 
 A term is a small SX Function of a few entries y of the vector u, the same Function at K places.  Its `rows` are added
 to the stationarity conditions of these entries, and its `jacobian` is the derivative of the rows by y.  End actions,

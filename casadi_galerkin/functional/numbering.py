@@ -17,7 +17,7 @@ Data = tuple[np.ndarray, ...]  # inputs beside the unknowns: start, end, mesh an
 
 @dataclass(frozen=True)
 class Numbering:
-    """The correspondence of the entries of a vector u and the values of a path: X̄ = P ξ + c as a numbering.
+    """The correspondence of the entries of a vector u and the values of a path.
 
     u holds the unknowns ξ, then the fixed components of the start, then those of the end.  ξ holds the free values of
     the path in the order of time, then the multipliers and, where the duration is free, the logarithm of the stretch of

@@ -144,7 +144,7 @@ class _Statement:
         return tuple(terms)
 
     def _function(self, name: str, y: ca.SX, t: ca.SX, added: ca.SX, rows: ca.SX) -> ca.Function:
-        """The Function of a term, see `LocalTerm`; LDLᵀ needs a symmetric pattern, which a branch need not have."""
+        """The Function of a term, see `LocalTerm`; LDLᵀ needs a symmetric pattern, which an if_else need not have."""
         jacobian = ca.jacobian(rows, y)
         pattern = jacobian.sparsity() + jacobian.sparsity().T
         outputs = [ca.densify(added), ca.densify(rows), ca.project(jacobian, pattern)]

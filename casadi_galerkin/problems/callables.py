@@ -1,6 +1,6 @@
-"""The user's callables and numbers, checked.
+"""The user's callables, checked.
 
-Callables are traced once into CasADi Functions of one point.  Objects that hold these Functions can be pickled.
+They are traced once into CasADi Functions of one point.  Objects that hold these Functions can be pickled.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 minimize    ∫ ℓ(t, x, v, u) dt + τ(t_N, x_N, v_N)
 subject to  d/dt ∂L/∂v - ∂L/∂x = F(t, x, v, u) + (∂c/∂x)ᵀ λ,     c(t, x) = 0,     dz/dt = ρ(t, x, v, u),
             lo <= g(t, x, v, u) <= hi,     lo <= e(x_0, v_0, x_N, v_N) <= hi,
-            (x, v) = j(x, v) across breakpoints,
+            (x_+, v_+) = j(x_-, v_-) at breakpoints with jumps,
             ends, waypoints, and bounds on x, u, the durations of the phases and the parameters,
 
 where z are the components of x that follow rates, and c is a holonomic constraint.

@@ -71,8 +71,9 @@ class ControlTrajectory(Trajectory):
         trajectory as its guess, a solve with the same method on the same intervals starts warm.  A solve to a tolerance
         leaves out breakpoints with a free time and neither a waypoint nor a jump; where it has left some out, its
         solution gives a warm start only to another solve to a tolerance
-    hamiltonian : (N,), mean of I - v·∂I/∂v - dλ/dt·∂I/∂(dλ/dt) over each interval, where
-        I = ℓ + λ·(∂L/∂x + F) + dλ/dt·∂L/∂v; of order 2m.  The same on all intervals where nothing depends on t, no
+    hamiltonian : (N,), mean of I - v·∂(I + μ·g)/∂v - dλ/dt·∂I/∂(dλ/dt) over each interval, where
+        I = ℓ + λ·(∂L/∂x + F, ρ) + dλ/dt·(∂L/∂v, z) with components z that follow the rates ρ, and μ are the
+        multipliers of the path constraints g; of order 2m.  The same on all intervals where nothing depends on t, no
         waypoint or jump has a given time, and no phase a duration at its bounds; zero as well where the duration is
         free, was found strictly inside `duration_bounds`, and no terminal cost depends on t.  With `hold` neither is
         true of single intervals, but the second is of the mean over a phase of free duration

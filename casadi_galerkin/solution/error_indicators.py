@@ -1,8 +1,9 @@
 """Three error indicators that depend neither on the equations of a path nor on the points of its error estimate.
 
-The balance of energy.  Along a true path the energy E = p·v - L changes only as L depends on time,
+The balance of energy.  Along a true path the energy E = p·v - L changes only by the work of a force F, as L depends on
+time, and as a constraint g with multipliers λ moves,
 
-    E(t_{i+1}) - E(t_i) = -∫ ∂L/∂t dt        on every interval,
+    E(t_{i+1}) - E(t_i) = ∫ (F·v - ∂L/∂t - λ·∂g/∂t) dt        on every interval,
 
 with p at the joints from the discrete Legendre transform.  A discrete path satisfies it up to the order of its error.
 It does not where L has a kink inside an interval, or where the mesh is far too coarse.  Where L jumps in time, or is
@@ -56,7 +57,7 @@ def energy_imbalance(conserved: np.ndarray, scale: np.ndarray, floor: np.ndarray
 
     Parameters
     ----------
-    conserved : (N + 1,), E + ∫ ∂L/∂t dt, the same at all joints of a true path
+    conserved : (N + 1,), E - ∫ (F·v - ∂L/∂t - λ·∂g/∂t) dt, the same at all joints of a true path
     scale : (N + 1,), sizes of the terms of `conserved`: |p·v| + |E| + |v|ᵀ|∂²L/∂v²||v|, at least their mean over time
     floor : (N + 1,), roundoff of `conserved`, which is not counted
     """
@@ -128,7 +129,7 @@ def _jumps_of_force(
 ) -> np.ndarray:
     """Changes of a momentum by jumps of the force on every interval, relative to momentum and impulses; (N,).
 
-    And to `moving`, (d,), momenta that move the path by its sizes: those of a path at rest are only roundoff.
+    Also relative to `moving`, (d,), momenta that move the path by its sizes: those of a path at rest are only roundoff.
     """
     if problem.force is None:
         return np.zeros(len(path.mesh) - 1)
@@ -152,7 +153,7 @@ def _jumps_of_force(
 def _rules(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Parts of an interval, its ends before the points of Gauss's rules with m + 1 and m; weights of the first rule.
 
-    And the matrix from values at the first rule's points to those of their polynomial at all parts.
+    Also the matrix from values at the first rule's points to those of their polynomial at all parts.
     """
     finer = gauss(degree + 1)
     parts = np.array([0.0, 1.0, *finer.points, *gauss(degree).points])

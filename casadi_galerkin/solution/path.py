@@ -58,7 +58,8 @@ class Path(Table, Pictured):
     def __call__(self, t: ArrayLike, nu: int = 0) -> np.ndarray:
         """Position, or derivative of order `nu`, at times t; shape (d,) + t.shape.
 
-        At a joint the derivative is the right one, at the last joint the left one; so is the position where it jumps.
+        At a joint the derivative is the right one, at the last joint the left one.  Where the position jumps, it is the
+        right one, too.
         """
         return self.polynomial(t, nu)
 

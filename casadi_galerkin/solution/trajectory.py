@@ -49,7 +49,7 @@ class Trajectory(Path):
     x : (d, N + 1), positions at the joints
     polynomial : PiecewisePolynomial, the path between the joints; its `values` (d, N m + 1) are the node values
     momentum : (d, N + 1), by the discrete Legendre transform -∂S/∂x_0, ..., ∂S/∂x_N; of order `method.order`
-    action : value of the discrete action, with the `end_action`, but without the terms -p·x of given momenta
+    action : value of the discrete action, with the `end_action`, but without p_0·x_0 - p_N·x_N of given momenta
     iterations : of the solver
     residual : largest residual over its own roundoff floor
     solver : what found it
