@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from textwrap import shorten
 from typing import TYPE_CHECKING, cast
 
@@ -35,7 +35,7 @@ ERRORS = ("path", "at joints", "functional", "energy")
 RULES = {"Gauss": gauss, "Lobatto": lobatto, "Radau": radau}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Row:
     """One way to solve a problem, which can be taken again, with its cost in time and its errors.
 
@@ -74,7 +74,7 @@ class Row:
     intervals: int | None = None
     solver: Solver | None = None
     tol: float | None = None
-    mesh: tuple[float, ...] | None = field(default=None, repr=False)
+    mesh: tuple[float, ...] | None = None
     shooting: bool = False
     unknowns: int = 0
     first_seconds: float = np.nan
@@ -116,6 +116,14 @@ class Row:
         if self.tol is None:
             return name
         return f"{name}, {'tol' if self.adaptive else 'mesh of'} {self.tol:g}"
+
+    def __repr__(self) -> str:
+        """The way, what it misses and what it takes, in one line."""
+        by = f"Row of {self.way}" + (f": {self.method} on {self.intervals} intervals" if self.method else "")
+        if self.failure is not None:
+            return f"{by}: {shorten(self.failure, REASON)}"
+        times = f"{1e3 * self.first_seconds:.3g} ms the first time, {1e3 * self.solve_seconds:.3g} ms again"
+        return f"{by}: error {self.error:.1e}, {times}"
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -96,6 +96,13 @@ def test_a_row_names_its_way(given, way):
     assert Row(cg.Galerkin(2), 5, **given).way == way
 
 
+def test_a_row_says_in_one_line_what_it_is():
+    row = Row(cg.Galerkin(2), 5, cg.newton, first_seconds=0.0025, solve_seconds=1e-4, error=1e-7)
+    assert repr(row).startswith("Row of newton: degree 2,")
+    assert repr(row).endswith("on 5 intervals: error 1.0e-07, 2.5 ms the first time, 0.1 ms again")
+    assert repr(Row(solver=cg.newton, tol=1e-3, failure="no path")) == "Row of newton, tol 0.001: no path"
+
+
 @pytest.mark.parametrize(
     ("method", "name", "relative"),
     [
