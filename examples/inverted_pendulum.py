@@ -38,8 +38,8 @@ def main() -> dict[int, tuple[cg.Comparison, float]]:
 
 
 def draw(results):
-    """Draw the comparison at horizon 40; returns the figure."""
-    axes = results[40][0].plot(time="t in units of the pendulum's own time")
+    """Draw the comparison at the second horizon; returns the figure."""
+    axes = results[HORIZONS[1]][0].plot(time="t in units of the pendulum's own time")
     axes.set_title("The start's last digit grows with exp(t)")
     return axes.figure
 

@@ -11,6 +11,7 @@ from control_problems import cart_pole
 from paths import script
 
 import casadi_galerkin as cg
+from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.functional.threads import fork_waits
 
 state = script("state")
@@ -62,6 +63,12 @@ def test_an_optimization_that_was_interrupted_says_so_and_is_right_the_next_time
         again = program.solve(solver=solver).polynomial.values
         np.testing.assert_array_equal(again, paths[0].polynomial.values)
     assert stopped >= 2
+
+
+@pytest.mark.parametrize("error", [RuntimeError("call for 'last' failed: KeyboardInterrupt"), SystemError("C API")])
+def test_an_interrupt_that_a_solver_makes_another_error_is_raised(error):
+    with pytest.raises(KeyboardInterrupt), interrupts_raised():
+        raise error from KeyboardInterrupt()
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs a timer signal")

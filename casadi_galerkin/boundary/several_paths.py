@@ -199,6 +199,8 @@ def _image(i: int, symmetry: Symmetry, values: np.ndarray) -> np.ndarray:
     image = real_array(f"what symmetries[{i}] returns", symmetry(values.copy()))
     if image.shape != values.shape:
         raise ValueError(f"symmetries[{i}] must return an array of shape {values.shape}, got {image.shape}")
+    if not np.isfinite(image).all():
+        raise ValueError(f"symmetries[{i}] must return finite numbers, got {image[~np.isfinite(image)][0]}")
     return image
 
 

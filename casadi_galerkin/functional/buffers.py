@@ -45,6 +45,17 @@ class ObjectPool(Generic[Lent]):
         self._idle.append(lent)
 
 
+@contextmanager
+def interrupts_raised() -> Iterator[None]:
+    """Raise the KeyboardInterrupt that a solver of CasADi has turned into another error."""
+    try:
+        yield
+    except SystemError as error:  # of IPOPT
+        raise error.__cause__ or error from None
+    except RuntimeError as error:  # of fatrop, and of the rootfinder among words of its own
+        raise KeyboardInterrupt if "KeyboardInterrupt" in str(error) else error from None
+
+
 class Evaluator:
     """Calls a Function on NumPy arrays: nonzeros in, nonzeros out.
 
@@ -81,13 +92,8 @@ class Evaluator:
         """Evaluate; the returned arrays are copies."""
         for target, argument in zip(self.inputs.values(), arguments, strict=True):
             target[:] = argument
-        with one_thread():
-            try:
-                self.run()
-            except SystemError as error:  # an interrupt that stopped IPOPT
-                raise error.__cause__ or error from None
-            except RuntimeError as error:  # an interrupt that stopped fatrop
-                raise KeyboardInterrupt if str(error) == "KeyboardInterrupt" else error from None
+        with one_thread(), interrupts_raised():
+            self.run()
         if self._buffer.ret():  # aborted, as by CasADi's QR at a small pivot: the outputs are those of an earlier call
             for array in self.outputs.values():
                 array[:] = np.nan

@@ -16,6 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.problems.linear_equations import NO_CUTOFF
@@ -87,7 +88,8 @@ def casadi_root(
         near, last = at.keep(
             f"rootfinder {sorted(options.items())}", lambda: casadi_newton(stationarity.functional, options)
         )
-        root = last(near(guess, *data, rows), *data, rows)
+        with interrupts_raised():
+            root = last(near(guess, *data, rows), *data, rows)
         iterations = sum(int(solver.stats()["iter_count"]) for solver in (near, last))
     x = np.array(root).ravel()
     try:

@@ -37,6 +37,9 @@ def integrate(problem: InitialProblem, method: Galerkin, mesh: np.ndarray, verbo
     check_types(problem, method, InitialProblem)
     began = time.perf_counter()
     p, v = start_state(problem)
+    action = with_parameters(problem.lagrangian, problem.parameters)(problem.t_span[0], problem.position, v)
+    if np.isnan(float(action)):
+        raise ValueError(f"the lagrangian is not a number at the start, x = {problem.position}, v = {v.tolist()}")
     stepper = Stepper(problem, method)
     roll = verified(stepper.roll(np.array(problem.position), p, v, mesh), stepper)
     build = stepper.build_seconds

@@ -277,6 +277,16 @@ def test_action_is_that_of_the_path_where_a_momentum_is_given(side):
 # nothing unverified
 
 
+@pytest.mark.parametrize("derivative", [ca.jacobian, ca.gradient, lambda x, p: ca.hessian(x, p)[0]])
+def test_without_a_solution_its_derivatives_are_nan(derivative):
+    f, path = solved(bratu_problem())
+    rate = ca.MX.sym("rate")
+    middle = f(start=0, end=0, parameters=rate, guess=path.polynomial.values)["x"][0, 5]
+    slope = ca.Function("slope", [rate], [derivative(middle, rate)])
+    assert np.isfinite(float(slope(1.0)))
+    assert np.isnan(float(slope(3.6)))
+
+
 @pytest.mark.parametrize("rate", [3.514, 3.6, 10.0])
 def test_without_a_solution_every_output_is_nan(rate, capfd):
     f, path = solved(bratu_problem())

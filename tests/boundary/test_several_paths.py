@@ -294,8 +294,9 @@ def test_bad_input_is_refused(given, error, message):
     [
         (lambda x: x[:, 1:], ValueError, r"symmetries\[0\] must return an array of shape \(1, 73\), got \(1, 72\)"),
         (lambda x: None, TypeError, r"what symmetries\[0\] returns must be real numbers, got None"),
+        (lambda x: np.full_like(x, np.nan), ValueError, r"symmetries\[0\] must return finite numbers, got "),
     ],
-    ids=["shape", "nothing"],
+    ids=["shape", "nothing", "not finite"],
 )
 def test_a_symmetry_is_checked_for_every_path(image, error, message):
     asked = []

@@ -211,6 +211,12 @@ def test_a_degenerate_lagrangian_is_refused_before_any_step(start):
         cg.solve(problem, cg.Galerkin(3), intervals=5)
 
 
+def test_a_start_outside_the_domain_of_the_lagrangian_is_refused():
+    problem = cg.InitialProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.log(x[0]), (0, 1), [-1.0], velocity=[1.0])
+    with pytest.raises(ValueError, match=r"the lagrangian is not a number at the start, x = \(-1\.0,\), v = \[1\.0\]"):
+        cg.solve(problem, cg.Galerkin(3), intervals=5)
+
+
 def test_a_momentum_that_no_velocity_has_is_refused():
     problem = cg.InitialProblem(lambda t, x, v: ca.sqrt(1 + v[0] ** 2), (0, 1), [0.5], momentum=[1.5])
     with pytest.raises(ValueError, match=r"degenerate|no velocity was found"):
