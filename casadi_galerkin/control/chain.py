@@ -25,7 +25,7 @@ from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.dependence import rows_that_depend
+from casadi_galerkin.problems.dependence import VELOCITIES, rows_that_depend
 
 Layout = Mapping[str, tuple[int, ...]]  # the shapes of named arrays, in their order
 
@@ -121,7 +121,7 @@ class Chain:
         self.control_times = np.array([0.5]) if problem.hold else method.element.points
         along = problem.running_cost, *(problem.path_constraint or ())[:1]
         of_rates = np.arange(self.dimension) >= self.mechanical
-        self.velocities_of_rates = any(rows_that_depend(f, 2, of_rates).any() for f in along)
+        self.velocities_of_rates = any(rows_that_depend(f, VELOCITIES, of_rates).any() for f in along)
         self._number_unknowns()
         self._number_equations()
 

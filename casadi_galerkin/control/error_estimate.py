@@ -53,6 +53,7 @@ from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM
 from casadi_galerkin.control.switching import Switch, switches
 from casadi_galerkin.problems.bounds import bound_excess
 from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.dependence import CONTROLS, VELOCITIES, rows_that_depend
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 
@@ -96,7 +97,7 @@ def around(points: np.ndarray) -> np.ndarray:
     return np.unique(np.clip(np.add.outer(points, np.append(-distances, distances)), 0.0, 1.0))
 
 
-def unseen_excess(values: list[np.ndarray], bounds: Sequence[ArrayLike], sizes: np.ndarray) -> np.ndarray:
+def unseen_excess(values: list[np.ndarray], bounds: Sequence[ArrayLike]) -> np.ndarray:
     """Excess of bounded values over their bounds between the quadrature points, which is common to both degrees.
 
     Bounds hold at quadrature points only, and a control may be largest between them, as next to an end of the path.
@@ -107,45 +108,72 @@ def unseen_excess(values: list[np.ndarray], bounds: Sequence[ArrayLike], sizes: 
     ----------
     values : of both degrees at the same fractions of every interval, (n, N, K) each
     bounds : lower and upper bounds, (n,) each
-    sizes : by how much the values change with the path, (n, N, K) or to be broadcast
 
     Returns
     -------
-    the part ε of its size by which the path has to change, about and at most one: the largest on each interval, (N,)
+    the excess that counts, (n, N, K)
     """
     excess = np.min([bound_excess(one, *bounds) for one in values], axis=0)
     difference, largest = (np.max(a, axis=-1, keepdims=True) for a in (np.ptp(values, axis=0), excess))
-    unseen = np.where(difference < UNSEEN_RATIO * largest, excess, 0.0)
-    return np.asarray(np.max(unseen / np.maximum(sizes, np.maximum(unseen, TINY)), axis=(0, 2), initial=0.0))
+    return np.where(difference < UNSEEN_RATIO * largest, excess, 0.0)
 
 
 def unseen_control_excess(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndarray:
-    """The `unseen_excess` of controls, relative to the largest, (N,)."""
+    """The largest `unseen_excess` of controls on each interval, relative to the largest control, (N,)."""
     parts = sampling_parts(path.method.degree)
     values = [p.control.at(parts).reshape(-1, len(p.t) - 1, len(parts)) for p in (path, higher)]
-    return unseen_excess(values, path.problem.control_bounds, component_sizes(path.control.values)[:, None, None])
+    excess = np.max(unseen_excess(values, path.problem.control_bounds), axis=2)
+    return np.asarray(np.max(excess / component_sizes(path.control.values)[:, None], axis=0))
 
 
 def unseen_constraint_excess(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndarray:
-    """The `unseen_excess` of path constraints g, relative to Σ |∂g/∂z| |z| there, (N,).
+    """Largest excess of path constraints on each interval that both degrees have, relative to `constraint_changes`.
 
-    The z are x, v and u, and |z| their sizes.  The largest value of g is no measure: the square of the distance to an
-    obstacle is as large as that of the path, and is exceeded by the square of the size of the obstacle alone.
+    This is about the part of its size by which the path has to change, at most one.  The largest value of a constraint
+    is no measure: the square of the distance to an obstacle is as large as that of the path, and is exceeded by the
+    square of the size of the obstacle alone.  Nor are its derivatives away from the largest excess, where it changes
+    along the path: to move along it does not help.  Where a constraint depends on velocities or controls, which bend or
+    jump, only the `unseen_excess` counts.  Returns (N,).
     """
     if path.problem.path_constraint is None:
         return np.zeros(len(path.t) - 1)
     function, *bounds = path.problem.path_constraint
     parts = sampling_parts(FINER * path.method.degree)
     values = [p.path_constraints(parts) for p in (path, higher)]
-    times, x, v = path.polynomial.sampled(parts)
-    lengths = zip("txvu", (1, len(x), len(x), path.problem.controls), strict=True)
-    t, *z = (ca.SX.sym(name, count) for name, count in lengths)
-    derivative = ca.jacobian(with_parameters(function, path.parameters)(t, *z), ca.vertcat(*z))
-    sizes = np.concatenate((path.sizes, component_sizes(v), component_sizes(path.control.values)))
-    terms = ca.Function("terms", [t, *z], [ca.mtimes(ca.fabs(derivative), sizes)]).map(len(times))
-    found = np.array(terms(times[None, :], x, v, path.control.at(parts)))
-    found[~np.isfinite(found)] = np.inf  # as of a ratio of two positions that vanish at an end
-    return unseen_excess(values, bounds, found.reshape(values[0].shape))
+    own, other = (np.where(np.isfinite(one), bound_excess(one, *bounds), 0.0) for one in values)  # a ratio may be 0/0
+    others = [(k, np.ones(function.size1_in(k), dtype=bool)) for k in (VELOCITIES, CONTROLS)]
+    of_positions = ~np.any([rows_that_depend(function, *every) for every in others], axis=0)[:, None]
+    both = np.minimum(np.max(own, axis=2), np.max(other, axis=2))
+    common = np.where(of_positions, both, np.max(unseen_excess(values, bounds), axis=2))
+    times = path.t[:-1] + np.diff(path.t) * extrema(values[0], np.argmax(own, axis=2)) / (len(parts) - 1)
+    changes = np.maximum(constraint_changes(path, times), np.maximum(common, TINY))
+    return np.asarray(np.max(common / changes, axis=0))
+
+
+def constraint_changes(path: ControlTrajectory, times: np.ndarray) -> np.ndarray:
+    """Sizes of the changes of path constraints g if x, v and u change by their own sizes, Σ |∂g/∂z| |z|.
+
+    The `times` (k, N) of every constraint are its own; returns (k, N), infinite where it is not finite.
+    """
+    assert path.problem.path_constraint is not None
+    t, *z = path.problem.path_constraint[0].sx_in()[:4]
+    constraint = with_parameters(path.problem.path_constraint[0], path.parameters)
+    derivative = ca.jacobian(constraint(t, *z), ca.vertcat(*z))
+    sizes = np.concatenate((path.sizes, component_sizes(path(path.t, 1)), component_sizes(path.control.values)))
+    terms = ca.Function("terms", [t, *z], [ca.mtimes(ca.fabs(derivative), sizes)]).map(times.size)
+    flat, each = times.ravel(), np.arange(len(times))
+    found = np.array(terms(flat[None, :], path(flat), path(flat, 1), path.control(flat)))
+    changes = found.reshape(len(times), *times.shape)[each, each]
+    return np.where(np.isfinite(changes), changes, np.inf)
+
+
+def extrema(values: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Places, counted in samples, of the extrema of sampled values (n, N, K) near some samples (n, N), by parabolas."""
+    inner = np.clip(near, 1, values.shape[2] - 2)[:, :, None]
+    before, here, after = (np.take_along_axis(values, inner + k, axis=2)[:, :, 0] for k in (-1, 0, 1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shift = (before - after) / (2 * (before - 2 * here + after))
+    return np.where(np.abs(shift) <= 1, inner[:, :, 0] + shift, near)
 
 
 def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:

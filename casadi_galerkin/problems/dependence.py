@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.problems.bounds import Bounds
 
-CONTROLS = 3  # number of the controls among the arguments t, x, v, u of a callable
+VELOCITIES, CONTROLS = 2, 3  # their numbers among the arguments t, x, v, u of a callable
 Used = tuple[str, ca.Function | None, Sequence[int]]  # name, Function, and which of its arguments are velocities
 
 

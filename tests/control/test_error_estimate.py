@@ -1,5 +1,7 @@
 """The estimated error of an optimization is sharp on a smooth path, where phases are free, and where little counts."""
 
+from contextlib import suppress
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -175,3 +177,25 @@ def test_a_pole_that_no_quadrature_point_meets_is_passed(radius, where, asked):
     path = cg.solve(flight, **asked)
     nearest = np.min(np.hypot(*(path(np.linspace(0, 20, 20001)) - [[where], [0.01]])))
     assert nearest > 0.99 * radius
+
+
+@pytest.mark.parametrize("asked", [{"tol": 1e-2}, {"cost_tol": 1e-3}], ids=list)
+@pytest.mark.parametrize("half", [0.002, 0.005])
+def test_a_wall_thinner_than_an_interval_is_not_flown_through(half, asked):
+    """An ellipse: to move along the path changes its distance most, and does not help."""
+    wall = lambda t, x, v, u: ((x[0] - 0.53) / half) ** 2 + ((x[1] - 0.03) / 0.1) ** 2  # noqa: E731
+    flight = cg.ControlProblem(
+        lambda t, x, v: ca.dot(v, v) / 2,
+        (0.0, 1.0),
+        [0.0, 0.0],
+        [1.0, 0.0],
+        [0.0, 0.0],
+        [0.0, 0.0],
+        force=lambda t, x, v, u: u,
+        controls=2,
+        running_cost=lambda t, x, v, u: ca.dot(u, u) / 2,
+        path_constraint=(wall, 1.0, np.inf),
+    )
+    with suppress(cg.LimitReached):
+        path = cg.solve(flight, limits=cg.Limits(seconds=3), **asked)
+        assert path.cost == pytest.approx(6.472, rel=2e-2)
