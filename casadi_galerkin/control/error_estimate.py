@@ -15,8 +15,9 @@ Some errors are common to both degrees, so that the difference does not show the
   neither path shows the difference.
 - Bounds of positions, which hold at nodes only.  Where a path exceeds one by ε between nodes, the error of the path is
   about √ε; about ε for a component whose rate is controlled, which can follow its bound.
-- Bounds of controls and path constraints, which hold at quadrature points only: see `unseen_excess`.  What a path
-  constraint is exceeded by changes the cost in first order: see `HigherDegree.excess_effects`.
+- Bounds of controls and path constraints, which hold at quadrature points only: see `unseen_excess` and
+  `unseen_constraint_excess`.  What a path constraint is exceeded by changes the cost in first order: see
+  `HigherDegree.excess_effects`.
 - The Hamiltonian, which is constant where nothing depends on time.  Its variation, times duration over cost, was
   measured to be of the order of D where both degrees switch at the same wrong time.
 - Jumps in time (`jumps_in_time`): the errors of cost and path are estimated to be at least their effect.
