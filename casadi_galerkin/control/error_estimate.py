@@ -25,7 +25,7 @@ Some errors are common to both degrees, so that the difference does not show the
 - Controls as functions of time, which the equations see at the points only (`ControlTrajectory.control_misfit`).
 
 The estimated error of the cost is at least the square of each of the first four, and at least the excess over path
-constraints, because nothing tells how steeply the cost changes where no point meets one.
+constraints that no point near by meets, because nothing tells how steeply the cost changes there.
 
 The new mesh equidistributes the part of the finer path that degree m cannot represent.  Where a higher degree does not
 reduce this part, the path has a kink, and intervals are split as for a method of order 2.  Where a control switches
@@ -75,6 +75,7 @@ SAME_SWITCH = 1e-8
 FINER = 4  # times as many samples as for the path, to see obstacles that are as narrow as a twentieth of an interval
 ROUNDOFF = 1e-15  # of positions and of impulses, relative to their sizes
 FINEST = 12  # number of distances from a quadrature point, each half of the one before, at which excess is looked for
+MET = 1e-4  # distance from a bound, over `constraint_changes`, up to which a point meets it
 UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
 
 
@@ -127,17 +128,22 @@ def unseen_control_excess(path: ControlTrajectory, higher: ControlTrajectory) ->
     return np.asarray(np.max(excess / component_sizes(path.control.values)[:, None], axis=0))
 
 
-def unseen_constraint_excess(path: ControlTrajectory, higher: ControlTrajectory) -> np.ndarray:
+def unseen_constraint_excess(path: ControlTrajectory, higher: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
     """Largest excess of path constraints on each interval that both degrees have, relative to `constraint_changes`.
 
     This is about the part of its size by which the path has to change, at most one.  The largest value of a constraint
     is no measure: the square of the distance to an obstacle is as large as that of the path, and is exceeded by the
     square of the size of the obstacle alone.  Nor are its derivatives away from the largest excess, where it changes
     along the path: to move along it does not help.  Where a constraint depends on velocities or controls, which bend or
-    jump, only the `unseen_excess` counts.  Returns (N,).
+    jump, only the `unseen_excess` counts.
+
+    Returns
+    -------
+    of every constraint, (k, N), and that of constraints whose bounds no quadrature point of the interval or of its
+        neighbors meets
     """
     if path.problem.path_constraint is None:
-        return np.zeros(len(path.t) - 1)
+        return np.zeros((1, len(path.t) - 1)), np.zeros((1, len(path.t) - 1))
     function, *bounds = path.problem.path_constraint
     parts = sampling_parts(FINER * path.method.degree)
     values = [p.path_constraints(parts) for p in (path, higher)]
@@ -148,7 +154,11 @@ def unseen_constraint_excess(path: ControlTrajectory, higher: ControlTrajectory)
     common = np.where(of_positions, both, np.max(unseen_excess(values, bounds), axis=2))
     times = path.t[:-1] + np.diff(path.t) * extrema(values[0], np.argmax(own, axis=2)) / (len(parts) - 1)
     changes = np.maximum(constraint_changes(path, times), np.maximum(common, TINY))
-    return np.asarray(np.max(common / changes, axis=0))
+    at_points = path.path_constraints(path.method.element.points)
+    distances = [np.min(np.abs(at_points - np.reshape(side, (-1, 1, 1))), axis=2) for side in bounds]
+    met = np.pad(np.min(distances, axis=0) <= MET * changes, ((0, 0), (1, 1)))
+    near = met[:, :-2] | met[:, 1:-1] | met[:, 2:]
+    return common / changes, np.where(near, 0.0, common / changes)
 
 
 def constraint_changes(path: ControlTrajectory, times: np.ndarray) -> np.ndarray:
@@ -231,11 +241,11 @@ class HigherDegree:
     def bound_errors(self) -> np.ndarray:
         """Errors of the path on each interval because bounds hold at nodes or points only, (N,); see the module."""
         of_controls = unseen_control_excess(self.path, self.higher)
-        return np.asarray(np.max([position_errors(self.path), of_controls, self.constraint_errors], axis=0))
+        return np.asarray(np.max([position_errors(self.path), of_controls, *self.constraint_excess[0]], axis=0))
 
     @cached_property
-    def constraint_errors(self) -> np.ndarray:
-        """Those of path constraints alone, (N,)."""
+    def constraint_excess(self) -> tuple[np.ndarray, np.ndarray]:
+        """See `unseen_constraint_excess`."""
         return unseen_constraint_excess(self.path, self.higher)
 
     @cached_property
@@ -304,7 +314,7 @@ class HigherDegree:
         distance = self.change if self.change > FAR_FROM_GUESS else 0.0
         change, common = self.cost_change / (1 - SLOWEST), self.common_error
         variation = self.of_cost(self.path._hamiltonian_variation)
-        effects = self.jump_error, float(np.sum(self.excess_effects)), float(np.max(self.constraint_errors))
+        effects = self.jump_error, float(np.sum(self.excess_effects)), float(np.max(self.constraint_excess[1]))
         return max(change, common**2, variation**2, distance, *effects)
 
     def better_mesh(self, tol: float, cost_tol: float) -> np.ndarray:

@@ -55,7 +55,7 @@ def _fallback(solver: Solver, failure: ConvergenceError) -> Solver | None:
     """IPOPT where fatrop fails, which stalls more easily, and a less exact IPOPT where it fails on a feasible path."""
     if solver.name == fatrop.name:
         return ipopt
-    if "acceptable_tol" in solver.options or failure.residual * EPS > FEASIBLE:
+    if LOOSELY_ACCEPTABLE.keys() & solver.options.keys() or failure.residual * EPS > FEASIBLE:
         return None
     return solver.with_options(**LOOSELY_ACCEPTABLE)
 

@@ -199,3 +199,22 @@ def test_a_wall_thinner_than_an_interval_is_not_flown_through(half, asked):
     with suppress(cg.LimitReached):
         path = cg.solve(flight, limits=cg.Limits(seconds=3), **asked)
         assert path.cost == pytest.approx(6.472, rel=2e-2)
+
+
+def test_an_obstacle_that_is_met_does_not_count_by_its_excess_in_the_cost():
+    """A square of half side 0.02, met at two corners: the multipliers tell what its excess costs."""
+    flight = cg.ControlProblem(
+        lambda t, x, v: ca.dot(v, v) / 2,
+        (0.0, 1.0),
+        [-1.0, 0.002],
+        [1.0, 0.002],
+        [0.0, 0.0],
+        [0.0, 0.0],
+        force=lambda t, x, v, u: u,
+        controls=2,
+        running_cost=lambda t, x, v, u: ca.dot(u, u) / 2,
+        path_constraint=(lambda t, x, v, u: ca.fmax(ca.fabs(x[0]), ca.fabs(x[1])), 0.02, np.inf),
+    )
+    path = cg.solve(flight, cost_tol=1e-6)
+    assert path.cost == pytest.approx(24.0311366, rel=1e-6)
+    assert len(path.t) < 30
