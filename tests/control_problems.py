@@ -109,18 +109,18 @@ def everything():
 
 def plane(**changes):
     """Unit mass in a plane from rest at (0, 0) to rest at (1, 0) in two units of time, least ∫u²/2."""
-    fields = {"running_cost": lambda t, x, v, u: ca.dot(u, u) / 2, **changes}
-    return cg.ControlProblem(
-        lambda t, x, v: ca.dot(v, v) / 2,
-        (0.0, 2.0),
-        [0.0, 0.0],
-        [1.0, 0.0],
-        [0.0, 0.0],
-        [0.0, 0.0],
-        force=lambda t, x, v, u: u,
-        controls=2,
-        **fields,
-    )
+    fields = {
+        "lagrangian": lambda t, x, v: ca.dot(v, v) / 2,
+        "t_span": (0.0, 2.0),
+        "start": [0.0, 0.0],
+        "end": [1.0, 0.0],
+        "start_velocity": [0.0, 0.0],
+        "end_velocity": [0.0, 0.0],
+        "force": lambda t, x, v, u: u,
+        "running_cost": lambda t, x, v, u: ca.dot(u, u) / 2,
+        "controls": 2,
+    }
+    return cg.ControlProblem(**(fields | changes))
 
 
 def cartesian_pendulum(**changes):

@@ -5,7 +5,7 @@ from contextlib import suppress
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import cart_pole, double_integrator, resolved, true_error
+from control_problems import cart_pole, double_integrator, plane, resolved, true_error
 
 import casadi_galerkin as cg
 
@@ -140,16 +140,12 @@ def test_an_obstacle_narrower_than_the_points_are_apart_counts_in_the_cost(width
 
 def test_a_path_constraint_that_is_not_finite_at_an_end_does_not_stop_the_refinement():
     """A glide slope down to the origin, where it is zero over zero."""
-    glide = cg.ControlProblem(
-        lambda t, x, v: ca.dot(v, v) / 2,
-        (0.0, 1.0),
-        [2.0, 1.0],
-        [0.0, 0.0],
-        [0.0, -1.0],
-        [None, None],
-        force=lambda t, x, v, u: u,
-        controls=2,
-        running_cost=lambda t, x, v, u: ca.dot(u, u) / 2,
+    glide = plane(
+        t_span=(0.0, 1.0),
+        start=[2.0, 1.0],
+        end=[0.0, 0.0],
+        start_velocity=[0.0, -1.0],
+        end_velocity=[None, None],
         path_constraint=(lambda t, x, v, u: x[1] / x[0], 0.4, np.inf),
     )
     path = cg.solve(glide, cost_tol=1e-6)
@@ -162,18 +158,7 @@ def test_a_path_constraint_that_is_not_finite_at_an_end_does_not_stop_the_refine
 def test_a_pole_that_no_quadrature_point_meets_is_passed(radius, where, asked):
     """Its squared distance is exceeded by the square of its radius, which is small beside that of the path."""
     distance = lambda t, x, v, u: (x[0] - where) ** 2 + (x[1] - 0.01) ** 2  # noqa: E731
-    flight = cg.ControlProblem(
-        lambda t, x, v: ca.dot(v, v) / 2,
-        (0.0, 20.0),
-        [0.0, 0.0],
-        [100.0, 0.0],
-        [0.0, 0.0],
-        [0.0, 0.0],
-        force=lambda t, x, v, u: u,
-        controls=2,
-        running_cost=lambda t, x, v, u: ca.dot(u, u) / 2,
-        path_constraint=(distance, radius**2, np.inf),
-    )
+    flight = plane(t_span=(0.0, 20.0), end=[100.0, 0.0], path_constraint=(distance, radius**2, np.inf))
     path = cg.solve(flight, **asked)
     nearest = np.min(np.hypot(*(path(np.linspace(0, 20, 20001)) - [[where], [0.01]])))
     assert nearest > 0.99 * radius
@@ -184,18 +169,7 @@ def test_a_pole_that_no_quadrature_point_meets_is_passed(radius, where, asked):
 def test_a_wall_thinner_than_an_interval_is_not_flown_through(half, asked):
     """An ellipse: to move along the path changes its distance most, and does not help."""
     wall = lambda t, x, v, u: ((x[0] - 0.53) / half) ** 2 + ((x[1] - 0.03) / 0.1) ** 2  # noqa: E731
-    flight = cg.ControlProblem(
-        lambda t, x, v: ca.dot(v, v) / 2,
-        (0.0, 1.0),
-        [0.0, 0.0],
-        [1.0, 0.0],
-        [0.0, 0.0],
-        [0.0, 0.0],
-        force=lambda t, x, v, u: u,
-        controls=2,
-        running_cost=lambda t, x, v, u: ca.dot(u, u) / 2,
-        path_constraint=(wall, 1.0, np.inf),
-    )
+    flight = plane(t_span=(0.0, 1.0), path_constraint=(wall, 1.0, np.inf))
     with suppress(cg.LimitReached):
         path = cg.solve(flight, limits=cg.Limits(seconds=3), **asked)
         assert path.cost == pytest.approx(6.472, rel=2e-2)
@@ -203,16 +177,10 @@ def test_a_wall_thinner_than_an_interval_is_not_flown_through(half, asked):
 
 def test_an_obstacle_that_is_met_does_not_count_by_its_excess_in_the_cost():
     """A square of half side 0.02, met at two corners: the multipliers tell what its excess costs."""
-    flight = cg.ControlProblem(
-        lambda t, x, v: ca.dot(v, v) / 2,
-        (0.0, 1.0),
-        [-1.0, 0.002],
-        [1.0, 0.002],
-        [0.0, 0.0],
-        [0.0, 0.0],
-        force=lambda t, x, v, u: u,
-        controls=2,
-        running_cost=lambda t, x, v, u: ca.dot(u, u) / 2,
+    flight = plane(
+        t_span=(0.0, 1.0),
+        start=[-1.0, 0.002],
+        end=[1.0, 0.002],
         path_constraint=(lambda t, x, v, u: ca.fmax(ca.fabs(x[0]), ca.fabs(x[1])), 0.02, np.inf),
     )
     path = cg.solve(flight, cost_tol=1e-6)

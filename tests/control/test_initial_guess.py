@@ -5,7 +5,7 @@ import pickle
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import NEAR, cart_pole, double_integrator, minimum_time, pendulum
+from control_problems import NEAR, cart_pole, double_integrator, minimum_time, pendulum, plane
 
 import casadi_galerkin as cg
 from casadi_galerkin.control.initial_guess import first_values, near_answer
@@ -41,17 +41,7 @@ def test_guess_may_be_a_callable_an_array_or_an_earlier_trajectory(guess):
 @pytest.mark.parametrize("rule", [cg.gauss(2), cg.lobatto(2)], ids=["gauss", "lobatto"])
 def test_a_component_that_vanishes_is_found_from_a_guess_where_it_does_not(rule, size):
     """What is left of its terms is the roundoff of those along the guess, and is not measured by itself."""
-    problem = cg.ControlProblem(
-        lambda t, x, v: ca.dot(v, v) / 2,
-        (0.0, 1.0),
-        [0.0, 0.0],
-        [1.0, 0.0],
-        [0.0, 0.0],
-        [0.0, 0.0],
-        force=lambda t, x, v, u: u,
-        running_cost=lambda t, x, v, u: ca.dot(u, u),
-        controls=2,
-    )
+    problem = plane(t_span=(0.0, 1.0), running_cost=lambda t, x, v, u: ca.dot(u, u))
     path = cg.solve(problem, cg.Galerkin(2, quadrature=rule), 20, guess=lambda t: [t, size * np.sin(3 * t)])
     assert np.max(np.abs(path.x[1])) <= 1e-13 * size
     np.testing.assert_allclose(path.x[0], path.t**2 * (3 - 2 * path.t), rtol=0, atol=2e-3)  # of order 2

@@ -5,7 +5,7 @@ import re
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import double_integrator
+from control_problems import double_integrator, plane
 from paths import script
 
 import casadi_galerkin as cg
@@ -124,16 +124,10 @@ def test_a_cost_with_a_norm_that_stops_the_solver_is_named():
     """Where the thrust is zero in between, the derivative of its size jumps."""
 
     def carried(size):
-        return cg.ControlProblem(
-            lambda t, x, v: ca.dot(v, v) / 2,
-            (0.0, 1.0),
-            [0.0, 0.0],
-            [1.0, 1.0],
-            [0.0, 0.0],
-            [0.0, 0.0],
-            force=lambda t, x, v, u: u,
+        return plane(
+            t_span=(0.0, 1.0),
+            end=[1.0, 1.0],
             running_cost=lambda t, x, v, u: size(u),
-            controls=2,
             path_constraint=(lambda t, x, v, u: ca.sumsqr(u), 0.0, 100.0),
         )
 
