@@ -86,7 +86,7 @@ def position_errors(path: ControlTrajectory) -> np.ndarray:
     outside = bound_excess(positions, *problem.position_bounds) / path.sizes[:, None, None]
     excess = np.max(np.where(outside > ROUNDOFF, outside, 0.0), axis=2)
     powers = np.full((len(excess), 1), 0.5)
-    powers[[problem.mechanical + i for i in problem.rates.sparsity_jac(3, 0).row()]] = 1.0
+    powers[[problem.mechanical + i for i in problem.rates.sparsity_jac(CONTROLS, 0).row()]] = 1.0
     return np.asarray(np.max(excess**powers, axis=0))
 
 
@@ -158,7 +158,8 @@ def unseen_constraint_excess(path: ControlTrajectory, higher: ControlTrajectory)
     distances = [np.min(np.abs(at_points - np.reshape(side, (-1, 1, 1))), axis=2) for side in bounds]
     met = np.pad(np.min(distances, axis=0) <= MET * changes, ((0, 0), (1, 1)))
     near = met[:, :-2] | met[:, 1:-1] | met[:, 2:]
-    return common / changes, np.where(near, 0.0, common / changes)
+    excess = common / changes
+    return excess, np.where(near, 0.0, excess)
 
 
 def constraint_changes(path: ControlTrajectory, times: np.ndarray) -> np.ndarray:
