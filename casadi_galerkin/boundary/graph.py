@@ -21,7 +21,7 @@ from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Data, joints_of
 from casadi_galerkin.functional.statement import functional_of, given_values
 from casadi_galerkin.functional.threads import fork_waits
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem, given_positions
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import tangent_at_joints
 from casadi_galerkin.problems.orbit_phase import has_phase, phase_plane
 from casadi_galerkin.solution.guess import Guess, guess_values, meeting_ends
@@ -203,5 +203,5 @@ class BoundaryGraph:
     def _guessed(self, guess: Guess | None, calculus: DiscreteCalculus) -> PiecewisePolynomial:
         """The path of a guess, bent to meet the given ends."""
         values = guess_values(guess, calculus, self.problem.dimension).T
-        values = meeting_ends(values, calculus.node_parts, given_positions(self.problem))
+        values = meeting_ends(values, calculus.node_parts, self.problem.given_positions)
         return PiecewisePolynomial(calculus.mesh, self.method.element.nodes, values.T)

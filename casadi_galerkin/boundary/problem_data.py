@@ -10,7 +10,7 @@ from itertools import chain
 import numpy as np
 
 from casadi_galerkin.calculus.roundoff import or_one
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem, Given, given_positions, is_given
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem, Given, is_given
 from casadi_galerkin.problems.problem import VARIED, Problem
 
 
@@ -51,7 +51,7 @@ def interpolated_problem(one: BoundaryProblem, other: BoundaryProblem, share: fl
 
 def ends_replaced(values: np.ndarray, problem: BoundaryProblem) -> np.ndarray:
     """Node values (d, N m + 1) of a path with the ends of another problem, and nothing else changed."""
-    moved, ends = values.copy(), given_positions(problem).T
+    moved, ends = values.copy(), problem.given_positions.T
     moved[:, [0, -1]] = np.where(np.isnan(ends), values[:, [0, -1]], ends)
     return moved
 

@@ -136,7 +136,7 @@ def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | No
         values = np.full((len(calculus.node_times), problem.dimension), _resting(*problem.position_bounds))
     else:
         values = guess_values(guess, calculus, problem.dimension).T
-    ends = np.array([problem.start, problem.end], dtype=float)  # NaN for None
+    ends = problem.given_positions
     bent = np.clip(meeting_ends(values, calculus.node_parts, ends), *problem.position_bounds)
     bent[[0, -1]] = np.where(np.isnan(ends), bent[[0, -1]], ends)
     return np.asarray(bent)

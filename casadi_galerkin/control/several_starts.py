@@ -61,7 +61,7 @@ def optima_of(
     if whole_number("starts", starts) == 1:
         return [solve(guess=guess)], ""
     begin, end = problem.t_span
-    ends = np.array([problem.start, problem.end], dtype=float)  # NaN for None
+    ends = problem.given_positions
     sizes = or_one(np.max(np.nan_to_num(np.abs(ends)), axis=0))
     random, optima, failures = np.random.default_rng(0), list[ControlTrajectory](), list[Exception]()
 

@@ -155,6 +155,11 @@ class BoundaryProblem:
         return len(self.start)
 
     @property
+    def given_positions(self) -> np.ndarray:
+        """Positions given at start and end, NaN where none is; those of a periodic path hold at both; (2, d)."""
+        return np.array([self.start, self.start if self.periodic else self.end], dtype=float)
+
+    @property
     def autonomous(self) -> bool:
         """Whether the energy is conserved: no force acts, and neither Lagrangian nor constraint depends on time."""
         return self.force is None and not depends_on_time(self.lagrangian, self.constraint)
@@ -200,11 +205,6 @@ def _check_ends(problem: BoundaryProblem) -> None:
 def is_given(value: object) -> bool:
     """Whether anything is given: not None, nor components that are all None."""
     return any(a is not None for a in value) if isinstance(value, tuple) else value is not None
-
-
-def given_positions(problem: BoundaryProblem) -> np.ndarray:
-    """Positions given at the start and at the end, NaN where none is; those of a periodic path hold at both; (2, d)."""
-    return np.array([problem.start, problem.start if problem.periodic else problem.end], dtype=float)
 
 
 def _check_end_function(name: str, function: ca.Function, taken: list[list[str]]) -> None:

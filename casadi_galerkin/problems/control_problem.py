@@ -228,6 +228,11 @@ class ControlProblem:
         return len(self.start)
 
     @property
+    def given_positions(self) -> np.ndarray:
+        """Positions given at start and end, NaN where none is; (2, d)."""
+        return np.array([self.start, self.end], dtype=float)
+
+    @property
     def constraints(self) -> int:
         """Number of holonomic constraints."""
         return 0 if self.constraint is None else int(self.constraint.numel_out(0))
@@ -310,14 +315,14 @@ class ControlProblem:
 
     def _meet_bounds(self) -> None:
         """Move given ends that are outside their bounds by rounding, of either end, to the bounds."""
-        ends = np.array([self.start, self.end], dtype=float)  # NaN for None
+        ends = self.given_positions
         met = within_rounding(ends, *self.position_bounds, ends[::-1])
         for name, values in zip(("start", "end"), met, strict=True):
             self.__dict__[name] = tuple(None if np.isnan(x) else x for x in values.tolist())
 
     def _check_ends(self) -> None:
         low, high = self.position_bounds
-        ends = np.array([self.start, self.end], dtype=float)
+        ends = self.given_positions
         velocities = np.array([self.start_velocity, self.end_velocity], dtype=float) * [[1], [-1]]
         beside = within_rounding(ends + np.ptp(self.t_span) * velocities, low, high, ends[::-1])
         for name, values, inside in zip(("start", "end"), ends.tolist(), beside.tolist(), strict=True):

@@ -23,7 +23,7 @@ from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method, large
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
 from casadi_galerkin.functional.end_velocities import end_velocities
-from casadi_galerkin.problems.boundary_problem import BoundaryProblem, given_positions
+from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import tangent_momenta
 from casadi_galerkin.problems.legendre_transform import legendre_transform
@@ -193,7 +193,7 @@ def _guess(problem: BoundaryProblem, guess: Trajectory | None) -> tuple[np.ndarr
 
 def _line(problem: BoundaryProblem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """x_0, p_0 and velocity of the straight line."""
-    start, end = given_positions(problem)
+    start, end = problem.given_positions
     x = np.nan_to_num(np.where(np.isnan(start), end, start))
     v = np.nan_to_num((end - start) / (problem.t_span[1] - problem.t_span[0]))
     legendre = legendre_transform(with_parameters(problem.lagrangian, problem.parameters))
