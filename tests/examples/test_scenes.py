@@ -618,7 +618,7 @@ def crane_in_balance(module, paths):
 def cable_as_integrated(module, path):
     assert np.max(np.abs(path.x[0] - module.exact(path.t))) <= 1e-13
     assert path.momentum[0, -1] == pytest.approx(-module.SPRING * path.x[0, -1], rel=1e-13)
-    assert path.velocity[0, 0] == pytest.approx(module.INCLINATION, rel=1e-12)
+    assert path.velocity[0, 0] == pytest.approx(-module.LIFT / module.TENSION, rel=1e-12)
 
 
 def cheapest_landing(module, path):
