@@ -306,12 +306,14 @@ class Linearization:
     def rounding_samples(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Changes of ∇S where unknowns and ends are rounded in other ways, one for each choice of signs; evaluates ∇S.
 
-        They show the rounding of terms that cancel within the derivatives of L, whose sizes are not known.
+        They show the rounding of terms that cancel within the derivatives of L, whose sizes are not known.  Where all
+        is zero, as on a path at rest at the origin, numbers of size one are rounded in place of it.
         """
         start, end, *further = data
+        alone = 0.0 if np.any(joined(unknowns, data)) else 1.0
         signs, gradients = np.random.default_rng(len(unknowns)), np.empty((SIGN_SAMPLES, len(unknowns)))
         for gradient in gradients:
-            x, *ends = (a * (1 + signs.choice((-EPS, EPS), len(a))) for a in (unknowns, start, end))
+            x, *ends = (a + (a + alone) * signs.choice((-EPS, EPS), len(a)) for a in (unknowns, start, end))
             self.terms(x, (*ends, *further))
             gradient[:] = self.gradient
         self.terms(unknowns, data)

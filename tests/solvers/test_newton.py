@@ -157,6 +157,20 @@ def test_a_component_whose_forces_cancel_is_zero(magnetic, electric, how):
 
 
 @pytest.mark.parametrize("how", HOW, ids=["mesh", "tol"])
+@pytest.mark.parametrize(("mass", "stiffness"), [(1.7, 11.0), (0.3, 53.0), (2.3, 110.0)])
+def test_rest_at_the_origin_is_found_where_constants_cancel(mass, stiffness, how):
+    """A weight on a spring, x counted from where it hangs: nothing but rounding is left of both forces."""
+
+    def lagrangian(t, x, v):
+        return mass * v[0] ** 2 / 2 - stiffness * (x[0] + mass * 9.81 / stiffness) ** 2 / 2 + mass * 9.81 * x[0]
+
+    problem = cg.BoundaryProblem(lagrangian, (0.0, 1.0), [0.0], [0.0])
+    path = cg.solve(problem, **how)
+    np.testing.assert_allclose(path.x, 0.0, rtol=0, atol=1e-15)
+    assert path.morse_index == np.floor(np.sqrt(stiffness / mass) / np.pi)
+
+
+@pytest.mark.parametrize("how", HOW, ids=["mesh", "tol"])
 @pytest.mark.parametrize("place", [0.0, 0.7])
 def test_rest_in_a_magnetic_field_is_found(place, how):
     problem = cg.BoundaryProblem(
