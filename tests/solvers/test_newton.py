@@ -157,17 +157,40 @@ def test_a_component_whose_forces_cancel_is_zero(magnetic, electric, how):
 
 
 @pytest.mark.parametrize("how", HOW, ids=["mesh", "tol"])
+@pytest.mark.parametrize("sideways", [False, True])
 @pytest.mark.parametrize(("mass", "stiffness"), [(1.7, 11.0), (0.3, 53.0), (2.3, 110.0)])
-def test_rest_at_the_origin_is_found_where_constants_cancel(mass, stiffness, how):
-    """A weight on a spring, x counted from where it hangs: nothing but rounding is left of both forces."""
+def test_rest_at_the_origin_is_found_where_constants_cancel(mass, stiffness, sideways, how):
+    """A weight on a spring, x counted from where it hangs: nothing but rounding is left of both forces.
+
+    It hangs from a cart that stands still or rolls sideways on a spring of its own.
+    """
 
     def lagrangian(t, x, v):
-        return mass * v[0] ** 2 / 2 - stiffness * (x[0] + mass * 9.81 / stiffness) ** 2 / 2 + mass * 9.81 * x[0]
+        springs = stiffness * (x[0] + mass * 9.81 / stiffness) ** 2 / 2 + sum(
+            3 * x[i] ** 2 for i in range(1, x.numel())
+        )
+        return mass * ca.sumsqr(v) / 2 - springs + mass * 9.81 * x[0]
 
-    problem = cg.BoundaryProblem(lagrangian, (0.0, 1.0), [0.0], [0.0])
+    problem = cg.BoundaryProblem(lagrangian, (0.0, 1.0), [0.0] + [0.2] * sideways, [0.0] + [1.0] * sideways)
     path = cg.solve(problem, **how)
-    np.testing.assert_allclose(path.x, 0.0, rtol=0, atol=1e-15)
-    assert path.morse_index == np.floor(np.sqrt(stiffness / mass) / np.pi)
+    np.testing.assert_allclose(path.x[0], 0.0, rtol=0, atol=1e-15)
+    frequencies = np.sqrt([stiffness / mass] + [6 / mass] * sideways)
+    assert path.morse_index == np.sum(np.floor(frequencies / np.pi))
+
+
+@pytest.mark.parametrize("how", HOW, ids=["mesh", "tol"])
+@pytest.mark.parametrize("drift", [1e-15, 1e-9])
+def test_a_weight_that_hangs_beside_the_origin_is_not_taken_for_one_at_rest(drift, how):
+    """Its spring is as much longer as the swing beside it is wide, which takes a few iterations."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2 - 3 * (x[0] - drift) ** 2 + drift**2 * ca.cos(3 * x[1] / drift),
+        (0.0, 1.0),
+        [0.0, 0.1 * drift],
+        [0.0, 0.9 * drift],
+    )
+    path = cg.solve(problem, **how)
+    exact = drift * (1 - 1 / np.cos(np.sqrt(6) / 2))
+    assert path(0.5)[0] == pytest.approx(exact, rel=1e-4)
 
 
 @pytest.mark.parametrize("how", HOW, ids=["mesh", "tol"])
