@@ -88,7 +88,8 @@ def solve(
     An `InitialProblem` is solved step by step, with `method` and `intervals` or `mesh`; a `ControlProblem`, whose
     answer is a ControlTrajectory, by IPOPT or fatrop, with these or a tolerance, and a `guess`.  Its `tol` bounds the
     relative errors of cost and duration as well, but not those of controls and free parameters.  `cost_tol` bounds that
-    of the cost alone, which is known long before the path, and even where many paths cost the same.
+    of the cost alone, which is known long before the path, and even where many paths cost the same.  An earlier answer
+    as guess brings its mesh, where it has more intervals than refinement else begins with.
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ def solve(
     guess : as for `Transcription.solve` and `ControlTranscription.solve`; for boundary and control problems
     solver : newton (the default), rootfinder, ipopt or minimizer for a BoundaryProblem, ipopt (the default) or
         fatrop for a ControlProblem; each also ``.with_options(...)``
-    limits : Limits that stop a refinement; only with a tolerance
+    limits : Limits that stop a refinement, by default after 120 s; only with a tolerance
     starts : how often to solve a ControlProblem, from `guess` first and then from random paths, always the same ones;
         the cheapest optimum is returned, and its `solver` says how many were met.  With a tolerance all are solved
         on the first mesh, and those refined that may be the best.  (`paths` finds several paths of a BoundaryProblem.)
@@ -154,7 +155,7 @@ def solve(
     path: Trajectory
     if isinstance(problem, ControlProblem):
         check_solver(solver)
-        method, joints = first_control_discretization(problem, tolerance, method, intervals, mesh)
+        method, joints = first_control_discretization(problem, tolerance, method, intervals, mesh, guess)
         refinement = ControlRefinement(problem, tolerance, of_cost, method, limits, solver, verbose)
         path = refinement.run(joints, guess, starts)
     else:
@@ -244,7 +245,7 @@ def transcribe(
     mesh : (N + 1,) joints from t_span[0] to t_span[1]
     tol : relative tolerance, as for `solve`, which also says what method, intervals and mesh then are; for a
         BoundaryProblem
-    limits : Limits that stop a refinement; only with `tol`
+    limits : Limits that stop a refinement, by default after 120 s; only with `tol`
 
     Returns
     -------

@@ -165,6 +165,10 @@ def continuation(
     mesh : (N + 1,) joints; the mesh is the same for the whole branch
     guess : for the first path, as for `solve`
 
+    Returns
+    -------
+    Branch of the paths on the way, with its folds; its last path is that of the target, where the branch leads there
+
     Raises
     ------
     ConvergenceError

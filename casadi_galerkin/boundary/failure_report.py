@@ -101,7 +101,7 @@ def explained(
     kind: type[ConvergenceError] = ConvergenceError
     words = (
         f"no path was found: {failure} ({where}). Try a guess nearer to the path, more intervals, a shorter time span, "
-        "or cg.paths, which begins from many guesses; there may be no path between these ends"
+        "or cg.continuation from an easier problem; there may be no path between these ends"
     )
     if failure.singular:
         kind = ConjugatePointError

@@ -119,9 +119,12 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """The path of one level, the solver's iterations, and the residual that they left."""
         return level.polynomial, level.solution.iterations, level.solution.residual
 
-    def path(self, level: CriticalPoint, error: float) -> Path:  # noqa: ARG002
-        """The path of a level, as a Path: its error is not below the tolerance."""
-        return Path(level.polynomial)
+    def path(self, level: CriticalPoint, error: float) -> Path:
+        """The critical path on the mesh of a level, with its error; a Path where nothing more can be said of it."""
+        try:
+            return self.finish(level, error)
+        except ConvergenceError:  # as where it is not isolated
+            return Path(level.polynomial)
 
     def estimate(self, level: CriticalPoint) -> Estimate[np.ndarray]:
         """Estimate the error of a path, and the numbers of parts into which the next mesh splits its intervals.

@@ -122,6 +122,11 @@ def _from_symmetric_interval(x: np.ndarray, w: np.ndarray) -> Quadrature:
 def gauss(n: int) -> Quadrature:
     """Gauss-Legendre rule with n >= 1 points, of order 2n.
 
+    Raises
+    ------
+    TypeError, ValueError
+        where n is no whole number, or is less than 1
+
     Examples
     --------
     >>> gauss(3)
@@ -135,6 +140,11 @@ def lobatto(n: int) -> Quadrature:
     """Gauss-Lobatto rule with n >= 2 points, both ends among them, of order 2n - 2.
 
     ``lobatto(2)`` is the trapezoidal rule, ``lobatto(3)`` Simpson's.
+
+    Raises
+    ------
+    TypeError, ValueError
+        where n is no whole number, or is less than 2
 
     Examples
     --------
@@ -151,6 +161,11 @@ def lobatto(n: int) -> Quadrature:
 @_family(1)
 def radau(n: int) -> Quadrature:
     """Gauss-Radau rule with n >= 1 points, the right end among them, of order 2n - 1.
+
+    Raises
+    ------
+    TypeError, ValueError
+        where n is no whole number, or is less than 1
 
     Examples
     --------

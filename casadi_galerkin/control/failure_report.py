@@ -43,7 +43,8 @@ KINK_HINTS = {  # by operations on controls in the running cost
     ),
     (ca.OP_SQRT,): (
         "The running cost holds a root or norm of controls, whose derivative jumps where that is zero: a small number "
-        "under the root keeps it smooth, as in sqrt(sumsqr(u) + 1e-8)"
+        "under the root keeps it smooth, as in sqrt(sumsqr(u) + 1e-4) for u near one; smaller ones are solved with that "
+        "answer as guess"
     ),
 }
 
@@ -127,7 +128,7 @@ def refuse_derivatives(graph: ControlGraph, unknowns: np.ndarray, data: np.ndarr
     else:
         return
     when = np.interp(place, np.arange(len(mesh)), mesh)
-    hint = "Give a guess that avoids it, or add a small number under a root, as in sqrt(sumsqr(u) + 1e-8) for a norm"
+    hint = "Give a guess that avoids it, or add a small number under a root, as in sqrt(sumsqr(u) + 1e-4) for a norm"
     raise ValueError(f"{what} is not finite at the guess at t = {when:.6g}. {hint}")
 
 

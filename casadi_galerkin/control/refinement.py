@@ -326,9 +326,17 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
 
 def first_control_discretization(
-    problem: ControlProblem, tol: float, method: Galerkin | None, intervals: int | None, mesh: ArrayLike | None
+    problem: ControlProblem,
+    tol: float,
+    method: Galerkin | None,
+    intervals: int | None,
+    mesh: ArrayLike | None,
+    guess: Guess | None = None,
 ) -> tuple[Galerkin, np.ndarray]:
-    """Method and joints with which a refinement begins; refuses what does not fit, see `solve` for the arguments."""
+    """Method and joints with which a refinement begins; refuses what does not fit, see `solve` for the arguments.
+
+    Without intervals and mesh they are those of a guess that is an answer with more intervals.
+    """
     method = control_method_for(tol) if method is None else method
     check_types(problem, method, ControlProblem)
     if problem.hold:
@@ -336,5 +344,10 @@ def first_control_discretization(
             "with hold every interval has one value of the controls, so the mesh is part of the problem and "
             "not to be refined: give a method and intervals in place of a tolerance"
         )
-    count = FIRST_INTERVALS + len(problem.breakpoints) if intervals is None and mesh is None else intervals
-    return method, mesh_for(problem, count, mesh)
+    if intervals is None and mesh is None:
+        intervals = FIRST_INTERVALS + len(problem.breakpoints)
+        if isinstance(guess, ControlTrajectory) and len(guess.t) - 1 > intervals:
+            own, other = section_times(guess.problem), section_times(problem)
+            if len(own) == len(other):
+                intervals, mesh = None, map_times(guess.t, own, other)
+    return method, mesh_for(problem, intervals, mesh)

@@ -39,7 +39,8 @@ class BoundaryProblem:
         (natural boundary condition) unless one of the following says otherwise
     parameters : numbers passed to all callables as p, their last argument; default none
     periodic : whether x(t_N) = x(t_0) with equal momenta; `end` is left out.  `start` may fix components of that point,
-        whose momenta may then differ; if one component is fixed and the energy given, they do not
+        whose momenta may then differ; if one component is fixed and the energy given, they do not, and the orbit must
+        cross the value of that component, not lie in it
     force : callable (t, x, v) -> d generalized forces, that do the virtual work F·δx (Lagrange-d'Alembert)
     constraint : callable (t, x) -> k < d values that are zero all along the path (holonomic)
     start_velocity, end_velocity, start_momentum, end_momentum : d numbers each, None where nothing is given.  They

@@ -52,7 +52,9 @@ class ConjugatePointError(ConvergenceError):
 class LimitReached(ConvergenceError):
     """A refinement was stopped before it reached its tolerance; another guess for the same path would not help.
 
-    Its `path` is the best so far: of a trajectory optimization a ControlTrajectory that solves its own mesh.
+    Its `path` is the best so far: the Trajectory or ControlTrajectory that solves its own mesh, with the error reached
+    as its `error_estimate`, or its `cost_error` where a tolerance of the cost was asked.  Where the time was up before
+    there was one, or where the path on that mesh is not isolated, it is as for other errors.
 
     Examples
     --------
@@ -61,6 +63,6 @@ class LimitReached(ConvergenceError):
     >>> try:
     ...     cg.solve(layer, tol=1e-9, limits=cg.Limits(intervals=10))
     ... except cg.LimitReached as error:
-    ...     print(len(error.path.t) - 1 <= 10)
-    True
+    ...     print(len(error.path.t) - 1 <= 10, 1e-9 < error.path.error_estimate)
+    True True
     """

@@ -88,6 +88,10 @@ def geometry(path: Trajectory, symmetry: Traceable | None = None) -> Geometry:
     symmetry : callable x -> (d,), the generator ξ(x) = dx/dε of a symmetry, such as ``lambda x: [-x[1], x[0]]`` of
         rotations in the plane.  Its momentum map is kept to roundoff if ξ is affine, else to the method's order
 
+    Returns
+    -------
+    Geometry: errors of the energy, the momentum map, and the Jacobians of the steps
+
     Raises
     ------
     TypeError, ValueError

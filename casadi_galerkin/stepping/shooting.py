@@ -74,6 +74,10 @@ def shoot(
     guess : Trajectory, whose start is the first start; default the straight line between the ends.  A periodic path of
         given energy needs one that moves at its start
 
+    Returns
+    -------
+    Trajectory, whose joints are those of the mesh
+
     Raises
     ------
     TypeError, ValueError

@@ -183,6 +183,10 @@ def compare(
     guess : Trajectory from which both start; default the straight line between the ends.  Of given energy shooting
         starts with its duration, too, but the global solve with that of `t_span`
 
+    Returns
+    -------
+    Comparison, which prints as a table and has a ``plot``
+
     Raises
     ------
     TypeError

@@ -139,6 +139,11 @@ class Sweep(Table):
         They do explain it where variations are so near that the action is convex or concave between them; else one
         branch may seem two.  Branches that differ in neither, such as mirror images, are not told apart; under
         constraints, end conditions, forces and a given energy only the index counts.
+
+        Raises
+        ------
+        ValueError
+            for a sweep of a control problem
         """
         if not self._of_boundary_problems():
             raise ValueError("jumps between branches are told for boundary problems only")

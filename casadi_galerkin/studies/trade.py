@@ -221,6 +221,10 @@ def trade(
     guess : a callable t -> (d,) or a Trajectory, for all ways and the reference: where several paths join the ends, it
         chooses one.  With `shooting`, a Trajectory, best a coarse one: it is the answer of a way on its own mesh
 
+    Returns
+    -------
+    Trade: a table of Rows, which ``cheapest(tol)`` chooses from, and which ``plot`` draws
+
     Raises
     ------
     TypeError, ValueError

@@ -437,6 +437,14 @@ def test_an_answer_of_other_times_and_breakpoints_is_a_guess(breakpoints):
     np.testing.assert_array_equal(path.t, cg.solve(problem, tol=1e-5).t)
 
 
+def test_refinement_begins_on_the_mesh_of_an_answer(capsys):
+    """Its degree and its duration may be others."""
+    problem = double_integrator(breakpoints=[0.1])
+    guess = cg.solve(double_integrator(t_span=(0.0, 6.0), breakpoints=[1.5]), cg.Galerkin(3), 30)
+    cg.solve(problem, tol=1e-5, guess=guess, verbose=1)
+    assert capsys.readouterr().out.splitlines()[1].split()[:3] == ["0", "6", "30"]
+
+
 def test_two_controls_may_switch_at_the_same_time():
     """Two joints, one for each, were as close as rounding, and refused."""
     tol = 1e-6
