@@ -43,8 +43,8 @@ KINK_HINTS = {  # by operations on controls in the running cost
     ),
     (ca.OP_SQRT,): (
         "The running cost holds a root or norm of controls, whose derivative jumps where that is zero: a small number "
-        "under the root keeps it smooth, as in sqrt(sumsqr(u) + 1e-4) for u near one; smaller ones are solved with that "
-        "answer as guess"
+        "under the root keeps it smooth, as in sqrt(sumsqr(u) + 1e-4) for u near one; then a smaller one, with "
+        "that answer as guess"
     ),
 }
 
