@@ -7,8 +7,9 @@ at the quadrature points, and L̂ the Lagrangian pulled back to the reference in
     ∇S   = Eᵀ [ w_k ∇L̂ ]                      discrete Euler-Lagrange equations, (euler1) and (euler2) of the paper
     ∇²S  = Eᵀ blockdiag( w_k ∇²L̂ ) E.
 
-L̂, ∇L̂ and ∇²L̂ are SX Functions of one point (`pointwise`), mapped over all points; nothing is differentiated
-through the graph.  E, Eᵀ and Eᵀ blockdiag(·) E depend on the numbering alone (`embedding`).
+L̂, ∇L̂ and ∇²L̂ are SX Functions of one point (`pointwise`), mapped over all points; only derivatives by joints,
+durations and parameters are differentiated through the graph.  E, Eᵀ and Eᵀ blockdiag(·) E depend on the numbering
+alone (`embedding`).
 
 Whatever else a problem states beside L is a further term of the same sum:
 
@@ -36,7 +37,6 @@ from casadi_galerkin.functional.embedding import (
     embedding,
     hessian_pattern,
     integration,
-    joint_time_derivatives,
     summation,
     variation,
 )
@@ -228,8 +228,8 @@ class Functional:
         - derivatives : -> matrix ∇²S, gradient ∇S
         - summary : -> action S, with the end action; momentum (d, N + 1), -∂S/∂x_0 and then ∂S_k/∂x_{k+1} of every
           interval; gradient ∇S; terms, the sums of the sizes of the gradient's terms
-        - joint_time_derivatives : -> by_joint ∂S/∂t_i, the jumps of the energy; twice_by_joint ∂²S/∂t_i²; by_neighbors
-          ∂²S/∂t_i∂t_{i+1}; all at fixed node values
+        - joint_time_derivatives : -> by_joints ∂S/∂t_i, the jumps of the energy; twice_by_joints ∂²S/∂t_i∂t_j; both at
+          fixed node values
         - inertia_weighted : with inertia -> matrix ∇²S with ∂²L/∂v² multiplied by it
         - curvature : with left z and right y -> signed zᵀ∇²S y, positive sum of the sizes of its terms
         - sensitivity : with direction of the parameters -> change of ∇S along it
@@ -251,9 +251,8 @@ class Functional:
         return self.keep(name, builders[name])
 
     def _joint_time_derivatives(self) -> Parts:
-        at_points = one_by_one(self.pointwise.time_derivatives, self.numbering.points, self._shared).call(self._at)
-        by_joint, twice_by_joint, by_neighbors = joint_time_derivatives(self.numbering, *at_points)
-        return {}, {"by_joint": by_joint, "twice_by_joint": twice_by_joint, "by_neighbors": by_neighbors}
+        twice_by_joints, by_joints = ca.hessian(self.action, self.symbols["mesh"])
+        return {}, {"by_joints": ca.densify(by_joints), "twice_by_joints": ca.densify(twice_by_joints)}
 
     def _inertia_weighted(self) -> Parts:
         inertia, blocks = ca.MX.sym("inertia"), zip(self.pointwise.blocks, self._second[3:], strict=True)

@@ -129,13 +129,6 @@ class Pointwise:
         image = ca.densify(ca.mtimes(self._jacobian, y))
         return ca.Function("product", [*self._inputs.values(), y], [image[:half], image[half:]])
 
-    @cached_property
-    def time_derivatives(self) -> ca.Function:
-        """Derivatives of L̂ at fixed x and x': by t, by h, and the second ones by tt, th and hh."""
-        hessian, gradient = ca.hessian(self._value, ca.vertcat(self._inputs["t"], self._inputs["h"]))
-        entries = (gradient[0], gradient[1], hessian[0, 0], hessian[0, 1], hessian[1, 1])
-        return ca.Function("time_derivatives", list(self._inputs.values()), [ca.densify(entry) for entry in entries])
-
     def _function(self, name: str, outputs: dict[str, ca.SX], **options: bool) -> ca.Function:
         return ca.Function(name, self._inputs | outputs, list(self._inputs), list(outputs), options)
 
