@@ -115,18 +115,14 @@ def lowered(
     raise ConvergenceError("no path was found: no step lowers the action further", Path(path))
 
 
-def retimed(
-    path: PiecewisePolynomial, slope: np.ndarray, diagonal: np.ndarray, beside: np.ndarray
-) -> PiecewisePolynomial:
+def retimed(path: PiecewisePolynomial, slope: np.ndarray, curvature: np.ndarray) -> PiecewisePolynomial:
     """Newton step of the inner joints at fixed node values; the same path where it is not defined.
 
-    `slope` (N + 1,), and `diagonal` (N + 1,) and `beside` (N,) of a tridiagonal matrix, are the action's derivatives by
-    all joints.
+    `slope` (N + 1,) and `curvature`, as many squared, are the action's first and second derivatives by all joints.
     """
-    inner, shift = slice(1, -1), np.zeros(len(slope))
-    matrix = np.diag(diagonal[inner]) + np.diag(beside[inner], 1) + np.diag(beside[inner], -1)
+    inner, shift, matrix = slice(1, -1), np.zeros(len(slope)), curvature.reshape(len(slope), -1)
     try:
-        shift[inner] = np.linalg.solve(matrix, -slope[inner])
+        shift[inner] = np.linalg.solve(matrix[inner, inner], -slope[inner])
     except np.linalg.LinAlgError:
         return path
     if not np.all(np.isfinite(shift)):

@@ -106,11 +106,11 @@ class BoundaryGraph:
         """
         if not callable(solver):
             raise TypeError(f"solver must be cg.newton, cg.rootfinder, cg.ipopt or cg.minimizer, got {solver!r}")
-        calculus = self._calculus if mesh is None else remeshed(self._calculus, mesh, self.problem.breakpoints)
-        problem = self.problem.varied(changes or {}, calculus.mesh[[0, -1]].tolist())
+        joints = self.mesh if mesh is None else remeshed(self._calculus, mesh, self.problem.breakpoints).mesh
+        problem = self.problem.varied(changes or {}, joints[[0, -1]].tolist())
         graph = self.for_problem(problem)
-        begun = graph._guessed(guess, calculus)
-        data = graph.data(calculus.mesh, graph.plane(begun))
+        begun = graph.guess_on_mesh(guess, joints)
+        data = graph.data(joints, graph.plane(begun))
         try:
             with fork_waits:  # it builds its Functions when they are first needed
                 solution = solver(self.stationarity, self.unknowns(begun.values.T, data), data, verbose)
@@ -137,10 +137,12 @@ class BoundaryGraph:
             raise conjugate(self.problem, point.solution, point.polynomial, quotient)
 
     def guess_on_mesh(self, guess: Guess | None, mesh: np.ndarray) -> PiecewisePolynomial:
-        """Put a guess on a mesh, bent to meet the ends."""
+        """The path of a guess on a mesh, bent to meet the given ends."""
         same = np.array_equal(mesh, self.mesh)
         calculus = self._calculus if same else DiscreteCalculus(self.method, mesh)
-        return self._guessed(guess, calculus)
+        values = guess_values(guess, calculus, self.problem.dimension).T
+        values = meeting_ends(values, calculus.node_parts, self.problem.given_positions)
+        return PiecewisePolynomial(mesh, self.method.element.nodes, values.T)
 
     def change(self, step: np.ndarray) -> np.ndarray:
         """Node values (d, N m + 1) of a step of the unknowns."""
@@ -199,9 +201,3 @@ class BoundaryGraph:
             if end.unknown:
                 found.append(end.of_momentum(t, path.values[:, end.joint], v, momenta[:, end.joint], parameters))
         return np.concatenate(found)
-
-    def _guessed(self, guess: Guess | None, calculus: DiscreteCalculus) -> PiecewisePolynomial:
-        """The path of a guess, bent to meet the given ends."""
-        values = guess_values(guess, calculus, self.problem.dimension).T
-        values = meeting_ends(values, calculus.node_parts, self.problem.given_positions)
-        return PiecewisePolynomial(calculus.mesh, self.method.element.nodes, values.T)

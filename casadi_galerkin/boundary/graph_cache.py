@@ -53,11 +53,9 @@ class GraphCache:
         problem: BoundaryProblem | None = None,
     ) -> CriticalPoint:
         """Solve one level, of the problem or of one that is `varied` from it."""
-        graph = self.transcription(method, mesh)
-        other = None if np.array_equal(mesh, graph.mesh) else mesh
+        graph = self.transcription(method, mesh).for_problem(problem or self.problem)
         try:
-            varied = graph.for_problem(problem) if problem else graph
-            point = varied.critical_point(guess=guess, mesh=other, solver=solver, verbose=self.verbose)
+            point = graph.critical_point(guess=guess, mesh=mesh, solver=solver, verbose=self.verbose)
         except ConvergenceError as failure:
             self.iterations += failure.iterations
             raise

@@ -62,18 +62,12 @@ def bounds_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
     for name, limited in (("path", problem.path_constraint), ("ends", problem.end_conditions), *conditions):
         if limited is not None:
             _limit(equations, chain.rows[name], limited[1:])
-    return with_ends(ProgramBounds(sides[:, : chain.unknowns], equations), problem, chain, implied)
-
-
-def with_ends(bounds: ProgramBounds, problem: ControlProblem, chain: Chain, implied: bool = False) -> ProgramBounds:
-    """The same bounds with the ends and the velocities there that a problem gives; arguments as for `bounds_of`."""
-    sides, equations = bounds.unknowns.copy(), bounds.equations.copy()
     for index, values in given_at_ends(problem, chain).values():
         sides[:, index] = values
     for rows, satisfied in _constraint_at_ends(problem, chain):
         free = np.where(satisfied & (not implied), np.inf, 0.0)
         _limit(equations, rows, (-free, free))
-    return ProgramBounds(sides, equations)
+    return ProgramBounds(sides[:, : chain.unknowns], equations)
 
 
 def given_at_ends(problem: ControlProblem, chain: Chain) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -27,7 +27,7 @@ from casadi_galerkin.control.failure_report import INVALID, explained, refuse_de
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.initial_guess import first_values, near_answer
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
-from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages, with_ends
+from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages
 from casadi_galerkin.control.retries import retry_from_other_guesses, with_fallbacks
 from casadi_galerkin.control.second_variation import CostVariation
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
@@ -205,7 +205,7 @@ class ControlTranscription:
     ) -> ControlTrajectory:
         """The verified solution of one solver from a starting point."""
         chain = self.chain
-        bounds = self.bounds if problem is self.problem else with_ends(self.bounds, problem, chain)
+        bounds = self.bounds if problem is self.problem else bounds_of(problem, chain)
         unknowns, data = chain.pack(start.values)
         way = self._kept_program(solver, bool(start.duals), verbose)
         optimum = optimize(way, unknowns, data, bounds, BOUND_RELAXATION[solver.name], *start.duals)

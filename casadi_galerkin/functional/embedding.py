@@ -156,23 +156,6 @@ def variation(numbering: Numbering) -> ca.Function:
     )
 
 
-def joint_time_derivatives(numbering: Numbering, *derivatives: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
-    """∂S/∂t_i, ∂²S/∂t_i² and ∂²S/∂t_i∂t_{i+1} by the joints, at fixed node values.
-
-    `derivatives` (1, N r) are those of the integrand by t, h, tt, th and hh.  On an interval from a to b,
-    t = (1 - s) a + s b and h = b - a, with the fraction s.
-    """
-    w, s = numbering.method.element.weights, numbering.method.element.points
-    zero, late, early = 0 * w, w * s, w * (1 - s)
-    by_t, by_h = [early, late, zero, zero, zero], [-w, w, zero, zero, zero]
-    by_tt = [zero, zero, early * (1 - s), early * s, late * s]
-    by_th, by_hh = [zero, zero, -2 * early, w - 2 * late, 2 * late], [zero, zero, w, -w, w]
-    sums = _times(_side_by_side(numbering, *derivatives), np.hstack([by_t, by_h, by_tt, by_th, by_hh]).T)
-    first, second, first_twice, both, second_twice = ca.horzsplit(sums)
-    slope, curvature = ca.vertcat(first, 0) + ca.vertcat(0, second), ca.vertcat(first_twice, 0)
-    return slope, curvature + ca.vertcat(0, second_twice), both
-
-
 @lru_cache(CACHE_SIZE)
 def assembly(
     numbering: Numbering,

@@ -7,8 +7,8 @@ at the quadrature points, and L̂ the Lagrangian pulled back to the reference in
     ∇S   = Eᵀ [ w_k ∇L̂ ]                      discrete Euler-Lagrange equations, (euler1) and (euler2) of the paper
     ∇²S  = Eᵀ blockdiag( w_k ∇²L̂ ) E.
 
-L̂, ∇L̂ and ∇²L̂ are SX Functions of one point (`pointwise`), mapped over all points; nothing is differentiated
-through the graph.  E, Eᵀ and Eᵀ blockdiag(·) E depend on the numbering alone (`embedding`).
+L̂, ∇L̂ and ∇²L̂ are SX Functions of one point (`pointwise`), mapped over all points; the graph of S
+is not differentiated for ∇S and ∇²S.  E, Eᵀ and Eᵀ blockdiag(·) E depend on the numbering alone (`embedding`).
 
 Whatever else a problem states beside L is a further term of the same sum:
 
@@ -36,7 +36,6 @@ from casadi_galerkin.functional.embedding import (
     embedding,
     hessian_pattern,
     integration,
-    joint_time_derivatives,
     summation,
     variation,
 )
@@ -228,8 +227,8 @@ class Functional:
         - derivatives : -> matrix ∇²S, gradient ∇S
         - summary : -> action S, with the end action; momentum (d, N + 1), -∂S/∂x_0 and then ∂S_k/∂x_{k+1} of every
           interval; gradient ∇S; terms, the sums of the sizes of the gradient's terms
-        - joint_time_derivatives : -> by_joint ∂S/∂t_i, the jumps of the energy; twice_by_joint ∂²S/∂t_i²; by_neighbors
-          ∂²S/∂t_i∂t_{i+1}; all at fixed node values
+        - joint_time_derivatives : -> by_joints ∂S/∂t_i, the jumps of the energy; twice_by_joints ∂²S/∂t_i∂t_j; both at
+          fixed node values
         - inertia_weighted : with inertia -> matrix ∇²S with ∂²L/∂v² multiplied by it
         - curvature : with left z and right y -> signed zᵀ∇²S y, positive sum of the sizes of its terms
         - sensitivity : with direction of the parameters -> change of ∇S along it
@@ -245,15 +244,14 @@ class Functional:
             "joint_time_derivatives": self._joint_time_derivatives,
             "inertia_weighted": self._inertia_weighted,
             "curvature": self._curvature,
-            "sensitivity": self._sensitivity,
-            "product": self._product,
+            "sensitivity": lambda: self._change_by("parameters"),
+            "product": lambda: self._change_by("unknowns"),
         }
         return self.keep(name, builders[name])
 
     def _joint_time_derivatives(self) -> Parts:
-        at_points = one_by_one(self.pointwise.time_derivatives, self.numbering.points, self._shared).call(self._at)
-        by_joint, twice_by_joint, by_neighbors = joint_time_derivatives(self.numbering, *at_points)
-        return {}, {"by_joint": by_joint, "twice_by_joint": twice_by_joint, "by_neighbors": by_neighbors}
+        twice_by_joints, by_joints = ca.hessian(self.action, self.symbols["mesh"])
+        return {}, {"by_joints": ca.densify(by_joints), "twice_by_joints": ca.densify(twice_by_joints)}
 
     def _inertia_weighted(self) -> Parts:
         inertia, blocks = ca.MX.sym("inertia"), zip(self.pointwise.blocks, self._second[3:], strict=True)
@@ -261,30 +259,20 @@ class Functional:
         return {"inertia": inertia}, {"matrix": self._assembled(weighted)[0]}
 
     def _curvature(self) -> Parts:
-        left, right = (ca.MX.sym(name, self.numbering.free) for name in ("left", "right"))
-        signed, positive = map(summation(self.numbering), self._along(self.pointwise.curvature, left, right))
+        ways = {name: ca.MX.sym(name, self.numbering.free) for name in ("left", "right")}
+        fixed, embed = ca.MX.zeros(self.numbering.size - self.numbering.free, 1), embedding(self.numbering)
+        changes = [ca.vertcat(*embed.call([ca.vertcat(way, fixed)])) for way in ways.values()]
+        mapped = one_by_one(self.pointwise.curvature, self.numbering.points, self._shared)
+        signed, positive = map(summation(self.numbering), mapped.call([*self._at, *changes]))
         if self._further is not None:
-            signed += ca.bilin(self._further, left, right)
-            positive += ca.bilin(ca.fabs(self._further), ca.fabs(left), ca.fabs(right))
-        return {"left": left, "right": right}, {"signed": signed, "positive": positive}
+            signed += ca.bilin(self._further, *ways.values())
+            positive += ca.bilin(ca.fabs(self._further), *map(ca.fabs, ways.values()))
+        return ways, {"signed": signed, "positive": positive}
 
-    def _product(self) -> Parts:
-        direction = ca.MX.sym("direction", self.numbering.free)
-        change = integration(self.numbering)(*self._along(self.pointwise.product, direction))
-        if self._further is not None:
-            change += ca.mtimes(self._further, direction)
-        return {"direction": direction}, {"change": change}
-
-    def _along(self, function: ca.Function, *directions: ca.MX) -> list[ca.MX]:
-        """A Function of the points and of changes of (x, x') there, evaluated for directions of the unknowns."""
-        fixed = ca.MX.zeros(self.numbering.size - self.numbering.free, 1)
-        changes = [ca.vertcat(*embedding(self.numbering).call([ca.vertcat(way, fixed)])) for way in directions]
-        return list(one_by_one(function, self.numbering.points, self._shared).call([*self._at, *changes]))
-
-    def _sensitivity(self) -> Parts:
-        parameters = ca.vertcat(*self._parameters)
-        direction = ca.MX.sym("direction", parameters.numel())
-        change = ca.jtimes(self.gradient, parameters, direction)
+    def _change_by(self, name: str) -> Parts:
+        """The change of ∇S along a direction of one of its symbols."""
+        direction = ca.MX.sym("direction", self.symbols[name].numel())
+        change = ca.jtimes(self.gradient, self.symbols[name], direction)
         return {"direction": direction}, {"change": ca.densify(change)}  # few rows may depend on parameters
 
     def keep(self, name: str, build: Callable[[], Parts]) -> ca.Function:

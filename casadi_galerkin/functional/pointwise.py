@@ -121,21 +121,6 @@ class Pointwise:
         terms = [ca.bilin(self._jacobian, z, y), ca.bilin(ca.fabs(self._jacobian), ca.fabs(z), ca.fabs(y))]
         return ca.Function("curvature", [*self._inputs.values(), z, y], terms)
 
-    @cached_property
-    def product(self) -> ca.Function:
-        """With y, of the size of (x, x'), as a further input, the two halves of J y."""
-        half = self._jacobian.shape[0] // 2
-        y = ca.SX.sym("y", 2 * half)
-        image = ca.densify(ca.mtimes(self._jacobian, y))
-        return ca.Function("product", [*self._inputs.values(), y], [image[:half], image[half:]])
-
-    @cached_property
-    def time_derivatives(self) -> ca.Function:
-        """Derivatives of L̂ at fixed x and x': by t, by h, and the second ones by tt, th and hh."""
-        hessian, gradient = ca.hessian(self._value, ca.vertcat(self._inputs["t"], self._inputs["h"]))
-        entries = (gradient[0], gradient[1], hessian[0, 0], hessian[0, 1], hessian[1, 1])
-        return ca.Function("time_derivatives", list(self._inputs.values()), [ca.densify(entry) for entry in entries])
-
     def _function(self, name: str, outputs: dict[str, ca.SX], **options: bool) -> ca.Function:
         return ca.Function(name, self._inputs | outputs, list(self._inputs), list(outputs), options)
 

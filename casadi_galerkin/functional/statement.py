@@ -4,10 +4,10 @@ The terms are
 
     φ(x_0, x_N) + p_0·x_0 - p_N·x_N + μ·ψ(x_0, x_N)      end action, given momenta p_0 and p_N, end conditions
     Λ_a·g(t_a, x_a)                                      a constraint, at every node whose position is not given
-    σ n·(x_0 - c)                                        the phase of a periodic path of given energy
 
-with multipliers μ, Λ_a and σ.  Λ_a is an impulse, the multiplier λ of the continuous problem times a share of time.
-The last term keeps x_0 in the plane through c with normal n.
+with multipliers μ and Λ_a.  Λ_a is an impulse, the multiplier λ of the continuous problem times a share of time.  The
+phase of a periodic path of given energy is fixed by the end condition n·(x_0 - c) = 0, that x_0 is in the plane through
+c with normal n.
 
 A given velocity gives the momentum ∂L/∂v of its component at that end.  If this momentum depends on given velocities
 only, the term is that of a given momentum.  If it also depends on velocities that are not given, these are further
@@ -65,10 +65,6 @@ def rows_of_ends(
     """
     statement, d, given = _Statement(problem, method, 1), problem.dimension, given_values(problem, plane)
     x, imposed = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], statement.imposed
-    if has_phase(problem):
-        multiplier = ca.SX.sym("eta")
-        rows = statement._phase()(ca.vertcat(x[0], multiplier), 0, problem.parameters or [], given)[1]
-        return ca.Function("rows", [*x, multiplier], [ca.vertcat(rows[:d], ca.SX.zeros(d), rows[d])]), imposed
     if statement.at_ends is None:
         return ca.Function("rows", [*x, ca.SX(0, 1)], [ca.SX.zeros(2 * d)]), imposed
     term = statement.at_ends[0]
@@ -104,7 +100,7 @@ class _Statement:
         self.constrained = np.arange(len(start) == d, last + (not problem.periodic and len(end) < d))
         self.constraints = 0 if problem.constraint is None else problem.constraint.size1_out(0)
         self.at_ends = self._ends()
-        multipliers = self.constraints * len(self.constrained) + has_phase(problem)
+        multipliers = self.constraints * len(self.constrained)
         multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d - sum(map(len, self.imposed))
         stretched = problem.energy is not None
         ends = start, end, tuple(self.imposed[0]), tuple(self.imposed[1])
@@ -130,10 +126,6 @@ class _Statement:
             multipliers = multipliers[self.constraints * count :]
             entries = np.concatenate((numbering.of_nodes[self.constrained], of_constraints), axis=1).T
             terms.append(LocalTerm(self._constraint(), entries, self._node_times(), True))
-        if has_phase(self.problem):
-            entries = np.append(numbering.of_nodes[0], multipliers[:1])[:, None]
-            multipliers = multipliers[1:]
-            terms.append(LocalTerm(self._phase(), entries, ca.DM(0, self.intervals + 1), True))
         if self.at_ends is not None:
             function, symmetric = self.at_ends
             ends = zip(numbering.of_ends, self.imposed, strict=True)
@@ -169,14 +161,6 @@ class _Statement:
         index = [*range(count)] * 2, np.append(interval, interval + 1).tolist()
         return ca.DM.triplet(*index, ca.DM(np.append(1 - part, part)), count, self.intervals + 1)
 
-    def _phase(self) -> ca.Function:
-        d = self.problem.dimension
-        x, multiplier = ca.SX.sym("x", d), ca.SX.sym("multiplier")
-        first = self.given.numel() - 2 * d - 1
-        normal, through = self.given[first : first + d], self.given[first + d : first + 2 * d]
-        rows = ca.vertcat(multiplier * normal, ca.dot(normal, x - through))
-        return self._function("phase", ca.vertcat(x, multiplier), ca.SX(0, 1), ca.SX(0), rows)
-
     def _ends(self) -> tuple[ca.Function, bool] | None:
         """The Function of the ends, and whether its jacobian is symmetric; None where no term states anything of them.
 
@@ -185,7 +169,8 @@ class _Statement:
         x_0 and x_N, the end conditions, the equations of the unknown velocities, and zeros for the given values.
         """
         problem, d = self.problem, self.problem.dimension
-        if not any(is_given(getattr(problem, name)) for name in (*END_MOTIONS, "end_action", "end_conditions")):
+        names = (*END_MOTIONS, "end_action", "end_conditions")
+        if not (has_phase(problem) or any(is_given(getattr(problem, name)) for name in names)):
             return None
         x, t, stated = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], ca.SX.sym("t", 2), self._stated_motions()
         positions = ca.vertcat(*x)
@@ -195,6 +180,10 @@ class _Statement:
         further = ca.SX(0, 1)
         if problem.end_conditions is not None:
             further = self._called(problem.end_conditions, *x)
+        elif has_phase(problem):
+            normal, through, _ = ca.vertsplit(self.given, [0, d, 2 * d, 2 * d + 1])
+            further = ca.dot(normal, x[0] - through)
+        if further.numel():
             multipliers = ca.SX.sym("multipliers", further.numel())
             unknowns.append(multipliers)
             rows += ca.jtimes(further, positions, multipliers, True)

@@ -278,28 +278,6 @@ def test_mesh_is_an_input_nothing_is_rebuilt():
     assert np.max(np.abs(a - np.array(tr.gradient(unknowns, [0.1], [0.7], GRADED)))) > 1e-2
 
 
-def test_derivatives_by_the_joints_are_those_of_the_action_through_the_graph():
-    problem = cg.BoundaryProblem(
-        lambda t, x, v, p: ca.dot(v, v) / 2 * (1 + x[0] ** 2 + t) + ca.sin(t * x[1]) + p[0] * v[0] * x[1] * t,
-        (0.0, 2.0),
-        [0.0, 1.0],
-        [1.0, None],
-        parameters=[0.7],
-    )
-    transcription = cg.transcribe(problem, cg.Galerkin(4), mesh=[0.0, 0.3, 0.9, 1.1, 2.0])
-    unknowns = np.random.default_rng(3).standard_normal(transcription.numbering.free)
-    data = transcription.data(transcription.mesh)
-    found = transcription.functional.function("joint_time_derivatives").call([unknowns, *data])
-    slope, diagonal, beside = (np.array(value).ravel() for value in found)
-    symbols = transcription.functional.symbols
-    hessian, gradient = ca.hessian(transcription.functional.action, symbols["mesh"])
-    graph = ca.Function("graph", list(symbols.values()), [gradient, hessian])
-    expected_slope, expected = (np.array(value) for value in graph.call([unknowns, *data]))
-    built = np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1)
-    np.testing.assert_allclose(slope, expected_slope.ravel(), rtol=0, atol=ROUNDOFF * np.max(np.abs(expected_slope)))
-    np.testing.assert_allclose(built, expected, rtol=0, atol=ROUNDOFF * np.max(np.abs(expected)))
-
-
 def test_a_graph_outlives_the_cache_of_its_symbols():
     """A descent builds more graphs than are kept; Newton's method on an earlier one then met foreign symbols."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0, 1), [0.0], [1.0])
