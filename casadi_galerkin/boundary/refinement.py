@@ -79,8 +79,8 @@ INTERMEDIATE = 1e-3, 500  # tolerance and largest number of intervals for the in
 INDICATOR_PATIENCE = 3  # successive meshes on which an error indicator may stay large at one place before an error
 TRUNCATION_PATIENCE = 12  # the same for Legendre coefficients, while intervals are moved to where these are large
 NOT_SMOOTH = (
-    "Either L is not smooth there: name that time in the breakpoints of the problem. Or the path passes through a "
-    "singularity: give a guess that leads around it"
+    "Either L is not smooth there: name that time in the breakpoints of the problem, or smooth a step in x, as by "
+    "tanh. Or the path passes through a singularity: give a guess that leads around it"
 )
 
 

@@ -74,7 +74,7 @@ DIFFERING_ESTIMATES = 1e-4
 SAME_SWITCH = 1e-8
 FINER = 4  # times as many samples as for the path, to see obstacles that are as narrow as a twentieth of an interval
 ROUNDOFF = 1e-15  # of positions and of impulses, relative to their sizes
-FINEST = 12  # number of distances from a quadrature point, each half of the one before, at which excess is looked for
+FINEST = 12  # number of distances from a point, each half of the one before, at which excess is looked for
 MET = 1e-4  # distance from a bound, over `constraint_changes`, up to which a point meets it
 UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
 
@@ -82,7 +82,8 @@ UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, b
 def position_errors(path: ControlTrajectory) -> np.ndarray:
     """Errors of the path on each interval, (N,), because its positions exceed their bounds between the nodes."""
     problem = path.problem
-    positions = path.polynomial.values_at_parts(sampling_parts(path.method.degree))
+    parts = np.union1d(sampling_parts(path.method.degree), around(path.polynomial.nodes))
+    positions = path.polynomial.values_at_parts(parts)
     outside = bound_excess(positions, *problem.position_bounds) / path.sizes[:, None, None]
     excess = np.max(np.where(outside > ROUNDOFF, outside, 0.0), axis=2)
     powers = np.full((len(excess), 1), 0.5)
@@ -91,9 +92,9 @@ def position_errors(path: ControlTrajectory) -> np.ndarray:
 
 
 def around(points: np.ndarray) -> np.ndarray:
-    """Fractions of an interval at distances of all sizes from its quadrature points.
+    """Fractions of an interval at distances of all sizes from some points.
 
-    A narrow obstacle that one of the points meets is wider or narrower than any given distance.
+    What a path exceeds beside a point that meets a bound may be narrower than any given distance.
     """
     distances = 0.5 ** np.arange(1, FINEST + 1)
     return np.unique(np.clip(np.add.outer(points, np.append(-distances, distances)), 0.0, 1.0))
@@ -142,7 +143,7 @@ def unseen_constraint_excess(path: ControlTrajectory, higher: ControlTrajectory)
     of every constraint, (k, N), and that of constraints whose bounds no quadrature point of the interval or of its
         neighbors meets
     """
-    if path.problem.path_constraint is None:
+    if path.problem.path_constraint is None or path.problem.path_constraint[0].numel_out(0) == 0:
         return np.zeros((1, len(path.t) - 1)), np.zeros((1, len(path.t) - 1))
     function, *bounds = path.problem.path_constraint
     parts = sampling_parts(FINER * path.method.degree)

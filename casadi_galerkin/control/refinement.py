@@ -9,7 +9,7 @@ them, relative to the size of its component.  The error of the control is not es
 between the quadrature points is; nor is it known whether the optimum is the global one.
 
 Where the solver finds no path, it tries again with every interval halved.  Where it finds none of degree m + 2, there
-is no error estimate, and the next mesh has every interval halved.  The same is done after several meshes that did not
+is no error estimate, and the next mesh has every interval halved.  The same is done after every four meshes in a row that did not
 reduce the error, because meshes may otherwise alternate where controls switch often.  IPOPT's own tolerance does not
 follow `tol`: a looser one was hardly faster, and sometimes failed.
 
@@ -70,7 +70,7 @@ WARM_START_BARRIER = 1e-4  # first barrier from an earlier path: with 1e-2 a rob
 # along a wall to 1e-5.
 BARRIER_RATIO, LARGEST_BARRIER_RATIO, OPEN_SHARE = 3e-11, 1e4, 0.1
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
-PATIENCE = 10  # levels in a row without a smaller error after which every interval is halved: two meshes may alternate
+PATIENCE = 4  # every interval is halved after so many levels in a row without a smaller error, as meshes may alternate
 WAYPOINT = (
     "Where a waypoint at a free time asks for nothing, or its bounds are not met, nothing tells when it is passed: "
     "leave it out"
@@ -127,7 +127,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     """One refinement of a trajectory optimization to a tolerance: of all errors, or `of_cost` alone; see `solve`."""
 
     roundoff_level = 1e-8  # error that the solvers leave
-    persistence = PATIENCE + 5  # problems of the literature needed up to 4 levels in a row without a smaller error
+    persistence = 15
     iterations = 0  # of the solver in all solves so far
     build_seconds = 0.0
     known: HigherDegree | None = None  # the last error estimate
@@ -234,7 +234,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         if detail is not None:
             self.check_solver(detail)
         known = level if detail is None else detail.higher
-        if detail is None or self.fruitless == PATIENCE:
+        if detail is None or (self.fruitless > 0 and self.fruitless % PATIENCE == 0):
             mesh = halved(known.t)
         else:
             mesh = detail.better_mesh(self.path_tol(detail), self.tol)
@@ -347,7 +347,7 @@ def first_control_discretization(
     if intervals is None and mesh is None:
         intervals = FIRST_INTERVALS + len(problem.breakpoints)
         if isinstance(guess, ControlTrajectory) and len(guess.t) - 1 > intervals:
-            own, other = section_times(guess.problem), section_times(problem)
+            own, other = (section_times(with_joined_phases(stated)) for stated in (guess.problem, problem))
             if len(own) == len(other):
-                intervals, mesh = None, map_times(guess.t, own, other)
+                return method, map_times(guess.t, own, other)
     return method, mesh_for(problem, intervals, mesh)

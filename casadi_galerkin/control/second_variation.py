@@ -68,7 +68,7 @@ class CostVariation:
         hessian = graph.whole_hessian(at.unknowns, at.data, 1.0, multipliers)[1]
         free = np.flatnonzero(~_active(at.unknowns, at.bounds.unknowns, at.bound_multipliers, sizes)).tolist()
         held = np.flatnonzero(_active(rows, at.bounds.equations, at.multipliers, np.abs(rows))).tolist()
-        units, flat = (ca.diag(ca.DM(a)) for a in (or_one(sizes), np.where(sizes > 0, FLAT, 0.0)))
+        units, flat = (ca.diag(ca.DM(a)) for a in (_units(chain, at, sizes), np.where(sizes > 0, FLAT, 0.0)))
         curved = ca.mtimes(units, ca.mtimes(hessian, units))
         largest = float(ca.norm_inf(curved))
         if largest == 0:
@@ -97,6 +97,20 @@ def _sizes(chain: Chain, unknowns: np.ndarray) -> np.ndarray:
         entries = np.concatenate([chain.fields[name].ravel() for name in names])
         sizes[entries] = np.max(np.abs(unknowns[entries]), initial=0.0)
     return sizes
+
+
+def _units(chain: Chain, at: Optimum, sizes: np.ndarray) -> np.ndarray:
+    """Units of the unknowns: their sizes, those of the largest component for momenta and velocities; one for a zero.
+
+    A component that is zero all along the path has no size, but its momentum is compared with those of others.
+    """
+    units, fields = sizes.copy(), chain.fields
+    velocities = np.concatenate([fields[name].ravel() for name in ("start_velocity", "end_velocity", "velocity")])
+    units[velocities] = np.max(np.abs(at.unknowns[velocities]), initial=0.0)
+    if chain.mechanical:
+        measures = np.append(at.unknowns, at.data)[fields["sizes"]]  # in which momenta are stored
+        units[fields["momentum"]] = np.max(np.abs(at.unknowns[fields["momentum"]] * measures)) / measures
+    return or_one(units)
 
 
 def _slopes(chain: Chain, mesh: np.ndarray) -> ca.DM:

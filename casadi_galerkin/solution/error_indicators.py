@@ -8,7 +8,8 @@ time, and as a constraint g with multipliers λ moves,
 with p at the joints from the discrete Legendre transform.  A discrete path satisfies it up to the order of its error.
 It does not where L has a kink inside an interval, or where the mesh is far too coarse.  Where L jumps in time, or is
 singular at an end, energies differ on any mesh.  So an interval counts by no more than all that acts within it may move
-the path (`_most_change`), and where the energy changes by more, it is balanced before and after the interval.
+the path (`_most_change`), and where the energy changes by more, it is balanced before and after the interval.  Where L
+steps in x, as at an edge, the impulse is in no equation, and energies on both sides must agree (`_steps_in_place`).
 
 The Lagrangian between points.  Along a path that its mesh resolves, L is nearly a polynomial on every interval, and the
 polynomial through its values at m + 1 points predicts the others.  At a pole it does not.  There the path is
@@ -45,6 +46,7 @@ ENERGY_SHARE = 0.3  # share of the tolerance that the energy imbalance may have;
 # accepted misfit of L between points, over its size; at a pole it is larger, at all degrees to 14
 LAGRANGIAN_MISFIT = 0.05
 FORCE_JUMP_SHARE = 0.1  # share of the tolerance that changes of a momentum by jumps of a force may have
+STEP_RATIO = 2.0  # change of L along an interval, over what its derivatives by x explain, above which it steps there
 ROUNDING_FACTOR = 10.0  # factor on roundoff floors: an imbalance below it may be rounding alone
 
 
@@ -222,21 +224,24 @@ def _between_breakpoints(
         momentum = tangent_momenta(problem, *place, momentum, sampled.v[:, sampled.joints])
     conserved, scale, floor = _energies(sampled, momentum)
     masses = np.max(np.where(np.isfinite(sampled.masses), np.abs(sampled.masses), 0.0), axis=0)
-    most = _most_change(sampled)
-    jumps = np.abs(np.diff(conserved)) > most * np.minimum(scale[1:], scale[:-1]) + floor[1:] + floor[:-1]
+    gained, size, rounded = np.abs(np.diff(conserved)), np.minimum(scale[1:], scale[:-1]), floor[1:] + floor[:-1]
+    unresolved, most = _unresolved(sampled, scale, floor), _most_change(sampled)
+    if np.any((gained > most * size + rounded) | (unresolved > most)):
+        most = np.where(_steps_in_place(sampled), np.inf, most)
+    jumps = gained > most * size + rounded
     balance = np.where(jumps, most, 0.0)
     for part in np.split(np.arange(len(scale)), np.flatnonzero(jumps) + 1):
         if len(part) > 1:
             balance[part[:-1]] = energy_imbalance(conserved[part], scale[part], floor[part])
-    return balance, np.minimum(_unresolved(sampled, scale, floor), most), masses
+    return balance, np.minimum(unresolved, most), masses
 
 
 def _most_change(at: _Sampled) -> np.ndarray:
     """How far all that acts within an interval may move the path, relative to its sizes; (N,).
 
-    A step or kink of L, wherever it is in the interval, moves the path by no more than the interval's displacement, or
-    by what its whole impulse moves in the duration.  At a pole the impulse grows as the interval shrinks.  Under a
-    constraint, whose forces are not in L, nothing bounds the change.
+    A step of L in time, or a kink, wherever it is in the interval, moves the path by no more than the interval's
+    displacement, or by what its whole impulse moves in the duration.  At a pole the impulse grows as the interval
+    shrinks.  Under a constraint, whose forces are not in L, nothing bounds the change.
     """
     if at.problem.constraint is not None:
         return np.full(len(at.steps), np.inf)
@@ -247,6 +252,20 @@ def _most_change(at: _Sampled) -> np.ndarray:
     )
     change = np.max(moved / at.path.sizes + pushed / (np.fmin(inertia[1:], inertia[:-1]) + TINY), axis=1)
     return np.where(np.isfinite(change), change, np.inf)
+
+
+def _steps_in_place(at: _Sampled) -> np.ndarray:
+    """Whether L, at one time and velocity, changes along an interval by more than its derivatives by x tell; (N,).
+
+    CasADi's derivative of a step is zero, so that its impulse is in no equation, on any mesh.
+    """
+    count, moved = len(at.steps), np.ptp(at.x.reshape(len(at.x), len(at.steps), -1), axis=2).T
+    inside = np.repeat(np.arange(len(at.h)).reshape(count, -1)[:, 2], len(at.h) // count)
+    place = at.times[inside], at.h, at.x, at.v[:, inside] * at.h
+    lagrangian, slopes, *_ = _at_places(at.problem, at.terms.derivatives, *place)
+    values, steepest = at.by_interval(lagrangian), np.max(np.abs(slopes).reshape(count, -1, len(at.x)), axis=1)
+    rounded = ROUNDING_FACTOR * EPS * np.max(np.abs(values), axis=1)
+    return np.asarray(np.ptp(values, axis=1) > STEP_RATIO * np.sum(steepest * moved, axis=1) + rounded)
 
 
 def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -121,6 +121,27 @@ def test_a_bound_of_a_component_whose_rate_is_controlled_needs_no_square_root(to
     assert len(path.t) <= most
 
 
+@pytest.mark.parametrize(("cap", "asked"), [(0.165817, {"cost_tol": 5.7e-3}), (0.16596, {"tol": 6.3e-4})])
+def test_a_bound_that_is_touched_for_a_short_time_at_a_joint_is_seen_to_be_exceeded(cap, asked):
+    """Bryson and Denham's problem, where 4 / (9 cap) is the least cost; the arc at the bound is 1 - 6 cap long."""
+    problem = double_integrator(
+        end=[0.0],
+        start_velocity=[1.0],
+        end_velocity=[-1.0],
+        running_cost=lambda t, x, v, u: u**2 / 2,
+        position_bounds=(-np.inf, cap),
+    )
+    path = cg.solve(problem, **asked)
+    assert abs(path.cost / (4 / (9 * cap)) - 1) <= 2 * path.cost_error
+    assert np.max(path(np.linspace(0, 1, 40001))) / cap - 1 <= path.error_estimate
+
+
+def test_a_path_constraint_of_no_values_limits_nothing():
+    """As of a program that has found no obstacles."""
+    path = cg.solve(double_integrator(path_constraint=(lambda t, x, v, u: [], 0, 1)), tol=1e-5)
+    assert path.cost == pytest.approx(cg.solve(double_integrator(), tol=1e-5).cost, rel=1e-9)
+
+
 @pytest.mark.parametrize(
     ("width", "when", "height", "asked"),
     [

@@ -359,6 +359,35 @@ def test_many_switches_are_found_to_a_loose_tolerance(waves):
     assert cg.solve(push, cost_tol=1e-3).cost == pytest.approx(exact, rel=1e-3)
 
 
+def test_a_flight_of_many_switches_is_resolved():
+    """A drone through three gates, nearly in the least time: meshes of about as many intervals came no nearer."""
+    mass, inertia, arm, gravity = 1.0, 0.1, 0.3, 9.81
+    flight = cg.ControlProblem(
+        lambda t, x, v: mass * ca.sumsqr(v[:2]) / 2 + inertia * v[2] ** 2 / 2 - mass * gravity * x[1],
+        (0.0, 4.0),
+        start=[0.0, 0.0, 0.0],
+        end=[6.0, 1.0, 0.0],
+        start_velocity=[0.0] * 3,
+        end_velocity=[0.0] * 3,
+        force=lambda t, x, v, u: [
+            -ca.sum1(u) * ca.sin(x[2]),
+            ca.sum1(u) * ca.cos(x[2]),
+            arm * (u[1] - u[0]),
+        ],
+        running_cost=lambda t, x, v, u: 1 + 1e-3 * ca.sumsqr(u - gravity / 2),
+        controls=2,
+        control_bounds=(0.5, 12.0),
+        duration_bounds=(0.1, 6.0),
+        waypoints=[
+            (1.0, [1.5, (0.8, 1.2), None]),
+            (2.0, [3.0, (-0.6, -0.2), None]),
+            (3.0, [4.5, (1.3, 1.7), None]),
+        ],
+    )
+    path = cg.solve(flight, tol=1e-3)
+    assert path.cost == pytest.approx(2.78837, abs=1e-5)
+
+
 def test_best_path_is_not_always_the_last(monkeypatch):
     estimate, errors = ControlRefinement.estimate, iter([2e-2, 1e-2, 3e-2])
     monkeypatch.setattr(ControlRefinement, "estimate", lambda *args: replace(estimate(*args), error=next(errors)))

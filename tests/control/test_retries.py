@@ -132,7 +132,7 @@ def test_a_cost_with_a_norm_that_stops_the_solver_is_named():
         )
 
     guess = (lambda t: [t, t], lambda t: [0.1, 0.1])
-    with pytest.raises(cg.ConvergenceError, match=r"all constraints hold, .* root or norm of controls, .* \+ 1e-8"):
+    with pytest.raises(cg.ConvergenceError, match=r"all constraints hold, .* root or norm of controls, .* \+ 1e-4"):
         cg.solve(carried(ca.norm_2), cg.Galerkin(3), 6, guess=guess)
     path = cg.solve(carried(ca.norm_2), cg.Galerkin(3), 10, guess=guess)  # met in passing
     smooth = cg.solve(carried(lambda u: ca.sqrt(ca.sumsqr(u) + 1e-8)), cg.Galerkin(3), 10, guess=guess)

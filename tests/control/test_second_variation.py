@@ -45,6 +45,27 @@ def test_a_line_over_a_hill_is_a_saddle_in_every_direction_across(across, solver
     assert f"a saddle of Morse index {across}" in repr(path)
 
 
+@pytest.mark.parametrize("duration", [1.1, 2.1556, 3.7])
+@pytest.mark.parametrize("length", [1.0, 1e-2, 1e-4])
+def test_the_shortest_way_to_a_circle_is_a_minimum_in_any_unit(length, duration):
+    """The component across it is zero, and so are its momenta, whose unit is that of the others."""
+    problem = cg.ControlProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2,
+        (0.0, duration),
+        start=[0.45 * length, 0.0],
+        end=[None, None],
+        start_velocity=[0.0, 0.0],
+        end_velocity=[None, None],
+        force=lambda t, x, v, u: u,
+        running_cost=lambda t, x, v, u: ca.sumsqr(u / length) / 2,
+        controls=2,
+        end_conditions=(lambda x0, v0, x1, v1: ca.sumsqr(x1 / length), 1.0, 1.0),
+    )
+    path = cg.solve(problem, METHOD, 16, guess=lambda t: [length * (0.45 + 0.55 * t / duration), 0.0])
+    assert path.cost == pytest.approx(1.5 * 0.55**2 / duration**3, rel=1e-7)
+    assert path.morse_index == 0
+
+
 def test_the_way_round_the_hill_is_a_minimum_and_costs_less():
     problem = over_a_hill(1)
     over, around = (cg.solve(problem, METHOD, 12, guess=guess) for guess in (None, lambda t: [2 * t - 1, t * (1 - t)]))

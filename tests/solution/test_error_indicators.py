@@ -271,6 +271,31 @@ def test_a_step_in_x_at_a_joint_enters_the_estimate(intervals):
     assert path.estimate_error() >= abs(path(0.5 / velocity)[0] - 0.5)
 
 
+EDGES = {  # Lagrangians that step in x, whose derivative is zero everywhere
+    "potential": lambda t, x, v: v[0] ** 2 / 2 - 0.3 * (x[0] > 0.3),
+    "floor": lambda t, x, v: v[0] ** 2 / 2 - 0.3 * ca.floor(2 * x[0] + 0.4),
+    "moving": lambda t, x, v: v[0] ** 2 / 2 - 0.3 * (x[0] > 0.3 + 0.1 * t),
+    "mass": lambda t, x, v: (1 + (x[0] > 0.3)) * v[0] ** 2 / 2,
+    "field": lambda t, x, v: ca.sumsqr(v) / 2 + 0.5 * (x[0] > 0.4) * v[1],
+}
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6])
+@pytest.mark.parametrize("name", EDGES)
+def test_a_path_over_an_edge_is_refused(name, tol):
+    """The impulse at the edge is in no equation: the energies on both sides, or the momenta along it, did not agree."""
+    d = 2 if name == "field" else 1
+    problem = cg.BoundaryProblem(EDGES[name], (0.0, 1.0), [0.0] * d, [1.0, 0.5][:d])
+    with pytest.raises(cg.LimitReached, match=r"balance of energy.*smooth a step in x"):
+        cg.solve(problem, tol=tol)
+
+
+@pytest.mark.parametrize("intervals", [10, 100])
+def test_the_error_over_an_edge_is_the_same_on_any_mesh(intervals):
+    step = cg.InitialProblem(EDGES["potential"], (0.0, 1.0), [0.0], velocity=[1.0])
+    assert cg.solve(step, cg.Galerkin(4), intervals).estimate_error() > 0.1
+
+
 @pytest.mark.parametrize("tol", [1e-3, 1e-9, 1e-12])
 @pytest.mark.parametrize("ends", [{"start": [0.7], "end": [0.7]}, {"start": [None], "periodic": True}])
 def test_rest_where_the_lagrangian_vanishes_is_a_path(tol, ends):
