@@ -22,6 +22,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.constrained_motion import relative_residuals
+from casadi_galerkin.solution.error_indicators import kinks_in_place
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.linear_solver import all_finite
@@ -37,7 +38,7 @@ def boundary_function(
     _refuse_energy("solution_function", problem)
     transcription = transcribed(problem, method, intervals, mesh)
     point = transcription.critical_point(guess=guess)
-    transcription.trajectory(point, 0.0)  # refuses a singular Hessian
+    _refuse_kinks("solution_function", transcription.trajectory(point, 0.0))  # which refuses a singular Hessian
     functional, numbering = transcription.functional, transcription.numbering
     unknowns, known = point.solution.unknowns, point.solution.data
     weights = 1 / transcription.stationarity.sizes_of_terms(unknowns, known)
@@ -126,7 +127,8 @@ def sensitivity(path: Trajectory) -> Sensitivity:
     Raises
     ------
     TypeError, ValueError
-        for what is no path of a BoundaryProblem, and for a path of given energy
+        for what is no path of a BoundaryProblem, for a path of given energy, and where ∂L/∂x steps in x on the path,
+        as that of |x| does: the derivatives contain its impulse, which is in no Hessian
 
     Examples
     --------
@@ -141,6 +143,7 @@ def sensitivity(path: Trajectory) -> Sensitivity:
     if not isinstance(problem, BoundaryProblem):
         raise TypeError(f"sensitivity takes the path of a BoundaryProblem, got one of {type(problem).__name__}")
     _refuse_energy("sensitivity", problem)
+    _refuse_kinks("sensitivity", path)
     return at_joints(problem, path)
 
 
@@ -167,3 +170,14 @@ def _refuse_energy(name: str, problem: BoundaryProblem) -> None:
     """Refuse a free duration: its joints move with the data."""
     if problem.energy is not None:
         raise ValueError(f"{name} takes problems of a given duration, got one of given energy, {problem.energy}")
+
+
+def _refuse_kinks(name: str, path: Trajectory) -> None:
+    """Refuse a path over a kink of L in x, whose impulse is in no derivative."""
+    kinks = np.flatnonzero(kinks_in_place(path.problem, path.polynomial))
+    if len(kinks):
+        when = (path.t[kinks[0]] + path.t[kinks[0] + 1]) / 2
+        raise ValueError(
+            f"{name} takes paths along which ∂L/∂x and the force are continuous in x, got one on which they step near "
+            f"t = {when:.6g}: smooth L there, as |x| by sqrt(x² + 1e-6)"
+        )

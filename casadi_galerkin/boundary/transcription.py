@@ -25,6 +25,7 @@ from casadi_galerkin.problems.constrained_motion import off_constraint
 from casadi_galerkin.problems.legendre_transform import convex, legendre_transform
 from casadi_galerkin.problems.orbit_phase import turned_back
 from casadi_galerkin.problems.problem import END_MOTIONS, check_types, mesh_for
+from casadi_galerkin.solution.error_indicators import kinks_in_place
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.path import Path
@@ -214,17 +215,22 @@ class SecondVariation:
         """Relative difference to a path of a higher degree: see `error_between_ends`."""
         return error_between_ends(self._graph(), self._path)
 
-    def smallest(self) -> float:
-        """Smallest second variation relative to the sizes of its terms; see `softest`."""
+    def smallest(self) -> float | None:
+        """Smallest second variation relative to the sizes of its terms; see `softest`.  None at a kink of L in x."""
+        if np.any(kinks_in_place(self._problem, self._path)):
+            return None
         return smallest_second_variation(*self._at_path(self._graph()))
 
     def negative(self) -> int | None:
         """Number of negative eigenvalues; None where it is not finite, or is different in a higher degree.
 
-        If variations too short for the mesh lower the action, the number grows with the degrees of freedom, and a
-        higher degree counts more.
+        At a kink of L in x it is None as well, because no Hessian contains its part (`kinks_in_place`).  If variations
+        too short for the mesh lower the action, the number grows with the degrees of freedom, and a higher degree
+        counts more.
         """
         problem, path, graph = self._problem, self._path, self._graph()
+        if np.any(kinks_in_place(problem, path)):
+            return None
         index = negative_eigenvalues(*self._at_path(graph))
         if index is None or index != negative_eigenvalues(*self._at_path(graph.higher)):
             return None

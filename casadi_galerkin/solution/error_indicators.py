@@ -46,7 +46,7 @@ ENERGY_SHARE = 0.3  # share of the tolerance that the energy imbalance may have;
 # accepted misfit of L between points, over its size; at a pole it is larger, at all degrees to 14
 LAGRANGIAN_MISFIT = 0.05
 FORCE_JUMP_SHARE = 0.1  # share of the tolerance that changes of a momentum by jumps of a force may have
-STEP_RATIO = 2.0  # change of L along an interval, over what its derivatives by x explain, above which it steps there
+STEP_RATIO = 2.0  # change along an interval, over what derivatives by x explain, above which L or ∂L/∂x steps there
 ROUNDING_FACTOR = 10.0  # factor on roundoff floors: an imbalance below it may be rounding alone
 
 
@@ -200,6 +200,22 @@ class _Sampled:
         """Values of a Function of the arguments of L̂ at all places, (N K, ...) each."""
         return _at_places(self.problem, function, self.times, self.h, self.x, self.v * self.h)
 
+    def in_place(self, function: ca.Function) -> list[np.ndarray]:
+        """Values of a Function of the arguments of L̂ at all places, but at one time and velocity on each interval."""
+        count = len(self.steps)
+        inside = np.repeat(np.arange(len(self.h)).reshape(count, -1)[:, 2], len(self.h) // count)
+        place = self.times[inside], self.h, self.x, self.v[:, inside] * self.h
+        return _at_places(self.problem, function, *place)
+
+    def unexplained(self, values: np.ndarray, derivatives: np.ndarray) -> np.ndarray:
+        """Whether k values (N K, k) change along an interval by more than their derivatives by x, (N K, k, d), tell."""
+        count = len(self.steps)
+        moved = np.ptp(self.x.reshape(len(self.x), count, -1), axis=2).T
+        values = values.reshape(count, -1, values.shape[1])
+        steepest = np.max(np.abs(derivatives).reshape(*values.shape, -1), axis=1)
+        rounded = ROUNDING_FACTOR * EPS * np.max(np.abs(values), axis=1)
+        return np.asarray(np.ptp(values, axis=1) > STEP_RATIO * np.einsum("nkd,nd->nk", steepest, moved) + rounded)
+
     def by_interval(self, values: np.ndarray) -> np.ndarray:
         """Values at all places, those of an interval in a row; (N, K)."""
         return values.reshape(len(self.steps), -1)
@@ -255,17 +271,27 @@ def _most_change(at: _Sampled) -> np.ndarray:
 
 
 def _steps_in_place(at: _Sampled) -> np.ndarray:
-    """Whether L, at one time and velocity, changes along an interval by more than its derivatives by x tell; (N,).
+    """Whether L steps in x on an interval; (N,).
 
     CasADi's derivative of a step is zero, so that its impulse is in no equation, on any mesh.
     """
-    count, moved = len(at.steps), np.ptp(at.x.reshape(len(at.x), len(at.steps), -1), axis=2).T
-    inside = np.repeat(np.arange(len(at.h)).reshape(count, -1)[:, 2], len(at.h) // count)
-    place = at.times[inside], at.h, at.x, at.v[:, inside] * at.h
-    lagrangian, slopes, *_ = _at_places(at.problem, at.terms.derivatives, *place)
-    values, steepest = at.by_interval(lagrangian), np.max(np.abs(slopes).reshape(count, -1, len(at.x)), axis=1)
-    rounded = ROUNDING_FACTOR * EPS * np.max(np.abs(values), axis=1)
-    return np.asarray(np.ptp(values, axis=1) > STEP_RATIO * np.sum(steepest * moved, axis=1) + rounded)
+    lagrangian, slopes, _ = at.in_place(pointwise(at.problem.lagrangian, None).first)  # a force has no part in L
+    return at.unexplained(lagrangian, slopes[:, None, :])[:, 0]
+
+
+def kinks_in_place(problem: Problem, path: PiecewisePolynomial) -> np.ndarray:
+    """Whether ∂L/∂x, with a force added, steps in x on an interval, as that of |x| does; (N,).
+
+    The path may then be right.  But its second variation, and its derivatives by ends and parameters, contain the
+    impulse of a step of the force by a change of the path, which is in no Hessian.
+    """
+    at, d = _Sampled(problem, path), len(path.values)
+    _, slopes, _, *blocks = at.in_place(at.terms.derivatives)
+    curvature = np.zeros((len(at.h), d, d))
+    if (0, 0) in at.terms.blocks:
+        rows, columns = (np.array(index, dtype=int) for index in at.terms.pattern.get_triplet())
+        curvature[:, rows, columns] = blocks[at.terms.blocks.index((0, 0))]
+    return np.asarray(np.any(at.unexplained(slopes, curvature), axis=1))
 
 
 def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

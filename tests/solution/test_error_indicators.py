@@ -2,6 +2,7 @@
 
 import operator
 import re
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -294,6 +295,27 @@ def test_a_path_over_an_edge_is_refused(name, tol):
 def test_the_error_over_an_edge_is_the_same_on_any_mesh(intervals):
     step = cg.InitialProblem(EDGES["potential"], (0.0, 1.0), [0.0], velocity=[1.0])
     assert cg.solve(step, cg.Galerkin(4), intervals).estimate_error() > 0.1
+
+
+def test_over_a_kink_in_x_there_is_no_second_variation():
+    """The path of a constant pull to the origin turns round there: its Hessian said minimum, but the index is one."""
+
+    def swing(t):
+        return np.where(t < np.sqrt(2), 1 - t**2 / 2, (t - np.sqrt(8)) ** 2 / 2 - 1)
+
+    problem = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 - ca.fabs(x[0]), (0.0, 2.5), [1.0], [float(swing(2.5))])
+    path = cg.solve(problem, tol=1e-6, guess=lambda t: [swing(t)])
+    np.testing.assert_allclose(path.x[0], swing(path.t), rtol=0, atol=1e-5)
+    assert path.morse_index is None
+    assert path.regularity is None
+    assert "no Morse index" in repr(path)
+    with pytest.raises(ValueError, match=r"sensitivity takes paths along which .* got one .* near t = 1\.4"):
+        cg.sensitivity(path)
+    with pytest.raises(ValueError, match=r"solution_function takes paths along which"):
+        cg.solution_function(problem, cg.Galerkin(6), mesh=path.t, guess=path)
+    within = cg.solve(replace(problem, t_span=(0.0, 1.0), end=[0.5]), tol=1e-4)
+    assert within.morse_index == 0
+    assert cg.sensitivity(within).end[0, -1, 0] == 1
 
 
 @pytest.mark.parametrize("tol", [1e-3, 1e-9, 1e-12])
