@@ -28,7 +28,6 @@ SHORT, CONTRACTION = 0.3, 0.25  # a shorter relative step is taken in full if th
 STRONG_CONTRACTION = 0.1  # the factor for a long first step: from a straight line, all steps are long
 SMALLEST_DAMPING = 1e-7
 UNCHANGED = 1e-8  # change of ∇²S over its entries that may count as none
-WIDER = 8.0  # distances over which to look for rounding, over those that unknowns wandered, to see several of its steps
 BLURRED = 1e-3  # part of a component that the rounding of its equations may change
 LAST_STEPS = 10  # most steps once components that are rounding alone are set to zero: the path is near by then
 DRIFT = 10.0  # bound of the second variation's change, over what the last two steps show; along families at most 0.7
@@ -164,7 +163,8 @@ def _with_zero_components(
     """
     if not math.isfinite(at.norm):
         return None
-    nothing, data = _zero_components(linear, at, data, candidates)
+    unit = _units_of_zero(linear, data)
+    nothing, data = _zero_components(linear, at.unknowns, data, candidates, unit)
     if not np.any(nothing):
         return None
     zeroed = linear.newton_step(np.where(nothing, 0.0, at.unknowns), data)
@@ -175,7 +175,7 @@ def _with_zero_components(
             return None
         x = np.where(nothing, 0.0, zeroed.unknowns + zeroed.step)
         if np.max((np.abs(zeroed.step) / zeroed.sizes)[~nothing], initial=0.0) ** 2 <= EPS:
-            gradient, floor, least = _rounding_floors(linear, x, data, _wandered(at, nothing))
+            gradient, floor, least = _rounding_floors(linear, x, data, unit)
             action, momentum, _, regularity = linear.verification(x, data)
             residual = float(np.max(np.abs(gradient) / np.where(nothing, least, floor)))
             solution = Solution(x, data, iterations, residual, NEWTON, action, momentum, regularity)
@@ -184,20 +184,31 @@ def _with_zero_components(
     return None
 
 
-def _zero_components(linear: Linearization, at: Iterate, data: Data, candidates: np.ndarray) -> tuple[np.ndarray, Data]:
+def _units_of_zero(linear: Linearization, data: Data) -> np.ndarray:
+    """What a zero counts as: one in components whose given ends are exactly zero, which have no other size; (n,)."""
+    numbering = linear.stationarity.functional.numbering
+    sizes, units = np.zeros(numbering.dimension), np.zeros(numbering.free)
+    for those, end in zip((numbering.fixed_start, numbering.fixed_end), data[:2], strict=True):
+        sizes[list(those)] += np.abs(end)
+    units[: numbering.positions] = sizes[numbering.component[: numbering.positions]] == 0
+    return units
+
+
+def _zero_components(
+    linear: Linearization, x: np.ndarray, data: Data, candidates: np.ndarray, unit: np.ndarray
+) -> tuple[np.ndarray, Data]:
     """Which unknowns belong to candidates whose equations hold where all of these are zero, and data with zero ends.
 
     Given ends count as zero where they are not larger than what rounding of the equations does to the component.
     """
     numbering, chosen = linear.stationarity.functional.numbering, candidates.copy()
     component, fixed = numbering.component[: numbering.positions], (numbering.fixed_start, numbering.fixed_end)
-    x = at.unknowns
     while np.any(chosen):
         nothing = np.zeros(len(x), dtype=bool)
         nothing[: len(component)] = chosen[component]
         ends = [np.where(chosen[list(those)], 0.0, end) for those, end in zip(fixed, data[:2], strict=True)]
         zeroed = (*ends, *data[2:])
-        gradient, _, least = _rounding_floors(linear, np.where(nothing, 0.0, x), zeroed, _wandered(at, nothing))
+        gradient, _, least = _rounding_floors(linear, np.where(nothing, 0.0, x), zeroed, unit)
         missed = component[(np.abs(gradient) > ACCEPTED * least)[: len(component)]]
         if any(np.any(end != kept) for end, kept in zip(ends, data[:2], strict=True)):
             blurred = ACCEPTED * _of_components(numbering, np.abs(linear.rounding_effects(least)).max(axis=0))
@@ -209,44 +220,18 @@ def _zero_components(linear: Linearization, at: Iterate, data: Data, candidates:
     return np.zeros(len(x), dtype=bool), data
 
 
-def _wandered(at: Iterate, nothing: np.ndarray) -> np.ndarray:
-    """Distances over which unknowns that may be zero were seen to wander, and zero for the others; (n,)."""
-    return np.where(nothing, np.abs(at.unknowns) + np.abs(at.step), 0.0)
-
-
 def _rounding_floors(
-    linear: Linearization, x: np.ndarray, data: Data, wandered: np.ndarray | None = None
+    linear: Linearization, x: np.ndarray, data: Data, unit: float | np.ndarray = 0.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """∇S, the roundoff floors of its entries, and those that include the rounding within the derivatives of L; (n,).
 
-    Of the latter, all equations of a component have the largest.  See `_rounding_of_zeros` for what has `wandered`.
+    Of the latter, all equations of a component have the largest.  `unit` is that of `rounding_samples`.
     """
     numbering = linear.stationarity.functional.numbering
     gradient, floor = linear.stationarity.gradient_and_floor(x, data)
-    least = np.fmax(floor, np.abs(linear.rounding_samples(x, data)).max(axis=0))
-    if wandered is not None:
-        least = np.fmax(least, _rounding_of_zeros(linear, x, data, wandered))
+    least = np.fmax(floor, np.abs(linear.rounding_samples(x, data, unit)).max(axis=0))
     least[: numbering.positions] = _of_components(numbering, least)[numbering.component[: numbering.positions]]
     return gradient, floor, least
-
-
-def _rounding_of_zeros(linear: Linearization, x: np.ndarray, data: Data, wandered: np.ndarray) -> np.ndarray:
-    """Rounding of the equations of components that are zero at x, over distances like those that they wandered; (n,).
-
-    That of a component counts where ∇²S is the same so far away, and where it is more than the rounding of the terms
-    that come with the distance.
-    """
-    numbering, rounding = linear.stationarity.functional.numbering, np.zeros(len(x))
-    for i in np.unique(numbering.component[: numbering.positions][wandered[: numbering.positions] > 0]):
-        own = np.flatnonzero(numbering.component[: numbering.positions] == i)
-        changes = np.zeros(len(x))
-        changes[own] = WIDER * wandered[own]
-        if not _same_matrix(linear, *(linear.evaluate("hessian", at, data)[0] for at in (x, x + changes))):
-            continue
-        seen = np.abs(linear.second_differences(x, data, changes)).max(axis=0)[own]
-        if np.max(seen) > ACCEPTED * np.max(linear.stationarity.gradient_and_floor(x + changes, data)[1][own]):
-            rounding[own] = seen
-    return rounding
 
 
 def _blurred(linear: Linearization, x: np.ndarray, data: Data, floors: np.ndarray) -> float:

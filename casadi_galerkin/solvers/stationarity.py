@@ -303,33 +303,24 @@ class Linearization:
         residuals = [b + self.evaluate("product", unknowns, data, y)[0] for y, b in zip(solutions, rhs, strict=True)]
         return [y + correction for y, correction in zip(solutions, self.solve(*residuals), strict=True)]
 
-    def rounding_samples(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
+    def rounding_samples(self, unknowns: np.ndarray, data: Data, unit: float | np.ndarray = 0.0) -> np.ndarray:
         """Changes of ∇S where unknowns and ends are rounded in other ways, one for each choice of signs; evaluates ∇S.
 
-        They show the rounding of terms that cancel within the derivatives of L, whose sizes are not known.
+        They show the rounding of terms that cancel within the derivatives of L, whose sizes are not known.  An unknown
+        that is zero is rounded as a number of the size `unit`.
         """
         start, end, *further = data
-        signs, gradients = np.random.default_rng(len(unknowns)), []
-        for _ in range(SIGN_SAMPLES):
-            x, *ends = (a * (1 + signs.choice((-EPS, EPS), len(a))) for a in (unknowns, start, end))
-            gradients.append(self._gradient(x, (*ends, *further)))
-        return np.asarray(gradients - self._gradient(unknowns, data))
-
-    def second_differences(self, unknowns: np.ndarray, data: Data, sizes: np.ndarray) -> np.ndarray:
-        """∇S(ξ + a + b) - ∇S(ξ + a) - ∇S(ξ + b) + ∇S(ξ) for random a and b up to these sizes; evaluates ∇S.
-
-        Where ∇S is linear but for rounding, they show that rounding, also of unknowns that are zero.  Returns
-        `SIGN_SAMPLES` differences, (SIGN_SAMPLES, n).
-        """
-        random = np.random.default_rng(len(unknowns))
-        changes = sizes * random.uniform(-1, 1, (SIGN_SAMPLES, 2, len(unknowns)))
-        at = np.array([[self._gradient(unknowns + c, data) for c in (a + b, a, b)] for a, b in changes])
-        return np.asarray(at[:, 0] - at[:, 1] - at[:, 2] + self._gradient(unknowns, data))
-
-    def _gradient(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
-        """Evaluate ∇S; returns a copy of it."""
-        self._evaluate("summary", unknowns, data)
-        return self.gradient.copy()
+        sizes = np.where(unknowns == 0, unit, unknowns)
+        signs, gradients = np.random.default_rng(len(unknowns)), np.empty((SIGN_SAMPLES, len(unknowns)))
+        for gradient in gradients:
+            x, *ends = (
+                a + size * signs.choice((-EPS, EPS), len(a))
+                for a, size in ((unknowns, sizes), (start, start), (end, end))
+            )
+            self.terms(x, (*ends, *further))
+            gradient[:] = self.gradient
+        self.terms(unknowns, data)
+        return np.asarray(gradients - self.gradient)
 
     def rounding_effects(self, terms: np.ndarray) -> np.ndarray:
         """Changes of the unknowns, with the present ∇²S, by errors of the equations of sizes `terms` and random signs.

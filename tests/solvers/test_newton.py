@@ -178,6 +178,19 @@ def test_rest_at_the_origin_is_found_where_constants_cancel(mass, stiffness, sid
     assert path.morse_index == np.sum(np.floor(frequencies / np.pi))
 
 
+@pytest.mark.parametrize(
+    ("place", "pull"), [(0.34851028435304277, 9.469327236237842), (0.2578, 3.7704), (0.0566, 10.655)]
+)
+def test_a_kink_is_not_taken_for_rounding(place, pull):
+    """Its Hessian is the same on both sides, as it is where terms cancel: all was set to zero, with the ends."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - pull * ca.fabs(x[0] - place), (0.0, 2.0), [1.0], [-0.5]
+    )
+    path = cg.solve(problem, tol=1e-5)
+    assert (path(0.0)[0], path(2.0)[0]) == (1.0, -0.5)
+    assert len(path.t) < 1000
+
+
 @pytest.mark.parametrize("how", HOW, ids=["mesh", "tol"])
 @pytest.mark.parametrize("drift", [1e-15, 1e-9])
 def test_a_weight_that_hangs_beside_the_origin_is_not_taken_for_one_at_rest(drift, how):
