@@ -81,6 +81,9 @@ def _check(problem: BoundaryProblem, stationarity: Stationarity) -> ca.Function:
 class Sensitivity:
     """Derivatives of a path at its joints by the data of its problem.
 
+    Those of its momenta are derivatives of the Function that `solution_function` makes.  A duration is no datum, but
+    with its length T as a parameter and L(t T, x, v / T) T in place of L, the time span is always from 0 to 1.
+
     Attributes
     ----------
     t : (N + 1,), joints
