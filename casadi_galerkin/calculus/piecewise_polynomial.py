@@ -28,6 +28,15 @@ def times_at(mesh: np.ndarray, parts: np.ndarray) -> np.ndarray:
     return np.asarray((mesh[:-1, None] + (mesh[1:] - mesh[:-1])[:, None] * parts).ravel())
 
 
+def extrema(values: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Places, counted in samples, of the extrema of sampled values (n, N, K) near some samples (n, N), by parabolas."""
+    inner = np.clip(near, 1, values.shape[2] - 2)[:, :, None]
+    before, here, after = (np.take_along_axis(values, inner + k, axis=2)[:, :, 0] for k in (-1, 0, 1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shift = (before - after) / (2 * (before - 2 * here + after))
+    return np.where(np.abs(shift) <= 1, inner[:, :, 0] + shift, near)
+
+
 def sampling_parts(degree: int) -> np.ndarray:
     """Fractions of an interval, 0 and 1 among them, at which something of this degree is sampled between its nodes."""
     return np.linspace(0.0, 1.0, 4 * degree + 1)

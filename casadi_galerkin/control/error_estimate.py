@@ -39,7 +39,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -53,9 +52,8 @@ from casadi_galerkin.control.jumps_in_time import jumps_in_time
 from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM
 from casadi_galerkin.control.switching import Switch, switches
 from casadi_galerkin.problems.bounds import bound_excess
-from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.dependence import CONTROLS, VELOCITIES, rows_that_depend
-from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+from casadi_galerkin.solution.control_trajectory import FINER, ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 
 SLOWEST = 2 / 3  # largest q, which is also assumed where switches or path constraints slow down convergence
@@ -72,10 +70,9 @@ SWITCH_RESOLUTION = 0.05
 DIFFERING_ESTIMATES = 1e-4
 # distance over the duration below which switches are one, such as those of two controls at a breakpoint
 SAME_SWITCH = 1e-8
-FINER = 4  # times as many samples as for the path, to see obstacles that are as narrow as a twentieth of an interval
 ROUNDOFF = 1e-15  # of positions and of impulses, relative to their sizes
 FINEST = 12  # number of distances from a point, each half of the one before, at which excess is looked for
-MET = 1e-4  # distance from a bound, over `constraint_changes`, up to which a point meets it
+MET = 1e-4  # distance from a bound, over `changes_at_largest`, up to which a point meets it
 UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
 
 
@@ -130,13 +127,10 @@ def unseen_control_excess(path: ControlTrajectory, higher: ControlTrajectory) ->
 
 
 def unseen_constraint_excess(path: ControlTrajectory, higher: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Largest excess of path constraints on each interval that both degrees have, relative to `constraint_changes`.
+    """Largest excess of path constraints on each interval in both degrees, over `ControlTrajectory.changes_at_largest`.
 
-    This is about the part of its size by which the path has to change, at most one.  The largest value of a constraint
-    is no measure: the square of the distance to an obstacle is as large as that of the path, and is exceeded by the
-    square of the size of the obstacle alone.  Nor are its derivatives away from the largest excess, where it changes
-    along the path: to move along it does not help.  Where a constraint depends on velocities or controls, which bend or
-    jump, only the `unseen_excess` counts.
+    This is about the part of its size by which the path has to change, at most one.  Where a constraint depends on
+    velocities or controls, which bend or jump, only the `unseen_excess` counts.
 
     Returns
     -------
@@ -153,40 +147,13 @@ def unseen_constraint_excess(path: ControlTrajectory, higher: ControlTrajectory)
     of_positions = ~np.any([rows_that_depend(function, *every) for every in others], axis=0)[:, None]
     both = np.minimum(np.max(own, axis=2), np.max(other, axis=2))
     common = np.where(of_positions, both, np.max(unseen_excess(values, bounds), axis=2))
-    times = path.t[:-1] + np.diff(path.t) * extrema(values[0], np.argmax(own, axis=2)) / (len(parts) - 1)
-    changes = np.maximum(constraint_changes(path, times), np.maximum(common, TINY))
+    changes = np.maximum(path.changes_at_largest(values[0], own), np.maximum(common, TINY))
     at_points = path.path_constraints(path.method.element.points)
     distances = [np.min(np.abs(at_points - np.reshape(side, (-1, 1, 1))), axis=2) for side in bounds]
     met = np.pad(np.min(distances, axis=0) <= MET * changes, ((0, 0), (1, 1)))
     near = met[:, :-2] | met[:, 1:-1] | met[:, 2:]
     excess = common / changes
     return excess, np.where(near, 0.0, excess)
-
-
-def constraint_changes(path: ControlTrajectory, times: np.ndarray) -> np.ndarray:
-    """Sizes of the changes of path constraints g if x, v and u change by their own sizes, Σ |∂g/∂z| |z|.
-
-    The `times` (k, N) of every constraint are its own; returns (k, N), infinite where it is not finite.
-    """
-    assert path.problem.path_constraint is not None
-    t, *z = path.problem.path_constraint[0].sx_in()[:4]
-    constraint = with_parameters(path.problem.path_constraint[0], path.parameters)
-    derivative = ca.jacobian(constraint(t, *z), ca.vertcat(*z))
-    sizes = np.concatenate((path.sizes, component_sizes(path(path.t, 1)), component_sizes(path.control.values)))
-    terms = ca.Function("terms", [t, *z], [ca.mtimes(ca.fabs(derivative), sizes)]).map(times.size)
-    flat, each = times.ravel(), np.arange(len(times))
-    found = np.array(terms(flat[None, :], path(flat), path(flat, 1), path.control(flat)))
-    changes = found.reshape(len(times), *times.shape)[each, each]
-    return np.where(np.isfinite(changes), changes, np.inf)
-
-
-def extrema(values: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Places, counted in samples, of the extrema of sampled values (n, N, K) near some samples (n, N), by parabolas."""
-    inner = np.clip(near, 1, values.shape[2] - 2)[:, :, None]
-    before, here, after = (np.take_along_axis(values, inner + k, axis=2)[:, :, 0] for k in (-1, 0, 1))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shift = (before - after) / (2 * (before - 2 * here + after))
-    return np.where(np.abs(shift) <= 1, inner[:, :, 0] + shift, near)
 
 
 def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.numbers import counted, spanned
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts, times_at
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, extrema, sampling_parts, times_at
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes, or_one
 from casadi_galerkin.problems.bounds import FEASIBLE, bound_excess
@@ -32,6 +32,7 @@ SMALL = 1e-6  # size over that of the largest component below which a component 
 REPORTED_COST_CHANGE = 1e-6
 REMAINDER_FACTOR = 10.0  # size over the error that the solver leaves up to which a component counts as zero
 CONTINUOUS = 1e-8  # jump of a control over the largest control up to which it is an error of the solver
+FINER = 4  # times as many samples as for the path, to see obstacles that are as narrow as a twentieth of an interval
 SHOWN_OVERSHOOT = 1e-3  # overshoot over the width of the bounds above which the summary shows it
 ALONG = np.linspace(0.0, 1.0, 40)  # fractions of an interval at which a line is drawn
 DOT = 3.0  # size of the dots of quadrature points, which are many
@@ -262,15 +263,44 @@ class ControlTrajectory(Trajectory):
     def constraint_excess(self) -> np.ndarray:
         """Largest excess of the path constraints over their bounds between the points; (N,).
 
-        It is relative to the largest value of each constraint on the path, or to its finite bound where that is larger.
+        It is relative to the change of the constraint where the path changes by its size, and so about the part of its
+        size by which the path is off; at most one.
         """
-        if self.problem.path_constraint is None:
+        if self.problem.path_constraint is None or self.problem.path_constraint[0].numel_out(0) == 0:
             return np.zeros(len(self.t) - 1)
-        low, high = (np.array(side)[:, None, None] for side in self.problem.path_constraint[1:])
-        values = self.path_constraints(sampling_parts(len(self.method.quadrature)))
-        sizes = [np.max(np.abs(np.where(np.isfinite(a), a, 0.0)), axis=(1, 2)) for a in (values, low, high)]
-        size = np.max(sizes, axis=0)[:, None, None]
-        return np.asarray((bound_excess(values, low, high) / np.maximum(size, TINY)).max(axis=(0, 2), initial=0.0))
+        values = self.path_constraints(sampling_parts(FINER * self.method.degree))
+        excess = np.where(np.isfinite(values), bound_excess(values, *self.problem.path_constraint[1:]), 0.0)
+        largest = np.max(excess, axis=2)
+        changes = np.maximum(self.changes_at_largest(values, excess), np.maximum(largest, TINY))
+        return np.asarray(np.max(largest / changes, axis=0))
+
+    def changes_at_largest(self, values: np.ndarray, excess: np.ndarray) -> np.ndarray:
+        """Changes of path constraints g if x, v and u change by their sizes, Σ |∂g/∂z| |z|, at their largest excess.
+
+        An excess over this change is about the part of its size by which the path has to change.  The largest value of
+        a constraint is no measure: the square of the distance to an obstacle is as large as that of the path, and is
+        exceeded by the square of the size of the obstacle alone.  Nor are the derivatives away from the largest excess,
+        where it changes along the path: to move along it does not help.
+
+        Parameters
+        ----------
+        values, excess : at equidistant fractions of every interval, (k, N, K)
+
+        Returns
+        -------
+        (k, N), infinite where it is not finite
+        """
+        assert self.problem.path_constraint is not None
+        t, *z = self.problem.path_constraint[0].sx_in()[:4]
+        constraint = with_parameters(self.problem.path_constraint[0], self.parameters)
+        derivative = ca.jacobian(constraint(t, *z), ca.vertcat(*z))
+        sizes = np.concatenate((self.sizes, component_sizes(self(self.t, 1)), component_sizes(self.control.values)))
+        times = self.t[:-1] + np.diff(self.t) * extrema(values, np.argmax(excess, axis=2)) / (values.shape[2] - 1)
+        terms = ca.Function("terms", [t, *z], [ca.mtimes(ca.fabs(derivative), sizes)]).map(times.size)
+        flat, each = times.ravel(), np.arange(len(times))
+        found = np.array(terms(flat[None, :], self(flat), self(flat, 1), self.control(flat)))
+        changes = found.reshape(len(times), *times.shape)[each, each]
+        return np.where(np.isfinite(changes), changes, np.inf)
 
     def plot(
         self,
@@ -452,7 +482,7 @@ class ControlTrajectory(Trajectory):
         if np.max(self.control_overshoot) > SHOWN_OVERSHOOT:
             lines.append(f"  overshoot   {self._worst(self.control_overshoot)}, of the bounds' width")
         if np.max(self.constraint_excess) > FEASIBLE:  # solvers leave as much
-            lines.append(f"  excess      {self._worst(self.constraint_excess)}, of the path constraints' size")
+            lines.append(f"  excess      {self._worst(self.constraint_excess)}, of the path's size")
         return lines
 
     def _worst(self, values: np.ndarray) -> str:
