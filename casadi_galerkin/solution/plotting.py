@@ -24,6 +24,7 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#00
 STYLE: Any = {"axes.grid": True, "grid.color": "0.92", "axes.axisbelow": True, "axes.titlesize": "medium"}
 SIZE = (4.6, 3.2)  # inches, legible where three stand side by side on a page
 DOTS = 200  # joints beyond which their dots would hide the line
+BESIDE = 4  # number of names from which the legend is beside the axes, where it hides no line
 FRAMES_A_SECOND = 25
 
 Line: TypeAlias = tuple[np.ndarray, np.ndarray]  # times (K,) and values (d, K)
@@ -109,8 +110,10 @@ def plot_path(
             axes.plot(points[0], dots, ".", color=color, markersize=dot)
     alone, legend = count == 1, 1 < count <= len(COLORS)
     axes.set(xlabel=time, ylabel=names[0] if alone else "" if legend and labels is not None else name)
-    if legend:
+    if legend and count < BESIDE:
         axes.legend(fontsize="small")
+    elif legend:
+        axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
     return axes
 
 

@@ -39,6 +39,13 @@ def test_path_is_drawn_with_names_units_and_joints():
         assert lines[2 * i].get_color() == lines[2 * i + 1].get_color() == COLORS[i]
 
 
+def test_the_names_of_many_components_hide_no_line():
+    problem = cg.BoundaryProblem(lambda t, x, v: ca.dot(v, v) / 2, (0, 1), [0.0] * 4, [1.0, 2.0, 3.0, 4.0])
+    axes = cg.solve(problem, cg.Galerkin(2), 4).plot()
+    axes.figure.canvas.draw()
+    assert axes.get_legend().get_window_extent().x0 >= axes.get_window_extent().x1
+
+
 def test_one_component_names_its_axis():
     assert swing().solve().plot(labels=["angle in rad"]).get_ylabel() == "angle in rad"
     assert swing().solve().plot().get_ylabel() == "x[0]"
