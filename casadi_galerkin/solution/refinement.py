@@ -21,7 +21,10 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.progress import progress
 
 HINT = "Try a looser tolerance, a guess nearer to the path, or higher limits"
-NO_NEARER = "Try another tolerance, looser or tighter, breakpoints where controls switch, or a guess nearer to the path"
+NO_NEARER = (
+    "Try another tolerance, looser or tighter, breakpoints where controls switch, more intervals to begin with, or a "
+    "guess nearer to the path"
+)
 
 Level = TypeVar("Level")
 Detail = TypeVar("Detail")
