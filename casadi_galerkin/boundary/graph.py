@@ -106,7 +106,8 @@ class BoundaryGraph:
         """
         if not callable(solver):
             raise TypeError(f"solver must be cg.newton, cg.rootfinder, cg.ipopt or cg.minimizer, got {solver!r}")
-        joints = self.mesh if mesh is None else remeshed(self._calculus, mesh, self.problem.breakpoints).mesh
+        calculus = self._calculus if mesh is None else remeshed(self._calculus, mesh, self.problem.breakpoints)
+        joints = calculus.mesh  # of this graph, so that `for_problem` copies what was built
         problem = self.problem.varied(changes or {}, joints[[0, -1]].tolist())
         graph = self.for_problem(problem)
         begun = graph.guess_on_mesh(guess, joints)
