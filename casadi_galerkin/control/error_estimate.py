@@ -72,7 +72,7 @@ DIFFERING_ESTIMATES = 1e-4
 SAME_SWITCH = 1e-8
 ROUNDOFF = 1e-15  # of positions and of impulses, relative to their sizes
 FINEST = 12  # number of distances from a point, each half of the one before, at which excess is looked for
-MET = 1e-4  # distance from a bound, over `changes_at_largest`, up to which a point meets it
+MET = 1e-4  # distance from a bound, over `_changes_at_largest`, up to which a point meets it
 UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
 
 
@@ -127,7 +127,7 @@ def unseen_control_excess(path: ControlTrajectory, higher: ControlTrajectory) ->
 
 
 def unseen_constraint_excess(path: ControlTrajectory, higher: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Largest excess of path constraints on each interval in both degrees, over `ControlTrajectory.changes_at_largest`.
+    """Largest excess of path constraints on each interval in both degrees, over `_changes_at_largest`.
 
     This is about the part of its size by which the path has to change, at most one.  Where a constraint depends on
     velocities or controls, which bend or jump, only the `unseen_excess` counts.
@@ -147,7 +147,7 @@ def unseen_constraint_excess(path: ControlTrajectory, higher: ControlTrajectory)
     of_positions = ~np.any([rows_that_depend(function, *every) for every in others], axis=0)[:, None]
     both = np.minimum(np.max(own, axis=2), np.max(other, axis=2))
     common = np.where(of_positions, both, np.max(unseen_excess(values, bounds), axis=2))
-    changes = np.maximum(path.changes_at_largest(values[0], own), np.maximum(common, TINY))
+    changes = np.maximum(path._changes_at_largest(values[0], own), np.maximum(common, TINY))
     at_points = path.path_constraints(path.method.element.points)
     distances = [np.min(np.abs(at_points - np.reshape(side, (-1, 1, 1))), axis=2) for side in bounds]
     met = np.pad(np.min(distances, axis=0) <= MET * changes, ((0, 0), (1, 1)))

@@ -271,10 +271,10 @@ class ControlTrajectory(Trajectory):
         values = self.path_constraints(sampling_parts(FINER * self.method.degree))
         excess = np.where(np.isfinite(values), bound_excess(values, *self.problem.path_constraint[1:]), 0.0)
         largest = np.max(excess, axis=2)
-        changes = np.maximum(self.changes_at_largest(values, excess), np.maximum(largest, TINY))
+        changes = np.maximum(self._changes_at_largest(values, excess), np.maximum(largest, TINY))
         return np.asarray(np.max(largest / changes, axis=0))
 
-    def changes_at_largest(self, values: np.ndarray, excess: np.ndarray) -> np.ndarray:
+    def _changes_at_largest(self, values: np.ndarray, excess: np.ndarray) -> np.ndarray:
         """Changes of path constraints g if x, v and u change by their sizes, Σ |∂g/∂z| |z|, at their largest excess.
 
         An excess over this change is about the part of its size by which the path has to change.  The largest value of
