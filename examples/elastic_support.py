@@ -43,7 +43,7 @@ def main():
 def draw(path):
     """Draw the cable; returns the figure."""
     axes = path.plot(labels=["height in m"], time="distance in m")
-    axes.set_title("A cable between a lifted ring and an elastic support")
+    axes.set_title("A cable from a lifted ring to a spring")
     return axes.figure
 
 
