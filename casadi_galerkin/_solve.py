@@ -89,7 +89,7 @@ def solve(
     answer is a ControlTrajectory, by IPOPT or fatrop, with these or a tolerance, and a `guess`.  Its `tol` bounds the
     relative errors of cost and duration as well, but not those of controls and free parameters.  `cost_tol` bounds that
     of the cost alone, which is known long before the path, and even where many paths cost the same.  An earlier answer
-    as guess brings its mesh, where it has more intervals than refinement else begins with.
+    to a tolerance, as guess, brings its mesh, where it has more intervals than refinement else begins with.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def solve(
     path: Trajectory
     if isinstance(problem, ControlProblem):
         check_solver(solver)
-        method, joints = first_control_discretization(problem, tolerance, method, intervals, mesh, guess)
+        method, joints = first_control_discretization(problem, tolerance, method, intervals, mesh, guess, limits)
         refinement = ControlRefinement(problem, tolerance, of_cost, method, limits, solver, verbose)
         path = refinement.run(joints, guess, starts)
     else:

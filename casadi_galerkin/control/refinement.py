@@ -331,11 +331,12 @@ def first_control_discretization(
     method: Galerkin | None,
     intervals: int | None,
     mesh: ArrayLike | None,
-    guess: Guess | None = None,
+    guess: Guess | None,
+    limits: Limits,
 ) -> tuple[Galerkin, np.ndarray]:
     """Method and joints with which a refinement begins; refuses what does not fit, see `solve` for the arguments.
 
-    Without intervals and mesh they are those of a guess that is an answer with more intervals.
+    Without intervals and mesh the joints are those of a guess that was refined itself to more intervals.
     """
     method = control_method_for(tol) if method is None else method
     check_types(problem, method, ControlProblem)
@@ -346,7 +347,11 @@ def first_control_discretization(
         )
     if intervals is None and mesh is None:
         intervals = FIRST_INTERVALS + len(problem.breakpoints)
-        if isinstance(guess, ControlTrajectory) and len(guess.t) - 1 > intervals:
+        if (
+            isinstance(guess, ControlTrajectory)
+            and (guess.error_estimate, guess.cost_error) != (None, None)
+            and intervals < len(guess.t) - 1 <= limits.intervals
+        ):
             own, other = (section_times(with_joined_phases(stated)) for stated in (guess.problem, problem))
             if len(own) == len(other):
                 return method, map_times(guess.t, own, other)

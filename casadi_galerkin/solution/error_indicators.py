@@ -22,6 +22,7 @@ much as it changes ∫ f dt (`jump_detection`).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import lru_cache
 from itertools import pairwise
 
@@ -32,7 +33,7 @@ from casadi_galerkin.calculus.discrete_calculus import NEAREST
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
-from casadi_galerkin.calculus.roundoff import EPS, TINY
+from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.functional.pointwise import pointwise
@@ -200,21 +201,33 @@ class _Sampled:
         """Values of a Function of the arguments of L̂ at all places, (N K, ...) each."""
         return _at_places(self.problem, function, self.times, self.h, self.x, self.v * self.h)
 
-    def in_place(self, function: ca.Function) -> list[np.ndarray]:
-        """Values of a Function of the arguments of L̂ at all places, but at one time and velocity on each interval."""
-        count = len(self.steps)
-        inside = np.repeat(np.arange(len(self.h)).reshape(count, -1)[:, 2], len(self.h) // count)
-        place = self.times[inside], self.h, self.x, self.v[:, inside] * self.h
-        return _at_places(self.problem, function, *place)
+    def in_place(self, function: ca.Function) -> Iterator[list[np.ndarray]]:
+        """Values of a Function of the arguments of L̂ at all places, but at one time and velocity on each interval.
 
-    def unexplained(self, values: np.ndarray, derivatives: np.ndarray) -> np.ndarray:
-        """Whether k values (N K, k) change along an interval by more than their derivatives by x, (N K, k, d), tell."""
+        These are in turn those of the first, a middle and the last quadrature point: what moves may be crossed between
+        the others.
+        """
+        numbers = np.arange(len(self.h)).reshape(len(self.steps), -1)
+        for j in (2, 2 + len(self._weights) // 2, 1 + len(self._weights)):
+            inside = np.repeat(numbers[:, j], numbers.shape[1])
+            place = self.times[inside], self.h, self.x, self.v[:, inside] * self.h
+            yield _at_places(self.problem, function, *place)
+
+    def unexplained(self, values: np.ndarray, derivatives: np.ndarray, terms: np.ndarray) -> np.ndarray:
+        """Whether any of k values (N K, k) changes along an interval by more than its derivatives by x tell; (N,).
+
+        Parameters
+        ----------
+        derivatives : (N K, k, d)
+        terms : sizes of the terms that are summed up to the values, (N K, k)
+        """
         count = len(self.steps)
         moved = np.ptp(self.x.reshape(len(self.x), count, -1), axis=2).T
         values = values.reshape(count, -1, values.shape[1])
         steepest = np.max(np.abs(derivatives).reshape(*values.shape, -1), axis=1)
-        rounded = ROUNDING_FACTOR * EPS * np.max(np.abs(values), axis=1)
-        return np.asarray(np.ptp(values, axis=1) > STEP_RATIO * np.einsum("nkd,nd->nk", steepest, moved) + rounded)
+        rounded = ROUNDING_FACTOR * EPS * np.max(np.abs(terms).reshape(values.shape), axis=1)
+        explained = STEP_RATIO * np.einsum("nkd,nd->nk", steepest, moved) + rounded
+        return np.asarray(np.any(np.ptp(values, axis=1) > explained, axis=1))
 
     def by_interval(self, values: np.ndarray) -> np.ndarray:
         """Values at all places, those of an interval in a row; (N, K)."""
@@ -275,8 +288,9 @@ def _steps_in_place(at: _Sampled) -> np.ndarray:
 
     CasADi's derivative of a step is zero, so that its impulse is in no equation, on any mesh.
     """
-    lagrangian, slopes, _ = at.in_place(pointwise(at.problem.lagrangian, None).first)  # a force has no part in L
-    return at.unexplained(lagrangian, slopes[:, None, :])[:, 0]
+    samples = at.in_place(pointwise(at.problem.lagrangian, None).first)  # a force has no part in L
+    found = [at.unexplained(values, slopes[:, None, :], values) for values, slopes, _ in samples]
+    return np.asarray(np.any(found, axis=0))
 
 
 def kinks_in_place(problem: Problem, path: PiecewisePolynomial) -> np.ndarray:
@@ -285,13 +299,16 @@ def kinks_in_place(problem: Problem, path: PiecewisePolynomial) -> np.ndarray:
     The path may then be right.  But its second variation, and its derivatives by ends and parameters, contain the
     impulse of a step of the force by a change of the path, which is in no Hessian.
     """
-    at, d = _Sampled(problem, path), len(path.values)
-    _, slopes, _, *blocks = at.in_place(at.terms.derivatives)
-    curvature = np.zeros((len(at.h), d, d))
-    if (0, 0) in at.terms.blocks:
-        rows, columns = (np.array(index, dtype=int) for index in at.terms.pattern.get_triplet())
-        curvature[:, rows, columns] = blocks[at.terms.blocks.index((0, 0))]
-    return np.asarray(np.any(at.unexplained(slopes, curvature), axis=1))
+    at, d, found = _Sampled(problem, path), len(path.values), []
+    rows, columns = (np.array(index, dtype=int) for index in at.terms.pattern.get_triplet())
+    for lagrangian, slopes, momenta, *blocks in at.in_place(at.terms.derivatives):
+        curvature = np.zeros((len(at.h), d, d))
+        if (0, 0) in at.terms.blocks:
+            curvature[:, rows, columns] = blocks[at.terms.blocks.index((0, 0))]
+        energies = np.abs(lagrangian) + np.sum(np.abs(momenta * (at.v * at.h).T), axis=1, keepdims=True)
+        terms = np.abs(slopes) + energies / or_one(path.sizes)  # these may cancel, as where x is an angle
+        found.append(at.unexplained(slopes, curvature, terms))
+    return np.asarray(np.any(found, axis=0))
 
 
 def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

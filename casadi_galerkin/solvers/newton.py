@@ -209,9 +209,12 @@ def _zero_components(
         ends = [np.where(chosen[list(those)], 0.0, end) for those, end in zip(fixed, data[:2], strict=True)]
         zeroed = (*ends, *data[2:])
         gradient, _, least = _rounding_floors(linear, np.where(nothing, 0.0, x), zeroed, unit)
-        missed = component[(np.abs(gradient) > ACCEPTED * least)[: len(component)]]
+        effects = np.abs(linear.rounding_effects(least)).max(axis=0)
+        missing = np.abs(gradient) > ACCEPTED * least
+        missing |= (unit > 0) & nothing & (effects > math.sqrt(EPS) * unit)  # by what steps at zero, as at a kink
+        missed = component[missing[: len(component)]]
         if any(np.any(end != kept) for end, kept in zip(ends, data[:2], strict=True)):
-            blurred = ACCEPTED * _of_components(numbering, np.abs(linear.rounding_effects(least)).max(axis=0))
+            blurred = ACCEPTED * _of_components(numbering, effects)
             for those, end in zip(fixed, data[:2], strict=True):
                 missed = np.append(missed, np.array(those, dtype=int)[np.abs(end) > blurred[list(those)]])
         if not np.any(chosen[missed]):

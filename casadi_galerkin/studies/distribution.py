@@ -32,7 +32,7 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import VARIED, map_times, section_times
 from casadi_galerkin.solution.errors import ConvergenceError
-from casadi_galerkin.solution.limits import check_tolerance
+from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.progress import Advance
 from casadi_galerkin.solution.trajectory import Trajectory
 
@@ -98,7 +98,7 @@ def solver_of(
         if isinstance(problem, BoundaryProblem):
             return Neighbors(problem, method, intervals, tol)
         # refuses here what would fail in every variation
-        first_control_discretization(problem, check_tolerance(tol), method, intervals, None)
+        first_control_discretization(problem, check_tolerance(tol), method, intervals, None, None, Limits())
 
         def refined(variation: Variation, _: Sequence[Known]) -> Trajectory:
             return solve(varied(problem, variation), method, intervals, tol=tol, guess=variation.get("guess"))

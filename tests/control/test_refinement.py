@@ -466,12 +466,17 @@ def test_an_answer_of_other_times_and_breakpoints_is_a_guess(breakpoints):
     np.testing.assert_array_equal(path.t, cg.solve(problem, tol=1e-5).t)
 
 
-def test_refinement_begins_on_the_mesh_of_an_answer(capsys):
-    """Its degree and its duration may be others."""
-    problem = double_integrator(breakpoints=[0.1])
-    guess = cg.solve(double_integrator(t_span=(0.0, 6.0), breakpoints=[1.5]), cg.Galerkin(3), 30)
-    cg.solve(problem, tol=1e-5, guess=guess, verbose=1)
-    assert capsys.readouterr().out.splitlines()[1].split()[:3] == ["0", "6", "30"]
+def test_refinement_begins_on_the_mesh_of_a_refined_answer(capsys):
+    """Its degree and its duration may be others; the mesh of a fixed discretization says nothing of the path."""
+    problem, first = double_integrator(breakpoints=[0.1]), double_integrator(t_span=(0.0, 6.0), breakpoints=[1.5])
+    fixed, refined = cg.solve(first, cg.Galerkin(3), 30), cg.solve(first, cg.Galerkin(3), 30, tol=1e-3)
+    for guess, limits, intervals in (
+        (fixed, cg.Limits(), "9"),
+        (refined, cg.Limits(), "30"),
+        (refined, cg.Limits(intervals=20), "9"),
+    ):
+        cg.solve(problem, tol=1e-5, guess=guess, limits=limits, verbose=1)
+        assert capsys.readouterr().out.splitlines()[1].split()[:3] == ["0", "6", intervals]
 
 
 def test_two_controls_may_switch_at_the_same_time():

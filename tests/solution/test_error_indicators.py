@@ -276,6 +276,7 @@ EDGES = {  # Lagrangians that step in x, whose derivative is zero everywhere
     "potential": lambda t, x, v: v[0] ** 2 / 2 - 0.3 * (x[0] > 0.3),
     "floor": lambda t, x, v: v[0] ** 2 / 2 - 0.3 * ca.floor(2 * x[0] + 0.4),
     "moving": lambda t, x, v: v[0] ** 2 / 2 - 0.3 * (x[0] > 0.3 + 0.1 * t),
+    "coming": lambda t, x, v: v[0] ** 2 / 2 - 0.3 * (x[0] > 0.8 - 0.7 * t),
     "mass": lambda t, x, v: (1 + (x[0] > 0.3)) * v[0] ** 2 / 2,
     "field": lambda t, x, v: ca.sumsqr(v) / 2 + 0.5 * (x[0] > 0.4) * v[1],
 }
@@ -316,6 +317,20 @@ def test_over_a_kink_in_x_there_is_no_second_variation():
     within = cg.solve(replace(problem, t_span=(0.0, 1.0), end=[0.5]), tol=1e-4)
     assert within.morse_index == 0
     assert cg.sensitivity(within).end[0, -1, 0] == 1
+
+
+@pytest.mark.parametrize("how", [{"method": cg.Galerkin(4), "intervals": 8}, {"tol": 1e-8}])
+def test_rounding_of_a_coordinate_that_does_not_matter_is_no_kink(how):
+    """In polar coordinates the derivative of L by the angle is the rounding of what cancels."""
+
+    def kepler(t, x, v):
+        place = ca.vertcat(x[0] * ca.cos(x[1]), x[0] * ca.sin(x[1]))
+        return ca.sumsqr(ca.jtimes(place, x, v)) / 2 + 1 / x[0]
+
+    path = cg.solve(cg.BoundaryProblem(kepler, (0.0, 2.0), [1.0, 0.0], [1.2, 1.5]), **how)
+    assert path.morse_index == 0
+    assert path.regularity > 0.1
+    assert np.all(np.isfinite(cg.sensitivity(path).end))
 
 
 @pytest.mark.parametrize("tol", [1e-3, 1e-9, 1e-12])

@@ -191,6 +191,22 @@ def test_a_kink_is_not_taken_for_rounding(place, pull):
     assert len(path.t) < 1000
 
 
+@pytest.mark.parametrize("how", [HOW[0], {"tol": 1e-4}], ids=["mesh", "tol"])
+@pytest.mark.parametrize(("duration", "end"), [(2.0, None), (4.0, None), (1.5, 0.0)])
+def test_a_kink_at_zero_does_not_hold_what_is_pulled_away(duration, end, how):
+    """Where a zero was rounded as a number of size one, the whole kink counted as rounding."""
+
+    def pulled(size):
+        return lambda t, x, v: v[0] ** 2 / 2 - size(x[0]) + 2.5 * ca.sin(2 * np.pi * t / duration + 0.4) * x[0]
+
+    sharp, smooth = (
+        cg.solve(cg.BoundaryProblem(pulled(size), (0.0, duration), [0.0], [end]), **chosen)
+        for size, chosen in ((ca.fabs, how), (lambda x: ca.sqrt(x**2 + 1e-6), {"tol": 1e-6}))
+    )
+    times = np.linspace(0, duration, 50)
+    np.testing.assert_allclose(sharp(times), smooth(times), rtol=0, atol=0.05 * np.max(np.abs(smooth.x)))
+
+
 @pytest.mark.parametrize("how", HOW, ids=["mesh", "tol"])
 @pytest.mark.parametrize("drift", [1e-15, 1e-9])
 def test_a_weight_that_hangs_beside_the_origin_is_not_taken_for_one_at_rest(drift, how):
