@@ -2,9 +2,9 @@
 
 Along a smooth family of critical points, the action changes by its partial derivatives by the data only, since its
 derivatives by the path vanish: dS = p_N·dx_N - p_0·dx_0 - E_N dt_N + E_0 dt_0 + ∂S/∂π·dπ, with parameters π.  Where S
-is convex or concave between two of them, its change lies between the first-order predictions from both.  A path of
-another branch has another action.  It may also have another Morse index, which changes along a family at conjugate
-points only.
+is convex or concave between two of them, its change lies between the first-order predictions from both; a little more
+is allowed.  A path of another branch has another action.  It may also have another Morse index, which changes along a
+family at conjugate points only.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import section_times
 from casadi_galerkin.solution.trajectory import Trajectory
 
+BENT = 0.02  # part of the changes to first order that is allowed where S bends both ways between two points
 ROUGH = 1e-6  # relative error of the action that is allowed for a coarse mesh
 
 
@@ -44,7 +45,7 @@ class BranchPoint:
         """Whether two neighboring points lie on different branches."""
         step = self.values - other.values
         here, there = float(self.slopes @ step), float(other.slopes @ step)
-        allowed = (abs(here) + abs(there)) / 2 + ROUGH * (abs(self.action) + abs(other.action))
+        allowed = abs(here - there) + BENT * (abs(here) + abs(there)) + ROUGH * (abs(self.action) + abs(other.action))
         return self.index != other.index or abs(self.action - other.action - (here + there) / 2) > allowed
 
 

@@ -33,6 +33,7 @@ from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory, index_in_words
 from casadi_galerkin.solvers.arc_length import CORRECTOR_ITERATIONS, STEP_GROWTH, STEP_REDUCTION, Curve
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton, verified
+from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.1, 1e-12
 # cosine of the largest angle between a step and the tangents at its two ends; beyond it may be another branch
 LEAST_COSINE = 0.95
+CROSSING_STEP = 1e-3  # a shorter step may cross another branch, instead of having jumped to one that passes nearby
 CONVERGED_STEP = 1e-8  # last Newton step after which the next one is at roundoff
 # |ṡ| at a fold over its change between the points before and after it; the error of s is of the order of its square
 FOLD_TOLERANCE = 1e-8
@@ -201,11 +203,19 @@ def continuation(
 
 @dataclass(frozen=True)
 class Point:
-    """A point z of the branch with its tangent, of any length."""
+    """A point z of the branch with its tangent, of any length, and the number of negative eigenvalues of ∇²S there."""
 
     z: np.ndarray
     tangent: np.ndarray
     trajectory: Trajectory
+    negative: int | None
+
+    def on_branch_of(self, other: Point) -> bool:
+        """Whether both points may lie on one branch: along it (-1)^`negative` ṡ has the sign of one determinant."""
+        if self.negative is None or other.negative is None:
+            return True
+        turned = bool(self.tangent[-1] * other.tangent[-1] < 0)
+        return turned == ((self.negative - other.negative) % 2 == 1)
 
 
 class BranchFollower(Curve[Solution]):
@@ -217,6 +227,9 @@ class BranchFollower(Curve[Solution]):
         self.direction = target - self.first
         self.weights = np.ones(transcription.numbering.free + 1)
         self._lowest = self._highest = self._expected = np.zeros(transcription.numbering.free)
+        self._across: tuple[Point, float] | None = (
+            None  # the last step that was not taken because it changed the branch
+        )
 
     def parameters(self, z: np.ndarray) -> np.ndarray:
         """Parameters at a point z, exact at both ends."""
@@ -299,7 +312,7 @@ class BranchFollower(Curve[Solution]):
                 self.transcription.trajectory(start, 0.0),
             )
         self.begin(z, follow)
-        points = [Point(z, np.append(follow, 1.0), self.transcription.trajectory(start, 0.0))]
+        points = [self.point(z, np.append(follow, 1.0), start)]
         folds = []
         with progress("continuation", unit="path") as advance:
             for point in self.steps(points[0]):
@@ -312,6 +325,11 @@ class BranchFollower(Curve[Solution]):
         return Branch(
             parameters, tuple(point.trajectory for point in points), tuple(folds), bool(points[-1].z[-1] == 1)
         )
+
+    def point(self, z: np.ndarray, tangent: np.ndarray, found: CriticalPoint) -> Point:
+        """A verified point of the branch."""
+        trajectory = self.transcription.trajectory(found, 0.0)
+        return Point(z, tangent, trajectory, negative_eigenvalues(self.stationarity, z[:-1], self.data(z)))
 
     def steps(self, point: Point) -> Iterator[Point]:
         """Successive points; the steps are as long as the corrector converges."""
@@ -350,9 +368,14 @@ class BranchFollower(Curve[Solution]):
                 if np.all(bends > LEAST_COSINE) and not returns:  # NaN for a path that grows without bound
                     found = CriticalPoint(solution, self.problem(z), self.path(z))
                     with suppress(ConjugatePointError):  # the point is at a fold
-                        trajectory = self.transcription.trajectory(found, 0.0)
-                        return Point(z, following, trajectory), min(STEP_GROWTH * step, LONGEST_STEP)
+                        taken = self.point(z, following, found), min(STEP_GROWTH * step, LONGEST_STEP)
+                        if step < CROSSING_STEP or taken[0].on_branch_of(point):
+                            return taken
+                        self._across = taken
             step *= STEP_REDUCTION
+        across, self._across = self._across, None
+        if across is not None and self.length(across[0].z - point.z) <= LONGEST_STEP:
+            return across  # another branch does cross here, and no short step succeeds so near to it
         raise ConvergenceError(
             f"the branch cannot be followed beyond the parameters {self.parameters(point.z)}: no step is short enough. "
             "Another branch may cross it there, or its paths grow without bound. "

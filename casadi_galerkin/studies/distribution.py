@@ -130,6 +130,8 @@ def _answers(solver: Solve, variations: Sequence[Variation], known: Sequence[Kno
             answer = solver(variation, paths)
         except SystemError as error:  # what an interrupt becomes that meets CasADi's own code
             raise error.__cause__ or error from None
+        except SystemExit as error:
+            answer = CutShort(f"a callable of this variation raised SystemExit({error.code!r})")
         except Exception as error:
             error.__cause__ = error.__context__ = None  # their frames, like those of the error, would keep arrays alive
             answer = error.with_traceback(None)

@@ -21,11 +21,12 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import resolving_interpolant, truncation_error
 from casadi_galerkin.calculus.numbers import APART, counted, number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
+from casadi_galerkin.control.phases import with_joined_phases
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.initial_problem import InitialProblem
-from casadi_galerkin.problems.problem import map_times, mesh_for, section_times
+from casadi_galerkin.problems.problem import Problem, map_times, mesh_for, section_times
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess, check_finite_values, sampled
@@ -83,7 +84,7 @@ class ReferenceSolution:
         else:
             self._at = partial(sampled, "the reference", given, dimension=problem.dimension)
             self._path, stated = Path(_interpolated(problem, self._at)), problem
-        self._marks, parameters = section_times(stated), stated.parameters
+        self._marks, parameters = _marks(stated), stated.parameters
         calculus = DiscreteCalculus(Galerkin(LEAST_DEGREE), self._path.t)
         self._lagrangian = with_parameters(problem.lagrangian, parameters)
         values, kinetic = self._terms(calculus.quadrature_times)
@@ -109,7 +110,14 @@ class ReferenceSolution:
 
     def _matching(self, path: Trajectory, times: np.ndarray) -> np.ndarray:
         """Times of the reference at the same parts of the durations between breakpoints."""
-        return map_times(times, section_times(path.problem), self._marks)
+        return map_times(times, _marks(path.problem), self._marks)
+
+    def _duration_error(self, path: Trajectory) -> float:
+        """Largest difference of the times since the start at the end, and at the breakpoints, over the duration."""
+        own, marks = np.array(_marks(path.problem)), np.array(self._marks)
+        if len(own) != len(marks):
+            own, marks = own[[0, -1]], marks[[0, -1]]
+        return float(np.max(np.abs((own - own[0]) - (marks - marks[0]))) / np.ptp(marks))
 
     def _terms(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """L and p·v along the path, (K,) each."""
@@ -126,6 +134,7 @@ class ReferenceSolution:
         joint_error = float(np.max(np.abs(path.x - self._at(joints)) / self._sizes))
         between = self._at(self._matching(path, times))
         path_error = max(float(np.max(np.abs(path(times) - between) / self._sizes)), joint_error)
+        path_error = max(path_error, self._duration_error(path))
         lagrangian, kinetic = self._terms(joints)
         energy_error = float(np.max(np.abs(path.energy - (kinetic - lagrangian))))
         functional = path.cost if isinstance(path, ControlTrajectory) else path.action
@@ -140,6 +149,11 @@ class ReferenceSolution:
     def _missed(self, measure: Measure, path: Trajectory) -> float:
         """Error of the quantity that the user names, relative to its value where that is not zero."""
         return abs(quantity(measure, path) - self._quantity) / (abs(self._quantity) or 1.0)
+
+
+def _marks(problem: Problem) -> list[float]:
+    """Times of the ends, and of the breakpoints that mean the same on every path; idle free ones may be anywhere."""
+    return section_times(with_joined_phases(problem) if isinstance(problem, ControlProblem) else problem)
 
 
 def _interpolated(problem: AnyProblem, at: Callable[[np.ndarray], np.ndarray]) -> PiecewisePolynomial:

@@ -418,6 +418,25 @@ def test_a_branch_whose_first_rate_is_zero_is_followed(target):
     assert len(branch.trajectories) < 150
 
 
+@pytest.mark.parametrize("beside", [0.05, 0.002, 1e-3, 1e-4])
+@pytest.mark.parametrize("bent", [1.0, -1.0])
+def test_a_branch_is_not_left_where_two_nearly_cross(bent, beside):
+    """A rod under less and less pressure, one end a little aside: bent to that side, it straightens without a fold.
+
+    Bent to the other side it snaps, and leads back as a saddle.  The two curves come as near as the end is aside, and
+    were taken for one.
+    """
+    problem = cg.BoundaryProblem(
+        lambda s, x, v, p: v[0] ** 2 / 2 + p[0] * ca.cos(x[0]), (0.0, 1.0), [0.0], [beside], parameters=[20.0]
+    )
+    branch = cg.continuation(
+        problem, [5.0], intervals=12, guess=lambda s: [bent * 1.5 * np.sin(np.pi * s) + beside * s]
+    )
+    assert (branch.reached, len(branch.folds)) == ((True, 0) if bent > 0 else (False, 1))
+    assert branch.trajectories[-1].morse_index == (0 if bent > 0 else 1)
+    assert np.sign(branch.trajectories[-1](0.5)[0]) == bent
+
+
 @pytest.mark.parametrize(("method", "intervals"), [(cg.Galerkin(8), 16), (cg.Galerkin(4), 20)])
 def test_swings_shrink_to_rest_where_they_meet_their_mirror_images(method, intervals):
     """The energy of rest is -1; there the corrector fails, and the fold lies between points on both sides."""

@@ -189,6 +189,31 @@ def test_variations_on_another_branch_are_told():
     )
 
 
+@pytest.mark.parametrize("step", [0.1, 1.0, 5.0])
+def test_another_branch_is_told_where_the_action_changes_much_along_both(step):
+    """The potential is counted from another zero, which changes all actions alike."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 + ca.cos(x[0]) + p[0], (0.0, 10.0), [0.0], [1.0], parameters=[0.0]
+    )
+    found = [path for path in cg.paths(problem, cg.Galerkin(8), 20) if path.morse_index == 0][:2]
+    assert abs(found[0].action - found[1].action) > 1
+    variations = [{"parameters": [step * k], "guess": found[k >= 3]} for k in range(6)]
+    assert list(cg.sweep(problem, variations, cg.Galerkin(8), 20).jumps) == [3]
+
+
+def leave(t):
+    """A guess that ends the process."""
+    raise SystemExit(3)
+
+
+def test_a_guess_that_ends_the_process_ends_its_own_solve_only():
+    problem = BY_NAME["short pendulum"].problem
+    swept = cg.sweep(problem, [{"end": [2.0]}, {"end": [3.0], "guess": leave}], cg.Galerkin(3), 4)
+    assert swept[0].x[0, -1] == 2.0
+    assert isinstance(swept[1], cg.CutShort)
+    assert "SystemExit(3)" in str(swept[1])
+
+
 def test_the_other_way_round_the_sun_is_another_branch_of_the_same_index():
     problem, ends = lambert(8)
     for end in ends:

@@ -260,6 +260,42 @@ def test_phases_found_to_a_tolerance_are_solved_again_on_their_mesh():
     assert max(row.error for row in measured.rows) < 1e-6
 
 
+@pytest.mark.parametrize("power", [2, 10])
+def test_the_error_of_a_free_duration_is_an_error_of_the_path(power):
+    """Least ∫ (u²/2 + 0.3 t^k) dt: at the same parts of the duration every row has the same path, a straight line."""
+    problem = cg.ControlProblem(
+        None,
+        (0.0, 1.5),
+        [0.0],
+        [1.0],
+        [None],
+        [None],
+        force=None,
+        rates=lambda t, x, v, u: u,
+        running_cost=lambda t, x, v, u: u[0] ** 2 / 2 + 0.3 * t**power,
+        controls=1,
+        duration_bounds=(0.2, 8.0),
+    )
+    exact = (1 / 0.6) ** (1 / (power + 2))  # where 1 / (2 T²) = 0.3 T^k
+    rows = cg.trade(problem, [cg.Galerkin(1), cg.Galerkin(2)], [1, 2]).rows
+    durations = [abs(row.solve(problem).t[-1] / exact - 1) for row in rows]
+    assert max(durations) > 1e-3
+    np.testing.assert_allclose([row.error for row in rows], durations, rtol=1e-3, atol=1e-10)
+
+
+def test_a_breakpoint_at_any_time_is_no_error():
+    """Nothing happens there, so that each row has it elsewhere."""
+    problem = double_integrator(
+        t_span=(0.0, 2.0),
+        running_cost=lambda t, x, v, u: 1.0,
+        control_bounds=(-1, 1),
+        duration_bounds=(0.2, 5.0),
+        breakpoints=[0.3],
+    )
+    measured = cg.trade(problem, [cg.Galerkin(2)], [8], tolerances=[1e-5])
+    assert next(row for row in measured.rows if "tol" in row.way).error < 1e-5
+
+
 def test_errors_of_paths_that_jump_at_free_times_have_the_order_of_the_method():
     """Joints of one path match those of the other, whichever comes first."""
     problem = double_integrator(
