@@ -19,6 +19,7 @@ from casadi_galerkin.control.control_function import control_function
 from casadi_galerkin.control.refinement import ControlRefinement, first_control_discretization
 from casadi_galerkin.control.several_starts import best_of
 from casadi_galerkin.control.transcription import ControlTranscription, check_solver, transcribed_control
+from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -64,6 +65,7 @@ def solve(
 ) -> Trajectory: ...
 
 
+@interrupts_raised()
 def solve(
     problem: BoundaryProblem | InitialProblem | ControlProblem,
     method: Galerkin | None = None,

@@ -25,7 +25,7 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import section_times
 from casadi_galerkin.solution.trajectory import Trajectory
 
-BENT = 0.02  # part of the changes to first order that is allowed where S bends both ways between two points
+BENT = 0.03  # part of the changes to first order that is allowed where S bends both ways between two points
 ROUGH = 1e-6  # relative error of the action that is allowed for a coarse mesh
 
 

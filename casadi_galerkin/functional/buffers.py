@@ -47,13 +47,15 @@ class ObjectPool(Generic[Lent]):
 
 @contextmanager
 def interrupts_raised() -> Iterator[None]:
-    """Raise the KeyboardInterrupt that a solver of CasADi has turned into another error."""
+    """Raise the KeyboardInterrupt that CasADi has turned into another error."""
     try:
         yield
-    except SystemError as error:  # of IPOPT
+    except SystemError as error:  # of IPOPT, and of arrays
         raise error.__cause__ or error from None
     except RuntimeError as error:  # of fatrop, and of the rootfinder among words of its own
-        raise KeyboardInterrupt if "KeyboardInterrupt" in str(error) else error from None
+        if "KeyboardInterrupt" in str(error):
+            raise KeyboardInterrupt from None
+        raise
 
 
 class Evaluator:

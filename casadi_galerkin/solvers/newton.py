@@ -163,8 +163,8 @@ def _with_zero_components(
     """
     if not math.isfinite(at.norm):
         return None
-    unit = _units_of_zero(linear, data)
-    nothing, data = _zero_components(linear, at.unknowns, data, candidates, unit)
+    resting = _resting(linear.stationarity.functional.numbering, data)
+    nothing, data = _zero_components(linear, at.unknowns, data, candidates, resting)
     if not np.any(nothing):
         return None
     zeroed = linear.newton_step(np.where(nothing, 0.0, at.unknowns), data)
@@ -175,7 +175,7 @@ def _with_zero_components(
             return None
         x = np.where(nothing, 0.0, zeroed.unknowns + zeroed.step)
         if np.max((np.abs(zeroed.step) / zeroed.sizes)[~nothing], initial=0.0) ** 2 <= EPS:
-            gradient, floor, least = _rounding_floors(linear, x, data, unit)
+            gradient, floor, least = _rounding_floors(linear, x, data, resting)
             action, momentum, _, regularity = linear.verification(x, data)
             residual = float(np.max(np.abs(gradient) / np.where(nothing, least, floor)))
             solution = Solution(x, data, iterations, residual, NEWTON, action, momentum, regularity)
@@ -184,18 +184,16 @@ def _with_zero_components(
     return None
 
 
-def _units_of_zero(linear: Linearization, data: Data) -> np.ndarray:
-    """What a zero counts as: one in components whose given ends are exactly zero, which have no other size; (n,)."""
-    numbering = linear.stationarity.functional.numbering
-    sizes, units = np.zeros(numbering.dimension), np.zeros(numbering.free)
+def _resting(numbering: Numbering, data: Data) -> np.ndarray:
+    """Which components have given ends that are exactly zero, if any; (d,)."""
+    sizes = np.zeros(numbering.dimension)
     for those, end in zip((numbering.fixed_start, numbering.fixed_end), data[:2], strict=True):
         sizes[list(those)] += np.abs(end)
-    units[: numbering.positions] = sizes[numbering.component[: numbering.positions]] == 0
-    return units
+    return np.asarray(sizes == 0)
 
 
 def _zero_components(
-    linear: Linearization, x: np.ndarray, data: Data, candidates: np.ndarray, unit: np.ndarray
+    linear: Linearization, x: np.ndarray, data: Data, candidates: np.ndarray, resting: np.ndarray
 ) -> tuple[np.ndarray, Data]:
     """Which unknowns belong to candidates whose equations hold where all of these are zero, and data with zero ends.
 
@@ -208,11 +206,11 @@ def _zero_components(
         nothing[: len(component)] = chosen[component]
         ends = [np.where(chosen[list(those)], 0.0, end) for those, end in zip(fixed, data[:2], strict=True)]
         zeroed = (*ends, *data[2:])
-        gradient, _, least = _rounding_floors(linear, np.where(nothing, 0.0, x), zeroed, unit)
+        gradient, _, least = _rounding_floors(linear, np.where(nothing, 0.0, x), zeroed, resting)
         effects = np.abs(linear.rounding_effects(least)).max(axis=0)
-        missing = np.abs(gradient) > ACCEPTED * least
-        missing |= (unit > 0) & nothing & (effects > math.sqrt(EPS) * unit)  # by what steps at zero, as at a kink
-        missed = component[missing[: len(component)]]
+        missed = component[(np.abs(gradient) > ACCEPTED * least)[: len(component)]]
+        large = effects[: len(component)] > math.sqrt(EPS)  # of a number of size one: by what steps at zero, as a kink
+        missed = np.append(missed, component[resting[component] & large])
         if any(np.any(end != kept) for end, kept in zip(ends, data[:2], strict=True)):
             blurred = ACCEPTED * _of_components(numbering, effects)
             for those, end in zip(fixed, data[:2], strict=True):
@@ -224,15 +222,15 @@ def _zero_components(
 
 
 def _rounding_floors(
-    linear: Linearization, x: np.ndarray, data: Data, unit: float | np.ndarray = 0.0
+    linear: Linearization, x: np.ndarray, data: Data, resting: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """∇S, the roundoff floors of its entries, and those that include the rounding within the derivatives of L; (n,).
 
-    Of the latter, all equations of a component have the largest.  `unit` is that of `rounding_samples`.
+    Of the latter, all equations of a component have the largest.  For `resting` see `rounding_samples`.
     """
     numbering = linear.stationarity.functional.numbering
     gradient, floor = linear.stationarity.gradient_and_floor(x, data)
-    least = np.fmax(floor, np.abs(linear.rounding_samples(x, data, unit)).max(axis=0))
+    least = np.fmax(floor, np.abs(linear.rounding_samples(x, data, resting)).max(axis=0))
     least[: numbering.positions] = _of_components(numbering, least)[numbering.component[: numbering.positions]]
     return gradient, floor, least
 

@@ -31,6 +31,7 @@ from casadi_galerkin.solvers.linear_solver import METHODS, linear_solver
 Built = TypeVar("Built")
 
 ACCEPTED = 50.0  # accepted residual over its roundoff floor; correct solutions were measured at 0.01 to 5
+RESTING = 4 * EPS  # distance that a component at rest at zero is moved: the rounding of places up to eight units away
 SIGN_SAMPLES = 4  # number of random choices of the signs of rounding errors for an estimate of their effect
 
 
@@ -303,19 +304,22 @@ class Linearization:
         residuals = [b + self.evaluate("product", unknowns, data, y)[0] for y, b in zip(solutions, rhs, strict=True)]
         return [y + correction for y, correction in zip(solutions, self.solve(*residuals), strict=True)]
 
-    def rounding_samples(self, unknowns: np.ndarray, data: Data, unit: float | np.ndarray = 0.0) -> np.ndarray:
+    def rounding_samples(self, unknowns: np.ndarray, data: Data, resting: np.ndarray | None = None) -> np.ndarray:
         """Changes of ∇S where unknowns and ends are rounded in other ways, one for each choice of signs; evaluates ∇S.
 
-        They show the rounding of terms that cancel within the derivatives of L, whose sizes are not known.  An unknown
-        that is zero is rounded as a number of the size `unit`.
+        They show the rounding of terms that cancel within the derivatives of L, whose sizes are not known.  Components
+        that are `resting`, (d,), have no size of their own: zeros of them are moved together by `RESTING`.
         """
-        start, end, *further = data
-        sizes = np.where(unknowns == 0, unit, unknowns)
+        numbering, further = self.stationarity.functional.numbering, data[2:]
+        places = numbering.component[: numbering.positions], numbering.fixed_start, numbering.fixed_end
+        shifts = [np.zeros(len(a)) for a in (unknowns, *data[:2])]
+        for shift, place in zip(shifts, places, strict=True):
+            shift[: len(place)] = 0.0 if resting is None else RESTING * resting[list(place)]
         signs, gradients = np.random.default_rng(len(unknowns)), np.empty((SIGN_SAMPLES, len(unknowns)))
         for gradient in gradients:
             x, *ends = (
-                a + size * signs.choice((-EPS, EPS), len(a))
-                for a, size in ((unknowns, sizes), (start, start), (end, end))
+                a * (1 + signs.choice((-EPS, EPS), len(a))) + np.where(a == 0, shift, 0.0)
+                for a, shift in zip((unknowns, *data[:2]), shifts, strict=True)
             )
             self.terms(x, (*ends, *further))
             gradient[:] = self.gradient
