@@ -311,10 +311,11 @@ class Linearization:
         that are `resting`, (d,), have no size of their own: zeros of them are moved together by `RESTING`.
         """
         numbering, further = self.stationarity.functional.numbering, data[2:]
-        places = numbering.component[: numbering.positions], numbering.fixed_start, numbering.fixed_end
         shifts = [np.zeros(len(a)) for a in (unknowns, *data[:2])]
-        for shift, place in zip(shifts, places, strict=True):
-            shift[: len(place)] = 0.0 if resting is None else RESTING * resting[list(place)]
+        if resting is not None:
+            along = numbering.component[: numbering.positions]
+            for shift, place in zip(shifts, (along, numbering.fixed_start, numbering.fixed_end), strict=True):
+                shift[: np.size(place)] = RESTING * resting[np.array(place, dtype=int)]
         signs, gradients = np.random.default_rng(len(unknowns)), np.empty((SIGN_SAMPLES, len(unknowns)))
         for gradient in gradients:
             x, *ends = (
