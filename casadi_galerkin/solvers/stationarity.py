@@ -313,9 +313,10 @@ class Linearization:
         numbering, further = self.stationarity.functional.numbering, data[2:]
         shifts = [np.zeros(len(a)) for a in (unknowns, *data[:2])]
         if resting is not None:
-            along = numbering.component[: numbering.positions]
-            for shift, place in zip(shifts, (along, numbering.fixed_start, numbering.fixed_end), strict=True):
-                shift[: np.size(place)] = RESTING * resting[np.array(place, dtype=int)]
+            shifts[0][: numbering.positions] = RESTING * resting[numbering.component[: numbering.positions]]
+            shifts[1][:], shifts[2][:] = (
+                RESTING * resting[list(i)] for i in (numbering.fixed_start, numbering.fixed_end)
+            )
         signs, gradients = np.random.default_rng(len(unknowns)), np.empty((SIGN_SAMPLES, len(unknowns)))
         for gradient in gradients:
             x, *ends = (
