@@ -24,6 +24,18 @@ def double_integrator(**changes):
     return cg.ControlProblem(**(fields | changes))
 
 
+def first_order(**changes):
+    """One component whose rate is the control, from 0 to 1 in unit time, least ∫u²/2."""
+    fields = {
+        "lagrangian": None,
+        "force": None,
+        "start_velocity": [None],
+        "end_velocity": [None],
+        "rates": lambda t, x, v, u: u,
+    }
+    return double_integrator(**(fields | changes))
+
+
 def minimum_time():
     """Unit mass from rest to rest with a force of at most 1: T = 2."""
     return double_integrator(running_cost=lambda t, x, v, u: 1, control_bounds=(-1.0, 1.0), duration_bounds=(0.1, 10.0))

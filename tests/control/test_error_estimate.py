@@ -5,7 +5,7 @@ from contextlib import suppress
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import cart_pole, double_integrator, plane, resolved, true_error
+from control_problems import cart_pole, double_integrator, first_order, plane, resolved, true_error
 
 import casadi_galerkin as cg
 
@@ -101,19 +101,7 @@ def test_a_bound_of_a_component_whose_rate_is_controlled_needs_no_square_root(to
     """Least ∫ (u² / 2 - 4 x) dt with dx/dt = u and x below a cap, where the path a t - 2 t² arrives at rest."""
     cap = 0.3
     rise, arrival = np.sqrt(8 * cap), np.sqrt(8 * cap) / 4
-    problem = cg.ControlProblem(
-        None,
-        (0, 1),
-        [0.0],
-        [0.0],
-        [None],
-        [None],
-        None,
-        rates=lambda t, x, v, u: u,
-        running_cost=lambda t, x, v, u: u**2 / 2 - 4 * x,
-        controls=1,
-        position_bounds=(-np.inf, cap),
-    )
+    problem = first_order(end=[0.0], running_cost=lambda t, x, v, u: u**2 / 2 - 4 * x, position_bounds=(-np.inf, cap))
     path, times = cg.solve(problem, tol=tol), np.linspace(0, 1, 1001)
     after = np.minimum(np.minimum(times, 1 - times), arrival)
     error = np.max(np.abs(path(times)[0] - (rise * after - 2 * after**2))) / cap

@@ -5,7 +5,7 @@ import pickle
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import double_integrator, pendulum
+from control_problems import double_integrator, first_order, pendulum
 
 import casadi_galerkin as cg
 
@@ -154,17 +154,10 @@ def test_bounds_that_are_met_hold_what_would_lower_the_cost(unit, price):
 
 
 def test_where_bounds_hold_everything_nothing_can_lower_the_cost():
-    full = cg.ControlProblem(
-        None,
-        (0.0, 1.0),
+    full = first_order(
         start=[1.0],
         end=[None],
-        start_velocity=[None],
-        end_velocity=[None],
-        force=None,
-        rates=lambda t, x, v, u: u,
         running_cost=lambda t, x, v, u: -x[0],
-        controls=1,
         control_bounds=(0.0, 1.0),
         position_bounds=(1.0, 1.0),
     )
@@ -185,17 +178,8 @@ def test_without_a_cost_there_is_no_saddle(intervals):
 @pytest.mark.parametrize("added", [0.0, 1e-12, 1e-9, 1e-3])
 def test_a_convex_cost_whose_terms_cancel_has_a_minimum(added):
     """The least ∫ (u² - x²/4)/2 over the time π is zero, and convex up to the time 2 π."""
-    falling = cg.ControlProblem(
-        None,
-        (0.0, np.pi),
-        [0.0],
-        [1.0],
-        [None],
-        [None],
-        force=None,
-        rates=lambda t, x, v, u: u,
-        running_cost=lambda t, x, v, u: (u[0] ** 2 - x[0] ** 2 / 4) / 2 + added / np.pi,
-        controls=1,
+    falling = first_order(
+        t_span=(0.0, np.pi), running_cost=lambda t, x, v, u: (u[0] ** 2 - x[0] ** 2 / 4) / 2 + added / np.pi
     )
     path = cg.solve(falling, cg.Galerkin(4), intervals=10)
     assert path.cost == pytest.approx(added, abs=1e-13)

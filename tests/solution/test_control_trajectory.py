@@ -9,6 +9,7 @@ from control_problems import (
     cart_pole,
     double_integrator,
     everything,
+    first_order,
     minimum_time,
     pendulum,
     plane,
@@ -200,10 +201,7 @@ def test_an_overshoot_is_seen_where_only_one_side_is_bounded():
 
 
 def test_the_defect_of_a_problem_without_momenta_is_of_its_values():
-    first_order = double_integrator(
-        lagrangian=None, force=None, start_velocity=[None], end_velocity=[None], rates=lambda t, x, v, u: u
-    )
-    assert "of the largest value" in str(cg.solve(first_order, cg.Galerkin(2), 4))
+    assert "of the largest value" in str(cg.solve(first_order(), cg.Galerkin(2), 4))
     assert "of the largest momentum" in str(cg.solve(double_integrator(), cg.Galerkin(2), 4))
 
 
@@ -343,16 +341,8 @@ def test_costate_is_the_price_of_a_rate_where_the_cost_depends_on_the_velocity()
 
 def race(curvature):
     """Full speed to the middle and back."""
-    return cg.ControlProblem(
-        None,
-        (0.0, 1.0),
-        [0.0],
-        [0.0],
-        [None],
-        [None],
-        force=None,
-        controls=1,
-        rates=lambda t, x, v, u: u,
+    return first_order(
+        end=[0.0],
         control_bounds=(-1.0, 1.0),
         running_cost=lambda t, x, v, u: -x[0] - curvature * v[0] ** 2 / 2,
     )

@@ -5,7 +5,7 @@ from importlib import import_module
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import double_integrator
+from control_problems import double_integrator, first_order
 
 import casadi_galerkin as cg
 
@@ -194,9 +194,7 @@ def test_paths_without_energy_are_compared(kind):
     problem = {
         "boundary": lambda: cg.BoundaryProblem(still, (0.0, 1.0), [1.0], [1.0]),
         "initial": lambda: cg.InitialProblem(still, (0.0, 1.0), [1.0], velocity=[0.0]),
-        "rates": lambda: double_integrator(
-            lagrangian=None, force=None, start_velocity=[None], end_velocity=[None], rates=lambda t, x, v, u: u
-        ),
+        "rates": first_order,
     }[kind]()
     row = cg.trade(problem, [cg.Galerkin(2)], [4]).rows[0]
     assert max(row.error, row.functional_error, row.energy_error) < REFERENCE

@@ -9,7 +9,7 @@ import mpmath
 import numpy as np
 import pytest
 from callbacks import pendulum_with_callback
-from control_problems import double_integrator, pendulum_in_three
+from control_problems import double_integrator, first_order, pendulum_in_three
 from scenes import oscillator_problem, pendulum
 
 import casadi_galerkin as cg
@@ -263,17 +263,9 @@ def test_phases_found_to_a_tolerance_are_solved_again_on_their_mesh():
 @pytest.mark.parametrize("power", [2, 10])
 def test_the_error_of_a_free_duration_is_an_error_of_the_path(power):
     """Least ∫ (u²/2 + 0.3 t^k) dt: at the same parts of the duration every row has the same path, a straight line."""
-    problem = cg.ControlProblem(
-        None,
-        (0.0, 1.5),
-        [0.0],
-        [1.0],
-        [None],
-        [None],
-        force=None,
-        rates=lambda t, x, v, u: u,
+    problem = first_order(
+        t_span=(0.0, 1.5),
         running_cost=lambda t, x, v, u: u[0] ** 2 / 2 + 0.3 * t**power,
-        controls=1,
         duration_bounds=(0.2, 8.0),
     )
     exact = (1 / 0.6) ** (1 / (power + 2))  # where 1 / (2 T²) = 0.3 T^k
