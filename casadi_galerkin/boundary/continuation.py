@@ -227,9 +227,8 @@ class BranchFollower(Curve[Solution]):
         self.direction = target - self.first
         self.weights = np.ones(transcription.numbering.free + 1)
         self._lowest = self._highest = self._expected = np.zeros(transcription.numbering.free)
-        self._across: tuple[Point, float] | None = (
-            None  # the last step that was not taken because it changed the branch
-        )
+        # the last step that was not taken because it led to another branch, and the step after it
+        self._across: tuple[Point, float] | None = None
 
     def parameters(self, z: np.ndarray) -> np.ndarray:
         """Parameters at a point z, exact at both ends."""

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.boundary.error_estimate import error_between_ends
 from casadi_galerkin.boundary.failure_report import refuse_undefined
 from casadi_galerkin.boundary.graph import BoundaryGraph, CriticalPoint
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -211,26 +212,28 @@ class SecondVariation:
         """The conditions of a graph, and its unknowns and data at the path."""
         return graph.stationarity, *graph.on_path(self._path)
 
+    @cached_property
+    def _kinked(self) -> bool:
+        """Whether L has a kink in x on the path, whose part of the second variation is in no Hessian."""
+        return bool(np.any(kinks_in_place(self._problem, self._path)))
+
     def difference(self) -> float:
         """Relative difference to a path of a higher degree: see `error_between_ends`."""
         return error_between_ends(self._graph(), self._path)
 
     def smallest(self) -> float | None:
         """Smallest second variation relative to the sizes of its terms; see `softest`.  None at a kink of L in x."""
-        if np.any(kinks_in_place(self._problem, self._path)):
-            return None
-        return smallest_second_variation(*self._at_path(self._graph()))
+        return None if self._kinked else smallest_second_variation(*self._at_path(self._graph()))
 
     def negative(self) -> int | None:
         """Number of negative eigenvalues; None where it is not finite, or is different in a higher degree.
 
-        At a kink of L in x it is None as well, because no Hessian contains its part (`kinks_in_place`).  If variations
-        too short for the mesh lower the action, the number grows with the degrees of freedom, and a higher degree
-        counts more.
+        At a kink of L in x it is None as well.  If variations too short for the mesh lower the action, the number grows
+        with the degrees of freedom, and a higher degree counts more.
         """
-        problem, path, graph = self._problem, self._path, self._graph()
-        if np.any(kinks_in_place(problem, path)):
+        if self._kinked:
             return None
+        problem, path, graph = self._problem, self._path, self._graph()
         index = negative_eigenvalues(*self._at_path(graph))
         if index is None or index != negative_eigenvalues(*self._at_path(graph.higher)):
             return None

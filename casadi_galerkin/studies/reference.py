@@ -133,8 +133,8 @@ class ReferenceSolution:
         joints, times = self._matching(path, path.t), times_at(path.t, inside)
         joint_error = float(np.max(np.abs(path.x - self._at(joints)) / self._sizes))
         between = self._at(self._matching(path, times))
-        path_error = max(float(np.max(np.abs(path(times) - between) / self._sizes)), joint_error)
-        path_error = max(path_error, self._duration_error(path))
+        between_error = float(np.max(np.abs(path(times) - between) / self._sizes))
+        path_error = max(between_error, joint_error, self._duration_error(path))
         lagrangian, kinetic = self._terms(joints)
         energy_error = float(np.max(np.abs(path.energy - (kinetic - lagrangian))))
         functional = path.cost if isinstance(path, ControlTrajectory) else path.action
