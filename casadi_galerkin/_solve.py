@@ -330,7 +330,7 @@ def solution_function(
     Raises
     ------
     ConvergenceError, ConjugatePointError, ValueError, TypeError
-        as for `solve`
+        as for `solve`; of a boundary problem also where `sensitivity` refuses the path
 
     Examples
     --------

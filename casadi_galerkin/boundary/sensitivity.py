@@ -130,8 +130,8 @@ def sensitivity(path: Trajectory) -> Sensitivity:
     Raises
     ------
     TypeError, ValueError
-        for what is no path of a BoundaryProblem, for a path of given energy, and where ∂L/∂x steps in x on the path,
-        as that of |x| does: the derivatives contain its impulse, which is in no Hessian
+        for what is no path of a BoundaryProblem, for a path of given energy, and where ∂L/∂x or the force steps in x
+        or v on the path, as with |x| or dry friction: the derivatives contain that impulse, which is in no Hessian
 
     Examples
     --------
@@ -176,11 +176,11 @@ def _refuse_energy(name: str, problem: BoundaryProblem) -> None:
 
 
 def _refuse_kinks(name: str, path: Trajectory) -> None:
-    """Refuse a path over a kink of L in x, whose impulse is in no derivative."""
+    """Refuse a path over a step of ∂L/∂x or the force in x or v, whose impulse is in no derivative."""
     kinks = np.flatnonzero(kinks_in_place(path.problem, path.polynomial))
     if len(kinks):
         when = (path.t[kinks[0]] + path.t[kinks[0] + 1]) / 2
         raise ValueError(
-            f"{name} takes paths along which ∂L/∂x and the force are continuous in x, got one on which they step near "
-            f"t = {when:.6g}: smooth L there, as |x| by sqrt(x² + 1e-6)"
+            f"{name} takes paths along which ∂L/∂x and the force are continuous in x and v, got one on which they step "
+            f"near t = {when:.6g}: smooth them there, as |x| by sqrt(x² + 1e-6), or sign(v) by tanh(1e3 v)"
         )

@@ -47,7 +47,8 @@ ENERGY_SHARE = 0.3  # share of the tolerance that the energy imbalance may have;
 # accepted misfit of L between points, over its size; at a pole it is larger, at all degrees to 14
 LAGRANGIAN_MISFIT = 0.05
 FORCE_JUMP_SHARE = 0.1  # share of the tolerance that changes of a momentum by jumps of a force may have
-STEP_RATIO = 2.0  # change along an interval, over what derivatives by x explain, above which L or ∂L/∂x steps there
+STEP_RATIO = 2.0  # change along an interval, over what derivatives explain, above which L or ∂L/∂x steps there
+BEYOND = 1e-3  # how far places reach beyond a joint, over the distance of the nearest quadrature point from it
 ROUNDING_FACTOR = 10.0  # factor on roundoff floors: an imbalance below it may be rounding alone
 
 
@@ -201,28 +202,37 @@ class _Sampled:
         """Values of a Function of the arguments of L̂ at all places, (N K, ...) each."""
         return _at_places(self.problem, function, self.times, self.h, self.x, self.v * self.h)
 
-    def in_place(self, function: ca.Function) -> Iterator[list[np.ndarray]]:
-        """Values of a Function of the arguments of L̂ at all places, but at one time and velocity on each interval.
+    def in_place(self, function: ca.Function, varied: int) -> Iterator[list[np.ndarray]]:
+        """Values of a Function of the arguments of L̂ at all places, of which only x or only x' varies on an interval.
 
-        These are in turn those of the first, a middle and the last quadrature point: what moves may be crossed between
-        the others.
-        """
-        numbers = np.arange(len(self.h)).reshape(len(self.steps), -1)
-        for j in (2, 2 + len(self._weights) // 2, 1 + len(self._weights)):
-            inside = np.repeat(numbers[:, j], numbers.shape[1])
-            place = self.times[inside], self.h, self.x, self.v[:, inside] * self.h
-            yield _at_places(self.problem, function, *place)
-
-    def unexplained(self, values: np.ndarray, derivatives: np.ndarray, terms: np.ndarray) -> np.ndarray:
-        """Whether any of k values (N K, k) changes along an interval by more than its derivatives by x tell; (N,).
+        It varies a little beyond the joints between two intervals.  Time, and x' or x, are in turn those of the first,
+        a middle and the last quadrature point: what moves may be crossed between the others.
 
         Parameters
         ----------
-        derivatives : (N K, k, d)
+        varied : 0 for x, 1 for x'
+        """
+        numbers, both = np.arange(len(self.h)).reshape(len(self.steps), -1), (self.x, self.v * self.h)
+        beyond, last = both[varied].reshape(len(self.x), *numbers.shape).copy(), 1 + len(self._weights)
+        for joint, inside, inner in ((0, 2, slice(1, None)), (1, last, slice(-1))):  # a joint may be where L steps
+            beyond[:, inner, joint] += BEYOND * (beyond[:, inner, joint] - beyond[:, inner, inside])
+        for j in (2, 2 + len(self._weights) // 2, last):
+            fixed = np.repeat(numbers[:, j], numbers.shape[1])
+            place = [values[:, fixed] for values in both]
+            place[varied] = beyond.reshape(len(self.x), -1)
+            yield _at_places(self.problem, function, self.times[fixed], self.h, *place)
+
+    def unexplained(self, varied: int, values: np.ndarray, derivatives: np.ndarray, terms: np.ndarray) -> np.ndarray:
+        """Whether any of k values (N K, k) changes along an interval by more than its derivatives tell; (N,).
+
+        Parameters
+        ----------
+        varied : 0 where x has varied, 1 where x' has
+        derivatives : by what has varied, (N K, k, d)
         terms : sizes of the terms that are summed up to the values, (N K, k)
         """
         count = len(self.steps)
-        moved = np.ptp(self.x.reshape(len(self.x), count, -1), axis=2).T
+        moved = np.ptp((self.x, self.v * self.h)[varied].reshape(len(self.x), count, -1), axis=2).T
         values = values.reshape(count, -1, values.shape[1])
         steepest = np.max(np.abs(derivatives).reshape(*values.shape, -1), axis=1)
         rounded = ROUNDING_FACTOR * EPS * np.max(np.abs(terms).reshape(values.shape), axis=1)
@@ -288,26 +298,27 @@ def _steps_in_place(at: _Sampled) -> np.ndarray:
 
     CasADi's derivative of a step is zero, so that its impulse is in no equation, on any mesh.
     """
-    samples = at.in_place(pointwise(at.problem.lagrangian, None).first)  # a force has no part in L
-    found = [at.unexplained(values, slopes[:, None, :], values) for values, slopes, _ in samples]
+    samples = at.in_place(pointwise(at.problem.lagrangian, None).first, varied=0)  # a force has no part in L
+    found = [at.unexplained(0, values, slopes[:, None, :], values) for values, slopes, _ in samples]
     return np.asarray(np.any(found, axis=0))
 
 
 def kinks_in_place(problem: Problem, path: PiecewisePolynomial) -> np.ndarray:
-    """Whether ∂L/∂x, with a force added, steps in x on an interval, as that of |x| does; (N,).
+    """Whether ∂L/∂x, with a force added, steps in x or v on an interval, as that of |x| and dry friction do; (N,).
 
     The path may then be right.  But its second variation, and its derivatives by ends and parameters, contain the
     impulse of a step of the force by a change of the path, which is in no Hessian.
     """
     at, d, found = _Sampled(problem, path), len(path.values), []
     rows, columns = (np.array(index, dtype=int) for index in at.terms.pattern.get_triplet())
-    for lagrangian, slopes, momenta, *blocks in at.in_place(at.terms.derivatives):
-        curvature = np.zeros((len(at.h), d, d))
-        if (0, 0) in at.terms.blocks:
-            curvature[:, rows, columns] = blocks[at.terms.blocks.index((0, 0))]
-        energies = np.abs(lagrangian) + np.sum(np.abs(momenta * (at.v * at.h).T), axis=1, keepdims=True)
-        terms = np.abs(slopes) + energies / or_one(path.sizes)  # these may cancel, as where x is an angle
-        found.append(at.unexplained(slopes, curvature, terms))
+    for varied in (0, 1):
+        for lagrangian, slopes, momenta, *blocks in at.in_place(at.terms.derivatives, varied):
+            changes = np.zeros((len(at.h), d, d))
+            if (0, varied) in at.terms.blocks:
+                changes[:, rows, columns] = blocks[at.terms.blocks.index((0, varied))]
+            energies = np.abs(lagrangian) + np.sum(np.abs(momenta * (at.v * at.h).T), axis=1, keepdims=True)
+            terms = np.abs(slopes) + energies / or_one(path.sizes)  # these may cancel, as where x is an angle
+            found.append(at.unexplained(varied, slopes, changes, terms))
     return np.asarray(np.any(found, axis=0))
 
 

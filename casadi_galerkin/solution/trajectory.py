@@ -122,7 +122,7 @@ class Trajectory(Path):
         It is None for a path that was found step by step; under a force, and where the momentum of a given velocity
         depends on more than that, because the path is then not a critical point of an action; where ∂²L/∂v² has a
         negative eigenvalue at a joint, because the index then grows without bound as the mesh is refined; where ∂L/∂x
-        steps in x on the path, as that of |x| does, because no Hessian contains what that adds; and where a higher
+        steps on the path, as that of |x| does, because no Hessian contains what that adds; and where a higher
         degree on the same mesh gives another number, because this mesh, or any mesh, does not resolve the variations.
         For an optimization it is that of the cost; see `ControlTrajectory`.
         """
@@ -134,7 +134,7 @@ class Trajectory(Path):
 
         It is zero at a conjugate point, and shows how well the ends determine the path: errors are magnified by its
         inverse.  Under a force it is that of the equations' Jacobian, between its softest directions.  It is None for
-        a path that was found step by step, for one that was optimized, and where ∂L/∂x steps in x on the path.
+        a path that was found step by step, for one that was optimized, and where ∂L/∂x or the force steps on the path.
         """
         return None if self.find_regularity is None else self.find_regularity()
 

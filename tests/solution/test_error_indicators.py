@@ -319,6 +319,30 @@ def test_over_a_kink_in_x_there_is_no_second_variation():
     assert cg.sensitivity(within).end[0, -1, 0] == 1
 
 
+@pytest.mark.parametrize("named", [(), (np.arctan2(0.7, 1.1),)])
+def test_over_a_step_of_dry_friction_there_are_no_derivatives(named):
+    """Where a spring with dry friction turns round, also where that time is a breakpoint: they were off by 14 %."""
+    turn, swing = np.arctan2(0.7, 1.1), np.hypot(0.7, 1.1)  # x'' = -x - sign(x')/10 from x = 1, x' = 0.7
+    end = 0.1 + (swing - 0.2) * np.cos(2.0 - turn)
+
+    def by_velocity(t):
+        """The derivative of x(t), after the turn, by the velocity at the start."""
+        return (0.7 * np.cos(t - turn) + 1.1 * (1 - 0.2 / swing) * np.sin(t - turn)) / swing
+
+    def stated(friction):
+        action = (lambda t, x, v: (v[0] ** 2 - x[0] ** 2) / 2), (0.0, 2.0), [1.0], [end]
+        return cg.BoundaryProblem(*action, force=lambda t, x, v: -friction(v) / 10, breakpoints=named)
+
+    path = cg.solve(stated(ca.sign), tol=1e-6)
+    assert path(0.0, 1)[0] == pytest.approx(0.7, abs=1e-6)
+    assert path.regularity is None
+    with pytest.raises(ValueError, match=r"sensitivity takes paths along which .* continuous in x and v"):
+        cg.sensitivity(path)
+    smooth = cg.sensitivity(cg.solve(stated(lambda v: ca.tanh(1e3 * v)), tol=1e-6))
+    late = smooth.t > 1.0
+    np.testing.assert_allclose(smooth.end[0, late, 0], by_velocity(smooth.t[late]) / by_velocity(2.0), rtol=1e-3)
+
+
 @pytest.mark.parametrize("how", [{"method": cg.Galerkin(4), "intervals": 8}, {"tol": 1e-8}])
 def test_rounding_of_a_coordinate_that_does_not_matter_is_no_kink(how):
     """In polar coordinates the derivative of L by the angle is the rounding of what cancels."""
