@@ -16,6 +16,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -27,33 +29,73 @@ from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.dependence import VELOCITIES, rows_that_depend
 
-Layout = Mapping[str, tuple[int, ...]]  # the shapes of named arrays, in their order
+
+@dataclass(frozen=True)
+class Field:
+    """Unknowns, data or equations that a stage holds under one name.
+
+    Attributes
+    ----------
+    name : by which `Chain.fields` or `Chain.rows` have their numbers
+    label : what messages call a component, with its number in place of {}
+    kind : the same for fields whose components are values, or equations with terms, of the same quantities
+    components : numbers of the components
+    at : where they are, in intervals since the joint of the stage; (count,) where each component is at several places
+    """
+
+    name: str
+    label: str
+    kind: str
+    components: range
+    at: float | np.ndarray = 0.0
+
+    @cached_property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the array of the numbers: (components,), or (count, components)."""
+        return (*np.shape(self.at), len(self.components))
+
+    @cached_property
+    def size(self) -> int:
+        """Number of entries."""
+        return math.prod(self.shape)
 
 
-def numbered(layouts: Iterable[Layout], first: int = 0) -> dict[str, np.ndarray]:
-    """Number the entries of named arrays, layout by layout; for every name (number of layouts that have it, *shape)."""
+Stages = Sequence[Sequence[Field]]  # the fields of every stage, in their order
+
+
+def length(fields: Iterable[Field]) -> int:
+    """Number of entries of some fields."""
+    return sum(field.size for field in fields)
+
+
+def numbered(stages: Stages, first: int = 0) -> dict[str, np.ndarray]:
+    """Number the entries of all fields, stage by stage; for every name (number of stages that have it, *shape)."""
     parts: dict[str, list[np.ndarray]] = {}
-    for layout in layouts:
-        for name, shape in layout.items():
-            count = math.prod(shape)
-            parts.setdefault(name, []).append(first + np.arange(count).reshape(shape))
-            first += count
+    for field in chain(*stages):
+        parts.setdefault(field.name, []).append(first + np.arange(field.size).reshape(field.shape))
+        first += field.size
     return {name: np.stack(arrays) for name, arrays in parts.items()}
 
 
-def length(layout: Layout) -> int:
-    """Number of entries of a layout."""
-    return sum(math.prod(shape) for shape in layout.values())
-
-
-def kinds_of(arrays: Mapping[str, np.ndarray], alike: Iterable[Sequence[str]], count: int) -> np.ndarray:
-    """Number the kinds of `count` entries: one for each component (last index) of the arrays of a group in `alike`."""
-    kinds, offset = np.empty(count, dtype=np.int64), 0
-    for names in alike:
-        for name in names:
-            kinds[arrays[name]] = offset + np.arange(arrays[name].shape[-1])
-        offset += arrays[names[0]].shape[-1]
+def kinds_of(stages: Stages, numbers: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Number the kinds of all entries: one for each component of the fields of one `kind`, in their order."""
+    kinds, firsts, count = np.empty(sum(map(length, stages)), dtype=np.int64), dict[str, int](), 0
+    for field in {field.name: field for field in chain(*stages)}.values():
+        if field.kind not in firsts:
+            firsts[field.kind], count = count, count + len(field.components)
+        kinds[numbers[field.name]] = firsts[field.kind] + np.arange(len(field.components))
     return kinds
+
+
+def located(stages: Stages, number: int) -> tuple[str, float]:
+    """What messages call an entry, and its place in intervals since the start."""
+    for i, fields in enumerate(stages):
+        for field in fields:
+            if number < field.size:
+                *place, component = np.unravel_index(number, field.shape)
+                return field.label.format(field.components[component]), i + float(np.asarray(field.at)[tuple(place)])
+            number -= field.size
+    raise IndexError(number)
 
 
 class Chain:
@@ -81,6 +123,7 @@ class Chain:
     velocities_of_rates : whether the running cost or a path constraint depends on the velocity of a component that
         follows a rate
     unknowns, equations, size : numbers of unknowns, of equations, and of entries of ξ
+    unknown_stages, equation_stages : for every stage the fields of its unknowns, and those of its equations
     fields : name -> entries of ξ: "x" (N + 1, d), "momentum" (N + 1, mechanical), "nodes" (N, m, d), the values at the
         nodes after the first, "controls" (N, points, n), "impulses" (N, m, constraints) at these nodes and
         "start_impulse" (constraints,), "start_velocity", "end_velocity" (mechanical,), "velocity" (K, mechanical)
@@ -126,67 +169,80 @@ class Chain:
         self._number_equations()
 
     def _number_unknowns(self) -> None:
-        n, m, d, mechanical = self.intervals, self.method.degree, self.dimension, self.mechanical
-        constants = {"durations": (int(self.phases[-1]) + 1,), "parameters": (self.parameters,)}
-        free = {name: constants[name] for name in self.free}
-        state: Layout = {"x": (d,), "momentum": (mechanical,), **free}
-        chosen: Layout = {
-            "nodes": (m, d),
-            "controls": (len(self.control_times), self.controls),
-            "impulses": (m, self.constraints),
-        }
-        at_start: Layout = {"start_velocity": (mechanical,), "start_impulse": (self.constraints,)}
-        at_end: Layout = {"end_velocity": (mechanical,)}
-        given = {name: shape for name, shape in constants.items() if name not in free}
-        data: Layout = {**given, "begin": (1,), "left": (n,), "part": (n,), "sizes": (mechanical,)}
-        crossing: Layout = {"velocity": (mechanical,)}
-        others: list[Layout] = [{**chosen, **(crossing if i + 1 in self.crossed else {})} for i in range(n)]
-        others = [{**others[0], **at_start}, *others[1:], at_end]
+        n, moving, nodes = self.intervals, range(self.mechanical), self.method.element.nodes[1:]
+        x, velocity = ("x[{}]", "x", range(self.dimension)), ("velocity", moving)
+        impulse, phases = ("impulse", range(self.constraints)), range(int(self.phases[-1]) + 1)
+        constants = [
+            Field("durations", "the duration" + "[{}]" * (len(phases) > 1), "durations", phases),
+            Field("parameters", "p[{}]", "parameters", range(self.parameters)),
+        ]
+        free = [constant for constant in constants if constant.name in self.free]
+        state = [Field("x", *x), Field("momentum", "the momentum[{}]", "momentum", moving), *free]
+        chosen = [
+            Field("nodes", *x, nodes),
+            Field("controls", "u[{}]", "controls", range(self.controls), self.control_times),
+            Field("impulses", "impulses[{}]", *impulse, nodes),
+        ]
+        at_start = [
+            Field("start_velocity", "start_velocity[{}]", *velocity),
+            Field("start_impulse", "start_impulse[{}]", *impulse),
+        ]
+        at_end = Field("end_velocity", "end_velocity[{}]", *velocity)
+        crossing = Field("velocity", "the velocity[{}]", *velocity, 1.0)
+        lengths = {"begin": 1, "left": n, "part": n, "sizes": self.mechanical}
+        given = [Field(name, name, name, range(count)) for name, count in lengths.items()]
+        data = [constant for constant in constants if constant not in free] + given
+        others = [[*chosen, *([crossing] if i + 1 in self.crossed else [])] for i in range(n)]
+        others = [[*others[0], *at_start], *others[1:], [at_end]]
         self._widths = [(length(state), length(other)) for other in others]
+        self.unknown_stages: Stages = [[*state, *other] for other in others]
         self.unknowns = sum(map(sum, self._widths))
         self.size = self.unknowns + length(data)
-        fields = numbered([{**state, **other} for other in others]) | numbered([data], self.unknowns)
-        fields.setdefault("velocity", np.zeros((0, mechanical), dtype=np.int64))
-        once = {name: fields[name][0] for name in (*at_start, *at_end, "begin", "left", "part", "sizes")}
-        alike = {name: np.broadcast_to(fields[name], (n + 1, *shape)) for name, shape in constants.items()}
+        fields = numbered(self.unknown_stages) | numbered([data], self.unknowns)
+        fields.setdefault("velocity", np.zeros((0, self.mechanical), dtype=np.int64))
+        once = {field.name: fields[field.name][0] for field in (*at_start, at_end, *given)}
+        alike = {c.name: np.broadcast_to(fields[c.name], (n + 1, *c.shape)) for c in constants}
         self.fields = {**fields, **once, **alike}
         self.free_constants = length(free)
-        kinds = [["x", "nodes"], ["momentum"], ["controls"], ["impulses", "start_impulse"], *([name] for name in free)]
-        kinds.append(["start_velocity", "end_velocity", "velocity"])
-        self.unknown_kinds = kinds_of(self.fields, kinds, self.unknowns)
+        self.unknown_kinds = kinds_of(self.unknown_stages, self.fields)
 
     def _number_equations(self) -> None:
-        n, m, r = self.intervals, self.method.degree, len(self.method.quadrature)
-        others, motion, constraint = self.dimension - self.mechanical, (self.mechanical,), (self.constraints,)
-        tied: Layout = {"x": (self.dimension,), "momentum": motion, "constants": (self.free_constants,)}
-        inner: Layout = {
-            "motion": (m, *motion),
-            "rates": (m, others),
-            "path": (r, self.path_constraints),
-            "constraint": (m, *constraint),
-        }
-        at_start: Layout = {"start": motion, "start_constraint": constraint, "start_tangent": constraint}
-        at_end: Layout = {"end": motion, "end_tangent": constraint, "ends": (self.conditions,)}
-        passed: dict[int, Layout] = {
-            joint - 1: {"arrival": motion, f"waypoint {k}": (self.conditions_there[k],)}
-            for k, joint in enumerate(self.crossed.tolist())
-        }
-        waypoints = [f"waypoint {k}" for k in range(len(self.crossed))]
-        further: list[Layout] = [{**inner, **passed.get(i, {})} for i in range(n)]
-        further = [{**further[0], **at_start}, *further[1:], at_end]
-        rows = numbered([{**(tied if i < n else {}), **other} for i, other in enumerate(further)])
-        rows.setdefault("arrival", np.zeros((0, *motion), dtype=np.int64))
-        self.rows = rows | {name: rows[name][0] for name in (*at_start, *at_end, *waypoints)}
+        n, d, element, held = self.intervals, self.dimension, self.method.element, range(self.constraints)
+        motion = "the equation of motion of x[{}]", "motion", range(self.mechanical)
+        constraint, tangent = ("constraint {}", "constraint", held), ("the rate of constraint {}", "tangent", held)
+        constants = "the continuity of the duration or parameter[{}]", "constants", range(self.free_constants)
+        tied = [
+            Field("x", "the continuity of x[{}]", "x", range(d), 1.0),
+            Field("momentum", *motion, 1.0),
+            Field("constants", *constants, 1.0),
+        ]
+        test_points = np.array(gauss(self.method.degree).points)
+        inner = [
+            Field("motion", *motion, element.nodes[:-1]),
+            Field("rates", "the rate of x[{}]", "rates", range(self.mechanical, d), test_points),
+            Field("path", "path constraint {}", "path", range(self.path_constraints), element.points),
+            Field("constraint", *constraint, element.nodes[1:]),
+        ]
+        at_start = [Field("start", *motion), Field("start_constraint", *constraint), Field("start_tangent", *tangent)]
+        ends = Field("ends", "end condition {}", "ends", range(self.conditions))
+        at_end = [Field("end", *motion), Field("end_tangent", *tangent), ends]
+        named = [(f"waypoint {k}", range(count)) for k, count in enumerate(self.conditions_there)]
+        waypoints = [Field(name, "condition {}", name, conditions, 1.0) for name, conditions in named]
+        arrival, joints = Field("arrival", *motion, 1.0), self.crossed.tolist()
+        passed = {joint - 1: [arrival, waypoint] for joint, waypoint in zip(joints, waypoints, strict=True)}
+        further = [[*inner, *passed.get(i, [])] for i in range(n)]
+        further = [[*further[0], *at_start], *further[1:], at_end]
+        self.equation_stages: Stages = [[*(tied if i < n else []), *other] for i, other in enumerate(further)]
+        rows = numbered(self.equation_stages)
+        rows.setdefault("arrival", np.zeros((0, self.mechanical), dtype=np.int64))
+        self.rows = rows | {field.name: rows[field.name][0] for field in (*at_start, *at_end, *waypoints)}
         self.arrivals = rows["momentum"].copy()
         self.arrivals[self.crossed - 1] = rows["arrival"]
         self.departures = np.vstack((rows["motion"][:, 0], rows["momentum"][-1:]))
-        self.equations = n * length(tied) + sum(map(length, further))
+        self.equations = sum(map(length, self.equation_stages))
         self.stages = [(*width, length(other)) for width, other in zip(self._widths, further, strict=True)]
-        motions = ["momentum", "motion", "start", "end", "arrival"]
-        alike = [["x"], motions, ["constants"], ["rates"], ["path"], ["ends"], *([name] for name in waypoints)]
-        alike += [["constraint", "start_constraint"], ["start_tangent", "end_tangent"]]
-        self.kinds = kinds_of(self.rows, alike, self.equations)
-        self.motions = slice(self.dimension, self.dimension + self.mechanical)
+        self.kinds = kinds_of(self.equation_stages, self.rows)
+        self.motions = slice(d, d + self.mechanical)
 
     def pack(self, values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Unknowns and data from one array per field; zero where a field has none."""

@@ -9,9 +9,8 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.control.chain import Chain, located
 from casadi_galerkin.control.embedding import ChainEmbedding
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
@@ -60,9 +59,10 @@ def explained(
 ) -> ConvergenceError:
     """Report how a solver ended; `relative` are the `violations` there, `path` is its last iterate."""
     worst, rows = int(np.argmax(relative)), chain.equations
-    name, place = name_equation(chain, worst) if worst < rows else name_unknown(chain, worst - rows)
+    equation = worst < rows
+    name, place = located(chain.equation_stages, worst) if equation else located(chain.unknown_stages, worst - rows)
     when = np.interp(place, np.arange(len(path.mesh)), path.mesh)
-    what = name if worst < rows else f"the bound of {name}"
+    what = name if equation else f"the bound of {name}"
     hint = HINTS.get(optimum.status, OTHER_HINT)
     if relative[worst] <= FEASIBLE:
         state = f"all constraints hold, with a cost of {cost:.6g}"
@@ -120,78 +120,13 @@ def refuse_derivatives(graph: ControlGraph, unknowns: np.ndarray, data: np.ndarr
     matrix = graph.jacobian(unknowns, data)[1]
     entries = np.isfinite(np.array(matrix.nonzeros()))
     if not np.all(np.isfinite(gradient)):
-        name, place = name_unknown(chain, int(np.argmax(~np.isfinite(gradient))))
+        name, place = located(chain.unknown_stages, int(np.argmax(~np.isfinite(gradient))))
         what = f"the derivative of the cost by {name}"
     elif not np.all(entries):
-        name, place = name_equation(chain, matrix.sparsity().row()[int(np.argmax(~entries))])
+        name, place = located(chain.equation_stages, matrix.sparsity().row()[int(np.argmax(~entries))])
         what = f"a derivative of {name}"
     else:
         return
     when = np.interp(place, np.arange(len(mesh)), mesh)
     hint = "Give a guess that avoids it, or add a small number under a root, as in sqrt(sumsqr(u) + 1e-4) for a norm"
     raise ValueError(f"{what} is not finite at the guess at t = {when:.6g}. {hint}")
-
-
-def name_equation(chain: Chain, row: int) -> tuple[str, float]:
-    """Name of an equation, and its place in intervals since the start."""
-    names = {
-        "x": "the continuity of x",
-        "constants": "the continuity of the duration or parameter",
-        **dict.fromkeys(("momentum", "motion", "start", "end", "arrival"), "the equation of motion of x"),
-        "rates": "the rate of x",
-        "path": "path constraint",
-        "ends": "end condition",
-        **dict.fromkeys(("constraint", "start_constraint"), "constraint"),
-        **dict.fromkeys(("start_tangent", "end_tangent"), "the rate of constraint"),
-        "waypoint": "condition",
-    }
-    name, found = _found(chain.rows, row)
-    shift = chain.mechanical if name == "rates" else 0
-    words = names[name.split()[0]]
-    counted = words.endswith(("constraint", "condition"))
-    label = f"{words} {found[-1]}" if counted else f"{words}[{shift + found[-1]}]"
-    return label, _place(chain, name, found) + (name in ("x", "momentum", "constants"))  # of the next state
-
-
-def name_unknown(chain: Chain, index: int) -> tuple[str, float]:
-    """Name of an unknown, and its place in intervals since the start."""
-    names = {
-        "nodes": "x",
-        "controls": "u",
-        "durations": "the duration",
-        "parameters": "p",
-        "momentum": "the momentum",
-        "velocity": "the velocity",
-    }
-    name, found = _found(chain.fields, index)
-    single = name == "durations" and chain.fields[name].shape[1] == 1
-    return names.get(name, name) + ("" if single else f"[{found[-1]}]"), _place(chain, name, found)
-
-
-def _found(arrays: dict[str, np.ndarray], number: int) -> tuple[str, tuple[int, ...]]:
-    for name, array in arrays.items():
-        found = np.argwhere(array == number)
-        if len(found):
-            return name, tuple(found[0].tolist())
-    raise IndexError(number)
-
-
-def _place(chain: Chain, name: str, found: tuple[int, ...]) -> float:
-    """Place of an entry of a field or of the equations, in intervals since the start."""
-    method = chain.method
-    parts = {
-        "nodes": method.element.nodes[1:],
-        "motion": method.element.nodes,
-        "rates": np.array(gauss(method.degree).points),
-        "constraint": method.element.nodes[1:],
-        "impulses": method.element.nodes[1:],
-        "path": method.element.points,
-        "controls": chain.control_times,
-    }
-    if name in ("velocity", "arrival"):
-        return float(chain.crossed[found[0]])
-    if name.startswith("waypoint"):
-        return float(chain.crossed[int(name.split()[1])])
-    if name.startswith(("start", "end")):
-        return float(chain.intervals if name.startswith("end") else 0)
-    return float(found[0] + (parts[name][found[1]] if name in parts else 0.0))
