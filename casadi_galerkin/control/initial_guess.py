@@ -36,25 +36,24 @@ def first_values(
     of_phases = everywhere if "durations" in chain.free else everywhere[[0, -1]]
     if isinstance(guess, ControlTrajectory):
         path_guess, control_guess = _of_answer(guess, near, chain, calculus, everywhere)
-    path = _path(problem, calculus, path_guess)
-    nodes = path[1:].reshape(n, degree, -1).copy()
-    arrived, arriving = _arrivals(problem, chain, calculus, everywhere, guess, path)
-    nodes[chain.crossed - 1, -1] = arrived
-    durations, parameters = np.diff(of_phases), np.array(problem.parameters or ())
-    if not isinstance(guess, ControlTrajectory):
-        slopes = (path[1] - path[0]) / (times[1] - times[0]), (path[-1] - path[-2]) / (times[-1] - times[-2])
-        if problem.duration_bounds is not None:
-            durations = np.clip(longer * durations, *problem.duration_bounds)
-    else:
-        slopes = guess.start_velocity, guess.end_velocity
-        if problem.duration_bounds is not None:
-            before = map_times(of_phases, of_phases, section_times(guess.problem))
-            durations = np.clip(np.diff(before), *problem.duration_bounds)
-        found = guess.parameters
-        if problem.parameter_bounds is not None and found is not None and len(found) == chain.parameters:
+    path, before = _path(problem, calculus, path_guess), degree * chain.crossed
+    slopes, parameters = np.diff(path, axis=0) / np.diff(times)[:, None], np.array(problem.parameters or ())
+    arrived, arriving, at_ends = path[before], slopes[before - 1, :dm], slopes[[0, -1]]
+    durations = longer * np.diff(of_phases)
+    if isinstance(guess, ControlTrajectory):
+        at_ends = np.array((guess.start_velocity, guess.end_velocity))
+        at = map_times(times[before], everywhere, section_times(guess.problem))
+        arrived = np.clip(arrived + (guess.before(at) - guess(at)).T, *problem.position_bounds)
+        arriving = guess.arrival_velocity if guess.arrival_velocity.shape == arriving.shape else arriving
+        durations = np.diff(map_times(of_phases, of_phases, section_times(guess.problem)))
+        found = np.array(guess.parameters or ())
+        if problem.parameter_bounds is not None and len(found) == chain.parameters:
             parameters = np.clip(found, *problem.parameter_bounds)
+    nodes = path[1:].reshape(n, degree, -1).copy()
+    nodes[chain.crossed - 1, -1] = arrived
     given = np.array([problem.start_velocity, problem.end_velocity], dtype=float)  # NaN for None
-    velocities = np.where(np.isnan(given), slopes, given)[:, :dm]
+    velocities = np.where(np.isnan(given), at_ends, given)[:, :dm]
+    bounds = problem.duration_bounds
     lasting = np.diff(of_phases)[chain.phases]
     return {
         "x": path[::degree],
@@ -63,7 +62,7 @@ def first_values(
         "start_velocity": velocities[0],
         "end_velocity": velocities[1],
         "velocity": arriving,
-        "durations": durations,
+        "durations": np.diff(of_phases) if bounds is None else np.clip(durations, *bounds),
         "parameters": parameters,
         "begin": mesh[:1],
         "left": (mesh[:-1] - of_phases[chain.phases]) / lasting,
@@ -86,25 +85,6 @@ def _of_answer(
     times = calculus.node_times, times_at(calculus.mesh, chain.control_times)
     nodes, points = (map_times(t, now, section_times(answer.problem)) for t in times)
     return answer(nodes), answer.control(points)
-
-
-def _arrivals(
-    problem: ControlProblem,
-    chain: Chain,
-    calculus: DiscreteCalculus,
-    now: np.ndarray,
-    guess: Guess | None,
-    path: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities before the crossings: of an earlier solution, or of a guess without jumps."""
-    nodes, times = chain.crossed * chain.method.degree, calculus.node_times
-    found, dm = path[nodes], chain.mechanical
-    velocities = ((found - path[nodes - 1]) / (times[nodes] - times[nodes - 1])[:, None])[:, :dm]
-    if len(nodes) and isinstance(guess, ControlTrajectory):
-        at = map_times(times[nodes], now, section_times(guess.problem))
-        found = np.clip(found + (guess.before(at) - guess(at)).T, *problem.position_bounds)
-        velocities = guess.arrival_velocity if guess.arrival_velocity.shape == velocities.shape else velocities
-    return found, velocities
 
 
 def near_answer(guess: Guess | None, chain: Chain, calculus: DiscreteCalculus) -> ControlTrajectory | None:
