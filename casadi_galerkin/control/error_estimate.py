@@ -16,7 +16,7 @@ Some errors are common to both degrees, so that the difference does not show the
 - Bounds of positions, which hold at nodes only.  Where a path exceeds one by ε between nodes, the error of the path is
   about √ε; about ε for a component whose rate is controlled, which can follow its bound.
 - Bounds of controls and path constraints, which hold at quadrature points only: see `unseen_excess` and
-  `unseen_constraint_excess`.  What a path constraint is exceeded by changes the cost in first order: see
+  `HigherDegree.constraint_excess`.  What a path constraint is exceeded by changes the cost in first order: see
   `HigherDegree.excess_effects`.
 - The Hamiltonian, which is constant where nothing depends on time.  Its variation, times duration over cost, was
   measured to be of the order of D where both degrees switch at the same wrong time.
@@ -126,36 +126,6 @@ def unseen_control_excess(path: ControlTrajectory, higher: ControlTrajectory) ->
     return np.asarray(np.max(excess / component_sizes(path.control.values)[:, None], axis=0))
 
 
-def unseen_constraint_excess(path: ControlTrajectory, higher: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Largest excess of path constraints on each interval in both degrees, over `_changes_at_largest`.
-
-    This is about the part of its size by which the path has to change, at most one.  Where a constraint depends on
-    velocities or controls, which bend or jump, only the `unseen_excess` counts.
-
-    Returns
-    -------
-    of every constraint, (k, N), and that of constraints whose bounds no quadrature point of the interval or of its
-        neighbors meets
-    """
-    if path.problem.path_constraint is None or path.problem.path_constraint[0].numel_out(0) == 0:
-        return np.zeros((1, len(path.t) - 1)), np.zeros((1, len(path.t) - 1))
-    function, *bounds = path.problem.path_constraint
-    parts = sampling_parts(FINER * path.method.degree)
-    values = [p.path_constraints(parts) for p in (path, higher)]
-    own, other = (np.where(np.isfinite(one), bound_excess(one, *bounds), 0.0) for one in values)  # a ratio may be 0/0
-    others = [(k, np.ones(function.size1_in(k), dtype=bool)) for k in (VELOCITIES, CONTROLS)]
-    of_positions = ~np.any([rows_that_depend(function, *every) for every in others], axis=0)[:, None]
-    both = np.minimum(np.max(own, axis=2), np.max(other, axis=2))
-    common = np.where(of_positions, both, np.max(unseen_excess(values, bounds), axis=2))
-    changes = np.maximum(path._changes_at_largest(values[0], own), np.maximum(common, TINY))
-    at_points = path.path_constraints(path.method.element.points)
-    distances = [np.min(np.abs(at_points - np.reshape(side, (-1, 1, 1))), axis=2) for side in bounds]
-    met = np.pad(np.min(distances, axis=0) <= MET * changes, ((0, 0), (1, 1)))
-    near = met[:, :-2] | met[:, 1:-1] | met[:, 2:]
-    excess = common / changes
-    return excess, np.where(near, 0.0, excess)
-
-
 def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
     """Distance of a path from its interpolant of a lower degree on each interval, relative to the sizes; (N,)."""
     nodes = Galerkin(degree).element.nodes
@@ -214,8 +184,34 @@ class HigherDegree:
 
     @cached_property
     def constraint_excess(self) -> tuple[np.ndarray, np.ndarray]:
-        """See `unseen_constraint_excess`."""
-        return unseen_constraint_excess(self.path, self.higher)
+        """Largest excess of path constraints on each interval in both degrees, over `_changes_at_largest`.
+
+        This is about the part of its size by which the path has to change, at most one.  Where a constraint depends on
+        velocities or controls, which bend or jump, only the `unseen_excess` counts.
+
+        Returns
+        -------
+        of every constraint, (k, N), and that of constraints whose bounds no quadrature point of the interval or of its
+            neighbors meets
+        """
+        path, limits = self.path, self.path.problem.path_constraint
+        if limits is None or limits[0].numel_out(0) == 0:
+            return np.zeros((1, len(path.t) - 1)), np.zeros((1, len(path.t) - 1))
+        function, *bounds = limits
+        parts = sampling_parts(FINER * path.method.degree)
+        values = [p.path_constraints(parts) for p in (path, self.higher)]
+        own, other = (np.where(np.isfinite(one), bound_excess(one, *bounds), 0.0) for one in values)  # may be 0/0
+        others = [(k, np.ones(function.size1_in(k), dtype=bool)) for k in (VELOCITIES, CONTROLS)]
+        of_positions = ~np.any([rows_that_depend(function, *every) for every in others], axis=0)[:, None]
+        both = np.minimum(np.max(own, axis=2), np.max(other, axis=2))
+        common = np.where(of_positions, both, np.max(unseen_excess(values, bounds), axis=2))
+        changes = np.maximum(path._changes_at_largest(values[0], own), np.maximum(common, TINY))
+        at_points = path.path_constraints(path.method.element.points)
+        distances = [np.min(np.abs(at_points - np.reshape(side, (-1, 1, 1))), axis=2) for side in bounds]
+        met = np.pad(np.min(distances, axis=0) <= MET * changes, ((0, 0), (1, 1)))
+        near = met[:, :-2] | met[:, 1:-1] | met[:, 2:]
+        excess = common / changes
+        return excess, np.where(near, 0.0, excess)
 
     @cached_property
     def control_misfit(self) -> np.ndarray:
