@@ -312,8 +312,6 @@ class Chain:
             rates[self.breaks, 0] -= bounds[self.fields["x"][self.breaks, others]]
         values = np.hstack((motion, np.vstack((rates.reshape(self.intervals * m, ends.shape[1]), ends[-1])))).T
         jumping = np.arange(1, self.intervals) if self.velocities_of_rates else self.breaks
-        if len(jumping) == 0:
-            return PiecewisePolynomial(mesh, self.method.element.nodes, values)
         before = np.hstack((motion[m * jumping], ends[jumping - 1]))
         at_crossings = np.isin(jumping, self.crossed)
         before[at_crossings, : self.mechanical] = -multipliers[self.rows["arrival"]]
