@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cache, partial
 from typing import TypeAlias, TypeGuard
 
@@ -37,14 +36,7 @@ COARSE_RESOLUTION, FINE_RESOLUTION = 0.1, 1e-6
 RANDOM = "random guesses"  # name of the last strategy without a guess
 
 Find: TypeAlias = Callable[[], CriticalPoint]
-
-
-@dataclass(frozen=True)
-class Strategy:
-    """A strategy to find a first path, and its name in reports."""
-
-    name: str
-    find: Find
+Strategy: TypeAlias = tuple[str, Find]  # its name in reports, and how to find a first path
 
 
 def is_newton(solver: SolverLike) -> TypeGuard[Solver]:
@@ -127,7 +119,7 @@ def first_path_strategies(
         return graphs.solve(method, begun.mesh, begun.values, by)
 
     if not is_newton(solver):
-        yield Strategy(repr(solver), partial(solved, given, solver))
+        yield repr(solver), partial(solved, given, solver)
         return
     plain, brief = partial(damped_newton, **solver.options), warm_newton(solver)
     first, ways = partial(solved, given, plain), dict[str, Find]()
@@ -135,24 +127,23 @@ def first_path_strategies(
         ways["Newton's method from the guess smoothed"] = lambda: solved(_smoothed(given), brief)
         ways["Newton's method on a finer mesh"] = lambda: solved(finer(), brief)
         first = partial(_nearest, given, first, [partial(_near, given, find) for find in ways.values()])
-    yield Strategy("Newton's method", first)
+    yield "Newton's method", first
     stationarity = graphs.transcription(method, given.mesh).stationarity
     ways |= {name: partial(solved, given, rescue) for name, rescue in rescues(stationarity).items()}
     for name, find in ways.items():
-        yield Strategy(name, find if guess is None else partial(_near, given, find))
+        yield name, find if guess is None else partial(_near, given, find)
     fine = finer().mesh
     fine = resized_mesh(fine, max(MORE * (len(given.mesh) - 1), len(fine) - 1), problem.breakpoints)
     if problem.force is not None:
         start = graphs.transcription(method, fine).guess_on_mesh(guess, fine)
-        find = partial(path_by_homotopy, graphs, start, intermediate_path)
-        yield Strategy("Newton's method under a growing force", find)
+        yield "Newton's method under a growing force", partial(path_by_homotopy, graphs, start, intermediate_path)
     if stationarity.variational and not stationarity.functional.numbering.multipliers:
         joints = resized_mesh(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
-        yield Strategy("descent of the action", partial(_by_descent, graphs, method, joints, guess, brief))
+        yield "descent of the action", partial(_by_descent, graphs, method, joints, guess, brief)
     if guess is None and not has_phase(problem):
-        yield Strategy(RANDOM, partial(_by_random_guesses, graphs, method, mesh, brief))
+        yield RANDOM, partial(_by_random_guesses, graphs, method, mesh, brief)
     else:
-        yield Strategy("Newton's method with its rescues", partial(solved, given, solver))
+        yield "Newton's method with its rescues", partial(solved, given, solver)
 
 
 def _by_descent(

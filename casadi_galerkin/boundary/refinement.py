@@ -296,7 +296,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                 raise
             limit = reached
         try:  # with the strategies that are left
-            return self.by_the_first((search for search in strategies if search.name == RANDOM), [limit])
+            return self.by_the_first(((name, find) for name, find in strategies if name == RANDOM), [limit])
         except ConvergenceError:
             raise limit from None
 
@@ -307,11 +307,11 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
 
     def by_the_first(self, strategies: Iterable[Strategy], failures: list[ConvergenceError]) -> Trajectory:
         """Refine the path of the first strategy that leads to one; `failures` are those of earlier strategies."""
-        for strategy in strategies:
+        for name, find in strategies:
             began, before, first = time.perf_counter(), self.iterations, None
             try:
                 with until(self.deadline):
-                    first = strategy.find()
+                    first = find()
                     path = self.finish(*self.refine(first))
             except LimitReached:
                 raise
@@ -326,9 +326,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
                     raise self.late(failure) from None
                 if self.verbose:
                     spent = f"{self.iterations - before} iterations, {time.perf_counter() - began:.3f} s"
-                    print(f"{strategy.name}: no path, {spent}")
+                    print(f"{name}: no path, {spent}")
             else:
-                way = strategy.name if first.solution.report == NEWTON else first.solution.report
+                way = name if first.solution.report == NEWTON else first.solution.report
                 reported = not failures or way == path.solver
                 return path if reported else replace(path, solver=f"{path.solver}; first path by {way}")
         conjugate = [failure for failure in failures if isinstance(failure, ConjugatePointError)]
