@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from control_problems import cartesian_pendulum
 
 import casadi_galerkin as cg
 
@@ -16,19 +17,8 @@ def quarter(t):
 
 def on_circle(**changes):
     """A mass of 1 kg that is pushed along the circle of radius 1 m, at the least effort."""
-    stated = {
-        "lagrangian": lambda t, x, v: ca.dot(v, v) / 2,
-        "t_span": (0.0, 2.0),
-        "start": [0.0, -1.0],
-        "end": [1.0, 0.0],
-        "start_velocity": [0.0, 0.0],
-        "end_velocity": [0.0, 0.0],
-        "force": lambda t, x, v, u: [-u[0] * x[1], u[0] * x[0]],
-        "running_cost": lambda t, x, v, u: u[0] ** 2 / 2,
-        "controls": 1,
-        "constraint": lambda t, x: ca.dot(x, x) - 1,
-    }
-    return cg.ControlProblem(**{**stated, **changes})
+    stated = {"lagrangian": lambda t, x, v: ca.dot(v, v) / 2, "t_span": (0.0, 2.0), "end": [1.0, 0.0]}
+    return cartesian_pendulum(**(stated | changes))
 
 
 def of_free_radius(**changes):

@@ -5,7 +5,7 @@ import re
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import double_integrator
+from control_problems import double_integrator, plane
 
 import casadi_galerkin as cg
 
@@ -22,23 +22,16 @@ def test_a_constraint_is_measured_by_what_it_compares_whatever_its_bound(degree,
     """On the unit circle, stated with the bounds 1 and 0: the second was refused, violated by all of its terms."""
 
     def on_circle(level):
-        return cg.solve(
-            cg.ControlProblem(
-                lambda t, x, v: ca.dot(v, v) / 2,
-                (0, 1),
-                [1.0, 0.0],
-                [0.0, 1.0],
-                [0.0, None],
-                [None, 0.0],
-                force=lambda t, x, v, u: u,
-                running_cost=lambda t, x, v, u: ca.dot(u, u) / 2,
-                controls=2,
-                path_constraint=(lambda t, x, v, u: ca.dot(x, x) - 1 + level, level, level),
-            ),
-            cg.Galerkin(degree),
-            intervals,
-            guess=lambda t: [np.cos(np.pi * t / 2), np.sin(np.pi * t / 2)],
+        problem = plane(
+            t_span=(0, 1),
+            start=[1.0, 0.0],
+            end=[0.0, 1.0],
+            start_velocity=[0.0, None],
+            end_velocity=[None, 0.0],
+            path_constraint=(lambda t, x, v, u: ca.dot(x, x) - 1 + level, level, level),
         )
+        arc = lambda t: [np.cos(np.pi * t / 2), np.sin(np.pi * t / 2)]  # noqa: E731
+        return cg.solve(problem, cg.Galerkin(degree), intervals, guess=arc)
 
     one, zero = on_circle(1.0), on_circle(0.0)
     np.testing.assert_allclose(zero.cost, one.cost, rtol=1e-10)
@@ -48,16 +41,11 @@ def test_a_constraint_is_measured_by_what_it_compares_whatever_its_bound(degree,
 def pushed_pendulum(length, time, mass):
     """A pendulum pushed up from rest within two units of time."""
     weight = 9.81 * mass * length / time**2
-    return cg.ControlProblem(
-        lambda t, x, v: mass * v[0] ** 2 / 2 + weight * length * ca.cos(x[0] / length),
-        (0, 2 * time),
-        [0.0],
-        [2 * length],
-        [0.0],
-        [0.0],
-        force=lambda t, x, v, u: u,
+    return double_integrator(
+        lagrangian=lambda t, x, v: mass * v[0] ** 2 / 2 + weight * length * ca.cos(x[0] / length),
+        t_span=(0, 2 * time),
+        end=[2 * length],
         running_cost=lambda t, x, v, u: u**2,
-        controls=1,
     )
 
 
@@ -98,16 +86,11 @@ def test_what_units_of_time_may_do_is_said(name):
 @pytest.mark.parametrize("scale", [1e-4, 1e-6, 1e-8, 1e-10])
 def test_the_change_of_the_cost_that_is_told_bounds_its_error(solver, scale):
     def task(factor):
-        return cg.ControlProblem(
-            lambda t, x, v: v[0] ** 2 / 2 + 3 * ca.cos(x[0]),
-            (0, 2),
-            [0.0],
-            [2.0],
-            [0.0],
-            [0.0],
-            force=lambda t, x, v, u: u,
+        return double_integrator(
+            lagrangian=lambda t, x, v: v[0] ** 2 / 2 + 3 * ca.cos(x[0]),
+            t_span=(0, 2),
+            end=[2.0],
             running_cost=lambda t, x, v, u: factor * u**2 / 2,
-            controls=1,
             path_constraint=(lambda t, x, v, u: v[0], -3, 1.6),
         )
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import minimum_time, pendulum
+from control_problems import minimum_time, pendulum, plane
 from scipy.integrate import solve_ivp
 
 import casadi_galerkin as cg
@@ -20,17 +20,15 @@ WEIGHT = 0.3
 def steered(**changes):
     """From rest to rest in least time, by a thrust whose direction is the control."""
     stated = {
+        "lagrangian": lambda t, x, v: ca.sumsqr(v) / 2 - WEIGHT * x[1],
         "t_span": (0, 3),
-        "start": [0, 0],
         "end": [2, 1],
-        "start_velocity": [0, 0],
-        "end_velocity": [0, 0],
         "force": lambda t, x, v, u: [ca.cos(u[0]), ca.sin(u[0])],
         "running_cost": lambda t, x, v, u: 1.0,
         "controls": 1,
         "duration_bounds": (0.5, 20),
     }
-    return cg.ControlProblem(lambda t, x, v: ca.sumsqr(v) / 2 - WEIGHT * x[1], **(stated | changes))
+    return plane(**(stated | changes))
 
 
 @lru_cache

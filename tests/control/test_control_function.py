@@ -7,7 +7,7 @@ import subprocess
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import NEAR, double_integrator, pendulum, staged
+from control_problems import NEAR, cartesian_pendulum, double_integrator, pendulum, staged
 
 import casadi_galerkin as cg
 
@@ -76,18 +76,7 @@ def test_ends_beyond_the_bounds_of_positions_have_no_answer(solver):
 
 
 def test_ends_off_the_constraint_have_no_answer():
-    rod = cg.ControlProblem(
-        lambda t, x, v: ca.dot(v, v) / 2 - x[1],
-        (0.0, 3.0),
-        [0.0, -1.0],
-        [1.0, 0.0],
-        [0.0, 0.0],
-        [0.0, 0.0],
-        force=lambda t, x, v, u: [-u[0] * x[1], u[0] * x[0]],
-        running_cost=lambda t, x, v, u: u[0] ** 2 / 2,
-        controls=1,
-        constraint=lambda t, x: ca.dot(x, x) - 1,
-    )
+    rod = cartesian_pendulum(end=[1.0, 0.0])
     path = cg.solve(rod, cg.Galerkin(4), 8, guess=lambda t: [np.sin(np.pi * t / 6), -np.cos(np.pi * t / 6)])
     f = cg.solution_function(rod, cg.Galerkin(4), 8, guess=path)
     assert float(f(**arguments(rod, path))["cost"]) == pytest.approx(path.cost, rel=SOLVED)

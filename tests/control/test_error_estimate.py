@@ -43,18 +43,8 @@ def test_estimate_is_sharp_where_the_phases_are_free(degree, tol):
 
 def two_rates(running_cost):
     """Two components whose rates are the controls, from (1, 1) to (0, 1/2)."""
-    return cg.ControlProblem(
-        None,
-        (0.0, 1.0),
-        start=[1.0, 1.0],
-        end=[0.0, 0.5],
-        start_velocity=[None, None],
-        end_velocity=[None, None],
-        force=None,
-        rates=lambda t, x, v, u: u,
-        controls=2,
-        running_cost=running_cost,
-    )
+    ends = {"start": [1.0, 1.0], "end": [0.0, 0.5], "start_velocity": [None] * 2, "end_velocity": [None] * 2}
+    return first_order(controls=2, running_cost=running_cost, **ends)
 
 
 @pytest.mark.parametrize("weight", [1.0, 1e-6, 1e-12])

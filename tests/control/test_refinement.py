@@ -13,6 +13,7 @@ from control_problems import (
     double_integrator,
     minimum_time,
     pendulum,
+    plane,
     resolved,
     true_error,
 )
@@ -59,13 +60,10 @@ def along_obstacle(s):
 
 def two_masses_on_a_spring():
     """Pushed at one of them, from rest to rest in minimum time."""
-    return cg.ControlProblem(
-        lambda t, x, v: ca.dot(v, v) / 2 - (x[0] - x[1]) ** 2 / 2,
-        (0.0, 3.0),
-        [0.0, 0.0],
-        [1.0, 1.0],
-        [0.0, 0.0],
-        [0.0, 0.0],
+    return plane(
+        lagrangian=lambda t, x, v: ca.dot(v, v) / 2 - (x[0] - x[1]) ** 2 / 2,
+        t_span=(0.0, 3.0),
+        end=[1.0, 1.0],
         force=lambda t, x, v, u: [u[0], 0],
         running_cost=lambda t, x, v, u: 1,
         controls=1,
@@ -482,16 +480,11 @@ def test_refinement_begins_on_the_mesh_of_a_refined_answer(capsys):
 def test_two_controls_may_switch_at_the_same_time():
     """Two joints, one for each, were as close as rounding, and refused."""
     tol = 1e-6
-    problem = cg.ControlProblem(
-        lambda t, x, v: (v[0] ** 2 + v[1] ** 2) / 2,
-        (0.0, 1.3),
-        [0.0, 0.0],
-        [1.0, -1.0],
-        [-0.3, 0.3],
-        [0.0, 0.0],
-        force=lambda t, x, v, u: u,
+    problem = plane(
+        t_span=(0.0, 1.3),
+        end=[1.0, -1.0],
+        start_velocity=[-0.3, 0.3],
         running_cost=lambda t, x, v, u: 1,
-        controls=2,
         control_bounds=(-1.0, 1.0),
         duration_bounds=(0.1, 10.0),
     )

@@ -5,7 +5,7 @@ import pickle
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import double_integrator, first_order, pendulum
+from control_problems import double_integrator, first_order, pendulum, plane
 
 import casadi_galerkin as cg
 
@@ -49,16 +49,12 @@ def test_a_line_over_a_hill_is_a_saddle_in_every_direction_across(across, solver
 @pytest.mark.parametrize("length", [1.0, 1e-2, 1e-4])
 def test_the_shortest_way_to_a_circle_is_a_minimum_in_any_unit(length, duration):
     """The component across it is zero, and so are its momenta, whose unit is that of the others."""
-    problem = cg.ControlProblem(
-        lambda t, x, v: ca.sumsqr(v) / 2,
-        (0.0, duration),
+    problem = plane(
+        t_span=(0.0, duration),
         start=[0.45 * length, 0.0],
         end=[None, None],
-        start_velocity=[0.0, 0.0],
         end_velocity=[None, None],
-        force=lambda t, x, v, u: u,
         running_cost=lambda t, x, v, u: ca.sumsqr(u / length) / 2,
-        controls=2,
         end_conditions=(lambda x0, v0, x1, v1: ca.sumsqr(x1 / length), 1.0, 1.0),
     )
     path = cg.solve(problem, METHOD, 16, guess=lambda t: [length * (0.45 + 0.55 * t / duration), 0.0])

@@ -6,7 +6,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import double_integrator
+from control_problems import double_integrator, plane
 
 import casadi_galerkin as cg
 from casadi_galerkin.control import refinement
@@ -15,17 +15,8 @@ CENTER, RADIUS = 0.05, 0.25  # of a disc beside the straight line, which is chea
 
 
 def round_a_disc(**changes):
-    stated = {
-        "start": [0.0, 0.0],
-        "end": [1.0, 0.0],
-        "start_velocity": [0.0, 0.0],
-        "end_velocity": [0.0, 0.0],
-        "force": lambda t, x, v, u: u,
-        "running_cost": lambda t, x, v, u: (u[0] ** 2 + u[1] ** 2) / 2,
-        "controls": 2,
-        "path_constraint": (lambda t, x, v, u: (x[0] - 0.5) ** 2 + (x[1] - CENTER) ** 2, RADIUS**2, np.inf),
-    }
-    return cg.ControlProblem(lambda t, x, v: (v[0] ** 2 + v[1] ** 2) / 2, (0, 1), **{**stated, **changes})
+    disc = lambda t, x, v, u: (x[0] - 0.5) ** 2 + (x[1] - CENTER) ** 2  # noqa: E731
+    return plane(**{"t_span": (0, 1), "path_constraint": (disc, RADIUS**2, np.inf), **changes})
 
 
 METHOD = cg.Galerkin(4, quadrature=cg.lobatto(5))

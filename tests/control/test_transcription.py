@@ -477,16 +477,12 @@ def test_a_degenerate_lagrangian_is_refused_before_anything_is_solved(name, disc
     """An infimum of the cost that no path reaches was called a local minimum."""
     rates = {"rates": lambda t, x, v, u: -x[2]} if name == "beside a rate" else {}
     others, free = [1.0] * len(rates), [None] * len(rates)
-    problem = cg.ControlProblem(
-        DEGENERATE[name],
-        (0, 1),
-        [0.0, 0.0, *others],
-        [1.0, 0.5, *free],
-        [0.0, 0.0, *free],
-        [0.0, 0.0, *free],
-        force=lambda t, x, v, u: u,
-        running_cost=lambda t, x, v, u: u[0] ** 2 + u[1] ** 2,
-        controls=2,
+    problem = plane(
+        lagrangian=DEGENERATE[name],
+        start=[0.0, 0.0, *others],
+        end=[1.0, 0.5, *free],
+        start_velocity=[0.0, 0.0, *free],
+        end_velocity=[0.0, 0.0, *free],
         **rates,
     )
     with pytest.raises(ValueError, match=r"degenerate: its mass matrix .* is singular wherever it was tried"):
@@ -494,16 +490,10 @@ def test_a_degenerate_lagrangian_is_refused_before_anything_is_solved(name, disc
 
 
 def test_a_mass_that_vanishes_with_the_parameters_is_refused():
-    problem = cg.ControlProblem(
-        lambda t, x, v, p: p[0] * v[0] ** 2 / 2,
-        (0, 1),
-        [0.0],
-        [1.0],
-        [0.0],
-        [0.0],
+    problem = double_integrator(
+        lagrangian=lambda t, x, v, p: p[0] * v[0] ** 2 / 2,
         force=lambda t, x, v, u, p: u,
         running_cost=lambda t, x, v, u, p: u[0] ** 2,
-        controls=1,
         parameters=[1.0],
     )
     transcription = cg.transcribe(problem, cg.Galerkin(3), intervals=4)

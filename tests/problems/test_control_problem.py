@@ -5,7 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import double_integrator, plane
+from control_problems import double_integrator, first_order, plane
 
 import casadi_galerkin as cg
 
@@ -259,15 +259,6 @@ def test_a_free_parameter_of_the_constraint_alone_is_taken():
     assert rod.parameter_bounds == ((1.2,), (2.0,))
 
 
-FIRST_ORDER = {
-    "lagrangian": None,
-    "force": None,
-    "start_velocity": [None],
-    "end_velocity": [None],
-    "rates": lambda t, x, v, u: u,
-}
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -279,7 +270,7 @@ FIRST_ORDER = {
 )
 def test_what_depends_on_the_velocity_of_a_rate_is_refused(changes, message):
     with pytest.raises(ValueError, match=message):
-        double_integrator(**(FIRST_ORDER | changes))
+        first_order(**changes)
 
 
 def test_a_lagrangian_of_the_velocity_of_a_rate_is_refused():
@@ -303,7 +294,7 @@ def test_what_does_not_change_is_neither_traced_nor_checked_again():
 def test_fields_of_problems_with_and_without_rates_are_replaced():
     changes = {"force": lambda t, x, v, u: u[0] + u[1], "running_cost": lambda t, x, v, u: ca.dot(u, u)}
     assert replace(double_integrator(), controls=2, control_bounds=(-1, 1), **changes).controls == 2
-    longer = replace(double_integrator(**FIRST_ORDER), t_span=(0.0, 3.0))
+    longer = replace(first_order(), t_span=(0.0, 3.0))
     assert longer.t_span == (0.0, 3.0)
     assert longer.mechanical == 0
     assert "1 of which follow rates, and 1 held control on (0.0, 3.0)" in str(replace(longer, hold=True))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from control_problems import (
     cart_pole,
+    cartesian_pendulum,
     double_integrator,
     everything,
     first_order,
@@ -130,17 +131,11 @@ def test_replay_refuses_two_values_at_one_time():
 
 
 def test_what_cannot_be_replayed_is_summarized_under_a_constraint():
-    rod = cg.ControlProblem(
-        lambda t, x, v: ca.dot(v, v) / 2 - x[1],
-        (0.0, 2.0),
-        start=[0.0, -1.0],
+    rod = cartesian_pendulum(
+        t_span=(0.0, 2.0),
         end=[1.0, 0.0],
-        start_velocity=[0.0, 0.0],
-        end_velocity=[0.0, 0.0],
         force=lambda t, x, v, u: [u[0], 0],
         running_cost=lambda t, x, v, u: (u[0] - 10 * v[0] ** 3) ** 2,  # u follows v, which jumps
-        controls=1,
-        constraint=lambda t, x: ca.dot(x, x) - 1,
     )
     path = cg.solve(rod, cg.Galerkin(2, quadrature=cg.lobatto(3)), intervals=8)
     with pytest.raises(ValueError, match="no force of time alone has both values"):
@@ -244,17 +239,12 @@ def test_excess_between_the_points_is_told():
 
 
 def test_a_mesh_that_misses_the_layers_is_told():
-    layers = cg.ControlProblem(
-        None,
-        (0.0, 1000.0),
-        [1.0],
-        [1.5],
-        [None],
-        [None],
-        force=None,
+    layers = first_order(
+        t_span=(0.0, 1000.0),
+        start=[1.0],
+        end=[1.5],
         rates=lambda t, x, v, u: -(x**3) + u,
         running_cost=lambda t, x, v, u: (x**2 + u**2) / 2,
-        controls=1,
     )
     assert "NOT RESOLVED" in repr(cg.solve(layers, cg.Galerkin(3), 10))
     assert "NOT RESOLVED" not in repr(cg.solve(layers, cost_tol=1e-3))
@@ -316,22 +306,11 @@ def test_costate_is_the_price_of_a_rate_where_the_cost_depends_on_the_velocity()
     """More of a rate, ε f(t), costs ∫ λ f dt."""
 
     def solved(more):
-        return cg.solve(
-            cg.ControlProblem(
-                None,
-                (0.0, 1.0),
-                [0.0],
-                [1.0],
-                [None],
-                [None],
-                force=None,
-                controls=1,
-                rates=lambda t, x, v, u: u - x / 2 + more * ca.exp(-20 * (t - 0.4) ** 2),
-                running_cost=lambda t, x, v, u: (v[0] ** 2 + u[0] ** 2) / 2,
-            ),
-            cg.Galerkin(4),
-            8,
+        problem = first_order(
+            rates=lambda t, x, v, u: u - x / 2 + more * ca.exp(-20 * (t - 0.4) ** 2),
+            running_cost=lambda t, x, v, u: (v[0] ** 2 + u[0] ** 2) / 2,
         )
+        return cg.solve(problem, cg.Galerkin(4), 8)
 
     price = (solved(1e-4).cost - solved(-1e-4).cost) / 2e-4
     path = solved(0.0)
