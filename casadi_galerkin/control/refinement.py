@@ -107,11 +107,12 @@ def perturbed(path: ControlTrajectory, by: float) -> ControlTrajectory:
     mesh, times = (map_times(own, ends, longer) for own in (path.t, np.array(section_times(problem))))
     sizes = by * np.max(np.abs(before.values), axis=1)
     parts = (before.node_times - ends[0]) / np.ptp(ends)
-    values = before.values + waves(np.random.default_rng(0), sizes)(parts)
+    change = waves(np.random.default_rng(0), sizes)(parts)
+    arrivals = None if before.arrivals is None else before.arrivals + change[:, before.degree :: before.degree]
     first, *breakpoints, last = times.tolist()
     return replace(
         path,
-        polynomial=PiecewisePolynomial(mesh, before.nodes, values, before.arrivals),
+        polynomial=PiecewisePolynomial(mesh, before.nodes, before.values + change, arrivals),
         control=ControlPath(mesh, path.control.points, path.control.values, path.control.rule),
         problem=problem.found((first, last), path.parameters, tuple(breakpoints)),
     )

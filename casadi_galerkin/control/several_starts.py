@@ -26,7 +26,7 @@ SAME = 1e-6  # relative difference of costs up to which two optima count as one
 def best_of(
     starts: int, problem: ControlProblem, guess: Guess | None, solve: Callable[..., ControlTrajectory]
 ) -> ControlTrajectory:
-    """The optimum of least cost, with the iterations and seconds of all; arguments and errors as of `optima_of`."""
+    """The optimum of least cost, with the iterations and seconds of all optima; arguments and errors as `optima_of`."""
     optima, summary = optima_of(starts, problem, guess, solve)
     return replace(
         optima[0],
@@ -80,7 +80,7 @@ def optima_of(
                     raise
                 failures.append(failure)  # on a random path a callable may not be finite
             advance(1)
-            if seconds_left() <= 0:
+            if seconds_left() < 0:
                 break
     if not optima:
         raise failures[0]

@@ -21,6 +21,9 @@ def test_infeasible_problem_names_the_worst_violated_constraint():
 def test_a_constraint_is_measured_by_what_it_compares_whatever_its_bound(degree, intervals):
     """On the unit circle, stated with the bounds 1 and 0: the second was refused, violated by all of its terms."""
 
+    def arc(t):
+        return [np.cos(np.pi * t / 2), np.sin(np.pi * t / 2)]
+
     def on_circle(level):
         problem = plane(
             t_span=(0, 1),
@@ -30,7 +33,6 @@ def test_a_constraint_is_measured_by_what_it_compares_whatever_its_bound(degree,
             end_velocity=[None, 0.0],
             path_constraint=(lambda t, x, v, u: ca.dot(x, x) - 1 + level, level, level),
         )
-        arc = lambda t: [np.cos(np.pi * t / 2), np.sin(np.pi * t / 2)]  # noqa: E731
         return cg.solve(problem, cg.Galerkin(degree), intervals, guess=arc)
 
     one, zero = on_circle(1.0), on_circle(0.0)

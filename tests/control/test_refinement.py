@@ -15,13 +15,14 @@ from control_problems import (
     pendulum,
     plane,
     resolved,
+    staged,
     true_error,
 )
 from paths import script
 from scipy.optimize import fsolve, minimize_scalar
 
 import casadi_galerkin as cg
-from casadi_galerkin.control.refinement import ControlRefinement, fits_any_mesh
+from casadi_galerkin.control.refinement import ControlRefinement, fits_any_mesh, perturbed
 
 
 def late_start(velocity=-0.3):
@@ -475,6 +476,15 @@ def test_refinement_begins_on_the_mesh_of_a_refined_answer(capsys):
     ):
         cg.solve(problem, tol=1e-5, guess=guess, limits=limits, verbose=1)
         assert capsys.readouterr().out.splitlines()[1].split()[:3] == ["0", "6", intervals]
+
+
+def test_a_perturbed_path_jumps_where_the_path_does():
+    """It jumped at every joint by the part of its size by which it is perturbed."""
+    path = cg.solve(staged(), cg.Galerkin(3), 10)
+    away = perturbed(path, 1e-3).polynomial
+    assert len(path.polynomial.jumps) == 1
+    np.testing.assert_array_equal(away.jumps, path.polynomial.jumps)
+    assert 1e-5 < np.max(np.abs(away.local - path.polynomial.local)) < 1e-2
 
 
 def test_two_controls_may_switch_at_the_same_time():

@@ -15,8 +15,8 @@ CENTER, RADIUS = 0.05, 0.25  # of a disc beside the straight line, which is chea
 
 
 def round_a_disc(**changes):
-    disc = lambda t, x, v, u: (x[0] - 0.5) ** 2 + (x[1] - CENTER) ** 2  # noqa: E731
-    return plane(**{"t_span": (0, 1), "path_constraint": (disc, RADIUS**2, np.inf), **changes})
+    outside = (lambda t, x, v, u: (x[0] - 0.5) ** 2 + (x[1] - CENTER) ** 2), RADIUS**2, np.inf
+    return plane(**{"t_span": (0, 1), "path_constraint": outside, **changes})
 
 
 METHOD = cg.Galerkin(4, quadrature=cg.lobatto(5))
