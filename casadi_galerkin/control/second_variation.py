@@ -2,7 +2,8 @@
 
 The active constraints are the equations, and the bounds and inequalities that are met with equality; A are their
 gradients.  By Sylvester's law, for small δ, ∇²f̄ + AᵀA/δ has as many negative eigenvalues as ∇²f̄ has on the directions z
-with A z = 0.  The effect of rounding is smallest with slopes as unknowns in place of node values, and rows of A of
+with A z = 0.  A bound that is nearly met, as beside a switch, adds the stiffness |μ|/d of its multiplier over its
+distance to ∇²f̄: the first-order cost of a way towards it has no other part in the second variation.  The effect of rounding is smallest with slopes as unknowns in place of node values, and rows of A of
 length one.
 """
 
@@ -18,7 +19,7 @@ from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM, Optimum
-from casadi_galerkin.control.solver_error import estimate_remaining_error
+from casadi_galerkin.control.solver_error import distances, estimate_remaining_error
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_trajectory import RemainingError
@@ -66,8 +67,12 @@ class CostVariation:
         costs = slope @ sizes > NEGLIGIBLE_MOMENTUM * (np.abs(at.multipliers) @ terms)
         multipliers = at.multipliers if costs else 0 * at.multipliers  # these are then errors of the solver
         hessian = graph.whole_hessian(at.unknowns, at.data, 1.0, multipliers)[1]
-        free = np.flatnonzero(~_active(at.unknowns, at.bounds.unknowns, at.bound_multipliers, sizes)).tolist()
-        held = np.flatnonzero(_active(rows, at.bounds.equations, at.multipliers, np.abs(rows))).tolist()
+        if costs:
+            hessian += _stiffness(at.unknowns, at.bound_multipliers, at.bounds.unknowns)
+            limits = _stiffness(rows, multipliers, at.bounds.equations)
+            hessian += ca.mtimes(gradients.T, ca.mtimes(limits, gradients))
+        free = np.flatnonzero(~_active(at.unknowns, at.bounds.unknowns, sizes)).tolist()
+        held = np.flatnonzero(_active(rows, at.bounds.equations, np.abs(rows))).tolist()
         units, flat = (ca.diag(ca.DM(a)) for a in (_units(chain, at, sizes), np.where(sizes > 0, FLAT, 0.0)))
         curved = ca.mtimes(units, ca.mtimes(hessian, units))
         largest = float(ca.norm_inf(curved))
@@ -126,10 +131,17 @@ def _slopes(chain: Chain, mesh: np.ndarray) -> ca.DM:
     return ca.diag(ca.DM(units)) + ca.DM.triplet(*where, ca.DM.ones(nodes.size), *[chain.unknowns] * 2)
 
 
-def _active(values: np.ndarray, bounds: np.ndarray, multipliers: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """Which values are at an active bound: those nearer to it than the size of its multiplier, or very near."""
+def _active(values: np.ndarray, bounds: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Which values meet a bound."""
     inside = np.minimum(values - bounds[0], bounds[1] - values)
-    return np.asarray(inside <= np.maximum(np.abs(multipliers), ACTIVE_TOLERANCE * sizes))
+    return np.asarray(inside <= ACTIVE_TOLERANCE * sizes)
+
+
+def _stiffness(values: np.ndarray, multipliers: np.ndarray, bounds: np.ndarray) -> ca.DM:
+    """Diagonal matrix of |μ|/d of inequalities at distances d from the bounds on which their multipliers μ act."""
+    to_bounds = distances(values, multipliers, *bounds)
+    stiffness = np.divide(np.abs(multipliers), to_bounds, out=np.zeros_like(to_bounds), where=to_bounds > 0)
+    return ca.sparsify(ca.diag(ca.DM(stiffness)))
 
 
 def _normed(rows: ca.DM) -> ca.DM:

@@ -70,8 +70,8 @@ def newton_step(graph: ControlGraph, sizes: np.ndarray, at: Optimum) -> tuple[np
     """
     unknowns, of_equations, of_bounds = at.unknowns, at.multipliers, at.bound_multipliers
     report, kinds, alike = graph.report(unknowns, at.data, of_equations), graph.chain.kinds, graph.chain.unknown_kinds
-    to_bounds = _distances(unknowns, of_bounds, *at.bounds.unknowns)
-    to_limits = _distances(report.equations, of_equations, *at.bounds.equations)
+    to_bounds = distances(unknowns, of_bounds, *at.bounds.unknowns)
+    to_limits = distances(report.equations, of_equations, *at.bounds.equations)
     free, active = np.less(*at.bounds.unknowns) & (to_bounds > 0), np.isfinite(to_limits)
     stiffness = np.abs(of_bounds[free]) / to_bounds[free]
     states = np.concatenate([graph.chain.fields[name].ravel() for name in ("x", "nodes", "momentum")])
@@ -149,7 +149,7 @@ def _largest(index: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     return or_one(largest_of(np.abs(values), index, count))
 
 
-def _distances(values: np.ndarray, multipliers: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def distances(values: np.ndarray, multipliers: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Distances of values to the bounds on which their multipliers act; infinite where a multiplier is zero."""
     to_bound = np.where(multipliers > 0, high - values, values - low)
     return np.where(low == high, 0.0, np.where(multipliers == 0, np.inf, np.maximum(to_bound, 0.0)))

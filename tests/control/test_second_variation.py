@@ -180,3 +180,28 @@ def test_a_convex_cost_whose_terms_cancel_has_a_minimum(added):
     path = cg.solve(falling, cg.Galerkin(4), intervals=10)
     assert path.cost == pytest.approx(added, abs=1e-13)
     assert path.morse_index == 0
+
+
+@pytest.mark.parametrize("duration", [1.0, 2.0, 3.0])
+@pytest.mark.parametrize("cost_tol", [1e-4, 1e-5])
+def test_controls_near_their_bounds_beside_a_switch_make_no_saddle(duration, cost_tol):
+    """Jackson's mixing of two catalysts, whose optimum is bang-singular-bang; up to four directions were counted."""
+
+    def rates(t, x, v, u):
+        turned = u[0] * (10 * x[1] - x[0])
+        return [turned, -turned - (1 - u[0]) * x[1]]
+
+    mixed = first_order(
+        t_span=(0.0, duration),
+        start=[1.0, 0.0],
+        end=[None, None],
+        start_velocity=[None, None],
+        end_velocity=[None, None],
+        rates=rates,
+        running_cost=lambda t, x, v, u: 0,
+        terminal_cost=lambda t, x, v: x[0] + x[1] - 1,
+        control_bounds=(0.0, 1.0),
+    )
+    path = cg.solve(mixed, cost_tol=cost_tol)
+    assert path.cost == pytest.approx({1.0: -0.048055686, 2.0: -0.098612758, 3.0: -0.146484782}[duration], rel=cost_tol)
+    assert path.morse_index == 0
