@@ -15,6 +15,9 @@ Some errors are common to both degrees, so that the difference does not show the
   neither path shows the difference.
 - Bounds of positions, which hold at nodes only.  Where a path exceeds one by ε between nodes, the error of the path is
   about √ε; about ε for a component whose rate is controlled, which can follow its bound.
+- Impulses shorter than the distance of the first point from a joint.  There the controls at the points keep to their
+  bounds, but add up to a larger impulse than these allow.  Both degrees then have the same momentum behind it, and the
+  same defect (`ControlTrajectory.dynamics_defect`).
 - Bounds of controls and path constraints, which hold at quadrature points only: see `unseen_excess` and
   `HigherDegree.constraint_excess`.  What a path constraint is exceeded by changes the cost in first order: see
   `HigherDegree.excess_effects`.
@@ -57,6 +60,7 @@ from casadi_galerkin.solution.control_trajectory import FINER, ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 
 SLOWEST = 2 / 3  # largest q, which is also assumed where switches or path constraints slow down convergence
+SHARED_DEFECT = 0.5  # ratio of the defects of both degrees above which a higher degree does not reduce it
 UNSMOOTH_RATIO = 0.25  # ratio of the truncation errors of both degrees above which a path is not smooth on an interval
 KINK_ORDER = 2  # a jump of the acceleration inside a step h changes x by the order of h²
 MOST_PARTS = 8.0  # most parts that one interval is split into at once: enough to resolve a kink in a few levels
@@ -152,10 +156,11 @@ class HigherDegree:
         return switches(self.higher)
 
     def of_cost(self, change: float) -> float:
-        """A change of the cost relative to the cost; zero where the cost cannot be told from zero."""
+        """A change of the cost relative to its size; zero where the cost cannot be told from zero."""
         both = self.path, self.higher
-        cost = max(abs(path.cost) for path in both)
-        return change / cost if cost > NEGLIGIBLE_MOMENTUM * max(path._cost_of_forces for path in both) else 0.0
+        if max(abs(p.cost) for p in both) <= NEGLIGIBLE_MOMENTUM * max(p._cost_of_forces for p in both):
+            return 0.0
+        return change / max(p.cost_size for p in both)
 
     @cached_property
     def cost_change(self) -> float:
@@ -179,8 +184,17 @@ class HigherDegree:
     @cached_property
     def bound_errors(self) -> np.ndarray:
         """Errors of the path on each interval because bounds hold at nodes or points only, (N,); see the module."""
-        of_controls = unseen_control_excess(self.path, self.higher)
-        return np.asarray(np.max([position_errors(self.path), of_controls, *self.constraint_excess[0]], axis=0))
+        of_controls, of_positions = unseen_control_excess(self.path, self.higher), position_errors(self.path)
+        errors = [of_positions, of_controls, self.shared_defect, *self.constraint_excess[0]]
+        return np.asarray(np.max(errors, axis=0))
+
+    @cached_property
+    def shared_defect(self) -> np.ndarray:
+        """Errors of the path by impulses that exceed what the bounds of the controls allow in both degrees, (N,)."""
+        parts, bounded = np.diff(self.path.t) / np.ptp(self.path.t), np.isfinite(self.path.problem.control_bounds)
+        before, after = self.path.dynamics_defect, self.higher.dynamics_defect
+        shared = np.any(bounded) & (after > SHARED_DEFECT * before) & (before > ROUNDOFF)
+        return np.asarray(np.where(shared, after * parts, 0.0))
 
     @cached_property
     def constraint_excess(self) -> tuple[np.ndarray, np.ndarray]:

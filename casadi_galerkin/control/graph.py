@@ -29,6 +29,9 @@ from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.problems.control_problem import ControlProblem
 
 RESTING = 1e-13  # ratio of the two sizes of an equation of motion below which its terms are roundoff only
+# part of the cost of a change as large as the path itself above which the cost measures its own errors: the cost of a
+# path that follows a curve exactly is that of its errors, which falls with any mesh
+LEAST_COST = 1e-6
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,7 @@ class Report:
     Attributes
     ----------
     cost, action : f, and the discrete action of the Lagrangian alone
+    cost_size : size of f, or `LEAST_COST` times that of the terms of its second variation where that is larger
     equations, sizes : G, and for every kind of equation the largest sum of the sizes of the terms of one
     slope : ∇f̄ without the multipliers of the bounds
     hamiltonian : (N,), mean over each interval; without multipliers that of the cost alone
@@ -45,6 +49,7 @@ class Report:
     """
 
     cost: float
+    cost_size: float
     action: float
     equations: np.ndarray
     sizes: np.ndarray
@@ -78,8 +83,7 @@ class ControlGraph:
         self._everything = ca.vertcat(self.unknowns, self.data)
         self.inputs = _split(ca.mtimes(made.matrix, self._everything), made.inputs)
         self._weights = ca.MX(ca.repmat(ca.DM(chain.method.element.weights).T, 1, chain.intervals))
-        costs = self._evaluate("value", self.inputs)
-        self.cost = ca.sum2(ca.horzcat(self._weights * costs[0], *costs[1:]))
+        self.cost = self._integral(self._evaluate("value", self.inputs))
         self._rows = self._evaluate("equations", self.inputs)
         summed = ca.mtimes(made.test.T, ca.veccat(*self._rows)) + ca.mtimes(made.linear, self.unknowns)
         self.equations = ca.densify(summed)
@@ -87,6 +91,10 @@ class ControlGraph:
     def _evaluate(self, name: str, *arguments: list[ca.MX]) -> list[ca.MX]:
         """Evaluate one pointwise Function at all kinds of places."""
         return [getattr(place, name)(*given) for place, *given in zip(self.terms, *arguments, strict=True)]
+
+    def _integral(self, values: list[ca.MX]) -> ca.MX:
+        """The integral of values at the quadrature points, plus those at all other kinds of places."""
+        return ca.sum2(ca.horzcat(self._weights * values[0], *values[1:]))
 
     def _blocks(self, patterns: list[ca.Sparsity], entries: list[ca.MX]) -> ca.MX:
         """Blockdiag(·) of one matrix per place, from their nonzeros at all kinds of places."""
@@ -172,6 +180,7 @@ class ControlGraph:
         arriving = ca.veccat(*(place.lagrangian_gradient(*z)[: chain.dimension] for place, *z in crossings))
         outputs = [
             self.cost,
+            self._integral(self._evaluate("cost_terms", self.inputs)),
             self.equations,
             ca.sum2(self._weights * actions),
             ca.mtimes(test, ca.fabs(ca.veccat(*self._rows))) + others,
@@ -188,7 +197,8 @@ class ControlGraph:
         chain = self.chain
         given = np.zeros(chain.equations) if multipliers is None else multipliers
         with self._verification.lend() as evaluate:
-            cost, equations, action, *terms, slope, hamiltonian, arriving = evaluate(unknowns, data, np.ones(1), given)
+            values = evaluate(unknowns, data, np.ones(1), given)
+        cost, of_changes, equations, action, *terms, slope, hamiltonian, arriving = values
         # The terms of a component at rest are only roundoff of its slopes, which is measured by the sizes of the terms
         # that cancel in the slopes.  The sizes of other components do not include these.
         moving, canceled = (largest_of(sizes, chain.kinds) for sizes in terms)
@@ -196,7 +206,8 @@ class ControlGraph:
         sizes = np.fmax(moving, canceled)
         sizes[chain.motions] = np.where(resting, canceled, moving)[chain.motions]
         arriving = arriving.reshape(-1, chain.dimension).T
-        return Report(cost.item(), action.item(), equations, sizes, slope, hamiltonian, arriving)
+        size = max(abs(cost.item()), LEAST_COST * of_changes.item())
+        return Report(cost.item(), size, action.item(), equations, sizes, slope, hamiltonian, arriving)
 
 
 def _split(stacked: ca.MX, places: Sequence[PlaceLayout]) -> list[ca.MX]:

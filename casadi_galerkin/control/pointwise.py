@@ -79,6 +79,12 @@ class PointwiseTerms:
         return self._function([self.z], ca.gradient(self.cost, self._by))
 
     @cached_property
+    def cost_terms(self) -> Callable[..., ca.MX]:
+        """(z) -> |y|ᵀ|∇²c||y| / 2 with the active inputs y, one per place: the cost of a change as large as these."""
+        size = ca.fabs(self._by)
+        return self._function([self.z], ca.bilin(ca.fabs(ca.hessian(self.cost, self._by)[0]), size, size) / 2)
+
+    @cached_property
     def equations(self) -> Callable[..., ca.MX]:
         """(z) -> rows."""
         return self._function([self.z], self.rows)

@@ -75,6 +75,10 @@ WAYPOINT = (
     "Where a waypoint at a free time asks for nothing, or its bounds are not met, nothing tells when it is passed: "
     "leave it out"
 )
+LEFT_OPEN = (
+    "Multiply the cost by 100: the solver's tolerances are absolute. If that changes nothing, the cost hardly depends "
+    "on the path: give a cost_tol in place of tol, or add a small cost of the control"
+)
 HIGHER = 2  # degrees added for the error estimate; one adds nothing to a path of the other parity
 
 
@@ -225,7 +229,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         if path > max(self.tol, detail.error) and (self.left_open or not self.walled):
             passed = self.problem.waypoints and self.problem.duration_bounds is not None
             reason = f"the solver leaves the path open by {path:.0e} of its size"
-            raise self.stopped(reason, *self.best, WAYPOINT if passed else HINT)
+            raise self.stopped(reason, *self.best, WAYPOINT if passed else LEFT_OPEN)
         if self.walled and detail.path.solver_error > OPEN_SHARE * self.tol:
             self.left_open = True
 
@@ -263,7 +267,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             when = f"t = {np.mean(t[i : i + 2]):.6g}"
             hint = f"A callable is not smooth in time near {when}, or changes there too fast for this mesh"
             hint += ": name that time in the breakpoints"
-        elif level.unseen_change > self.tol * abs(level.cost):
+        elif level.unseen_change > self.tol * level.cost_size:
             hint = UNITS
         if self.cost_known <= self.tol:
             known = f"the cost is known to {self.cost_known:.0e}, which is all that cost_tol asks for"

@@ -3,8 +3,8 @@
 The active constraints are the equations, and the bounds and inequalities that are met with equality; A are their
 gradients.  By Sylvester's law, for small δ, ∇²f̄ + AᵀA/δ has as many negative eigenvalues as ∇²f̄ has on the directions z
 with A z = 0.  A bound that is nearly met, as beside a switch, adds the stiffness |μ|/d of its multiplier over its
-distance to ∇²f̄: the first-order cost of a way towards it has no other part in the second variation.  The effect of rounding is smallest with slopes as unknowns in place of node values, and rows of A of
-length one.
+distance to ∇²f̄: the first-order cost of a way towards it has no other part in the second variation.  The effect of
+rounding is smallest with slopes as unknowns in place of node values, and rows of A of length one.
 """
 
 from __future__ import annotations

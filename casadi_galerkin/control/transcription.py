@@ -247,6 +247,7 @@ class ControlTranscription:
             find_index=variation.negative,
             find_remaining_error=variation.remaining_error,
             cost=report.cost,
+            cost_size=report.cost_size,
             control=self._over_time(joints, chain.control_times, values["controls"]),
             costate=chain.costate(multipliers, optimum.bound_multipliers, report.arriving, joints),
             path_multipliers=self._path_multipliers(multipliers, joints),

@@ -62,6 +62,8 @@ class ControlTrajectory(Trajectory):
     ----------
     problem : ControlProblem
     cost : value of the discrete cost; stationary, and a minimum among paths near by where `morse_index` is 0
+    cost_size : what errors of the cost are relative to: its size or, where that is smaller, 1e-6 of half of
+        ∫ |z|ᵀ|∇²ℓ||z| dt with z = (x, v, u), as where a path follows a given curve exactly
     cost_error : estimated relative error of the cost, zero where the cost is only roundoff; None without a tolerance
     control : callable, ``control(t)`` -> (number of controls,) + t.shape
     costate : multipliers λ of the equations of motion, and of the rates, as a path: ``costate(t)`` -> (d,) + t.shape.
@@ -110,6 +112,7 @@ class ControlTrajectory(Trajectory):
 
     problem: ControlProblem
     cost: float
+    cost_size: float
     control: ControlPath
     costate: PiecewisePolynomial
     path_multipliers: ControlPath | None
@@ -432,7 +435,7 @@ class ControlTrajectory(Trajectory):
 
     def _not_optimal(self) -> bool:
         """Whether further Newton steps would change the cost by more than a solver should leave."""
-        return self.unseen_change > REPORTED_COST_CHANGE * abs(self.cost)
+        return self.unseen_change > REPORTED_COST_CHANGE * self.cost_size
 
     def _kind(self) -> str:
         """The kind of critical point, in words; none where the solver has stopped before one."""

@@ -185,3 +185,48 @@ def test_an_obstacle_that_is_met_does_not_count_by_its_excess_in_the_cost():
     path = cg.solve(flight, cost_tol=1e-6)
     assert path.cost == pytest.approx(24.0311366, rel=1e-6)
     assert len(path.t) < 30
+
+
+def test_an_impulse_shorter_than_the_distance_of_the_first_point_is_seen():
+    """The speed is 0.0024 off the singular arc x' = -x.  Both degrees reached it within an instant, at a cost of x²/2.
+
+    The errors were estimated to be 6e-10 of the path, with a true one of 1.2e-5, and 1e-14 of the cost, with 4.5e-8.
+    """
+    x, v, late = -0.435, 0.4374, 3.5
+    problem = double_integrator(
+        t_span=(0.0, late),
+        start=[x],
+        start_velocity=[v],
+        end=[None],
+        end_velocity=[None],
+        running_cost=lambda t, x, v, u: (x[0] ** 2 + v[0] ** 2) / 2,
+        terminal_cost=lambda t, x, v: x[0] ** 2 / 2,
+        control_bounds=(-1.0, 1.0),
+    )
+    path, t = cg.solve(problem, tol=1e-6), np.linspace(0.0, late, 20001)
+    arrival = v - 1 + np.sqrt((v - 1) ** 2 + 2 * (x + v))  # on the arc, with u = -1
+    braked = np.minimum(t, arrival)
+    exact = (x + v * braked - braked**2 / 2) * np.exp(braked - t)
+    error = np.max(np.abs(path(t)[0] - exact)) / np.max(np.abs(exact))
+    assert error < min(1e-6, 2 * path.error_estimate)
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-6])
+def test_a_fit_without_residual_needs_no_finer_mesh_than_others(tol):
+    """The least cost is zero, and errors relative to that of a discrete path did not fall with the mesh."""
+    fit = double_integrator(
+        lagrangian=lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * x[0] ** 2 / 2,
+        t_span=(0.0, 3.0),
+        start=[None],
+        end=[None],
+        start_velocity=[None],
+        end_velocity=[None],
+        force=lambda t, x, v, u, p: u,
+        running_cost=lambda t, x, v, u, p: (x[0] - ca.cos(2 * t)) ** 2 + u[0] ** 2 / 100,
+        parameters=[1.0],
+        parameter_bounds=(0.1, 20.0),
+    )
+    path = cg.solve(fit, tol=tol)
+    assert path.parameters[0] == pytest.approx(4.0, rel=tol)
+    assert len(path.t) <= 17
+    assert path.cost < 1e-12
