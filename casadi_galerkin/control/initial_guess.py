@@ -42,9 +42,10 @@ def first_values(
     durations = longer * np.diff(of_phases)
     if isinstance(guess, ControlTrajectory):
         at_ends = np.array((guess.start_velocity, guess.end_velocity))
-        at = map_times(times[before], everywhere, section_times(guess.problem))
-        arrived = np.clip(arrived + (guess.before(at) - guess(at)).T, *problem.position_bounds)
-        arriving = guess.arrival_velocity if guess.arrival_velocity.shape == arriving.shape else arriving
+        if len(before):
+            at = map_times(times[before], everywhere, section_times(guess.problem))
+            arrived = np.clip(arrived + (guess.before(at) - guess(at)).T, *problem.position_bounds)
+            arriving = guess.arrival_velocity if guess.arrival_velocity.shape == arriving.shape else arriving
         durations = np.diff(map_times(of_phases, of_phases, section_times(guess.problem)))
         found = np.array(guess.parameters or ())
         if problem.parameter_bounds is not None and len(found) == chain.parameters:
