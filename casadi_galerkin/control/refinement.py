@@ -8,7 +8,8 @@ same.  Estimated are the relative errors of cost and duration, and the largest e
 them, relative to the size of its component.  The error of the control is not estimated, but the path that it leads to
 between the quadrature points is; nor is it known whether the optimum is the global one.
 
-Where the solver finds no path, it tries again with every interval halved.  Where it finds none of degree m + 2, there
+Where the solver finds no path, it tries again with every interval halved, and then from the guess with which all began
+in place of the coarser path.  Where it finds none of degree m + 2, there
 is no error estimate, and the next mesh has every interval halved.  The same is done whenever four meshes in a row did
 not reduce the error, because meshes may otherwise alternate where controls switch often.  IPOPT's own tolerance does
 not follow `tol`: a looser one was hardly faster, and sometimes failed.
@@ -34,6 +35,7 @@ from __future__ import annotations
 
 import math
 import time
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache, partial
 
@@ -137,6 +139,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     build_seconds = 0.0
     known: HigherDegree | None = None  # the last error estimate
     cost_known = math.inf  # smallest error so far of the cost of the path that is being refined
+    guess: Guess | None = None  # with which the refinement began
     left_open = False  # whether the solver leaves the path open, with bounds on it, by an error that counts
 
     def __init__(
@@ -252,6 +255,10 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         try:
             return self.solve_finer(joints, known)
         except ConvergenceError as failure:
+            again = fits_any_mesh(self.guess) and 2 * (len(mesh) - 1) <= self.limits.intervals
+            if again and not self.out_of_time():  # a path on a coarse mesh may be far from any on a finer one
+                with suppress(ConvergenceError):
+                    return self.solve(self.method, halved(joints), self.guess)
             raise self.stopped(str(failure), *self.best) from failure
 
     def path_tol(self, detail: HigherDegree) -> float:
@@ -290,6 +297,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         """
         if isinstance(guess, ControlTrajectory):
             guess = replace(guess, problem=with_joined_phases(guess.problem))
+        self.guess = guess
         try:
             with until(self.began + STARTS_TIME_SHARE * self.limits.seconds):
                 optima, summary = optima_of(starts, self.problem, guess, partial(self.solve_finer, mesh))
