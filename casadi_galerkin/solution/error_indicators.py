@@ -22,13 +22,13 @@ much as it changes ∫ f dt (`jump_detection`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import lru_cache
 from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.discrete_calculus import NEAREST
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
@@ -179,8 +179,6 @@ class _Sampled:
     x, v, times : positions and velocities (d, N K), and times (N K,)
     joints : numbers of the joints among the places, (N + 1,)
     terms : the pointwise Functions of L̂
-    derivatives : outputs of `terms.derivatives`: L̂, its derivatives by x and x', and blocks of its Hessian, (N K, ...)
-    masses : ∂²L/∂v² at the joints, (N + 1, d, d)
     between : (K, points), matrix from values at the quadrature points to those of their polynomial at the places
     """
 
@@ -194,19 +192,28 @@ class _Sampled:
         within = NEAREST * max(abs(first), abs(last))
         self.times = np.clip(times, first + within, last - within)
         self.terms = pointwise(problem.lagrangian, problem.force)
-        self.derivatives = self.evaluate(self.terms.derivatives)
+
+    @cached_property
+    def derivatives(self) -> list[np.ndarray]:
+        """Outputs of `terms.derivatives`: L̂, its derivatives by x and x', and blocks of its Hessian, (N K, ...)."""
+        return self.evaluate(self.terms.derivatives)
+
+    @cached_property
+    def masses(self) -> np.ndarray:
+        """∂²L/∂v² at the joints, (N + 1, d, d)."""
         _, _, _, *blocks = self.derivatives
-        self.masses = self.h[self.joints, None, None] * self.terms.mass([block[self.joints].T for block in blocks])
+        mass = self.terms.mass([block[self.joints].T for block in blocks])
+        return np.asarray(self.h[self.joints, None, None] * mass)
 
     def evaluate(self, function: ca.Function) -> list[np.ndarray]:
         """Values of a Function of the arguments of L̂ at all places, (N K, ...) each."""
         return _at_places(self.problem, function, self.times, self.h, self.x, self.v * self.h)
 
-    def in_place(self, function: ca.Function, varied: int) -> Iterator[list[np.ndarray]]:
-        """Values of a Function of the arguments of L̂ at all places, of which only x or only x' varies on an interval.
+    def in_place(self, function: ca.Function, varied: int) -> list[np.ndarray]:
+        """Values of a Function of the arguments of L̂ where only x or only x' varies on an interval; (3 N K, ...) each.
 
-        It varies a little beyond the joints between two intervals.  Time, and x' or x, are in turn those of the first,
-        a middle and the last quadrature point: what moves may be crossed between the others.
+        It varies a little beyond the joints between two intervals.  Time, and x' or x, are those of the first, then of
+        a middle and of the last quadrature point: what moves may be crossed between the others.
 
         Parameters
         ----------
@@ -216,28 +223,28 @@ class _Sampled:
         beyond, last = both[varied].reshape(len(self.x), *numbers.shape).copy(), 1 + len(self._weights)
         for joint, inside, inner in ((0, 2, slice(1, None)), (1, last, slice(-1))):  # a joint may be where L steps
             beyond[:, inner, joint] += BEYOND * (beyond[:, inner, joint] - beyond[:, inner, inside])
-        for j in (2, 2 + len(self._weights) // 2, last):
-            fixed = np.repeat(numbers[:, j], numbers.shape[1])
-            place = [values[:, fixed] for values in both]
-            place[varied] = beyond.reshape(len(self.x), -1)
-            yield _at_places(self.problem, function, self.times[fixed], self.h, *place)
+        fixed = np.repeat(numbers[:, [2, 2 + len(self._weights) // 2, last]].T, numbers.shape[1])
+        place = [values[:, fixed] for values in both]
+        place[varied] = np.tile(beyond.reshape(len(self.x), -1), 3)
+        return _at_places(self.problem, function, self.times[fixed], self.h[fixed], *place)
 
     def unexplained(self, varied: int, values: np.ndarray, derivatives: np.ndarray, terms: np.ndarray) -> np.ndarray:
-        """Whether any of k values (N K, k) changes along an interval by more than its derivatives tell; (N,).
+        """Whether any of k values `in_place` changes along an interval by more than its derivatives tell; (N,).
 
         Parameters
         ----------
         varied : 0 where x has varied, 1 where x' has
-        derivatives : by what has varied, (N K, k, d)
-        terms : sizes of the terms that are summed up to the values, (N K, k)
+        values : (3 N K, k)
+        derivatives : by what has varied, (3 N K, k, d)
+        terms : sizes of the terms that are summed up to the values, (3 N K, k)
         """
         count = len(self.steps)
         moved = np.ptp((self.x, self.v * self.h)[varied].reshape(len(self.x), count, -1), axis=2).T
-        values = values.reshape(count, -1, values.shape[1])
-        steepest = np.max(np.abs(derivatives).reshape(*values.shape, -1), axis=1)
-        rounded = ROUNDING_FACTOR * EPS * np.max(np.abs(terms).reshape(values.shape), axis=1)
-        explained = STEP_RATIO * np.einsum("nkd,nd->nk", steepest, moved) + rounded
-        return np.asarray(np.any(np.ptp(values, axis=1) > explained, axis=1))
+        values = values.reshape(3, count, -1, values.shape[1])
+        steepest = np.max(np.abs(derivatives).reshape(*values.shape, -1), axis=2)
+        rounded = ROUNDING_FACTOR * EPS * np.max(np.abs(terms).reshape(values.shape), axis=2)
+        explained = STEP_RATIO * np.einsum("jnkd,nd->jnk", steepest, moved) + rounded
+        return np.asarray(np.any(np.ptp(values, axis=2) > explained, axis=(0, 2)))
 
     def by_interval(self, values: np.ndarray) -> np.ndarray:
         """Values at all places, those of an interval in a row; (N, K)."""
@@ -298,9 +305,8 @@ def _steps_in_place(at: _Sampled) -> np.ndarray:
 
     CasADi's derivative of a step is zero, so that its impulse is in no equation, on any mesh.
     """
-    samples = at.in_place(pointwise(at.problem.lagrangian, None).first, varied=0)  # a force has no part in L
-    found = [at.unexplained(0, values, slopes[:, None, :], values) for values, slopes, _ in samples]
-    return np.asarray(np.any(found, axis=0))
+    values, slopes, _ = at.in_place(pointwise(at.problem.lagrangian, None).first, varied=0)  # a force is not in L
+    return at.unexplained(0, values, slopes[:, None, :], values)
 
 
 def kinks_in_place(problem: Problem, path: PiecewisePolynomial) -> np.ndarray:
@@ -309,17 +315,17 @@ def kinks_in_place(problem: Problem, path: PiecewisePolynomial) -> np.ndarray:
     The path may then be right.  But its second variation, and its derivatives by ends and parameters, contain the
     impulse of a step of the force by a change of the path, which is in no Hessian.
     """
-    at, d, found = _Sampled(problem, path), len(path.values), []
+    at, d, found = _Sampled(problem, path), len(path.values), np.zeros(len(path.mesh) - 1, dtype=bool)
     rows, columns = (np.array(index, dtype=int) for index in at.terms.pattern.get_triplet())
     for varied in (0, 1):
-        for lagrangian, slopes, momenta, *blocks in at.in_place(at.terms.derivatives, varied):
-            changes = np.zeros((len(at.h), d, d))
-            if (0, varied) in at.terms.blocks:
-                changes[:, rows, columns] = blocks[at.terms.blocks.index((0, varied))]
-            energies = np.abs(lagrangian) + np.sum(np.abs(momenta * (at.v * at.h).T), axis=1, keepdims=True)
-            terms = np.abs(slopes) + energies / or_one(path.sizes)  # these may cancel, as where x is an angle
-            found.append(at.unexplained(varied, slopes, changes, terms))
-    return np.asarray(np.any(found, axis=0))
+        lagrangian, slopes, momenta, *blocks = at.in_place(at.terms.derivatives, varied)
+        changes = np.zeros((len(slopes), d, d))
+        if (0, varied) in at.terms.blocks:
+            changes[:, rows, columns] = blocks[at.terms.blocks.index((0, varied))]
+        energies = np.abs(lagrangian) + np.abs(momenta) @ np.max(np.abs(at.v * at.h), axis=1, keepdims=True)
+        terms = np.abs(slopes) + energies / or_one(path.sizes)  # these may cancel, as where x is an angle
+        found |= at.unexplained(varied, slopes, changes, terms)
+    return found
 
 
 def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
