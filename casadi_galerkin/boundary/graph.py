@@ -60,7 +60,7 @@ class BoundaryGraph:
             self.stationarity = Stationarity(self.functional)
             self._end_velocities = end_velocities(problem)
         self.numbering = self.functional.numbering
-        self._mapping, self._higher = mapping, list[BoundaryGraph]()
+        self._mapping, self._others = mapping, dict[Galerkin, BoundaryGraph]()
 
     def for_problem(self: Graph, problem: BoundaryProblem) -> Graph:
         """The same graph for a problem that is `varied` from this one's; nothing is built."""
@@ -70,18 +70,21 @@ class BoundaryGraph:
         other.problem = problem
         return other
 
+    def for_method(self, method: Galerkin) -> BoundaryGraph:
+        """The graph of another method on the same mesh; built once for all problems varied from one."""
+        if method not in self._others:
+            self._others[method] = BoundaryGraph(self.problem, method, self.mesh, self._mapping)
+        return self._others[method].for_problem(self.problem)
+
     @property
     def higher(self) -> BoundaryGraph:
-        """The graph of the higher degree for the error estimate; built once for all problems varied from one."""
-        if not self._higher:
-            method = higher_degree_method(self.method.degree)
-            self._higher.append(BoundaryGraph(self.problem, method, self.mesh, self._mapping))
-        return self._higher[0].for_problem(self.problem)
+        """The graph of the higher degree for the error estimate."""
+        return self.for_method(higher_degree_method(self.method.degree))
 
     @property
     def build_seconds(self) -> float:
-        """Seconds spent on building the graph so far, and that of the higher degree."""
-        return self.functional.build_seconds + sum(built.build_seconds for built in self._higher)
+        """Seconds spent on building the graph so far, and those of other methods."""
+        return self.functional.build_seconds + sum(built.build_seconds for built in tuple(self._others.values()))
 
     @cached_property
     def _calculus(self) -> DiscreteCalculus:

@@ -126,7 +126,7 @@ def _points(points: tuple[float, ...], placed: bool) -> str:
 
 @lru_cache(64)
 def _check_rule(degree: int, rule: Quadrature) -> None:
-    """Refuse a rule with which paths, or their Morse indices, would be silently wrong."""
+    """Refuse a rule with which paths, or their Hessians, would be silently wrong."""
     if len(rule) < degree:
         raise ValueError(
             f"a path of degree {degree} needs at least {degree} quadrature points, got {len(rule)}: "

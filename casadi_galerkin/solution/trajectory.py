@@ -119,6 +119,9 @@ class Trajectory(Path):
     def morse_index(self) -> int | None:
         """Number of negative eigenvalues of the action's Hessian, 0 for a local minimum; computed when first used.
 
+        The Hessian is that of the action at this path, by variations of its degree.  Its integrals are taken by twice
+        as many Gauss points as that, whatever the quadrature of the method.
+
         It is None for a path that was found step by step; under a force, and where the momentum of a given velocity
         depends on more than that, because the path is then not a critical point of an action; where ∂²L/∂v² has a
         negative eigenvalue at a joint, because the index then grows without bound as the mesh is refined; where ∂L/∂x

@@ -64,7 +64,8 @@ def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data:
     """Morse index: number of negative eigenvalues of the Hessian.
 
     None where the kinetic energy is indefinite by structure, such as v_0 v_1: the index then grows without bound
-    as the mesh is refined, and LDLᵀ without pivoting does not find it.  None as well where the matrix is no Hessian.
+    as the mesh is refined, and LDLᵀ without pivoting does not find it.  None as well where the matrix is no Hessian, or
+    not finite.
 
     With multipliers it is the index of the second variation among the directions that keep the conditions.
     """
@@ -74,4 +75,7 @@ def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data:
     if len(unknowns) == 0:
         return 0
     with stationarity.linearization() as at:
-        return linear.negative_eigenvalues(functional.function("derivatives").call([unknowns, *data])[0], at.keep)
+        at.relinearize(unknowns, data)
+        if not np.isfinite(at.matrix).all():
+            return None
+        return linear.negative_eigenvalues(ca.DM(linear.sparsity, at.matrix.tolist()), at.keep)

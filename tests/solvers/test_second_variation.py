@@ -27,6 +27,28 @@ def test_morse_index_is_the_inertia_of_the_dense_hessian(name):
     assert np.count_nonzero(np.linalg.eigvalsh(hessian) < 0) == path.morse_index
 
 
+@pytest.mark.parametrize(("angle", "tol"), [(3.1, 1e-7), (3.12, 1e-9), (3.13, 1e-11)])
+def test_a_shortest_line_of_the_hyperbolic_plane_is_a_minimum(angle, tol):
+    """A circle, nearly upright at its start, where as many points as the degree made it a saddle of index 1 to 4."""
+
+    def circle(t):
+        return [np.sqrt(1 - t**2)]
+
+    ends = np.cos(angle), np.cos(1.244)
+    plane = cg.BoundaryProblem(lambda t, x, v: ca.sqrt(1 + v[0] ** 2) / x[0], ends, *map(circle, ends))
+    assert cg.solve(plane, tol=tol, guess=circle).morse_index == 0
+
+
+def test_no_index_is_counted_where_the_lagrangian_is_infinite_between_the_points_of_the_path():
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - ca.if_else(ca.fabs(t - 0.33) < 0.01, ca.inf, 30) * x[0] ** 2,
+        (0, 1),
+        [0.0],
+        [1.0],
+    )
+    assert cg.solve(problem, cg.Galerkin(2), 1).morse_index is None
+
+
 def test_indefinite_kinetic_energy_has_no_morse_index():
     """L = v_0 v_1 - x_0 x_1: each component is an oscillator, the index grows without bound with the mesh."""
     problem = cg.BoundaryProblem(lambda t, x, v: v[0] * v[1] - x[0] * x[1], (0, 1), [0, 0], [1, 2])
