@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import checked_index, finite, numbers
+from casadi_galerkin.calculus.numbers import checked_index, counted, finite, numbers
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mass import check_mass
 from casadi_galerkin.functional.numbering import Data
@@ -92,7 +92,9 @@ class Branch:
     parameters : (K, n), of each path, in the order in which the branch was followed
     trajectories : the K paths
     folds : in the same order
-    reached : whether the branch led to the target; otherwise a fold turned it back to the parameters it began with
+    reached : whether the branch led to the target
+    stopped : why it ended: at the target, or at the parameters it began with, to which a fold turned it back, or before
+        the first path that the mesh does not resolve
 
     Examples
     --------
@@ -101,14 +103,15 @@ class Branch:
     >>> bratu = lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0])
     >>> problem = cg.BoundaryProblem(bratu, (0, 1), [0.0], [0.0], parameters=[1.0])
     >>> branch = cg.continuation(problem, [3.0], intervals=10)
-    >>> branch.reached, branch.parameters[[0, -1]].tolist(), branch.trajectories[-1](0.5).round(6).tolist()
-    (True, [[1.0], [3.0]], [0.640147])
+    >>> branch.stopped, branch.parameters[[0, -1]].tolist(), branch.trajectories[-1](0.5).round(6).tolist()
+    ('the target', [[1.0], [3.0]], [0.640147])
     """
 
     parameters: np.ndarray
     trajectories: tuple[Trajectory, ...]
     folds: tuple[Fold, ...]
     reached: bool
+    stopped: str
 
     def plot(self, height: Callable[[Path], float], axes: Axes | None = None, parameter: int = 0) -> Axes:
         """Draw one number of every path over one parameter, by Morse index, and the folds; returns Matplotlib's axes.
@@ -136,8 +139,8 @@ class Branch:
 
     def __repr__(self) -> str:
         """Summarize the branch."""
-        end = "the target" if self.reached else "turned back to the start"
-        lines = [f"Branch of {len(self.trajectories)} paths from {self.parameters[0]} to {self.parameters[-1]}, {end}"]
+        count, ends = counted(len(self.trajectories), "path"), f"from {self.parameters[0]} to {self.parameters[-1]}"
+        lines = [f"Branch of {count} {ends}, {self.stopped}"]
         lines += [f"  fold at {fold.parameters}, after {fold.after} paths" for fold in self.folds]
         return "\n".join(lines)
 
@@ -158,6 +161,9 @@ def continuation(
     turn little in each; only a pair of folds much nearer to each other than a tenth of what the branch has covered may
     be passed over.
 
+    The branch ends before the first path whose summary says that the mesh does not resolve it: beyond, its folds would
+    be those of the mesh.
+
     Parameters
     ----------
     problem : BoundaryProblem with parameters
@@ -174,7 +180,7 @@ def continuation(
     Raises
     ------
     ConvergenceError
-        where the branch cannot be followed, with the last path attached
+        where the branch cannot be followed, or its first path is not resolved, with the last path attached
     ValueError, TypeError
         for input that does not fit
 
@@ -209,6 +215,11 @@ class Point:
     tangent: np.ndarray
     trajectory: Trajectory
     negative: int | None
+
+    @property
+    def unresolved(self) -> str:
+        """That the mesh does not resolve the path, and where; empty if it does."""
+        return "".join(self.trajectory._unresolved()).strip()
 
     def on_branch_of(self, other: Point) -> bool:
         """Whether both points may lie on one branch: along it (-1)^`negative` ṡ has the sign of one determinant."""
@@ -300,7 +311,7 @@ class BranchFollower(Curve[Solution]):
         return self.transcription.emb(z[:-1], self.data(z))
 
     def run(self, guess: Guess | None) -> Branch:
-        """Follow the branch until the target or the start is reached."""
+        """Follow the branch until the target or the start is reached, or a path that the mesh does not resolve."""
         start = self.transcription.critical_point(guess=guess)
         z = np.append(start.solution.unknowns, 0.0)
         follow = self.directions(z)[1]
@@ -312,18 +323,23 @@ class BranchFollower(Curve[Solution]):
             )
         self.begin(z, follow)
         points = [self.point(z, np.append(follow, 1.0), start)]
-        folds = []
+        if points[0].unresolved:
+            raise ConvergenceError(f"the first path of the branch is {points[0].unresolved}", points[0].trajectory)
+        folds, stopped = [], ""
         with progress("continuation", unit="path") as advance:
             for point in self.steps(points[0]):
                 before = points[-1]
+                if point.unresolved:
+                    stopped = f"the next one, at {self.parameters(point.z)}, is {point.unresolved}"
+                    break
                 if point.tangent[-1] * before.tangent[-1] < 0:
                     folds.append(self.fold(before, point, len(points)))
                 points.append(point)
                 advance(1)
         parameters = np.array([self.parameters(point.z) for point in points])
-        return Branch(
-            parameters, tuple(point.trajectory for point in points), tuple(folds), bool(points[-1].z[-1] == 1)
-        )
+        reached = bool(points[-1].z[-1] == 1)
+        stopped = stopped or ("the target" if reached else "turned back to the start")
+        return Branch(parameters, tuple(point.trajectory for point in points), tuple(folds), reached, stopped)
 
     def point(self, z: np.ndarray, tangent: np.ndarray, found: CriticalPoint) -> Point:
         """A verified point of the branch."""

@@ -243,7 +243,7 @@ def test_a_branch_ends_at_its_target_to_the_last_digit(first, target):
         [0.0],
         parameters=[first, 0.1],
     )
-    branch = cg.continuation(problem, [target, 0.1], intervals=10)
+    branch = cg.continuation(problem, [target, 0.1], intervals=20)
     assert branch.parameters[-1].tolist() == [target, 0.1]
     assert set(branch.parameters[:, 1]) == {0.1}
 
@@ -299,7 +299,7 @@ def test_a_fold_is_exact_where_the_target_is_far():
 def test_a_branch_whose_paths_grow_without_bound_is_left_with_its_last_path():
     """The upper branch of Bratu's problem goes to infinity where the parameter goes to zero, where it began."""
     with pytest.raises(cg.ConvergenceError, match="grow without bound") as raised:
-        cg.continuation(bratu_problem(0.0), [4.0], intervals=10)
+        cg.continuation(bratu_problem(0.0), [4.0], intervals=40)
     assert raised.value.path.x.max() > 100
 
 
@@ -413,7 +413,7 @@ def test_a_branch_whose_first_rate_is_zero_is_followed(target):
     tunnel = cg.BoundaryProblem(
         lambda t, x, v, p: v[0] ** 2 / 2 + (p[0] * x[0]) ** 2 / 2, (0, 1), [0.0], [1.0], parameters=[0.0]
     )
-    branch = cg.continuation(tunnel, [target], cg.Galerkin(6), intervals=40)
+    branch = cg.continuation(tunnel, [target], cg.Galerkin(8), intervals=60)
     assert branch.reached
     assert len(branch.trajectories) < 150
 
@@ -454,6 +454,31 @@ def test_swings_shrink_to_rest_where_they_meet_their_mirror_images(method, inter
     )
     (fold,) = branch.folds
     assert fold.parameters[0] == pytest.approx(-1, abs=1e-6)
+
+
+def test_a_branch_ends_where_the_mesh_does_not_resolve_its_paths():
+    """Bratu's problem in a ball, whose paths are steeper and steeper at the center.
+
+    The next fold is at 2.1085411, and what the mesh has in its place is at 2.839.
+    """
+    ball = cg.BoundaryProblem(
+        lambda t, x, v, p: t**2 * (v[0] ** 2 / 2 - p[0] * ca.exp(x[0])), (0, 1), [None], [0.0], parameters=[0.1]
+    )
+    branch = cg.continuation(ball, [5.0], intervals=10)
+    folds = [fold.parameters[0] for fold in branch.folds]
+    np.testing.assert_allclose(folds, [3.32199212, 1.66415619], rtol=1e-7)  # by DOP853 from the center
+    assert not branch.reached
+    assert "the next one, at [1.8" in branch.stopped
+    assert "take more intervals" in str(branch)
+    assert max(path.estimate_error() for path in branch.trajectories) < 1e-2
+
+
+def test_a_branch_does_not_begin_at_a_path_that_the_mesh_does_not_resolve():
+    layers = cg.BoundaryProblem(
+        lambda t, x, v, p: p[0] * v[0] ** 2 / 2 + x[0] ** 2 / 2, (0, 1), [1.0], [1.0], parameters=[1e-4]
+    )
+    with pytest.raises(cg.ConvergenceError, match="the first path of the branch is NOT RESOLVED: about 5e-02 of x"):
+        cg.continuation(layers, [1.0], intervals=4)
 
 
 @pytest.mark.parametrize("force", [ca.sqrt, lambda p: ca.exp(-1 / p)])

@@ -21,7 +21,7 @@ LONG = {
     "sweep": lambda: cg.sweep(bratu_problem(), [{"parameters": [2.0]}], cg.Galerkin(3), 4),
     "trade": lambda: cg.trade(bratu_problem(), [cg.Galerkin(3)], [4]),
     "paths": lambda: cg.paths(bratu_problem(), cg.Galerkin(8), 10, count=2),
-    "continuation": lambda: cg.continuation(bratu_problem(), [2.0], cg.Galerkin(3), 4),
+    "continuation": lambda: cg.continuation(bratu_problem(), [2.0], cg.Galerkin(5), 4),
     "starts": lambda: cg.solve(double_integrator(), cg.Galerkin(3), 4, starts=2),
 }
 
