@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.embedding import embedding
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import Data, joints_of
@@ -17,41 +18,46 @@ from casadi_galerkin.solvers.newton import Solution, SolveFailure
 from casadi_galerkin.solvers.stationarity import Stationarity, joined
 
 
-def not_finite(functional: Functional, unknowns: np.ndarray, data: Data) -> str:
-    """The message when the Lagrangian or a derivative is first not finite, or how a free duration has changed."""
+def not_finite(functional: Functional, unknowns: np.ndarray, data: Data) -> tuple[str, RuntimeError | None]:
+    """The message when the Lagrangian or a derivative is first not finite, or how a free duration has changed.
+
+    Where a Function that the Lagrangian calls has failed, also its error.
+    """
     pointwise, numbering, parameters = functional.pointwise, functional.numbering, functional.parameters_of(data)
     joints, points = joints_of(numbering, unknowns, data), numbering.method.element.points
     if not np.all(joints[:-1] < joints[1:]):
         change = "shrunk" if unknowns[-1] < 0 else "grown"
-        return f"the duration, which is free, has {change} by a factor of e^{abs(unknowns[-1]):.0f}"
+        return f"the duration, which is free, has {change} by a factor of e^{abs(unknowns[-1]):.0f}", None
     steps = np.tile(np.diff(joints), len(points))
     times = np.tile(joints[:-1], len(points)) + np.repeat(points, len(joints) - 1) * steps
     x, slope = (np.array(a) for a in embedding(numbering)(joined(unknowns, data)))
+    derivatives = Evaluator(pointwise.derivatives)
     for k in np.argsort(times, kind="stable"):
-        results = pointwise.derivatives(times[k], steps[k], x[:, k], slope[:, k], *parameters)
-        finite = [bool(np.all(np.isfinite(np.array(result)))) for result in results]
+        results = derivatives(times[k], steps[k], x[:, k], slope[:, k], *parameters)
+        finite = [bool(np.all(np.isfinite(result))) for result in results]
         if not all(finite):
             what = "the Lagrangian" if not all(finite[:3]) else "a derivative of the equations of motion"
+            fails = "is not finite" if derivatives.failure is None else "calls a casadi Function that fails"
             with np.errstate(over="ignore"):
                 v = slope[:, k] / steps[k]
-            return f"{what} is not finite at t = {times[k]:.6g}, where x = {x[:, k]} and v = {v}"
+            return f"{what} {fails} at t = {times[k]:.6g}, where x = {x[:, k]} and v = {v}", derivatives.failure
     if functional.terms:
-        return "a derivative of a constraint, of a condition on the ends or of the end action is not finite"
-    return "the Lagrangian overflows"
+        return "a derivative of a constraint, of a condition on the ends or of the end action is not finite", None
+    return "the Lagrangian overflows", None
 
 
 def refuse_undefined(functional: Functional, solution: Solution, path: PiecewisePolynomial) -> None:
     """Raise if the action is not finite on a path that solves the equations."""
     if math.isfinite(solution.action):
         return
-    place = not_finite(functional, solution.unknowns, solution.data)
+    place, cause = not_finite(functional, solution.unknowns, solution.data)
     raise ConvergenceError(
         f"no path was found: the equations have a solution, but on it {place}. "
         "Try a guess that stays where the Lagrangian is defined",
         Path(path),
         solution.residual,
         solution.iterations,
-    )
+    ) from cause
 
 
 def _isolate(problem: BoundaryProblem) -> str:
@@ -84,7 +90,7 @@ def explained(
     path: PiecewisePolynomial,
     data: Data,
 ) -> ConvergenceError:
-    """Report the failure of a solver; `path` is its last iterate."""
+    """Report the failure of a solver, and what caused it in CasADi; `path` is its last iterate."""
     unknowns, numbering = failure.unknowns, stationarity.functional.numbering
     g, floor = stationarity.gradient_and_floor(unknowns, data)
     with np.errstate(invalid="ignore"):  # where both are infinite, or a free duration is
@@ -94,9 +100,9 @@ def explained(
     place = f"the largest residual is at t = {when:.6g}"
     if worst >= numbering.positions:
         place = "the largest residual is that of a constraint, of a condition on the ends or of the energy"
-    derivatives = stationarity.functional.function("derivatives")(unknowns, *data)
-    if not all(np.isfinite(a.nonzeros()).all() for a in derivatives):
-        place = not_finite(stationarity.functional, unknowns, data)
+    cause, derivatives = None, Evaluator(stationarity.functional.function("derivatives"))
+    if not all(np.isfinite(a).all() for a in derivatives(unknowns, *data)):
+        place, cause = not_finite(stationarity.functional, unknowns, data)
     where = f"after {failure.iterations} iterations; {place}"
     kind: type[ConvergenceError] = ConvergenceError
     words = (
@@ -113,4 +119,6 @@ def explained(
         words += "; the constraints and the conditions on the ends may contradict one another, or say one thing twice"
     if numbering.stretched:
         words += "; there may be no path of this energy"
-    return kind(words, Path(path), float(residual[worst]), failure.iterations)
+    error = kind(words, Path(path), float(residual[worst]), failure.iterations)
+    error.__cause__ = cause
+    return error

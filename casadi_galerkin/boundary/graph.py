@@ -120,7 +120,8 @@ class BoundaryGraph:
                 solution = solver(self.stationarity, self.unknowns(begun.values.T, data), data, verbose)
         except SolveFailure as failure:
             path = self.emb(failure.unknowns, data)
-            raise explained(problem, self.stationarity, failure, path, data) from None
+            error = explained(problem, self.stationarity, failure, path, data)
+            raise error from error.__cause__
         path = self.emb(solution.unknowns, solution.data)
         return CriticalPoint(solution, problem, path)
 

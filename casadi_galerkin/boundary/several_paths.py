@@ -249,7 +249,7 @@ class Search:
                 if seconds_left() < 0:
                     break
         if not self.found:
-            raise self.no_path_error()
+            raise self.no_path_error() from self.failure and self.failure.__cause__
         reached = len(self.found) == count
         stopped = f"stopped at count={count}" if reached else f"stopped after {PATIENCE} solves without a new one"
         ordered = sorted((path for path, _ in self.found), key=lambda path: path.action)

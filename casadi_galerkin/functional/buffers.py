@@ -69,26 +69,38 @@ class Evaluator:
     Attributes
     ----------
     inputs, outputs : arrays of the other inputs and outputs, by name
+    failure : why the last evaluation failed, as where a rootfinder within L has found nothing; its results are then NaN
     """
 
     def __init__(self, function: ca.Function, bound: Mapping[str, np.ndarray] | None = None) -> None:
         self._function = function  # the buffer does not hold a reference to it
         self._buffer, self._run = function.buffer()
         self.inputs, self.outputs = dict[str, np.ndarray](), dict[str, np.ndarray]()
+        self.failure: RuntimeError | None = None
         for names, unbound, size, bind in (
             (function.name_in(), self.inputs, function.nnz_in, self._buffer.set_arg),
             (function.name_out(), self.outputs, function.nnz_out, self._buffer.set_res),
         ):
+            self._results = list[np.ndarray]()  # of the outputs, which come last
             for i, name in enumerate(names):
                 array: Any = bound.get(name) if bound else None
                 if array is None:
                     array = unbound[name] = np.zeros(size(i))
                 bind(i, memoryview(array))
+                self._results.append(array)
 
     def run(self) -> None:
         """Evaluate on all arrays, without a check whether the evaluation was aborted."""
-        with fork_waits:
-            self._run()
+        self.failure = None
+        try:
+            with fork_waits:
+                self._run()
+        except RuntimeError as error:
+            if "KeyboardInterrupt" in str(error):
+                raise
+            self.failure = error
+            for array in self._results:
+                array[:] = np.nan
 
     def __call__(self, *arguments: ArrayLike) -> list[np.ndarray]:
         """Evaluate; the returned arrays are copies."""
@@ -103,5 +115,7 @@ class Evaluator:
 
     @property
     def stats(self) -> dict[str, Any]:
-        """CasADi's statistics of the last call."""
+        """CasADi's statistics of the last call, which must not have failed."""
+        if self.failure is not None:
+            raise self.failure
         return dict(self._buffer.stats())

@@ -88,8 +88,11 @@ def casadi_root(
         near, last = at.keep(
             f"rootfinder {sorted(options.items())}", lambda: casadi_newton(stationarity.functional, options)
         )
-        with interrupts_raised():
-            root = last(near(guess, *data, rows), *data, rows)
+        try:
+            with interrupts_raised():
+                root = last(near(guess, *data, rows), *data, rows)
+        except RuntimeError as error:
+            raise SolveFailure("CasADi's rootfinder met a casadi Function that fails", guess, 0) from error
         iterations = sum(int(solver.stats()["iter_count"]) for solver in (near, last))
     x = np.array(root).ravel()
     try:

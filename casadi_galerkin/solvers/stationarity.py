@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Any, NamedTuple, TypeVar, cast
 
 import casadi as ca
@@ -110,15 +110,16 @@ class Stationarity:
 
     def gradient_and_floor(self, unknowns: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray]:
         """∇S and the roundoff floor of every entry of it, (n,) each."""
-        gradient, floor = self.floor.call([unknowns, *data])
-        return np.array(gradient).ravel(), np.array(floor).ravel()
+        gradient, floor = Evaluator(self.floor)(unknowns, *data)
+        return gradient, floor
 
     def sizes_of_terms(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Size of the terms of every entry of ∇S, a component that is zero counting as one, by which to scale it; (n,).
 
         At a guess that is zero there are no terms yet.
         """
-        sizes, matrix = self.sizes(unknowns, data), self.functional.function("hessian")(unknowns, *data)
+        sizes, (nonzeros,) = self.sizes(unknowns, data), Evaluator(self.functional.function("hessian"))(unknowns, *data)
+        matrix = ca.DM(self.linear_solver.sparsity, nonzeros.tolist())
         changes = np.array(ca.mtimes(ca.fabs(matrix), np.where(np.isfinite(sizes), sizes, 0.0))).ravel()
         return np.asarray(np.fmax(self.gradient_and_floor(unknowns, data)[1] / EPS, changes))
 
@@ -194,8 +195,7 @@ class Linearization:
             evaluator = self._evaluators.get(key) or self._bind(key, build(method))
             for name in (*measures, "defect") if method != METHODS[0] else ():
                 arrays[name][:] = np.nan  # CasADi's QR leaves the outputs unchanged where it fails
-            with suppress(RuntimeError):  # how other linear solvers than QR report a singular matrix
-                evaluator.run()
+            evaluator.run()
             if arrays["defect"][0] <= 0:
                 return
             if not np.isfinite(self.gradient).all():
@@ -284,10 +284,9 @@ class Linearization:
             if key not in self._evaluators:
                 solutions = linear.solutions(method, columns, transposed)
                 self._evaluators[key] = Evaluator(solutions, {"matrix": self.matrix})
-            with suppress(RuntimeError):  # as in `_solve`
-                y, defect = self._evaluators[key](np.concatenate(rhs))
-                if defect[0] <= 0:
-                    break
+            y, defect = self._evaluators[key](np.concatenate(rhs))
+            if defect[0] <= 0:
+                break
         else:
             if not np.any(y):  # for a singular matrix CasADi's QR returns zeros
                 y[:] = np.nan

@@ -43,6 +43,33 @@ def test_every_engine_names_a_guess_outside_the_lagrangians_domain(engine):
         cg.solve(problem, cg.Galerkin(4), intervals=5, solver=engine)
 
 
+def under_a_root(start, root):
+    """A pull that is a root of x, which is defined for x > 0 alone."""
+    return cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + root(x[0]), (0, 1), [start], [0.6])
+
+
+def root_by_newton(y):
+    x, square = ca.MX.sym("x"), ca.MX.sym("square")
+    return ca.rootfinder("root", "newton", {"x": x, "p": square, "g": x**2 - square})(1, y)
+
+
+@pytest.mark.parametrize("engine", [cg.newton, cg.rootfinder, cg.ipopt])
+def test_a_rootfinder_in_the_lagrangian_that_fails_at_the_guess_is_named_with_its_time(engine):
+    with pytest.raises(cg.ConvergenceError, match=r"calls a casadi Function that fails at t = 0\.0563508") as caught:
+        cg.solve(under_a_root(-0.5, root_by_newton), cg.Galerkin(3), 2, solver=engine)
+    assert "rootfinder process failed" in str(caught.value.__cause__)
+    assert caught.value.path(0.0) == -0.5
+
+
+def test_a_rootfinder_in_the_lagrangian_may_fail_on_the_way_to_a_path():
+    """At the guess, from which IPOPT leads back into the domain."""
+    paths = [
+        cg.solve(under_a_root(0.1, root), cg.Galerkin(3), 2, guess=lambda t: [-1.0])
+        for root in (ca.sqrt, root_by_newton)
+    ]
+    assert paths[1].action == pytest.approx(paths[0].action, rel=1e-12)
+
+
 def test_a_derivative_not_finite_at_a_guess_at_rest_is_no_singular_hessian():
     problem = cg.BoundaryProblem(
         lambda t, x, v: ca.sumsqr(v) / 2, (0, 1), [0.0, 0.0], [0.0, 0.0], force=lambda t, x, v: t - v * ca.norm_2(v)
