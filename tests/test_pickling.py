@@ -103,6 +103,21 @@ def test_problems_of_mechanics_and_their_answers_survive_pickling(name):
         np.testing.assert_array_equal(kept.multipliers(0.3), path.multipliers(0.3))
 
 
+@pytest.mark.parametrize(
+    ("problem", "how"),
+    [
+        (swing(), {"method": cg.Galerkin(4), "intervals": 8}),
+        (swing(), {"tol": 1e-8}),
+        (everything(), {"method": cg.Galerkin(3), "intervals": 4}),
+    ],
+    ids=["mesh", "tolerance", "control"],
+)
+def test_a_transcription_is_built_again_and_solves_to_the_same_bits(problem, how):
+    transcription = cg.transcribe(problem, **how)
+    values = transcription.solve().polynomial.values
+    np.testing.assert_array_equal(there_and_back(transcription).solve().polynomial.values, values)
+
+
 def test_another_process_needs_no_source_of_the_lambda(tmp_path):
     (tmp_path / "problem").write_bytes(pickle.dumps((swing(), cg.Galerkin(4))))
     code = (

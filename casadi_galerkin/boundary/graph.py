@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import copy
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -66,9 +65,13 @@ class BoundaryGraph:
         """The same graph for a problem that is `varied` from this one's; nothing is built."""
         if problem is self.problem:
             return self
-        other = copy(self)
-        other.problem = problem
+        other = object.__new__(type(self))
+        other.__dict__ |= self.__dict__ | {"problem": problem}
         return other
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickled without its Functions, which are built again from the problem."""
+        return type(self), (self.problem, self.method, self.mesh, self._mapping)
 
     def for_method(self, method: Galerkin) -> BoundaryGraph:
         """The graph of another method on the same mesh; built once for all problems varied from one."""

@@ -114,6 +114,10 @@ class ControlTranscription:
         self._solvers: dict[str, ObjectPool[Evaluator]] = {}
         self.build_seconds = time.perf_counter() - began
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickled without its Functions, which are built again from the problem."""
+        return type(self), (self.problem, self.method, self.mesh)
+
     def solve(
         self,
         start: Sequence[float | None] | None = None,
