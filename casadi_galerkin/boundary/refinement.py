@@ -144,7 +144,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         self.check_time()
         floor = self.floor(level)
         higher = self.graph(path).higher
-        error, varied = discretization_error(higher, path, refined=floor > 0)
+        error, varied = discretization_error(higher, path, refined=not self.regular(level))
         self.check_time()
         error = math.hypot(error, floor)
         mesh, stretched = path.mesh, self.graphs.problem.energy is not None
@@ -158,7 +158,7 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             parts = parts_wanted(indicator, 1, self.tol)  # at a kink it falls in proportion to the step
             return Estimate(float(np.max(indicator)), False, source, parts)
         error = max(error, float(np.max(indicator)))
-        if error <= self.tol and not self.degrees_agree(level, varied, floor):
+        if error <= self.tol and not self.degrees_agree(level, varied):
             return Estimate(1 - self.agreements[-1], False, "responses to forces", np.full(len(truncation), 2.0))
         truncation *= error / max(np.max(truncation), 1e-300)
         return Estimate(error, True, f"degree {higher.method.degree}", self.parts(truncation))
@@ -171,12 +171,18 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             hint = f"Times near {latest:.1e} are rounded by {EPS * latest:.0e}: count them from the start"
         return super().stopped(reason, level, error, hint)
 
+    def regular(self, level: CriticalPoint) -> bool:
+        """Whether the path is so regular that an error of eps in its values stays far below the tolerance."""
+        return ROUNDOFF_MARGIN * self.tol * level.solution.regularity > EPS
+
     def floor(self, level: CriticalPoint) -> float:
-        """The roundoff error of the path, or zero where it is far below the tolerance; refuses a tolerance below it."""
-        regularity = level.solution.regularity
-        if ROUNDOFF_MARGIN * self.tol * regularity > EPS:
-            return 0.0
+        """The roundoff error of the path, or zero where it is far below the tolerance; refuses a tolerance below it.
+
+        A regular path may have a duration that is not: a given energy may be a small difference of large terms.
+        """
         graph = self.graph(level.polynomial)
+        if self.regular(level) and not graph.numbering.stretched:
+            return 0.0
         floor = roundoff_error(graph, level)
         if floor > self.tol:
             graph.refuse_conjugate(level)
@@ -198,13 +204,13 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """The graph on the mesh of a path."""
         return self.graphs.transcription(self.method, path.mesh)
 
-    def degrees_agree(self, level: CriticalPoint, varied: PiecewisePolynomial, floor: float) -> bool:
+    def degrees_agree(self, level: CriticalPoint, varied: PiecewisePolynomial) -> bool:
         """Whether the responses of the path to forces agree in both degrees; also where no mesh makes them agree.
 
         Raises an error if the path belongs to a family.
         """
         graph = self.graph(level.polynomial)
-        self.agreements.append(agreement(graph, level.polynomial, varied, refined=floor > 0))
+        self.agreements.append(agreement(graph, level.polynomial, varied, refined=not self.regular(level)))
         last = self.agreements[-STEADY_MESHES:]
         if last[-1] >= REQUIRED_AGREEMENT or (len(last) == STEADY_MESHES and max(last) < STEADY_FACTOR * min(last)):
             return True

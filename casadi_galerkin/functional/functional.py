@@ -171,6 +171,13 @@ class Functional:
         rows = integration(self.numbering)(*self._first[1:])[: self.numbering.free - 1, :]
         return row, ca.densify(ca.jtimes(ca.vertcat(rows, row), self.symbols["unknowns"], by_stretch))
 
+    @cached_property
+    def _sizes_of_energies(self) -> ca.MX:
+        """Sum of the sizes of the terms of the equation of the duration, which are -L̂, ∂L̂/∂x'_i x'_i and E T."""
+        lagrangian, _, momenta = self._first[:3]
+        at_points = ca.fabs(lagrangian) + ca.sum1(ca.fabs(momenta * self._embedded.points[-1]))
+        return summation(self.numbering)(at_points) + ca.fabs(self._given[0][-1]) * self._embedded.duration
+
     def _with_terms(self, total: ca.MX) -> ca.MX:
         """All equations, from those of the integral."""
         for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
@@ -195,6 +202,8 @@ class Functional:
         action, momenta, gradient, sizes = variation(self.numbering).call(self._first)
         for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
             sizes += term.gathered(self.numbering, ca.fabs(rows))
+        if self.numbering.stretched:
+            sizes = ca.vertcat(sizes[: self.numbering.free - 1, :], self._sizes_of_energies)
         action = sum((ca.sum2(added[0, :]) for added, _, _ in self._terms), action)
         return {"action": action, "momentum": momenta, "gradient": self._with_terms(gradient), "terms": sizes}
 

@@ -44,6 +44,16 @@ def test_the_period_is_that_of_the_energy_alone(energy):
     assert 2 * path.action == pytest.approx(3 * np.pi * (-2 * energy) ** -0.5, rel=PERIOD)
 
 
+def test_a_given_energy_that_cancels_a_rest_energy_determines_the_duration_up_to_the_rounding_of_both():
+    rest = 1e10  # half an energy unit more or less is exact beside it, the energies along a path are not
+    lagrangian = lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2 + rest  # noqa: E731
+    problem = cg.BoundaryProblem(lagrangian, (0, 0.6), [0.0], [0.5], energy=0.5 - rest)  # of sin(t)
+    path = cg.solve(problem, tol=1e-5)
+    assert abs(path.t[-1] / (np.pi / 6) - 1) < 5 * path.error_estimate < 1e-4
+    with pytest.raises(cg.LimitReached, match="roundoff floor"):
+        cg.solve(problem, tol=1e-8)
+
+
 def test_one_transcription_solves_for_many_energies():
     problem, guess = half_orbit(0.3)
     transcription = cg.transcribe(problem, METHOD, 16)
