@@ -178,10 +178,11 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
     def floor(self, level: CriticalPoint) -> float:
         """The roundoff error of the path, or zero where it is far below the tolerance; refuses a tolerance below it.
 
-        A regular path may have a duration that is not: a given energy may be a small difference of large terms.
+        The rounding of a condition, or of a given energy, is not bounded by the regularity: either may be a small
+        difference of large terms.
         """
         graph = self.graph(level.polynomial)
-        if self.regular(level) and not graph.numbering.stretched:
+        if self.regular(level) and graph.numbering.free == graph.numbering.positions:
             return 0.0
         floor = roundoff_error(graph, level)
         if floor > self.tol:

@@ -153,14 +153,18 @@ class Functional:
         """
         return self._second[:3] if self._mapping is one_by_one else self._at_points(self.pointwise.first)
 
+    @property
+    def _arguments_of_terms(self) -> list[ca.MX]:
+        """What the local terms depend on."""
+        further = (ca.vertcat(*symbols) for symbols in (self._parameters, self._given))
+        return [self.u, self._embedded.joints, *further]
+
     @cached_property
     def _terms(self) -> list[list[ca.MX]]:
         """The local terms evaluated at all of their places."""
         if not self.terms:
             return []
-        parameters, given = (ca.vertcat(*symbols) for symbols in (self._parameters, self._given))
-        at = (self.u, self._embedded.joints, parameters, given)
-        return [term.evaluated(*at) for term in self.terms]
+        return [term.evaluated(*self._arguments_of_terms) for term in self.terms]
 
     @cached_property
     def _stretch(self) -> tuple[ca.MX, ca.MX]:
@@ -200,8 +204,8 @@ class Functional:
     def first_variation(self) -> dict[str, ca.MX]:
         """The action with the end action, momenta at the joints, ∇S by the unknowns ξ, and the sizes of its terms."""
         action, momenta, gradient, sizes = variation(self.numbering).call(self._first)
-        for term, (_, rows, _) in zip(self.terms, self._terms, strict=True):
-            sizes += term.gathered(self.numbering, ca.fabs(rows))
+        for term in self.terms:
+            sizes += term.gathered(self.numbering, term.sizes(*self._arguments_of_terms))
         if self.numbering.stretched:
             sizes = ca.vertcat(sizes[: self.numbering.free - 1, :], self._sizes_of_energies)
         action = sum((ca.sum2(added[0, :]) for added, _, _ in self._terms), action)

@@ -13,9 +13,11 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.functional.embedding import gathered
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.functional.numbering import Numbering
+from casadi_galerkin.problems.cancellation import sizes_of_terms
 
 
 @dataclass(frozen=True)
@@ -38,11 +40,26 @@ class LocalTerm:
 
     def evaluated(self, u: ca.MX, joints: ca.MX, parameters: ca.MX, given: ca.MX) -> list[ca.MX]:
         """`added` (1 or 2, K), rows (n, K) and nonzeros of the jacobian (nnz, K)."""
+        added, rows, jacobian = self._at_places(self.function, u, joints, parameters, given)
+        return [added, rows, ca.reshape(ca.MX(jacobian.nz[:]), -1, self.entries.shape[1])]
+
+    def sizes(self, u: ca.MX, joints: ca.MX, parameters: ca.MX, given: ca.MX) -> ca.MX:
+        """Sums of the sizes of all terms that the rows are made of, (n, K)."""
+        return self._at_places(self._sizes, u, joints, parameters, given)[0]
+
+    @cached_property
+    def _sizes(self) -> ca.Function:
+        symbols = self.function.sx_in()
+        return ca.Function("sizes", symbols, [sizes_of_terms(self.function(*symbols)[1], symbols)])
+
+    def _at_places(
+        self, function: ca.Function, u: ca.MX, joints: ca.MX, parameters: ca.MX, given: ca.MX
+    ) -> list[ca.MX]:
+        """A Function of the same arguments as `function` at all places."""
         size, count = self.entries.shape
         y = ca.reshape(u.get_nz(False, self.entries.ravel(order="F").tolist()), size, count)
         t = ca.reshape(ca.mtimes(ca.MX(self.times), joints), self.function.size1_in(1), count)
-        added, rows, jacobian = one_by_one(self.function, count, (2, 3)).call([y, t, parameters, given])
-        return [added, rows, ca.reshape(ca.MX(jacobian.nz[:]), -1, count)]
+        return list(one_by_one(function, count, (2, 3)).call([y, t, parameters, given]))
 
     def gathered(self, numbering: Numbering, rows: ca.MX) -> ca.MX:
         """Rows (n, K) summed for every unknown."""

@@ -23,6 +23,7 @@ from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes, or_one
 from casadi_galerkin.problems.callables import depends_on_time, with_parameters
+from casadi_galerkin.problems.cancellation import sizes_of_terms
 from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.problems.problem import Problem
 
@@ -236,16 +237,15 @@ def check_points(constraint: ca.Function | None, method: Galerkin) -> None:
 
 
 def relative_residuals(value: ca.SX, symbols: Sequence[ca.SX], further: Sequence[ca.SX] = ()) -> ca.Function:
-    """(symbols, further) -> residuals (k,), these over `CONSTRAINT_TOLERANCE` of their terms, and derivatives (k, n).
+    """(symbols, further) -> residuals (k,), these over what is accepted as rounding, and derivatives (k, n).
 
-    The derivatives are those by the symbols, and a term is a symbol times the derivative by it.  The time is among the
-    symbols, so that its rounding counts, too.
+    The derivatives are those by the symbols.  Accepted are `CONSTRAINT_TOLERANCE` of every symbol times the derivative
+    by it, and eps of all terms.  The time is among the symbols, so that its rounding counts, too.
     """
-    slopes = ca.densify(ca.jacobian(value, ca.vertcat(*symbols)))
-    terms = ca.mtimes(ca.fabs(slopes), ca.fabs(ca.vertcat(*symbols)))
-    return ca.Function(
-        "over_terms", [*symbols, *further], [value, ca.fabs(value) / (CONSTRAINT_TOLERANCE * terms + TINY), slopes]
-    )
+    slopes, inputs = ca.densify(ca.jacobian(value, ca.vertcat(*symbols))), [*symbols, *further]
+    accepted = CONSTRAINT_TOLERANCE * ca.mtimes(ca.fabs(slopes), ca.fabs(ca.vertcat(*symbols)))
+    accepted += EPS * sizes_of_terms(value, inputs) + TINY
+    return ca.Function("over_terms", inputs, [value, ca.fabs(value) / accepted, slopes])
 
 
 def check_tangent(

@@ -333,6 +333,21 @@ def test_a_constrained_path_found_to_a_tolerance_meets_it(name, tol):
     assert np.max(np.abs(path(times) - place(exact(times)))) <= tol
 
 
+def test_a_sledge_on_a_frozen_lake_keeps_to_the_round_earth_up_to_the_rounding_of_its_radius():
+    radius, gravity, duration, angle = 6.378e6, 9.81, 20.0, 2e-4  # in m and s
+    place = lambda angle: radius * np.array([np.sin(angle), -2 * np.sin(angle / 2) ** 2])  # noqa: E731
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.dot(v, v) / 2 - gravity * x[1],
+        (0.0, duration),
+        [0.0, 0.0],
+        place(angle),
+        constraint=lambda t, x: ca.sqrt(x[0] ** 2 + (x[1] + radius) ** 2) - radius,
+    )
+    path, rate = cg.solve(problem, tol=1e-6), np.sqrt(gravity / radius)
+    angles = angle * np.sinh(rate * path.t) / np.sinh(rate * duration)  # as far as sin(angle) is angle
+    np.testing.assert_allclose(path.x / path.sizes[:, None], place(angles) / path.sizes[:, None], rtol=0, atol=1e-6)
+
+
 @pytest.mark.parametrize("solver", [cg.rootfinder, cg.ipopt, cg.minimizer], ids=str)
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_solvers_agree_on_a_constrained_path(name, solver):

@@ -482,3 +482,15 @@ def test_a_spring_at_a_free_end_whose_terms_cancel_is_solved(beside):
     path, times = cg.solve(problem, tol=1e-6), np.linspace(0, 1, 101)
     pulled = 10 * beside / (np.cos(1) + 10 * np.sin(1))
     assert np.max(np.abs(path(times)[2] - pulled * np.sin(times))) < 1e-15 + 1e-6 * beside
+
+
+def test_a_height_over_the_round_earth_is_met_up_to_the_rounding_of_its_radius():
+    radius, away, height = 6.378e6, 353.0, -48.8  # in m
+    falling = lambda t, x, v: ca.dot(v, v) / 2 - 9.81 * x[1]  # noqa: E731
+    over_ground = lambda start, end: ca.sqrt(end[0] ** 2 + (end[1] + radius) ** 2) - radius - height  # noqa: E731
+    problem = ended(falling, (0.0, 6.16), [0.0, 0.0], [away, None], end_conditions=over_ground)
+    power = height * (2 * radius + height) - away**2  # of the end: y² + 2 y radius
+    path = cg.solve(problem, tol=1e-9)
+    assert path.x[1, -1] == pytest.approx(power / (radius + np.sqrt(radius**2 + power)), rel=path.error_estimate * 5)
+    with pytest.raises(cg.LimitReached, match="roundoff floor"):
+        cg.solve(problem, tol=1e-13)
