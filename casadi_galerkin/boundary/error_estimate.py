@@ -51,7 +51,7 @@ def discretization_error(
 
     with graph.stationarity.linearization() as at:
         (step,) = at.solve(at.relinearize(unknowns, data))
-        there, forces = unknowns + step, _generic_forces(graph, path)
+        there, forces = unknowns + step, _generic_forces(graph, path, at.mass)
         again, *varied = at.solve(at.relinearize(there, data), *forces)
         if refined:
             varied = at.refined(there, data, forces, varied)
@@ -80,7 +80,7 @@ def agreement(
     unknowns, data = graph.on_path(path)
     with graph.stationarity.linearization() as at:
         at.relinearize(unknowns, data)
-        forces = _generic_forces(graph, path)
+        forces = _generic_forces(graph, path, at.mass)
         varied = at.solve(*forces)
         if refined:
             varied = at.refined(unknowns, data, forces, varied)
@@ -92,16 +92,20 @@ def agreement(
     return float(np.min(means.min(axis=0) / means.max(axis=0)))
 
 
-def _generic_forces(graph: BoundaryGraph, path: PiecewisePolynomial) -> np.ndarray:
-    """Virtual work ∫ F·δx dt for each unknown of smooth forces F(t) that are the same in all degrees; (FORCES, n)."""
-    numbering, element, steps = graph.numbering, graph.method.element, np.diff(path.mesh)
-    times, weights = path.times(element.nodes[:-1]), element.weights @ element.values
-    of_nodes = np.append(np.outer(steps, weights[:-1]), 0.0)
-    of_nodes[graph.method.degree :: graph.method.degree] += steps * weights[-1]
-    phases = np.arange(len(path.values))[:, None] + 3 * (times - times[0]) / (times[-1] - times[0])
-    forces = np.cos(np.multiply.outer(np.arange(1, FORCES + 1), phases)) / path.sizes[:, None]
+def _generic_forces(graph: BoundaryGraph, path: PiecewisePolynomial, mass: np.ndarray) -> np.ndarray:
+    """Virtual work ∫ F·δx dt for each unknown of smooth forces F(t) that are the same in all degrees; (FORCES, n).
+
+    A force is the mass times an acceleration of the path's size, so that it moves the path by a finite distance also
+    where the mass vanishes.  `mass`, (N r, d, d), is ∂²L̂/∂x'² at the points of the graph.
+    """
+    numbering, element, d, steps = graph.numbering, graph.method.element, len(path.values), np.diff(path.mesh)
+    times = (path.mesh[:-1] - path.mesh[0] + element.points[:, None] * steps) / (path.mesh[-1] - path.mesh[0])
+    phases = np.arange(d)[:, None, None] + 3 * times
+    accelerations = np.cos(np.multiply.outer(np.arange(1, FORCES + 1), phases)) * path.sizes[:, None, None]
+    forces = np.einsum("qnij,fjqn->fiqn", mass.reshape(*times.shape, d, d), accelerations) * steps**2
     works = np.zeros((FORCES, numbering.size))
-    np.add.at(works.T, numbering.of_nodes, (forces * of_nodes).T)  # a periodic path has one end
+    of_nodes = np.einsum("fiqn,qa->anif", forces, element.weights[:, None] * element.values)
+    np.add.at(works.T, numbering.local, of_nodes)
     return works[:, : numbering.free]
 
 

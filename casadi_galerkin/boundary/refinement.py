@@ -63,7 +63,8 @@ ILL_CONDITIONED = 1e4  # roundoff floor over eps from which the message blames t
 # agreement below which a mesh is halved; at 0.83 some 3 % of undetermined kinks were accepted, at 0.95 a few
 REQUIRED_AGREEMENT = 0.99
 MOST_HALVINGS = 8  # most meshes that are halved because the two degrees disagree; beyond, only rounding differed
-# meshes on which the agreement stays within a factor: then it is not due to the mesh, as where a mass vanishes
+# meshes on which the agreement stays within a factor: then the path does not depend on it, as one at rest between
+# variations that no mesh resolves
 STEADY_MESHES, STEADY_FACTOR = 3, 1.02
 FLOOR_FACTOR = 10.0  # times the roundoff floor: a smaller error no longer falls with the mesh
 SHORTEST = 1e-13  # interval over the duration at which a refinement stops: doubles have three digits more

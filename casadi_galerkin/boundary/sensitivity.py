@@ -155,7 +155,7 @@ def at_joints(problem: BoundaryProblem, path: Trajectory) -> Sensitivity:
     transcription = transcribed(problem, path.method, None, path.t)
     numbering, symbols = transcription.numbering, transcription.functional.symbols
     data = ca.vertcat(*(symbols[name] for name in ("start", "end", "parameters") if name in symbols))
-    matrix, gradient = transcription.functional.function("derivatives").call(list(symbols.values()))
+    matrix, gradient, _ = transcription.functional.function("derivatives").call(list(symbols.values()))
     solutions = transcription.stationarity.linear_solver.solutions("qr", data.numel(), transposed=False)
     by_data = ca.densify(ca.jacobian(gradient, data))
     change = solutions(matrix, by_data)[0]

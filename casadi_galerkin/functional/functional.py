@@ -212,9 +212,9 @@ class Functional:
         return {"action": action, "momentum": momenta, "gradient": self._with_terms(gradient), "terms": sizes}
 
     @cached_property
-    def derivatives(self) -> tuple[ca.MX, ca.MX]:
-        """∇²S, sparse with both halves stored, and ∇S with respect to the free values ξ, in one pass."""
-        return self._assembled(self._second[3:])
+    def derivatives(self) -> tuple[ca.MX, ca.MX, ca.MX]:
+        """∇²S, sparse with both halves stored, ∇S with respect to the free values ξ, and ∂²L̂/∂x'², in one pass."""
+        return *self._assembled(self._second[3:]), self._second[-1]
 
     def _assembled(self, blocks: list[ca.MX]) -> tuple[ca.MX, ca.MX]:
         assembled = assembly(*self.pattern_key, self.pointwise.blocks)
@@ -237,7 +237,7 @@ class Functional:
         - action : -> S, with the end action and the work of given momenta
         - gradient : -> ∇S
         - hessian : -> ∇²S, sparse
-        - derivatives : -> matrix ∇²S, gradient ∇S
+        - derivatives : -> matrix ∇²S, gradient ∇S, mass: ∂²L̂/∂x'² at all points, the last of `Pointwise.blocks`
         - summary : -> action S, with the end action; momentum (d, N + 1), -∂S/∂x_0 and then ∂S_k/∂x_{k+1} of every
           interval; gradient ∇S; terms, the sums of the sizes of the gradient's terms
         - joint_time_derivatives : -> by_joints ∂S/∂t_i, the jumps of the energy; twice_by_joints ∂²S/∂t_i∂t_j; both at
@@ -252,7 +252,7 @@ class Functional:
             "action": lambda: ({}, {"action": self.action}),
             "gradient": lambda: ({}, {"gradient": self.gradient}),
             "hessian": lambda: ({}, {"hessian": self.derivatives[0]}),
-            "derivatives": lambda: ({}, {"matrix": self.derivatives[0], "gradient": self.derivatives[1]}),
+            "derivatives": lambda: ({}, dict(zip(("matrix", "gradient", "mass"), self.derivatives, strict=True))),
             "summary": lambda: ({}, self.first_variation),
             "joint_time_derivatives": self._joint_time_derivatives,
             "inertia_weighted": self._inertia_weighted,

@@ -10,7 +10,6 @@ symmetric; without a force J = ∇²L̂.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
 
 import casadi as ca
@@ -37,7 +36,7 @@ class Pointwise:
     ----------
     symmetric : whether J is symmetric, which it is without a force
     pattern : Sparsity (d, d), symmetric, that contains the patterns of all blocks of J
-    blocks : which of (0, 0), (0, 1), (1, 0), (1, 1) are not structurally zero; 0 stands for x and 1 for x'
+    blocks : which of (0, 0), (0, 1), (1, 0) are not structurally zero, and then (1, 1); 0 stands for x and 1 for x'
     kinetic : whether no ∂²L̂/∂x'_i² is structurally zero
     """
 
@@ -58,8 +57,8 @@ class Pointwise:
         gradient, rows = ca.densify(gradient), tuple(enumerate((of_x, of_slope)))
         self._coefficients = {"fx": gradient[of_x], "fv": gradient[of_slope]}
         self._cells = {(i, j): self._jacobian[row, column] for i, row in rows for j, column in rows}
-        self.blocks = tuple(key for key, cell in self._cells.items() if cell.nnz())
-        if not self.blocks:
+        self.blocks = tuple(key for key, cell in self._cells.items() if cell.nnz() or key == (1, 1))
+        if not self._jacobian.nnz():
             raise ValueError("the Lagrangian is linear in x and v: no path makes its action stationary, or all do")
         self.pattern = ca.Sparsity.diag(d)  # ∇²S must have a diagonal even where L does not depend on a component
         for key in self.blocks:
@@ -94,13 +93,11 @@ class Pointwise:
         columns = {f"block{i}{j}": ca.project(self._cells[i, j], self.pattern).nz[:] for i, j in self.blocks}
         return {"f": self._value, **self._coefficients, **columns}
 
-    def mass(self, blocks: Sequence[np.ndarray]) -> np.ndarray:
-        """∂²L̂/∂x'² at K points, (K, d, d), from the columns of `blocks`, (entries, K) each; zero where L is linear."""
-        d, count = self.pattern.size1(), blocks[0].shape[1]
-        mass = np.zeros((count, d, d))
-        if (1, 1) in self.blocks:
-            rows, columns = (np.array(index, dtype=int) for index in self.pattern.get_triplet())
-            mass[:, rows, columns] = blocks[self.blocks.index((1, 1))].T
+    def mass(self, entries: np.ndarray) -> np.ndarray:
+        """∂²L̂/∂x'² at K points, (K, d, d), from the last of `blocks`, (K, entries)."""
+        mass = np.zeros((len(entries), *self.pattern.shape))
+        rows, columns = (np.array(index, dtype=int) for index in self.pattern.get_triplet())
+        mass[:, rows, columns] = entries
         return mass
 
     @cached_property

@@ -201,9 +201,7 @@ class _Sampled:
     @cached_property
     def masses(self) -> np.ndarray:
         """∂²L/∂v² at the joints, (N + 1, d, d)."""
-        _, _, _, *blocks = self.derivatives
-        mass = self.terms.mass([block[self.joints].T for block in blocks])
-        return np.asarray(self.h[self.joints, None, None] * mass)
+        return np.asarray(self.h[self.joints, None, None] * self.terms.mass(self.derivatives[-1][self.joints]))
 
     def evaluate(self, function: ca.Function) -> list[np.ndarray]:
         """Values of a Function of the arguments of L̂ at all places, (N K, ...) each."""

@@ -41,7 +41,7 @@ def casadi_newton(functional: Functional, options: Mapping[str, Any]) -> tuple[c
     """
     derivatives = functional.function("derivatives")
     symbols, names = derivatives.mx_in(), derivatives.name_in()
-    matrix, gradient = derivatives.call(symbols)
+    matrix, gradient, _ = derivatives.call(symbols)
     rows = ca.MX.sym("rows", gradient.numel())
     symbols, names = [*symbols, rows], [*names, "rows"]
     residual = ca.Function("residual", symbols, [rows * gradient], names, ["residual"])

@@ -170,6 +170,12 @@ class Linearization:
         """Nonzeros of the present ∇²S, see the class."""
         return self._arrays["matrix"]
 
+    @property
+    def mass(self) -> np.ndarray:
+        """∂²L̂/∂x'² at all points where ∇²S was last evaluated; (N r, d, d)."""
+        pointwise = self.stationarity.functional.pointwise
+        return pointwise.mass(self._arrays["mass"].reshape(-1, pointwise.pattern.nnz()))
+
     def _bind(self, key: tuple[str, ...], function: ca.Function) -> Evaluator:
         """Bind the inputs and outputs of a Function to the arrays with their names."""
         self._evaluators[key] = evaluator = Evaluator(function, self._arrays)

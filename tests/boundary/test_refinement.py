@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from motions import double_pendulum, kepler, of_anomaly, on_ellipse
 from scenes import BY_NAME, boundary_layer, bratu, bratu_theta, oscillator, pendulum
-from scipy.special import dawsn
+from scipy.special import dawsn, jv
 
 import casadi_galerkin as cg
 from casadi_galerkin.boundary.error_estimate import agreement, discretization_error
@@ -352,6 +352,15 @@ def test_forces_move_a_nearly_conjugate_path_alike_in_two_degrees(gap, degree):
     path = graph.solve().polynomial
     _, of_higher = discretization_error(graph.higher, path)
     assert 1 - agreement(graph, path, of_higher) <= 1e3 * EPS / gap
+
+
+@pytest.mark.parametrize(("order", "tol"), [(1, 1e-5), (2, 1e-9)])
+def test_a_path_from_a_center_where_the_mass_vanishes_is_that_of_its_bessel_function(order, tol):
+    """With m = 2n + 1 the equation of t^m (v² - x²)/2 is that of J_n(t)/tⁿ; a force of size one moves it infinitely."""
+    exact, end, times = lambda t: jv(order, t) / t**order, 15.05, np.linspace(0.01, 15.05, 50)
+    lagrangian = lambda t, x, v: t ** (2 * order + 1) * (v[0] ** 2 - x[0] ** 2) / 2  # noqa: E731
+    path = cg.solve(cg.BoundaryProblem(lagrangian, (0, end), [None], [exact(end)]), tol=tol)
+    np.testing.assert_allclose(path(times)[0], exact(times), rtol=0, atol=tol * np.max(np.abs(path.x)))
 
 
 @pytest.mark.parametrize("tol", [1e-1, 1e-2, 1e-3, 1e-4])
