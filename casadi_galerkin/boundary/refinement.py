@@ -41,7 +41,7 @@ from casadi_galerkin.calculus.mesh_adaptation import (
     truncation_error,
 )
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import check_types, mesh_for
 from casadi_galerkin.solution.error_indicators import scaled_indicators
@@ -161,8 +161,8 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         error = max(error, float(np.max(indicator)))
         if error <= self.tol and not self.degrees_agree(level, varied):
             return Estimate(1 - self.agreements[-1], False, "responses to forces", np.full(len(truncation), 2.0))
-        truncation *= error / max(np.max(truncation), 1e-300)
-        return Estimate(error, True, f"degree {higher.method.degree}", self.parts(truncation))
+        shares = np.maximum(truncation, TINY) / max(float(np.max(truncation)), TINY)
+        return Estimate(error, True, f"degree {higher.method.degree}", self.parts(error * shares))
 
     def stopped(self, reason: str, level: CriticalPoint, error: float, hint: str = HINT) -> LimitReached:
         """Report the error reached; where times are so far from zero that their rounding may be the cause, say so."""
