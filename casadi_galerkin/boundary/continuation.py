@@ -51,6 +51,7 @@ FOLD_TOLERANCE = 1e-8
 LEAST_OF_SIZE, LEAST_OF_ALL = 1e-5, 1e-7
 ROUNDED = 1e-12  # size of an unknown over its expected change, below which it counts as zero
 ITERATIONS = 20  # most iterations for a fold; rounding may prevent FOLD_TOLERANCE
+LOST = 0.01  # truncation error above which folds were seen to be those of the mesh; at 2e-3 they had 4 to 6 digits
 POINTS = 1000  # most points of a branch
 
 
@@ -161,8 +162,8 @@ def continuation(
     turn little in each; only a pair of folds much nearer to each other than a tenth of what the branch has covered may
     be passed over.
 
-    The branch ends before the first path whose summary says that the mesh does not resolve it: beyond, its folds would
-    be those of the mesh.
+    The branch ends before the first path of which the mesh leaves out more than 1 % between the joints: beyond, its
+    folds would be those of the mesh.
 
     Parameters
     ----------
@@ -219,7 +220,7 @@ class Point:
     @property
     def unresolved(self) -> str:
         """That the mesh does not resolve the path, and where; empty if it does."""
-        return "".join(self.trajectory._unresolved()).strip()
+        return "".join(self.trajectory._unresolved(LOST)).strip()
 
     def on_branch_of(self, other: Point) -> bool:
         """Whether both points may lie on one branch: along it (-1)^`negative` ṡ has the sign of one determinant."""

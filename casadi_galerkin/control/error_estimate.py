@@ -61,6 +61,7 @@ from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 
 SLOWEST = 2 / 3  # largest q, which is also assumed where switches or path constraints slow down convergence
 SHARED_DEFECT = 0.5  # ratio of the defects of both degrees above which a higher degree does not reduce it
+HIDDEN = 1e-2  # difference of both paths over what the defect moves them below which it does not show the defect
 UNSMOOTH_RATIO = 0.25  # ratio of the truncation errors of both degrees above which a path is not smooth on an interval
 KINK_ORDER = 2  # a jump of the acceleration inside a step h changes x by the order of h²
 MOST_PARTS = 8.0  # most parts that one interval is split into at once: enough to resolve a kink in a few levels
@@ -168,18 +169,23 @@ class HigherDegree:
         return self.of_cost(abs(self.higher.cost - self.path.cost))
 
     @cached_property
-    def change(self) -> float:
-        """Error D / (1 - q) of cost, duration and positions; see the module."""
+    def differences(self) -> np.ndarray:
+        """Largest differences of the two paths on each interval, at the same fractions of the duration, (N,)."""
         path, higher, parts = self.path, self.higher, sampling_parts(self.path.method.degree)
         (before, slope), (after, _) = (p.polynomial.at_parts(parts) for p in (path, higher))
         own, other = (times_at((p.t - p.t[0]) / np.ptp(p.t), parts).reshape(-1, len(parts)) for p in (path, higher))
         change = np.abs(after - before - slope * np.ptp(path.t) * (other - own))
-        change /= path.sizes[:, None, None]
+        return np.asarray(np.max(change / path.sizes[:, None, None], axis=(0, 2)))
+
+    @cached_property
+    def change(self) -> float:
+        """Error D / (1 - q) of cost, duration and positions; see the module."""
+        path, higher = self.path, self.higher
         coarse, fine = (float(np.max(truncation_error(p.polynomial, path.sizes))) for p in (path, higher))
         at_points = path.problem.path_constraint is not None or len(self.switches) > 0
         ratio = SLOWEST if at_points else min(fine / max(coarse, fine, 1e-300), SLOWEST)
         duration = abs(np.ptp(higher.t) / np.ptp(path.t) - 1)
-        return float(max(self.cost_change, duration, np.max(change)) / (1 - ratio))
+        return float(max(self.cost_change, duration, np.max(self.differences)) / (1 - ratio))
 
     @cached_property
     def bound_errors(self) -> np.ndarray:
@@ -190,11 +196,15 @@ class HigherDegree:
 
     @cached_property
     def shared_defect(self) -> np.ndarray:
-        """Errors of the path by impulses that exceed what the bounds of the controls allow in both degrees, (N,)."""
-        parts, bounded = np.diff(self.path.t) / np.ptp(self.path.t), np.isfinite(self.path.problem.control_bounds)
+        """Errors of the path by impulses that exceed what the bounds of the controls allow in both degrees, (N,).
+
+        Where the defect is that of a switch inside the interval, both paths differ by about as much as it moves them.
+        """
+        bounded = np.isfinite(self.path.problem.control_bounds)
         before, after = self.path.dynamics_defect, self.higher.dynamics_defect
-        shared = np.any(bounded) & (after > SHARED_DEFECT * before) & (before > ROUNDOFF)
-        return np.asarray(np.where(shared, after * parts, 0.0))
+        moved = after * np.diff(self.path.t) / np.ptp(self.path.t)
+        shared = np.any(bounded) & (after > SHARED_DEFECT * before) & (self.differences < HIDDEN * moved)
+        return np.asarray(np.where(shared, moved, 0.0))
 
     @cached_property
     def constraint_excess(self) -> tuple[np.ndarray, np.ndarray]:

@@ -41,7 +41,8 @@ class Report:
     Attributes
     ----------
     cost, action : f, and the discrete action of the Lagrangian alone
-    cost_size : size of f, or `LEAST_COST` times that of the terms of its second variation where that is larger
+    cost_size : size of f or, where that is larger, `LEAST_COST` times that of the terms of its second variation for the
+        changes of all values along the path
     equations, sizes : G, and for every kind of equation the largest sum of the sizes of the terms of one
     slope : ∇f̄ without the multipliers of the bounds
     hamiltonian : (N,), mean over each interval; without multipliers that of the cost alone
@@ -176,11 +177,13 @@ class ControlGraph:
         others = ca.mtimes(ca.fabs(made.linear), magnitudes[: chain.unknowns])
         canceled = ca.mtimes(ca.fabs(self._derivatives), ca.mtimes(ca.fabs(made.differentiated), magnitudes))
         slopes = self._gradients + ca.mtimes(self._derivatives.T, ca.veccat(*local_multipliers))
+        active = [z[place.active.tolist(), :] for place, z in zip(self.terms, self.inputs, strict=True)]
+        changes = [z - ca.repmat(ca.sum2(z) / z.shape[1], 1, z.shape[1]) for z in active]
         crossings = list(zip(self.terms, *given, strict=True))[len(at) - len(chain.crossed) :]
         arriving = ca.veccat(*(place.lagrangian_gradient(*z)[: chain.dimension] for place, *z in crossings))
         outputs = [
             self.cost,
-            self._integral(self._evaluate("cost_terms", self.inputs)),
+            self._integral(self._evaluate("cost_terms", self.inputs, changes)),
             self.equations,
             ca.sum2(self._weights * actions),
             ca.mtimes(test, ca.fabs(ca.veccat(*self._rows))) + others,

@@ -80,9 +80,10 @@ class PointwiseTerms:
 
     @cached_property
     def cost_terms(self) -> Callable[..., ca.MX]:
-        """(z) -> |y|ᵀ|∇²c||y| / 2 with the active inputs y, one per place: the cost of a change as large as these."""
-        size = ca.fabs(self._by)
-        return self._function([self.z], ca.bilin(ca.fabs(ca.hessian(self.cost, self._by)[0]), size, size) / 2)
+        """(z, y) -> |y|ᵀ|∇²c||y| / 2 with changes y of the active inputs, one per place: the cost of these."""
+        change = ca.SX.sym("change", len(self.active))
+        terms = ca.bilin(ca.fabs(ca.hessian(self.cost, self._by)[0]), *[ca.fabs(change)] * 2) / 2
+        return self._function([self.z, change], terms)
 
     @cached_property
     def equations(self) -> Callable[..., ca.MX]:

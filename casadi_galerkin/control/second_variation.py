@@ -67,10 +67,6 @@ class CostVariation:
         costs = slope @ sizes > NEGLIGIBLE_MOMENTUM * (np.abs(at.multipliers) @ terms)
         multipliers = at.multipliers if costs else 0 * at.multipliers  # these are then errors of the solver
         hessian = graph.whole_hessian(at.unknowns, at.data, 1.0, multipliers)[1]
-        if costs:
-            hessian += _stiffness(at.unknowns, at.bound_multipliers, at.bounds.unknowns)
-            limits = _stiffness(rows, multipliers, at.bounds.equations)
-            hessian += ca.mtimes(gradients.T, ca.mtimes(limits, gradients))
         free = np.flatnonzero(~_active(at.unknowns, at.bounds.unknowns, sizes)).tolist()
         held = np.flatnonzero(_active(rows, at.bounds.equations, np.abs(rows))).tolist()
         units, flat = (ca.diag(ca.DM(a)) for a in (_units(chain, at, sizes), np.where(sizes > 0, FLAT, 0.0)))
@@ -78,6 +74,11 @@ class CostVariation:
         largest = float(ca.norm_inf(curved))
         if largest == 0:
             return 0  # the cost does not vary
+        if costs:
+            stiff = _stiffness(at.unknowns, at.bound_multipliers, at.bounds.unknowns)
+            limits = _stiffness(rows, multipliers, at.bounds.equations)
+            stiff += ca.mtimes(gradients.T, ca.mtimes(limits, gradients))
+            curved += ca.mtimes(units, ca.mtimes(stiff, units))
         measured = abs(self.cost) > LEAST_COST * largest  # else its terms cancel, or it is zero
         relative = curved / (abs(self.cost) if measured else largest) + flat
         change = _slopes(chain, self.mesh)[free, free]

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import casadi as ca
+import numpy as np
 
 
 def sizes_of_terms(value: ca.SX, symbols: Sequence[ca.SX]) -> ca.SX:
     """Sums of |∂value/∂w| |w| over the symbols, constants and intermediate results w that an expression is made of.
 
-    The rounding of each entry of the expression is some eps of its sum: each w is rounded once.  What a Function that
-    the expression calls makes of its arguments is not seen, and the sums are then the sizes of the values.
+    The rounding of each entry of the expression is some eps of its sum: each w is rounded once.  Terms that are not
+    finite, as of sqrt(p) at p = 0, are left out.  What a Function that the expression calls makes of its arguments is
+    not seen, and the sums are then the sizes of the values.
     """
     f, errors = ca.Function("expression", symbols, [ca.densify(value)]), list[ca.SX]()
     if any(f.instruction_id(k) == ca.OP_CALL for k in range(f.n_instructions())):
@@ -33,5 +35,5 @@ def sizes_of_terms(value: ca.SX, symbols: Sequence[ca.SX]) -> ca.SX:
         errors.append(ca.SX.sym("error"))
         work[target[0]] = result * (1 + errors[-1])
     relative = ca.vertcat(*errors)
-    changes = ca.substitute(ca.jacobian(rounded, relative), relative, ca.DM.zeros(len(errors)))
-    return ca.densify(ca.sum2(ca.fabs(changes)))
+    sizes = ca.fabs(ca.substitute(ca.jacobian(rounded, relative), relative, ca.DM.zeros(len(errors))))
+    return ca.densify(ca.sum2(ca.if_else(sizes < np.inf, sizes, 0.0)))

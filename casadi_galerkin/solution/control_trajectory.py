@@ -63,7 +63,7 @@ class ControlTrajectory(Trajectory):
     problem : ControlProblem
     cost : value of the discrete cost; stationary, and a minimum among paths near by where `morse_index` is 0
     cost_size : what errors of the cost are relative to: its size or, where that is smaller, 1e-6 of half of
-        ∫ |z|ᵀ|∇²ℓ||z| dt with z = (x, v, u), as where a path follows a given curve exactly
+        ∫ |δ|ᵀ|∇²ℓ||δ| dt with the distances δ of (x, v, u) from their means, as where a path follows a curve exactly
     cost_error : estimated relative error of the cost, zero where the cost is only roundoff; None without a tolerance
     control : callable, ``control(t)`` -> (number of controls,) + t.shape
     costate : multipliers λ of the equations of motion, and of the rates, as a path: ``costate(t)`` -> (d,) + t.shape.

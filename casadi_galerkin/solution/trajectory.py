@@ -250,10 +250,10 @@ class Trajectory(Path):
         words = f"  error       {self.error_estimate:.1e}, estimated, relative to the size of each component"
         return [words, *self._unresolved()]
 
-    def _unresolved(self) -> list[str]:
-        """A line with the largest truncation error, if it is large."""
+    def _unresolved(self, limit: float = UNRESOLVED) -> list[str]:
+        """A line with the largest truncation error, if it is above a limit."""
         words = "about {:.0e} of x is left out {}; take more intervals or a higher degree"
-        return self._line_if_above(self._truncation_error, UNRESOLVED, words)
+        return self._line_if_above(self._truncation_error, limit, words)
 
     @property
     def _truncation_error(self) -> np.ndarray:
