@@ -494,3 +494,18 @@ def test_a_height_over_the_round_earth_is_met_up_to_the_rounding_of_its_radius()
     assert path.x[1, -1] == pytest.approx(power / (radius + np.sqrt(radius**2 + power)), rel=path.error_estimate * 5)
     with pytest.raises(cg.LimitReached, match="roundoff floor"):
         cg.solve(problem, tol=1e-13)
+
+
+@pytest.mark.parametrize("singular", [ca.sqrt, ca.norm_2, lambda p: ca.fabs(p) ** 1.5, lambda p: ca.asin(1 - p)])
+def test_a_condition_may_have_a_singular_term_of_a_parameter(singular):
+    """The rounding of sqrt(p) at p = 0 has no size."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2,
+        (0, 1),
+        [0.0],
+        [None],
+        end_conditions=lambda first, last, p: last[0] - 1 - singular(p[0]),
+        parameters=[0.0],
+    )
+    path = cg.solve(problem, tol=1e-9)
+    assert path(1.0)[0] == pytest.approx(1 + float(singular(ca.DM(0.0))), rel=1e-14)

@@ -230,3 +230,20 @@ def test_a_fit_without_residual_needs_no_finer_mesh_than_others(tol):
     assert path.parameters[0] == pytest.approx(4.0, rel=tol)
     assert len(path.t) <= 17
     assert path.cost < 1e-12
+
+
+def test_an_offset_of_the_path_does_not_hide_errors_of_the_cost():
+    """A curve around 7000 is followed as one around zero is, with the same errors."""
+
+    def followed(offset):
+        return double_integrator(
+            t_span=(0.0, 1.0),
+            start=[offset + 0.1],
+            end=[offset - 0.1],
+            running_cost=lambda t, x, v, u: (x[0] - offset - ca.sin(8 * t) / 10) ** 2 + u[0] ** 2 / 1e4,
+            control_bounds=(-4.0, 4.0),
+        )
+
+    true = cg.solve(followed(0.0), cost_tol=1e-7).cost
+    path = cg.solve(followed(7000.0), cost_tol=1e-5)
+    assert abs(path.cost / true - 1) < min(1e-5, 2 * path.cost_error)

@@ -205,3 +205,19 @@ def test_controls_near_their_bounds_beside_a_switch_make_no_saddle(duration, cos
     path = cg.solve(mixed, cost_tol=cost_tol)
     assert path.cost == pytest.approx({1.0: -0.048055686, 2.0: -0.098612758, 3.0: -0.146484782}[duration], rel=cost_tol)
     assert path.morse_index == 0
+
+
+@pytest.mark.parametrize("bound", [1.0, 3.0])
+@pytest.mark.parametrize("price", [1e-3, 1e-2])
+def test_bounds_that_are_met_at_a_high_price_leave_a_convex_cost_its_minimum(bound, price):
+    """Their stiffness was taken for the size of the cost, and nothing was told."""
+    braked = double_integrator(
+        t_span=(0.0, 5.0),
+        start=[1.0],
+        end=[None],
+        end_velocity=[None],
+        running_cost=lambda t, x, v, u: x[0] ** 2 + v[0] ** 2 + price * u[0] ** 2,
+        control_bounds=(-bound, bound),
+    )
+    assert cg.solve(braked, METHOD, 10).morse_index == 0
+    assert cg.solve(braked, tol=1e-3).morse_index == 0
