@@ -27,7 +27,7 @@ Some errors are common to both degrees, so that the difference does not show the
 - The error that the solver leaves (`solver_error`).
 - Controls as functions of time, which the equations see at the points only (`ControlTrajectory.control_misfit`).
 
-The estimated error of the cost is at least the square of each of the first four, and at least the excess over path
+The estimated error of the cost is at least the square of each of the first five, and at least the excess over path
 constraints that no point near by meets, because nothing tells how steeply the cost changes there.
 
 The new mesh equidistributes the part of the finer path that degree m cannot represent.  Where a higher degree does not
