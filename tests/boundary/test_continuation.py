@@ -437,7 +437,7 @@ def test_a_branch_is_not_left_where_two_nearly_cross(bent, beside):
     assert np.sign(branch.trajectories[-1](0.5)[0]) == bent
 
 
-@pytest.mark.parametrize(("method", "intervals"), [(cg.Galerkin(8), 16), (cg.Galerkin(4), 20)])
+@pytest.mark.parametrize(("method", "intervals"), [(cg.Galerkin(8), 16), (cg.Galerkin(4), 12)])
 def test_swings_shrink_to_rest_where_they_meet_their_mirror_images(method, intervals):
     """The energy of rest is -1; there the corrector fails, and the fold lies between points on both sides."""
     turn = np.pi / 2
