@@ -9,6 +9,7 @@ from typing import TypeAlias
 import casadi as ca
 
 from casadi_galerkin.functional.numbering import CACHE_SIZE
+from casadi_galerkin.problems.instructions import calls_functions, replayed
 
 PointMap: TypeAlias = Callable[[ca.Function, int, tuple[int, ...]], ca.Function]
 
@@ -28,7 +29,7 @@ def by_rows(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Function:
     Dispatching an instruction takes CasADi 3 ns, computing it less than one.  The points that do not fill a row, fewer
     than there are rows, are evaluated one by one.
     """
-    if any(f.instruction_id(k) == ca.OP_CALL for k in range(f.n_instructions())):
+    if calls_functions(f):
         return one_by_one(f, count, shared)
     rows = -(-count // ROW)
     size = count // rows
@@ -50,22 +51,6 @@ def _inputs(f: ca.Function, count: int, shared: tuple[int, ...]) -> list[ca.MX]:
 def _row(f: ca.Function, count: int, shared: tuple[int, ...]) -> ca.Function:
     """All points of an SX Function at once: its instructions, applied to rows instead of numbers."""
     inputs = _inputs(f, count, shared)
-    given = [ca.vertsplit(a) for a in inputs]
-    results: list[list[ca.MX]] = [[ca.MX()] * f.size1_out(i) for i in range(f.n_out())]
-    work = [ca.MX()] * f.sz_w()
-    for k in range(f.n_instructions()):
-        operation, source, target = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
-        if operation == ca.OP_OUTPUT:
-            value = work[source[0]]
-            results[target[0]][target[1]] = value if value.size2() == count else ca.repmat(value, 1, count)
-            continue
-        if operation == ca.OP_CONST:
-            value = ca.MX(f.instruction_constant(k))
-        elif operation == ca.OP_INPUT:
-            value = given[source[0]][source[1]]
-        elif len(source) == 1:
-            value = ca.MX.unary(operation, work[source[0]])
-        else:
-            value = ca.MX.binary(operation, work[source[0]], work[source[1]])
-        work[target[0]] = value
-    return ca.Function(f.name(), inputs, [ca.vertcat(*rows) for rows in results], f.name_in(), f.name_out())
+    results = replayed(f, ca.MX, [ca.vertsplit(a) for a in inputs])
+    rows = [[a if a.size2() == count else ca.repmat(a, 1, count) for a in entries] for entries in results]
+    return ca.Function(f.name(), inputs, [ca.vertcat(*entries) for entries in rows], f.name_in(), f.name_out())
