@@ -9,9 +9,9 @@ them, relative to the size of its component.  The error of the control is not es
 between the quadrature points is; nor is it known whether the optimum is the global one.
 
 Where the solver finds no path, it tries again with every interval halved, and then from the guess with which all began
-in place of the coarser path. Where it finds none of degree m + 2, there is no error estimate, and the next mesh has
-every interval halved. The same is done whenever four meshes in a row did not reduce the error, because meshes may
-otherwise alternate where controls switch often. IPOPT's own tolerance does not follow `tol`: a looser one was hardly
+in place of the coarser path.  Where it finds none of degree m + 2, there is no error estimate, and the next mesh has
+every interval halved.  The same is done whenever four meshes in a row did not reduce the error, because meshes may
+otherwise alternate where controls switch often.  IPOPT's own tolerance does not follow `tol`: a looser one was hardly
 faster, and sometimes failed.
 
 On smooth paths the estimate is near the true error.  Where a position touches its bound it is many times the error.
