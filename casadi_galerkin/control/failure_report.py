@@ -14,6 +14,7 @@ from casadi_galerkin.control.chain import Chain, located
 from casadi_galerkin.control.embedding import ChainEmbedding
 from casadi_galerkin.control.graph import ControlGraph
 from casadi_galerkin.control.optimizer import Optimum
+from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.dependence import controls_within
@@ -104,7 +105,12 @@ def refuse_values(problem: ControlProblem, embedding: ChainEmbedding, values: di
         ),
         ("end_conditions", (problem.end_conditions or (None,))[0], [*first, *last, *p], end),
     ):
-        found = ca.DM(0, 1) if function is None else ca.vertcat(*function.call(arguments))
+        try:
+            with interrupts_raised():
+                found = ca.DM(0, 1) if function is None else ca.vertcat(*function.call(arguments))
+        except RuntimeError as error:
+            reason = f"{name} calls a casadi Function that fails at the guess. Give a guess that avoids it"
+            raise ValueError(reason) from error
         wrong = ~np.isfinite(np.array(found)).all(axis=0)
         if np.any(wrong):
             k = int(np.argmax(wrong))

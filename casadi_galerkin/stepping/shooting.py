@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import time
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
@@ -208,10 +209,12 @@ def _newton(shooting: Shooting, state: np.ndarray, own: np.ndarray, velocity: np
     """Newton's method with natural monotonicity line search: the shot that meets the end, and its iterations."""
     multipliers = np.zeros(shooting.unknowns - len(state) - len(own))
     start = np.concatenate((state, multipliers, own))
-    shot = shooting.shoot(start, velocity)
-    if shot is None:
+    try:
+        shot = shooting.shoot(start, velocity)
+    except ConvergenceError as error:
         remedy = "Give a guess with a better start, or solve it globally, with `solve`"
-        raise ConvergenceError(f"shooting failed: a step of the first path failed. {remedy}")
+        reason = f"shooting failed: a step of the first path failed: {error}. {remedy}"
+        raise ConvergenceError(reason, error.path, error.residual, error.iterations) from error
     for iteration in range(ITERATIONS):
         if np.all(np.abs(shot.miss) <= shot.floor):
             met = _met(shot, iteration)
@@ -239,8 +242,8 @@ def _line_search(shooting: Shooting, shot: Shot, start: np.ndarray, step: np.nda
         nothing = np.abs(moved) <= ROUNDED * np.abs(start)
         moved[nothing] = 0.0
         at_rest = nothing[len(velocity) : 2 * len(velocity)]  # the momenta, for a prediction that is zero, too
-        trial = shooting.shoot(moved, np.where(at_rest, 0.0, velocity))
-        if trial is not None:
+        with suppress(ConvergenceError):  # a step of the trial path has failed
+            trial = shooting.shoot(moved, np.where(at_rest, 0.0, velocity))
             shorter = np.max(np.abs(_direction(shot, trial.miss)) / scale)
             if shorter <= (1 - damping / 4) * np.max(np.abs(step) / scale):
                 return trial, moved

@@ -19,10 +19,11 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.orbit_phase import has_phase, phase_plane
+from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import guess_values
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.stepping.end_equations import end_equations
-from casadi_galerkin.stepping.initial_value import path_of
+from casadi_galerkin.stepping.initial_value import path_of, verified
 from casadi_galerkin.stepping.stepper import Roll, Stepper
 
 
@@ -103,12 +104,13 @@ class Shooting:
         first = roll.slopes[:, 0] @ self.stepper.basis.slopes(np.zeros(1)).T
         return np.asarray(first.ravel() / (roll.mesh[1] - roll.mesh[0]))
 
-    def shoot(self, start: np.ndarray, velocity: np.ndarray) -> Shot | None:
-        """The path from a start, or None if one of its steps fails; `velocity` predicts the first step."""
+    def shoot(self, start: np.ndarray, velocity: np.ndarray) -> Shot:
+        """The path from a start; `velocity` predicts the first step.  Raises if one of its steps fails."""
         d = self.stepper.dimension
+        if self.stepper.stretched and not start[d - 1] > 0:
+            raise ConvergenceError(f"the duration would be {start[d - 1]:.2g} of the one begun with")
         roll = self.stepper.roll(start[:d], start[d : 2 * d], velocity, self.mesh)
-        if roll.solved_steps < len(roll.mesh) - 1 or not self.stepper.unstretched(roll).mesh[-1] > roll.mesh[0]:
-            return None
+        verified(self.stepper.unstretched(roll), self.stepper)
         steps = self.stepper.jacobians(self.mesh, roll.x, roll.p, roll.unknowns)
         growth = accumulated(steps)
         ends = np.concatenate((start, roll.x[:, -1], roll.p[:, -1]))

@@ -45,6 +45,15 @@ def test_what_is_not_finite_at_the_guess_is_named_with_its_time(name):
         cg.solve(double_integrator(**changes), cg.Galerkin(2), intervals=10, guess=lambda t: [t])
 
 
+def test_a_function_that_fails_at_the_guess_is_named():
+    z, a = ca.SX.sym("z"), ca.SX.sym("a")
+    root = ca.rootfinder("root", "newton", ca.Function("square", [z, a], [z**2 - a]))  # of no negative a
+    problem = double_integrator(running_cost=lambda t, x, v, u: u[0] ** 2 + root(1.0, x[0] - 2))
+    with pytest.raises(ValueError, match="running_cost calls a casadi Function that fails at the guess") as caught:
+        cg.solve(problem, cg.Galerkin(3), 6)
+    assert "rootfinder process failed" in str(caught.value.__cause__)
+
+
 @pytest.mark.parametrize(
     "changes",
     [
