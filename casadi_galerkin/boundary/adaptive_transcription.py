@@ -23,6 +23,7 @@ from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_discre
 from casadi_galerkin.boundary.transcription import check_given
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import map_times, section_times
@@ -30,6 +31,7 @@ from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.trajectory import Trajectory
+from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 from casadi_galerkin.solvers.solver import Solver, newton
 
 STEPS = 1, 2, 4, 8  # numbers of steps in which the data of one path are moved to those of another
@@ -149,26 +151,31 @@ class AdaptiveTranscription:
         return refinement.run(coarse, guess)
 
     def _followed(self, refinement: BoundaryRefinement, known: Trajectory) -> Trajectory:
-        """The path that continues a known one of other given values on its mesh, if possible with the same Morse index.
+        """The path that continues a known one of other given values, if possible without passing a conjugate point.
 
-        Another index may be that of another branch, so that smaller steps are tried.  If the smallest steps give it as
+        On the mesh of the known path, both are compared by the numbers of negative eigenvalues of their Hessians.
+        Another number may be that of another branch, so that smaller steps are tried.  If the smallest steps give it as
         well, the continuation has passed a conjugate point, and the path is returned.
         """
-        found: Trajectory | ConvergenceError
-        constrained = refinement.graphs.problem.constraint is not None
-        for steps in STEPS[:1] if constrained else STEPS:  # intermediate ends may violate the constraint
+        assert isinstance(known.problem, BoundaryProblem)
+        graphs = refinement.graphs
+
+        def index(problem: BoundaryProblem, path: PiecewisePolynomial) -> int | None:
+            graph = graphs.transcription(self.method, path.mesh).for_problem(problem)
+            return negative_eigenvalues(graph.stationarity, *graph.on_path(path))
+
+        known_index = index(known.problem, known.polynomial)
+        *fewer, most = STEPS[:1] if graphs.problem.constraint else STEPS  # on the way ends may violate the constraint
+        for steps in fewer:
             try:
-                found = refinement.resume(self._moved(refinement, known, steps))
+                point = self._moved(refinement, known, steps)
+                if index(point.problem, point.polynomial) == known_index:
+                    return refinement.resume(point)
             except LimitReached:
                 raise
-            except ConvergenceError as failure:
-                found = failure
-            else:
-                if found.morse_index == known.morse_index:
-                    return found
-        if isinstance(found, ConvergenceError):
-            raise found
-        return found
+            except ConvergenceError:
+                continue
+        return refinement.resume(self._moved(refinement, known, most))
 
     def _moved(self, refinement: BoundaryRefinement, known: Trajectory, steps: int) -> CriticalPoint:
         """Move the given values of a known path in so many steps, on its mesh."""
