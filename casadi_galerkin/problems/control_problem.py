@@ -179,7 +179,7 @@ class ControlProblem:
         named = {*times_inside("breakpoints", breakpoints, span), *dict(passed), *dict(laws)}
         inner = times_inside("breakpoints, waypoints and jumps", sorted(named), span)
         values: dict[str, Any] = {
-            "lagrangian": trace_lagrangian(lagrangian or (lambda *_: 0.0), moving, mechanical),
+            "lagrangian": trace_lagrangian((lambda *_: 0.0) if lagrangian is None else lagrangian, moving, mechanical),
             "t_span": span,
             **{name: components(name, end, d) for name, end in ends.items()},
             "force": of_nothing("force", sizes) if force is None else trace("force", force, sizes, mechanical),

@@ -63,6 +63,7 @@ BADLY_STATED = {
         TypeError,
         "force must return one CasADi expression per component",
     ),
+    "lagrangian as an expression": ({"lagrangian": ca.SX.sym("v") ** 2}, TypeError, "lagrangian must be a callable"),
     "force as a number": ({"force": 3.0}, TypeError, "force must be a callable"),
     "terminal cost of controls": ({"terminal_cost": lambda t, x, v, u: u}, TypeError, "terminal_cost is called as"),
     "end outside": ({"position_bounds": (-1, 0.5)}, ValueError, r"end\[0\] = 1.0 lies outside"),
