@@ -403,16 +403,13 @@ class BranchFollower(Curve[Solution]):
         """Find the zero of ṡ between two points, by the secant and bisection on the chord between them."""
         tangent = self.unit(before.tangent)
         ends, rates = [before.z, after.z], [tangent[-1], after.tangent[-1]]
-        level, failed = FOLD_TOLERANCE * abs(rates[0] - rates[1]), 0
+        level = FOLD_TOLERANCE * abs(rates[0] - rates[1])
         for iteration in range(ITERATIONS):
             if min(map(abs, rates)) < level:
                 break
             share = 0.5 if iteration % 3 == 2 else rates[0] / (rates[0] - rates[1])
-            if failed:  # too near to a crossing with another branch: come nearer from either side
-                share = share / 2 if failed % 2 else (1 + share) / 2
             answer = self.corrected(ends[0] + share * (ends[1] - ends[0]), tangent, LONGEST_STEP)
             if answer is None:
-                failed += 1
                 continue
             rate = self.tangent(answer[0], tangent)[-1]
             side = int(rate * rates[0] <= 0)
