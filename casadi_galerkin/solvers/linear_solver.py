@@ -23,7 +23,6 @@ DEFECT_TOLERANCE = 1e-3  # accepted defect of a solution, over its right-hand si
 METHODS = "ldl", "qr"  # LDLᵀ without pivoting, measured 4 to 20 times faster than QR, which is for where it fails
 # factor on the regularization of a condition, see `_regularized`; 1e-6 and 1e-8 left larger errors
 REGULARIZATION = 1e-7
-LEAK = 1e-8  # loss at every node of a matrix's graph, so small that sources still reach the ends of long chains
 
 
 class LinearSolver:
@@ -70,7 +69,7 @@ class LinearSolver:
         """Solution of ∇²S Y = -B; with regularized conditions, it is refined once."""
         if method != "ldl":
             solve = self._bordered if self.numbering.stretched else solve_scaled
-            return -self._reached(matrix, rhs) * solve(matrix, rhs, range(self.numbering.positions), method)
+            return -solve(matrix, rhs, range(self.numbering.positions), method)
         softened = self._regularized(matrix)
         y = -self._ldl.solve(softened, rhs)
         return y - self._ldl.solve(softened, ca.mac(matrix, y, rhs)) if self.numbering.multipliers else y
@@ -83,19 +82,6 @@ class LinearSolver:
         y, response = solved[:, :-1], solved[:, -1]
         last = (rhs[n, :] - ca.mtimes(row, y)) / (matrix[n, n] - ca.mtimes(row, response))
         return ca.vertcat(y - ca.mtimes(response, last), last)
-
-    def _reached(self, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
-        """One where the right-hand side reaches an unknown through the matrix, zero where the solution is zero.
-
-        A component that a symmetry keeps at zero must stay there exactly: QR, unlike LDLᵀ, mixes its rows with others,
-        and what rounding then leaves would never become small relative to itself.  The potential of sources at the
-        right-hand side in the matrix's graph, whose edges are its entries that are not zero, is positive where they
-        reach: its Laplacian has no negative entry beside the diagonal, so that LDLᵀ cancels nothing.
-        """
-        edges = ca.sign(ca.fabs(matrix))
-        edges += edges.T
-        laplacian = ca.diag(ca.sum2(edges) + LEAK) - edges
-        return ca.solve(laplacian, ca.sign(ca.fabs(ca.densify(rhs))), "ldl") > 0
 
     def _defect(self, matrix: ca.MX, y: ca.MX, rhs: ca.MX) -> ca.MX:
         """‖∇²S y + b‖₁ - DEFECT_TOLERANCE ‖b‖₁: the linear system is solved where this is at most zero."""
