@@ -63,9 +63,6 @@ ILL_CONDITIONED = 1e4  # roundoff floor over eps from which the message blames t
 # agreement below which a mesh is halved; at 0.83 some 3 % of undetermined kinks were accepted, at 0.95 a few
 REQUIRED_AGREEMENT = 0.99
 MOST_HALVINGS = 8  # most meshes that are halved because the two degrees disagree; beyond, only rounding differed
-# meshes on which the agreement stays within a factor: then the path does not depend on it, as one at rest between
-# variations that no mesh resolves
-STEADY_MESHES, STEADY_FACTOR = 3, 1.02
 FLOOR_FACTOR = 10.0  # times the roundoff floor: a smaller error no longer falls with the mesh
 SHORTEST = 1e-13  # interval over the duration at which a refinement stops: doubles have three digits more
 CROWDED = 1e-6  # interval over the duration below which the error raised names the time of the shortest interval
@@ -204,19 +201,18 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         return self.graphs.transcription(self.method, path.mesh)
 
     def degrees_agree(self, level: CriticalPoint, varied: PiecewisePolynomial) -> bool:
-        """Whether the responses of the path to forces agree in both degrees; also where no mesh makes them agree.
+        """Whether the responses of the path to forces agree in both degrees.
 
         Raises an error if the path belongs to a family.
         """
         graph = self.graph(level.polynomial)
         self.agreements.append(agreement(graph, level.polynomial, varied, refined=not self.regular(level)))
-        last = self.agreements[-STEADY_MESHES:]
-        if last[-1] >= REQUIRED_AGREEMENT or (len(last) == STEADY_MESHES and max(last) < STEADY_FACTOR * min(last)):
+        if self.agreements[-1] >= REQUIRED_AGREEMENT:
             return True
         graph.check_second_variation(level)
         if len(self.agreements) == MOST_HALVINGS:
             reason = "how far forces move the path differs with the degree on any mesh: the ends are nearly conjugate"
-            raise self.stopped(reason, level, 1 - last[-1])
+            raise self.stopped(reason, level, 1 - self.agreements[-1])
         return False
 
     def improve(self, level: CriticalPoint, estimate: Estimate[np.ndarray]) -> CriticalPoint:
