@@ -490,7 +490,9 @@ def test_a_branch_that_begins_where_it_has_no_rate_is_refused(force):
         cg.continuation(problem, [1.0], cg.Galerkin(4), intervals=4)
 
 
-@pytest.mark.parametrize(("depth", "where", "waves"), [(6e-4, 0.8, 3.0), (3.5e-4, 1.1, 2.0)])
+@pytest.mark.parametrize(
+    ("depth", "where", "waves"), [(1.11e-5, 0.879, 3.257), (5.9e-4, 1.189, 1.378), (1.41e-3, 1.2, 2.19)]
+)
 def test_a_branch_ends_before_a_fold_that_lies_just_beyond_its_end(depth, where, waves):
     """Back at p = 0 there is one rest position on either side of that fold."""
     before = where - np.sqrt(depth)
