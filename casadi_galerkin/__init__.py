@@ -4,8 +4,8 @@ from casadi_galerkin._solve import solution_function as solution_function
 from casadi_galerkin._solve import solve as solve
 from casadi_galerkin._solve import transcribe as transcribe
 from casadi_galerkin.boundary.adaptive_transcription import AdaptiveTranscription as AdaptiveTranscription
-from casadi_galerkin.boundary.continuation import Branch as Branch
-from casadi_galerkin.boundary.continuation import Fold as Fold
+from casadi_galerkin.boundary.branch import Branch as Branch
+from casadi_galerkin.boundary.branch import Fold as Fold
 from casadi_galerkin.boundary.continuation import continuation as continuation
 from casadi_galerkin.boundary.sensitivity import Sensitivity as Sensitivity
 from casadi_galerkin.boundary.sensitivity import sensitivity as sensitivity

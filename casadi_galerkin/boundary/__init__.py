@@ -5,7 +5,7 @@ for a tolerance: `first_path` finds a first path, if necessary by `homotopy`, `a
 `several_paths`; `graph_cache` caches its graphs, and `error_estimate` estimates the error of each path.
 `adaptive_transcription` refines repeatedly, for different data of one problem.  `continuation` follows a path while
 parameters change; `several_paths` finds other paths between the same ends; `sensitivity` differentiates.
-`problem_data` compares problems that differ in given values, and `branches` compares their paths.  `failure_report`
+`problem_data` compares problems that differ in given values, and `branch_jumps` compares their paths.  `failure_report`
 reports failures.
 This folder imports all that stand before it, but neither `stepping` nor `control`.
 """

@@ -7,18 +7,18 @@ sign; the branch then leads back, with another Morse index.  The fold is found a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_galerkin.boundary.branch import Branch, Fold
 from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import checked_index, counted, finite, numbers
+from casadi_galerkin.calculus.numbers import numbers
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mass import check_mass
 from casadi_galerkin.functional.numbering import Data
@@ -28,15 +28,11 @@ from casadi_galerkin.problems.problem import check_types
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.path import Path
-from casadi_galerkin.solution.plotting import plot_branch
 from casadi_galerkin.solution.progress import progress
-from casadi_galerkin.solution.trajectory import Trajectory, index_in_words
+from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.arc_length import CORRECTOR_ITERATIONS, STEP_GROWTH, STEP_REDUCTION, Curve
 from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton, verified
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # arc lengths, in which the path is relative to how far the branch has led
 FIRST_STEP, LONGEST_STEP, SMALLEST_STEP = 0.05, 0.1, 1e-12
@@ -53,97 +49,6 @@ ROUNDED = 1e-12  # size of an unknown over its expected change, below which it c
 ITERATIONS = 20  # most iterations for a fold; rounding may prevent FOLD_TOLERANCE
 LOST = 0.01  # truncation error above which folds were seen to be those of the mesh; at 2e-3 they had 4 to 6 digits
 POINTS = 1000  # most points of a branch
-
-
-@dataclass(frozen=True, eq=False)
-class Fold:
-    """A turning point of a branch: beyond its parameters there are no paths near.
-
-    At the apex of a pitchfork, where a branch meets its mirror image, the Morse index is the same before and after, and
-    the symmetric path goes on beyond.
-
-    Attributes
-    ----------
-    parameters : (n,), at which the branch turns back
-    path : Path there
-    after : number of paths of the branch before it, so that ``trajectories[after]`` is the first one behind it
-
-    Examples
-    --------
-    >>> import casadi as ca
-    >>> import casadi_galerkin as cg
-    >>> bratu = lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0])
-    >>> problem = cg.BoundaryProblem(bratu, (0, 1), [0.0], [0.0], parameters=[1.0])
-    >>> (fold,) = cg.continuation(problem, [4.0], intervals=10).folds
-    >>> fold.parameters.round(6).tolist(), fold.path(0.5).round(4).tolist()
-    ([3.513831], [1.1868])
-    """
-
-    parameters: np.ndarray
-    path: Path
-    after: int
-
-
-@dataclass(frozen=True, repr=False, eq=False)
-class Branch:
-    """Critical paths along a line of parameters.
-
-    Attributes
-    ----------
-    parameters : (K, n), of each path, in the order in which the branch was followed
-    trajectories : the K paths
-    folds : in the same order
-    reached : whether the branch led to the target
-    stopped : why it ended: at the target, or at the parameters it began with, to which a fold turned it back, or before
-        the first path that the mesh does not resolve
-
-    Examples
-    --------
-    >>> import casadi as ca
-    >>> import casadi_galerkin as cg
-    >>> bratu = lambda t, x, v, p: v[0] ** 2 / 2 - p[0] * ca.exp(x[0])
-    >>> problem = cg.BoundaryProblem(bratu, (0, 1), [0.0], [0.0], parameters=[1.0])
-    >>> branch = cg.continuation(problem, [3.0], intervals=10)
-    >>> branch.stopped, branch.parameters[[0, -1]].tolist(), branch.trajectories[-1](0.5).round(6).tolist()
-    ('the target', [[1.0], [3.0]], [0.640147])
-    """
-
-    parameters: np.ndarray
-    trajectories: tuple[Trajectory, ...]
-    folds: tuple[Fold, ...]
-    reached: bool
-    stopped: str
-
-    def plot(self, height: Callable[[Path], float], axes: Axes | None = None, parameter: int = 0) -> Axes:
-        """Draw one number of every path over one parameter, by Morse index, and the folds; returns Matplotlib's axes.
-
-        Parameters
-        ----------
-        height : Path -> number to draw, such as ``lambda path: path(0.5)[0]``; at a fold, the path is no Trajectory
-        axes : Matplotlib axes to draw into, labeled by their owner; default a new figure, labeled by the parameter
-        parameter : which, from 0 to n - 1
-        """
-        checked_index("parameter", parameter, self.parameters.shape[1])
-
-        def checked(path: Path) -> float:
-            return finite("what height returns", height(path))
-
-        heights = np.array([checked(path) for path in self.trajectories])
-        indices = [index_in_words(path) for path in self.trajectories]
-        values = self.parameters[:, parameter]
-        parts = {index: np.array([index == found for found in indices]) for index in dict.fromkeys(indices)}
-        folds = np.array([(fold.parameters[parameter], checked(fold.path)) for fold in self.folds]).reshape(-1, 2)
-        drawn = plot_branch(values, heights, parts, folds, axes)
-        if axes is None:
-            drawn.set(xlabel=f"p[{parameter}]", ylabel="height")
-        return drawn
-
-    def __repr__(self) -> str:
-        """Summarize the branch."""
-        count, ends = counted(len(self.trajectories), "path"), f"from {self.parameters[0]} to {self.parameters[-1]}"
-        lines = [f"Branch of {count} {ends}, {self.stopped}"]
-        lines += [f"  fold at {fold.parameters}, after {fold.after} paths" for fold in self.folds]
-        return "\n".join(lines)
 
 
 def continuation(

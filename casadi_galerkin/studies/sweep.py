@@ -11,7 +11,7 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_galerkin.boundary.branches import jumps
+from casadi_galerkin.boundary.branch_jumps import jumps
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted
