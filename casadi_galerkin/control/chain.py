@@ -151,8 +151,7 @@ class Chain:
         self.method, self.intervals, self.dimension = method, len(mesh) - 1, problem.dimension
         self.mechanical, self.controls, self.constraints = problem.mechanical, problem.controls, problem.constraints
         self.parameters, self.terminal_cost = len(problem.parameters or ()), problem.terminal_cost is not None
-        limited = problem.path_constraint, problem.end_conditions
-        self.path_constraints, self.conditions = (0 if given is None else len(given[1]) for given in limited)
+        self.path_constraints, self.conditions = len(problem.path_constraint[1]), len(problem.end_conditions[1])
         bounded = {"durations": problem.duration_bounds, "parameters": problem.parameter_bounds}
         self.free = tuple(name for name, bounds in bounded.items() if bounds is not None)
         self.breaks, crossings = np.searchsorted(mesh, problem.breakpoints), problem.crossings
@@ -162,7 +161,7 @@ class Chain:
         parted = self.breaks if "durations" in self.free else ()
         self.phases = np.searchsorted(parted, np.arange(self.intervals), side="right")
         self.control_times = np.array([0.5]) if problem.hold else method.element.points
-        along = problem.running_cost, *(problem.path_constraint or ())[:1]
+        along = problem.running_cost, problem.path_constraint[0]
         of_rates = np.arange(self.dimension) >= self.mechanical
         self.velocities_of_rates = any(rows_that_depend(f, VELOCITIES, of_rates).any() for f in along)
         self._number_unknowns()

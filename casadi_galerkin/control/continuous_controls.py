@@ -26,15 +26,14 @@ NEWTON_STEPS = 12  # quadratic convergence takes half of them
 
 @lru_cache(8)
 def _effect(
-    force: ca.Function, rates: ca.Function, running_cost: ca.Function, constraint: ca.Function | None
+    force: ca.Function, rates: ca.Function, running_cost: ca.Function, constraint: ca.Function
 ) -> ca.Function | None:
     """(u, t, x, v[, p]) -> what a control does at a point, and its derivative by u; None if forces are affine in u."""
     t, x, v, u, *p = force.sx_in()
     moving = ca.vertcat(force(t, x, v, u, *p), rates(t, x, v, u, *p))
     if not ca.jacobian(ca.jacobian(moving, u), u).nnz():
         return None
-    others = [running_cost(t, x, v, u, *p), *([] if constraint is None else [constraint(t, x, v, u, *p)])]
-    effect = ca.vertcat(moving, *others)
+    effect = ca.vertcat(moving, running_cost(t, x, v, u, *p), constraint(t, x, v, u, *p))
     return ca.Function("effect", [u, t, x, v, *p], [ca.densify(effect), ca.densify(ca.jacobian(effect, u))])
 
 
@@ -73,8 +72,7 @@ def continuous_controls(
         return found
     if np.all(np.abs(np.diff(controls, axis=0)) <= LONG_STEP * np.ptp(controls, axis=0)):
         return found
-    limits = (problem.path_constraint or (None,))[0]
-    effect = _effect(problem.force, problem.rates, problem.running_cost, limits)
+    effect = _effect(problem.force, problem.rates, problem.running_cost, problem.path_constraint[0])
     if effect is None:
         return found
     times, x, v = path.sampled(chain.control_times)

@@ -50,7 +50,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, parts_wanted, truncation_error
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts, times_at
-from casadi_galerkin.calculus.roundoff import TINY, component_sizes
+from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.control.jumps_in_time import jumps_in_time
 from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM
 from casadi_galerkin.control.switching import Switch, switches
@@ -182,7 +182,7 @@ class HigherDegree:
         """Error D / (1 - q) of cost, duration and positions; see the module."""
         path, higher = self.path, self.higher
         coarse, fine = (float(np.max(truncation_error(p.polynomial, path.sizes))) for p in (path, higher))
-        at_points = path.problem.path_constraint is not None or len(self.switches) > 0
+        at_points = path.problem.path_constraint[1] or self.switches
         ratio = SLOWEST if at_points else min(fine / max(coarse, fine, 1e-300), SLOWEST)
         duration = abs(np.ptp(higher.t) / np.ptp(path.t) - 1)
         return float(max(self.cost_change, duration, np.max(self.differences)) / (1 - ratio))
@@ -218,23 +218,19 @@ class HigherDegree:
         of every constraint, (k, N), and that of constraints whose bounds no quadrature point of the interval or of its
             neighbors meets
         """
-        path, limits = self.path, self.path.problem.path_constraint
-        if limits is None or limits[0].numel_out(0) == 0:
-            return np.zeros((1, len(path.t) - 1)), np.zeros((1, len(path.t) - 1))
-        function, *bounds = limits
+        path, (function, *bounds) = self.path, self.path.problem.path_constraint
         parts = sampling_parts(FINER * path.method.degree)
-        values = [p.path_constraints(parts) for p in (path, self.higher)]
-        own, other = (np.where(np.isfinite(one), bound_excess(one, *bounds), 0.0) for one in values)  # may be 0/0
+        values, excesses = zip(*(p._excess(parts) for p in (path, self.higher)), strict=True)
         others = [(k, np.ones(function.size1_in(k), dtype=bool)) for k in (VELOCITIES, CONTROLS)]
         of_positions = ~np.any([rows_that_depend(function, *every) for every in others], axis=0)[:, None]
-        both = np.minimum(np.max(own, axis=2), np.max(other, axis=2))
+        both = np.min(np.max(excesses, axis=3), axis=0)
         common = np.where(of_positions, both, np.max(unseen_excess(values, bounds), axis=2))
-        changes = np.maximum(path._changes_at_largest(values[0], own), np.maximum(common, TINY))
+        changes = path._changes_at_largest(values[0], excesses[0])
         at_points = path.path_constraints(path.method.element.points)
         distances = [np.min(np.abs(at_points - np.reshape(side, (-1, 1, 1))), axis=2) for side in bounds]
         met = np.pad(np.min(distances, axis=0) <= MET * changes, ((0, 0), (1, 1)))
         near = met[:, :-2] | met[:, 1:-1] | met[:, 2:]
-        excess = common / changes
+        excess = np.minimum(common / changes, 1.0)
         return excess, np.where(near, 0.0, excess)
 
     @cached_property
@@ -263,13 +259,11 @@ class HigherDegree:
         They are of first order in the excess ε, the same in both degrees: to allow a constraint of multiplier μ so much
         changes the cost by ∫ μ ε dt.
         """
-        path, constraint = self.path, self.path.problem.path_constraint
-        if constraint is None or path.path_multipliers is None:
+        path = self.path
+        if path.path_multipliers is None:
             return np.zeros(len(path.t) - 1)
         parts = around(path.method.element.points)
-        both = [bound_excess(p.path_constraints(parts), *constraint[1:]) for p in (path, self.higher)]
-        excess = np.min(both, axis=0)
-        excess = np.where(np.isfinite(excess), excess, 0.0)  # as of a ratio of two positions that vanish at an end
+        excess = np.min([p._excess(parts)[1] for p in (path, self.higher)], axis=0)
         forces = np.abs(path.path_multipliers.values).reshape(*excess.shape[:2], -1)
         impulses = np.diff(path.t) * (forces @ np.array(path.method.quadrature.weights))
         return np.array([self.of_cost(change) for change in np.sum(np.max(excess, axis=2) * impulses, axis=0)])
@@ -303,8 +297,9 @@ class HigherDegree:
         distance = self.change if self.change > FAR_FROM_GUESS else 0.0
         change, common = self.cost_change / (1 - SLOWEST), self.common_error
         variation = self.of_cost(self.path._hamiltonian_variation)
-        effects = self.jump_error, float(np.sum(self.excess_effects)), float(np.max(self.constraint_excess[1]))
-        return max(change, common**2, variation**2, distance, *effects)
+        unmet = float(np.max(self.constraint_excess[1], initial=0.0))
+        effects = self.jump_error + float(np.sum(self.excess_effects))
+        return max(change, common**2, variation**2, distance, unmet, effects)
 
     def better_mesh(self, tol: float, cost_tol: float) -> np.ndarray:
         """Joints, in the time of the path of higher degree, with which both errors should be below their tolerances."""

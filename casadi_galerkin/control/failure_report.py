@@ -94,7 +94,7 @@ def refuse_values(problem: ControlProblem, embedding: ChainEmbedding, values: di
         ("running_cost", problem.running_cost, inputs, times),
         ("force", problem.force, inputs, times),
         ("rates", problem.rates, inputs, times),
-        ("path_constraint", (problem.path_constraint or (None,))[0], inputs, times),
+        ("path_constraint", problem.path_constraint[0], inputs, times),
         ("constraint", problem.constraint, [times, at["x"], *p], times),
         ("lagrangian", problem.lagrangian, [*state, *p], times),
         ("terminal_cost", problem.terminal_cost, [end, *last, *p], end),
@@ -103,7 +103,7 @@ def refuse_values(problem: ControlProblem, embedding: ChainEmbedding, values: di
             for crossing, x, v in before
             for name, function in crossing.functions
         ),
-        ("end_conditions", (problem.end_conditions or (None,))[0], [*first, *last, *p], end),
+        ("end_conditions", problem.end_conditions[0], [*first, *last, *p], end),
     ):
         try:
             with interrupts_raised():

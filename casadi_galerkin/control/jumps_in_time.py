@@ -28,9 +28,7 @@ def integrand(path: ControlTrajectory) -> ca.Function:
     problem, motion = path.problem, equations_of_motion(path.problem)
     *along, push = motion.sx_in()
     cost = with_parameters(problem.running_cost, path.parameters)(*along)
-    limited = ca.SX(0, 1)
-    if problem.path_constraint is not None:
-        limited = with_parameters(problem.path_constraint[0], path.parameters)(*along)
+    limited = with_parameters(problem.path_constraint[0], path.parameters)(*along)
     costate, rate = (ca.SX.sym(name, problem.dimension) for name in ("costate", "costate_rate"))
     multipliers, (momentum, changes) = ca.SX.sym("multipliers", limited.numel()), motion(*along, 0 * push)
     total = cost + ca.dot(costate, changes) + ca.dot(rate, momentum) + ca.dot(multipliers, limited)

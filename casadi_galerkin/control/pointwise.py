@@ -160,8 +160,7 @@ def _at_points(problem: ControlProblem, *inputs: Any) -> Terms:
     rows = [(work + h * problem.force(*state)) / sizes, momentum / sizes]
     if problem.mechanical < problem.dimension:
         rows.append(slope[others, 0] - h * problem.rates(*state))
-    if problem.path_constraint is not None:
-        rows.append(problem.path_constraint[0](*state))
+    rows.append(problem.path_constraint[0](*state))
     return {"rows": ca.vertcat(*rows), "cost": h * problem.running_cost(*state), "action": action}
 
 
@@ -176,8 +175,8 @@ def _at_either_end(problem: ControlProblem, *inputs: Any) -> Terms:
 
 def _at_both_ends(problem: ControlProblem, *inputs: Any) -> Terms:
     x0, v0, x1, v1, p, t = inputs
-    last, conditions = (x1, _filled(v1, x1)), problem.end_conditions
-    rows = ca.SX(0, 1) if conditions is None else conditions[0](x0, _filled(v0, x0), *last, *p)
+    last = x1, _filled(v1, x1)
+    rows = problem.end_conditions[0](x0, _filled(v0, x0), *last, *p)
     cost = {} if problem.terminal_cost is None else {"cost": problem.terminal_cost(t, *last, *p)}
     return {"rows": rows, **cost}
 

@@ -124,8 +124,7 @@ def check_count(chain: Chain, bounds: ProgramBounds) -> None:
 
 def check_stages(problem: ControlProblem, chain: Chain, bounds: ProgramBounds) -> None:
     """Refuse problems that fatrop cannot divide into stages, or refuses itself when it runs."""
-    conditions = problem.end_conditions
-    if conditions is not None and any(conditions[0].sparsity_jac(k, 0).nnz() for k in (0, 1)):
+    if any(problem.end_conditions[0].sparsity_jac(k, 0).nnz() for k in (0, 1)):
         raise ValueError(
             "fatrop takes end_conditions on the end alone, stage by stage: give what is known of the start as "
             "start and start_velocity, or take cg.ipopt"

@@ -155,7 +155,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         super().__init__(tol, limits, verbose)
         self.stated, self.problem = problem, with_joined_phases(problem)
         self.of_cost, self.method, self.solver = of_cost, method, solver
-        self.walled = problem.path_constraint is not None or bool(np.any(np.isfinite(problem.position_bounds)))
+        self.walled = bool(problem.path_constraint[1] or np.any(np.isfinite(problem.position_bounds)))
 
     def solved(self, level: ControlTrajectory) -> tuple[PiecewisePolynomial, int, float]:
         """The path of one level, the solver's iterations, and the violation that they left."""

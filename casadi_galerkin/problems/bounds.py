@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.numbers import counted, real_array
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.problems.callables import Traceable, trace
+from casadi_galerkin.problems.callables import Traceable, is_of_nothing, of_nothing, trace
 
 Limit: TypeAlias = float | Sequence[float]
 Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
@@ -84,11 +84,11 @@ def parameter_bounds_of(given: tuple[Limit, Limit] | None, parameters: tuple[flo
     return bounds("parameter_bounds", given, len(parameters))
 
 
-def limited_values(name: str, given: tuple[Traceable, Limit, Limit] | None, sizes: Mapping[str, int]) -> Limited | None:
-    """Check (g, lo, hi): trace the function g, and check the bounds of its values."""
-    if given is None:
-        return None
-    if not isinstance(given, (tuple, list)) or len(given) != 3:
+def limited_values(name: str, given: tuple[Traceable, Limit, Limit] | None, sizes: Mapping[str, int]) -> Limited:
+    """Check (g, lo, hi): trace the function g, and check the bounds of its values; without values where it is None."""
+    if given is not None and (not isinstance(given, (tuple, list)) or len(given) != 3):
         raise TypeError(f"{name} must be (g, lo, hi), got {given!r}")
+    if given is None or is_of_nothing(given[0]):
+        return of_nothing(name, sizes), (), ()
     traced = trace(name, given[0], sizes, "any")
     return (traced, *bounds(name, (given[1], given[2]), traced.numel_out(0)))

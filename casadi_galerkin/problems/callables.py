@@ -178,6 +178,11 @@ def of_nothing(name: str, sizes: Mapping[str, int]) -> ca.Function:
     return ca.Function(name, symbols, [ca.SX(0, 1)], list(sizes), ["value"])
 
 
+def is_of_nothing(function: object) -> bool:
+    """Whether it is the Function `of_nothing`, which is passed again where a field of a problem is replaced."""
+    return isinstance(function, ca.Function) and function.n_out() == 1 and function.numel_out(0) == 0
+
+
 def trace_if(name: str, function: Traceable | None, sizes: Mapping[str, int], rows: int | Rows) -> ca.Function | None:
     """`trace` a callable that may be left out, which is None."""
     return None if function is None else trace(name, function, sizes, rows)

@@ -36,6 +36,7 @@ from casadi_galerkin.problems.callables import (
     Traceable,
     arguments,
     depends_on_time,
+    is_of_nothing,
     of_nothing,
     trace,
     trace_if,
@@ -121,12 +122,12 @@ class ControlProblem:
     terminal_cost: ca.Function | None
     control_bounds: Bounds
     position_bounds: Bounds
-    path_constraint: Limited | None
+    path_constraint: Limited
     duration_bounds: Bounds | None
     parameters: tuple[float, ...] | None
     parameter_bounds: Bounds | None
     rates: ca.Function
-    end_conditions: Limited | None
+    end_conditions: Limited
     breakpoints: tuple[float, ...]
     waypoints: tuple[tuple[float, Pairs | Limited], ...]
     jumps: tuple[tuple[float, ca.Function], ...]
@@ -164,10 +165,10 @@ class ControlProblem:
         ends = {"start": start, "end": end, "start_velocity": start_velocity, "end_velocity": end_velocity}
         sizes, moving = arguments(given, t=1, x=d, v=d, u=count), arguments(given, t=1, x=d, v=d)
         here, both = arguments(given, x=d, v=d), arguments(given, x0=d, v0=d, x1=d, v1=d)
-        if _is_of_nothing(force):
+        if is_of_nothing(force):
             lagrangian = force = None
         no_rates = of_nothing("rates", sizes)
-        traced_rates = no_rates if rates is None or _is_of_nothing(rates) else trace("rates", rates, sizes, "any")
+        traced_rates = no_rates if rates is None or is_of_nothing(rates) else trace("rates", rates, sizes, "any")
         mechanical = d - traced_rates.numel_out(0)
         if mechanical < 0:
             size = counted(d, "component")
@@ -265,7 +266,7 @@ class ControlProblem:
     @property
     def _along(self) -> list[ca.Function]:
         """The force, rates, running cost and path constraint, Functions of (t, x, v, u)."""
-        return [self.force, self.rates, self.running_cost, *(self.path_constraint or ())[:1]]
+        return [self.force, self.rates, self.running_cost, self.path_constraint[0]]
 
     @property
     def autonomous(self) -> bool:
@@ -299,7 +300,7 @@ class ControlProblem:
             ("force", self.force, [2]),
             ("rates", self.rates, [2]),
             ("terminal_cost", self.terminal_cost, [2]),
-            ("end_conditions", (self.end_conditions or (None,))[0], [1, 3]),
+            ("end_conditions", self.end_conditions[0], [1, 3]),
             *((f"the {name} at t = {c.time:g}", f, [1]) for c in self.crossings for name, f in c.functions),
         ]
         with_rates = range(self.mechanical, self.dimension)
@@ -338,8 +339,7 @@ class ControlProblem:
         check_constraint(self, {name: self.determined_constraints(k) for k, name in enumerate(ENDS)})
         for k, name in enumerate(ENDS):
             self._check_end_state(k, name)
-        if self.end_conditions is not None:
-            self._check_end_conditions(*self.end_conditions)
+        self._check_end_conditions()
 
     def _check_end_state(self, end: int, name: str) -> None:
         """Refuse a given state at an end that violates a path constraint without controls, or is not tangent."""
@@ -347,7 +347,7 @@ class ControlProblem:
         if None in (*x, *v):
             return
         check_tangent(self, f"{name}_velocity", t, x, v, self.determined_constraints(end))
-        if self.path_constraint is None or self.duration_bounds is not None or self.parameter_bounds is not None:
+        if self.duration_bounds is not None or self.parameter_bounds is not None:
             return
         g, low, high = self.path_constraint
         given = [] if self.parameters is None else [self.parameters]
@@ -359,8 +359,9 @@ class ControlProblem:
                     f"[{low[i]}, {high[i]}]"
                 )
 
-    def _check_end_conditions(self, g: ca.Function, low: tuple[float, ...], high: tuple[float, ...]) -> None:
+    def _check_end_conditions(self) -> None:
         """Refuse an end condition that the given ends violate."""
+        g, low, high = self.end_conditions
         names = ("start", "start_velocity", "end", "end_velocity")
         given = [np.array(getattr(self, name), dtype=float) for name in names]  # NaN for None
         given += [] if self.parameters is None else [np.array(self.parameters)]
@@ -389,11 +390,6 @@ class ControlProblem:
         for i, (low, value, high) in enumerate(zip(sides[0], self.parameters or (), sides[1], strict=False)):
             if not low <= value <= high:
                 raise ValueError(f"parameters[{i}] = {value} lies outside its bounds [{low}, {high}]")
-
-
-def _is_of_nothing(function: object) -> bool:
-    """Whether it is the Function `of_nothing`, which is passed again where a field of a problem is replaced."""
-    return isinstance(function, ca.Function) and function.n_out() == 1 and function.numel_out(0) == 0
 
 
 def _check_mechanics(mechanical: int, lagrangian: object, force: object) -> None:

@@ -53,8 +53,7 @@ def waypoints_of(
     """Check waypoints: each states bounds (lo, hi) of all positions, which must meet `within`, or (g, lo, hi)."""
 
     def checked(place: Any) -> Pairs | Limited:
-        limited = limited_values("waypoint", place, dict(sizes)) if is_limited(place) else None
-        return _positions(place, within) if limited is None else limited
+        return limited_values("waypoint", place, sizes) if is_limited(place) else _positions(place, within)
 
     return _timed("waypoints", "(t, positions) or (t, (g, lo, hi))", given, checked)
 

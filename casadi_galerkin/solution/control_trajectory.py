@@ -255,8 +255,6 @@ class ControlTrajectory(Trajectory):
 
     def path_constraints(self, parts: np.ndarray) -> np.ndarray:
         """Values of the path constraints at fractions (K,) of every interval, joints included; (k, N, K)."""
-        if self.problem.path_constraint is None:
-            return np.empty((0, len(self.t) - 1, len(parts)))
         constraint = with_parameters(self.problem.path_constraint[0], self.parameters)
         times, x, v = self.polynomial.sampled(parts)
         values = np.array(constraint.map(len(times))(times[None, :], x, v, self.control.at(parts)))
@@ -269,13 +267,14 @@ class ControlTrajectory(Trajectory):
         It is relative to the change of the constraint where the path changes by its size, and so about the part of its
         size by which the path is off; at most one.
         """
-        if self.problem.path_constraint is None or self.problem.path_constraint[0].numel_out(0) == 0:
-            return np.zeros(len(self.t) - 1)
-        values = self.path_constraints(sampling_parts(FINER * self.method.degree))
-        excess = np.where(np.isfinite(values), bound_excess(values, *self.problem.path_constraint[1:]), 0.0)
-        largest = np.max(excess, axis=2)
-        changes = np.maximum(self._changes_at_largest(values, excess), np.maximum(largest, TINY))
-        return np.asarray(np.max(largest / changes, axis=0))
+        values, excess = self._excess(sampling_parts(FINER * self.method.degree))
+        part = np.max(excess, axis=2) / self._changes_at_largest(values, excess)
+        return np.asarray(np.minimum(np.max(part, axis=0, initial=0.0), 1.0))
+
+    def _excess(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values of the path constraints, and their excess over their bounds, zero where a value is not finite."""
+        values = self.path_constraints(parts)  # 0/0 is a ratio of two positions that vanish at an end
+        return values, np.where(np.isfinite(values), bound_excess(values, *self.problem.path_constraint[1:]), 0.0)
 
     def _changes_at_largest(self, values: np.ndarray, excess: np.ndarray) -> np.ndarray:
         """Changes of path constraints g if x, v and u change by their sizes, Σ |∂g/∂z| |z|, at their largest excess.
@@ -291,9 +290,10 @@ class ControlTrajectory(Trajectory):
 
         Returns
         -------
-        (k, N), infinite where it is not finite
+        (k, N), at least `TINY`, and infinite where it is not finite
         """
-        assert self.problem.path_constraint is not None
+        if not len(values):
+            return np.empty(values.shape[:2])
         t, *z = self.problem.path_constraint[0].sx_in()[:4]
         constraint = with_parameters(self.problem.path_constraint[0], self.parameters)
         derivative = ca.jacobian(constraint(t, *z), ca.vertcat(*z))
@@ -303,7 +303,7 @@ class ControlTrajectory(Trajectory):
         flat, each = times.ravel(), np.arange(len(times))
         found = np.array(terms(flat[None, :], self(flat), self(flat, 1), self.control(flat)))
         changes = found.reshape(len(times), *times.shape)[each, each]
-        return np.where(np.isfinite(changes), changes, np.inf)
+        return np.where(np.isfinite(changes), np.maximum(changes, TINY), np.inf)
 
     def plot(
         self,
@@ -376,7 +376,7 @@ class ControlTrajectory(Trajectory):
         ValueError
             where there is no path constraint
         """
-        if self.problem.path_constraint is None or self.path_multipliers is None:
+        if self.path_multipliers is None:
             raise ValueError("there is no path constraint to draw")
         times, values = self.path_multipliers.times, self.path_constraints(self.path_multipliers.points)
         line, points = self._broken(self.path_constraints(ALONG)), (times, values.reshape(len(values), -1))
