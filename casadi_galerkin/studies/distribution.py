@@ -6,7 +6,7 @@ chunks.  Nothing here knows whose executor it is: a process pool's, Dask's ``cli
 ``MPIPoolExecutor``.
 
 What ends a worker ends the whole of a process pool.  Chunks that were lost are solved again, one variation after the
-other, by the executor if it still works, else by a process of their own; so only what ends its worker stays without an
+other, by a process of their own, which is started again where it fails; so only what ends its worker stays without an
 answer, and never ends the process that asks.
 """
 
@@ -278,28 +278,15 @@ class Batch:
                     self.answers.update(zip(numbers, future.result(), strict=True))
 
     def _solve_lost(self, executor: Executor, pickled: bytes) -> None:
-        """Solve what has no answer yet, each alone, so that a worker that fails tells which variation it fails of."""
+        """Solve what has no answer yet, each alone, so that a process that fails tells which variation it fails of."""
         lost = [i for i in range(len(self.variations)) if i not in self.answers]
-        with ExitStack() as own:
+        context, process = getattr(executor, "_mp_context", None), None
+        with ExitStack() as started:
             for i in lost:
+                process = process or started.enter_context(ProcessPoolExecutor(1, context))
                 try:
-                    executor = _working(executor, pickled, own)
-                except Exception as error:
-                    left = [j for j in lost if j not in self.answers]
-                    self.answers.update((j, CutShort(f"no worker works, {in_words(error)}")) for j in left)
-                    break
-                try:  # without known paths: Dask would repeat the failure of the very same call
-                    (self.answers[i],) = executor.submit(_chunk, pickled, [self.variations[i]]).result()
+                    (self.answers[i],) = process.submit(_chunk, pickled, [self.variations[i]]).result()
                 except Exception as error:
                     self.answers[i] = CutShort(f"the worker that solved this variation failed, {in_words(error)}")
+                    process = None
                 self.advance(1)
-
-
-def _working(executor: Executor, pickled: bytes, own: ExitStack) -> Executor:
-    """The executor if it still works, else a process of our own."""
-    try:
-        executor.submit(_chunk, pickled, []).result()
-    except Exception:
-        executor = own.enter_context(ProcessPoolExecutor(1, getattr(executor, "_mp_context", None)))
-        executor.submit(_chunk, pickled, []).result()
-    return executor

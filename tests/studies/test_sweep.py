@@ -441,12 +441,11 @@ class Inline(Executor):
     """Works here at once; what `fails` says of a chunk's rates is raised, as by a cluster that lives on."""
 
     def __init__(self, fails):
-        self.fails, self.given, self.known = fails, [], {}
+        self.fails, self.given = fails, []
 
     def submit(self, fn, /, *args):
         self.given.append([variation["parameters"][0] for variation in args[1]])
-        future, call = Future(), (fn, *map(str, args))
-        error = self.known.setdefault(call, self.fails(self.given[-1]))  # as to Dask, the same call ends the same
+        future, error = Future(), self.fails(self.given[-1])
         if error is None:
             future.set_result(fn(*args))
         else:
@@ -485,39 +484,23 @@ def test_a_pool_whose_workers_cannot_start_is_replaced():
         assert not cg.sweep(bratu_problem(), [{}, {}], METHOD, INTERVALS, executor=pool).failures
 
 
-def test_without_any_worker_that_works_one_is_tried_and_no_more(monkeypatch):
-    broken, started = BrokenProcessPool("no memory"), []
+@pytest.mark.usefixtures("two_chunks")
+def test_a_chunk_that_is_lost_is_solved_again_one_by_one(monkeypatch, serial):
+    """By processes that are started again where they fail."""
+    too_large, started = MemoryError("too large"), []
 
     def process(*given):
-        started.append(Inline(lambda rates: broken))
+        started.append(Inline(lambda rates: too_large if rates == RATES[1:2] else None))
         return started[-1]
 
     monkeypatch.setattr(import_module("casadi_galerkin.studies.distribution"), "ProcessPoolExecutor", process)
-    answering = Inline(lambda rates: None if rates == RATES[:1] else broken)
-    sweep = cg.sweep(bratu_problem(), VARIATIONS, METHOD, INTERVALS, executor=answering)
-    assert isinstance(sweep[0], cg.Trajectory)
-    assert {(type(answer), str(answer)) for answer in sweep[1:]} == {
-        (cg.CutShort, "no worker works, BrokenProcessPool: no memory")
-    }
-    assert len(started) == 1
-
-
-@pytest.mark.usefixtures("two_chunks")
-def test_a_chunk_that_is_lost_is_solved_again_by_the_executor_that_still_works(serial):
-    executor = Inline(lambda rates: MemoryError("too large") if 3.25 in rates else None)
-    sweep = cg.sweep(bratu_problem(), [{"parameters": [3.25]}, *VARIATIONS], METHOD, INTERVALS, executor=executor)
-    assert isinstance(sweep[0], cg.CutShort)
-    assert str(sweep[0]) == "the worker that solved this variation failed, MemoryError: too large"
-    identical(sweep[1:], serial)
-    first, second, *again = executor.given
-    assert [first, second] == [[3.25, *RATES[:3]], RATES[3:]]
-    assert [rates for rates in again if rates] == [[rate] for rate in first]  # and none of the second
-
-
-def test_to_solve_again_is_another_call_than_the_one_that_failed(serial):
-    times = iter(range(100))
-    executor = Inline(lambda rates: MemoryError("busy") if rates and next(times) == 0 else None)
-    identical(cg.sweep(bratu_problem(), VARIATIONS, METHOD, INTERVALS, executor=executor), serial)
+    executor = Inline(lambda rates: too_large if RATES[1] in rates else None)
+    sweep = cg.sweep(bratu_problem(), VARIATIONS, METHOD, INTERVALS, executor=executor)
+    assert isinstance(sweep[1], cg.CutShort)
+    assert str(sweep[1]) == "the worker that solved this variation failed, MemoryError: too large"
+    identical([sweep[0], *sweep[2:]], [serial[0], *serial[2:]])
+    lost, _ = executor.given
+    assert [one.given for one in started] == [[[rate] for rate in lost[:2]], [[rate] for rate in lost[2:]]]
 
 
 def test_a_pool_that_breaks_while_it_is_given_chunks_loses_none(serial):
