@@ -71,13 +71,10 @@ WARM_START_BARRIER = 1e-4  # first barrier from an earlier path: with 1e-2 a rob
 BARRIER_RATIO = 1e4
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
 PATIENCE = 4  # every interval is halved after so many levels in a row without a smaller error, as meshes may alternate
-WAYPOINT = (
-    "Where a waypoint at a free time asks for nothing, or its bounds are not met, nothing tells when it is passed: "
-    "leave it out"
-)
 LEFT_OPEN = (
     "Multiply the cost by 100: the solver's tolerances are absolute. If that changes nothing, the cost hardly depends "
-    "on the path: give a cost_tol in place of tol, or add a small cost of the control"
+    "on the path: give a cost_tol in place of tol, add a small cost of the control, or leave out a waypoint at a free "
+    "time that asks for nothing"
 )
 HIGHER = 2  # degrees added for the error estimate; one adds nothing to a path of the other parity
 
@@ -222,9 +219,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         if cost > self.tol:
             raise self.stopped(f"the solver may have left {cost:.0e} of the cost", *self.best, UNITS)
         if not self.of_cost and path > max(self.tol, detail.error):
-            passed = self.problem.waypoints and self.problem.duration_bounds is not None
-            reason = f"the solver leaves the path open by {path:.0e} of its size"
-            raise self.stopped(reason, *self.best, WAYPOINT if passed else LEFT_OPEN)
+            raise self.stopped(f"the solver leaves the path open by {path:.0e} of its size", *self.best, LEFT_OPEN)
 
     def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:
         """Solve on the better mesh from the path of higher degree or, where there is none, on a mesh twice as fine."""
