@@ -17,7 +17,7 @@ import numpy as np
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.control.graph import ControlGraph
+from casadi_galerkin.control.graph import LEAST_COST, ControlGraph
 from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM, Optimum
 from casadi_galerkin.control.solver_error import distances, estimate_remaining_error
 from casadi_galerkin.functional.mapping import one_by_one
@@ -27,7 +27,6 @@ from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
 ACTIVE_TOLERANCE = 1e-6  # distance from a bound, over the size of the unknown, up to which the bound is active
 FLAT = 1e-6  # relative change of the cost that counts as none, as along a singular arc
-LEAST_COST = 1e-4  # part of the largest row of the Hessian from which the cost measures its own changes
 PENALTIES = 1e-7, 1e-9  # values of δ; where their counts differ, the counts depend on δ or on rounding
 
 
