@@ -70,6 +70,9 @@ CROWDED = 1e-6  # interval over the duration below which the error raised names 
 TIME_ROUNDING = 1e5 * EPS
 # distance over the duration within which a breakpoint may be the cause of an error that stays
 BREAKPOINT_DISTANCE = 1e-2
+# A large error on more than so many intervals, which together take less than this part of the duration, is that of a
+# kink at a place that rounding hides.
+CROWD_SIZE, CROWD_LENGTH = 20, 1e-3
 INTERMEDIATE = 1e-3, 500  # tolerance and largest number of intervals for the intermediate paths of a homotopy
 INDICATOR_PATIENCE = 3  # successive meshes on which an error indicator may stay large at one place before an error
 TRUNCATION_PATIENCE = 12  # the same for Legendre coefficients, while intervals are moved to where these are large
@@ -246,14 +249,17 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         raise self.stopped(reason, level, estimate.error)
 
     def check_stagnation(self, level: CriticalPoint, source: str, errors: np.ndarray, patience: int) -> None:
-        """Stop where an error at one place does not fall with the mesh."""
-        mesh, worst, i = level.polynomial.mesh, float(np.max(errors)), int(np.argmax(errors))
+        """Stop where an error at one place does not fall with the mesh, or is spread over many short intervals."""
+        mesh, worst, crowd = level.polynomial.mesh, float(np.max(errors)), errors > np.max(errors) / 2
+        duration, crowd_length = mesh[-1] - mesh[0], np.sum(np.diff(mesh)[crowd])
+        hidden = np.count_nonzero(crowd) > CROWD_SIZE and crowd_length < CROWD_LENGTH * duration
+        i = int(np.argmax(errors))
         when, step = (mesh[i] + mesh[i + 1]) / 2, mesh[i + 1] - mesh[i]
         last, place, width, count = self.stagnation.get(source, (math.inf, 0.0, 0.0, 0))
         count = count + 1 if worst > last / 2 and abs(when - place) <= width + step else 0
         self.stagnation[source] = worst, when, step, count
-        if count == patience:
-            where, not_smooth = f"near t = {when:.9g}", self.not_smooth(when, mesh[-1] - mesh[0])
+        if count == patience or hidden:
+            where, not_smooth = f"near t = {when:.9g}", self.not_smooth(when, duration)
             reason = f"an error of {worst:.1e} {where}, measured by the {source}, stays on any mesh. {not_smooth}"
             raise self.stopped(reason, level, worst)
 
