@@ -27,7 +27,7 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solvers.newton import damped_newton
 from casadi_galerkin.solvers.solver import Solver, SolverLike, newton, rescues
 
-ITERATIONS = 40  # most iterations of Newton's method from an earlier path; with more it was measured to move far away
+ITERATIONS = 40  # most iterations of Newton's method before another way is tried; with more it moves far away
 DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
 MORE = 4  # factor on the intervals of a coarse mesh that is too coarse for any path; it was always enough
 GUESS_INTERVALS = 200  # largest number of intervals of a mesh that resolves a guess
@@ -45,7 +45,7 @@ def is_newton(solver: SolverLike) -> TypeGuard[Solver]:
 
 
 def warm_newton(solver: SolverLike) -> SolverLike:
-    """Newton's method from an earlier path, with the options of `solver` if that is Newton's method, too."""
+    """Newton's method with few iterations, and with the options of `solver` if that is Newton's method, too."""
     return partial(damped_newton, **{"max_iter": ITERATIONS, **(solver.options if is_newton(solver) else {})})
 
 
@@ -121,8 +121,8 @@ def first_path_strategies(
     if not is_newton(solver):
         yield repr(solver), partial(solved, given, solver)
         return
-    plain, brief = partial(damped_newton, **solver.options), warm_newton(solver)
-    first, ways = partial(solved, given, plain), dict[str, Find]()
+    brief, ways = warm_newton(solver), dict[str, Find]()
+    first = partial(solved, given, brief)
     if guess is not None:
         ways["Newton's method from the guess smoothed"] = lambda: solved(_smoothed(given), brief)
         ways["Newton's method on a finer mesh"] = lambda: solved(finer(), brief)
