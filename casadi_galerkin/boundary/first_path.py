@@ -16,7 +16,13 @@ from casadi_galerkin.boundary.graph_cache import GraphCache
 from casadi_galerkin.boundary.homotopy import path_by_homotopy
 from casadi_galerkin.boundary.several_paths import Search
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import resized_mesh, resolving_interpolant
+from casadi_galerkin.calculus.mesh_adaptation import (
+    equidistributed,
+    parts_wanted,
+    resized_mesh,
+    resolving_interpolant,
+    truncation_error,
+)
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.orbit_phase import has_phase
@@ -29,6 +35,7 @@ from casadi_galerkin.solvers.solver import Solver, SolverLike, newton, rescues
 
 ITERATIONS = 40  # most iterations of Newton's method before another way is tried; with more it moves far away
 DESCENT_DEGREE, DESCENT_INTERVALS, DESCENT_TOLERANCE = 6, 40, 1e-5
+COARSENED = 1e-9  # truncation error for which the mesh of a descent is coarsened; with 1e-6 a close passage was lost
 MORE = 4  # factor on the intervals of a coarse mesh that is too coarse for any path; it was always enough
 GUESS_INTERVALS = 200  # largest number of intervals of a mesh that resolves a guess
 # truncation error of a guess on a first mesh: loose for corners and noise, tight for layers
@@ -149,11 +156,21 @@ def first_path_strategies(
 def _by_descent(
     graphs: GraphCache, method: Galerkin, mesh: np.ndarray, guess: Guess | None, solver: SolverLike
 ) -> CriticalPoint:
-    """Lower the action from a guess, and continue with Newton's method."""
+    """Lower the action from a guess, and continue with Newton's method, last on a mesh that is not far too fine."""
     transcribed = partial(graphs.transcription, Galerkin(DESCENT_DEGREE), mapping=by_rows)
     path = descend(transcribed, transcribed(mesh).guess_on_mesh(guess, mesh), DESCENT_TOLERANCE)
     mesh = resized_mesh(path.mesh, len(path.mesh) - 1, graphs.problem.breakpoints)  # descending moves the joints
-    return graphs.solve(method, mesh, path, solver)
+    point = graphs.solve(method, mesh, path, solver)
+    while True:
+        found = point.polynomial
+        parts = parts_wanted(truncation_error(found), method.degree + 1, COARSENED)
+        mesh = equidistributed(found.mesh, parts, breakpoints=graphs.problem.breakpoints)
+        if len(mesh) >= len(found.mesh):
+            return point
+        try:
+            point = _near(found, partial(graphs.solve, method, mesh, found, solver))
+        except ConvergenceError:
+            return point
 
 
 def _by_random_guesses(graphs: GraphCache, method: Galerkin, mesh: np.ndarray, solver: SolverLike) -> CriticalPoint:

@@ -101,6 +101,21 @@ def test_a_guess_that_turns_sharply_is_resolved_by_the_first_mesh():
     assert off(path, exact) < 1e-2
 
 
+def test_a_mesh_on_which_the_action_fell_is_not_kept_where_it_is_far_too_fine():
+    """Its 63 intervals would be those of all paths that are followed from this one, too."""
+    exact, span = partial(on_ellipse, 0.96), (-1.93, 1.58)
+    problem = cg.BoundaryProblem(kepler, span, exact(span[0]), exact(span[1]))
+
+    def wide(t):
+        anomaly = 1.37 * t + 0.14
+        return [np.cos(anomaly) - 0.48, np.sin(anomaly) / 2]
+
+    path = cg.solve(problem, tol=1e-8, guess=wide)
+    assert "first path by descent of the action" in path.solver
+    assert len(path.t) < 32
+    assert off(path, exact) < 1e-7
+
+
 def test_a_descent_whose_times_cannot_be_told_goes_on():
     """Where the path rests, no joint has a better time: its row is zero."""
     ball = cg.BoundaryProblem(
