@@ -109,23 +109,15 @@ def lowered(
                     return path, inertia
                 trial = transcription.emb(unknowns + step, data)
                 if action(trial) < present:
-                    derivatives = at.evaluate("joint_time_derivatives", unknowns + step, data)
-                    return min(trial, retimed(trial, *derivatives), key=action), inertia / 3
+                    (joint_step,) = at.evaluate("joint_step", unknowns + step, data)
+                    return min(trial, retimed(trial, joint_step), key=action), inertia / 3
             inertia *= 3
     raise ConvergenceError("no path was found: no step lowers the action further", Path(path))
 
 
-def retimed(path: PiecewisePolynomial, slope: np.ndarray, curvature: np.ndarray) -> PiecewisePolynomial:
-    """Newton step of the inner joints at fixed node values; the same path where it is not defined.
-
-    `slope` (N + 1,) and `curvature`, as many squared, are the action's first and second derivatives by all joints.
-    """
-    inner, shift, matrix = slice(1, -1), np.zeros(len(slope)), curvature.reshape(len(slope), -1)
-    try:
-        shift[inner] = np.linalg.solve(matrix[inner, inner], -slope[inner])
-    except np.linalg.LinAlgError:
+def retimed(path: PiecewisePolynomial, step: np.ndarray) -> PiecewisePolynomial:
+    """Move the joints by a step (N + 1,), or a part of it; the same path where the step is not finite."""
+    if not np.all(np.isfinite(step)):
         return path
-    if not np.all(np.isfinite(shift)):
-        return path
-    largest = float(np.max(np.abs(np.diff(shift)) / np.diff(path.mesh)))
-    return PiecewisePolynomial(path.mesh + shift * (SQUEEZE / max(largest, SQUEEZE)), path.nodes, path.values)
+    largest = float(np.max(np.abs(np.diff(step)) / np.diff(path.mesh)))
+    return PiecewisePolynomial(path.mesh + step * (SQUEEZE / max(largest, SQUEEZE)), path.nodes, path.values)
