@@ -185,10 +185,18 @@ class BranchFollower(Curve[Solution]):
         return solution
 
     def begin(self, z: np.ndarray, follow: np.ndarray) -> None:
-        """Expect changes of the path of its sizes; where these are zero, of its first rate."""
+        """Expect changes of the path up to the target from those a little way ahead, but at most its sizes.
+
+        The first rate alone may be zero, or far too large near a fold.
+        """
         size, change = np.abs(z[:-1]), np.abs(follow)
         self._lowest = self._highest = z[:-1]
         self._expected = np.where(size > ROUNDED * change, size, change)
+        self.weigh(z)
+        found = self.corrected(np.append(z[:-1], FIRST_STEP), np.append(0 * follow, 1.0), np.inf)
+        if found is not None:
+            ahead = np.abs(found[0][:-1] - z[:-1]) / FIRST_STEP
+            self._expected = np.where(size > ROUNDED * ahead, np.minimum(ahead, size), ahead)
 
     def weigh(self, z: np.ndarray) -> None:
         """Set the weights of the path from how far its components have changed on the branch up to this point.
