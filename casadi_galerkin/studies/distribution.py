@@ -80,8 +80,7 @@ class Neighbors:
         problem = varied(self.problem, variation)
         if not known or (problem.energy is not None and "t_span" in variation):
             return self._transcription.found(problem, variation.get("guess"), None)
-        values = np.array([data_vector(problem), *(place for place, _ in known)])
-        near, guess = known[nearest(values[0], values[1:], np.ptp(values, axis=0))][1], variation.get("guess")
+        (_, near), guess = _nearest(problem, known), variation.get("guess")
         try:
             return self._transcription.found(problem, near if guess is None else guess, near)
         except ConvergenceError:
@@ -144,6 +143,12 @@ def _known(answer: Answer | None) -> list[Known]:
     if not isinstance(answer, Trajectory) or not isinstance(answer.problem, BoundaryProblem):
         return []
     return [(data_vector(answer.problem), answer)]
+
+
+def _nearest(problem: BoundaryProblem, known: Sequence[Known]) -> Known:
+    """The known path whose given values are nearest to those of a problem."""
+    values = np.array([data_vector(problem), *(place for place, _ in known)])
+    return known[nearest(values[0], values[1:], np.ptp(values, axis=0))]
 
 
 def checked_pickle(given: object) -> bytes:
@@ -285,8 +290,16 @@ class Batch:
             for i in lost:
                 process = process or started.enter_context(ProcessPoolExecutor(1, context))
                 try:
-                    (self.answers[i],) = process.submit(_chunk, pickled, [self.variations[i]]).result()
+                    given = pickled, [self.variations[i]], self._nearest_answer(self.variations[i])
+                    (self.answers[i],) = process.submit(_chunk, *given).result()
                 except Exception as error:
                     self.answers[i] = CutShort(f"the worker that solved this variation failed, {in_words(error)}")
                     process = None
                 self.advance(1)
+
+    def _nearest_answer(self, variation: Variation) -> list[Known]:
+        """The nearest path that is solved, to start from, if the solver starts from neighbors."""
+        known = [path for answer in self.answers.values() for path in _known(answer)]
+        if not (known and isinstance(self.solver, Neighbors)):
+            return []
+        return [_nearest(varied(self.solver.problem, variation), known)]

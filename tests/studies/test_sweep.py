@@ -479,6 +479,21 @@ def test_a_worker_that_dies_of_the_first_variation_of_a_neighborhood_costs_only_
     assert [i for i, _ in enumerate(variations) if isinstance(sweep[i], cg.CutShort)] == places
 
 
+def test_what_a_dead_worker_leaves_stays_on_the_branch_of_its_neighbors():
+    """From the straight line, 18 of these swings of a pendulum end on other branches."""
+    problem = cg.BoundaryProblem(
+        lambda t, x, v, p: v[0] ** 2 / 2 + p[0] * ca.cos(x[0]), (0, 6), [0.5], [1.0], parameters=[0.1]
+    )
+    variations = [{"parameters": [rate]} for rate in np.linspace(0.1, 3.0, 60).tolist()]
+    here = cg.sweep(problem, variations, tol=1e-7)
+    variations[30] = variations[30] | {"guess": deadly}
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        sweep = cg.sweep(problem, variations, tol=1e-7, executor=pool)
+    assert list(sweep.failures) == [30]
+    others = [i for i in range(60) if i != 30]
+    np.testing.assert_allclose(sweep.action[others], here.action[others], rtol=1e-6)
+
+
 def test_a_pool_whose_workers_cannot_start_is_replaced():
     with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=os._exit, initargs=(1,)) as pool:
         assert not cg.sweep(bratu_problem(), [{}, {}], METHOD, INTERVALS, executor=pool).failures
