@@ -22,6 +22,7 @@ import numpy as np
 from casadi_galerkin.calculus.numbers import components, counted, flag, numbers, time_span, times_inside, whole_number
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.problems.bounds import (
+    FEASIBLE,
     Bounds,
     Limit,
     Limited,
@@ -338,6 +339,7 @@ class ControlProblem:
         check_constraint(self, {name: self.determined_constraints(k) for k, name in enumerate(ENDS)})
         for k, name in enumerate(ENDS):
             self._check_end_state(k, name)
+        self._check_end_conditions()
 
     def _check_end_state(self, end: int, name: str) -> None:
         """Refuse a given state at an end that violates a path constraint without controls, or is not tangent."""
@@ -355,6 +357,24 @@ class ControlProblem:
                 raise ValueError(
                     f"path constraint {i} is {values[i]} at the {name} whatever the controls, outside its bounds "
                     f"[{low[i]}, {high[i]}]"
+                )
+
+    def _check_end_conditions(self) -> None:
+        """Refuse an end condition that the given ends violate."""
+        g, low, high = self.end_conditions
+        names = ("start", "start_velocity", "end", "end_velocity")
+        given = [np.array(getattr(self, name), dtype=float) for name in names]  # NaN for None
+        given += [] if self.parameters is None else [np.array(self.parameters)]
+        free = [np.isnan(values) for values in given]
+        if self.parameter_bounds is not None:
+            free[-1] = np.less(*self.parameter_bounds)
+        depends = np.any([rows_that_depend(g, k, which) for k, which in enumerate(free)], axis=0)
+        values = np.array(g(*map(np.nan_to_num, given))).ravel()
+        accepted = FEASIBLE * np.fmax(1.0, np.abs(values))
+        for i in np.flatnonzero(~depends):
+            if not low[i] - accepted[i] <= values[i] <= high[i] + accepted[i]:
+                raise ValueError(
+                    f"end condition {i} is {values[i]} with the ends given, outside its bounds [{low[i]}, {high[i]}]"
                 )
 
     def _check_guesses(self) -> None:

@@ -500,10 +500,3 @@ def test_a_mass_that_vanishes_with_the_parameters_is_refused():
     assert transcription.solve(parameters=[2.0]).cost == pytest.approx(48.0)
     with pytest.raises(ValueError, match="degenerate"):
         transcription.solve(parameters=[0.0])
-
-
-@pytest.mark.parametrize("end", [0.0, 1.0 + 1e-6])
-def test_an_end_condition_that_the_given_ends_violate_is_named(end):
-    violated = double_integrator(end=[end], end_conditions=(lambda x0, v0, x1, v1: x1 - x0, 1, 1))
-    with pytest.raises(cg.ConvergenceError, match="the worst violated constraint is end condition 0 at t = 1"):
-        cg.solve(violated, cg.Galerkin(3), 4)

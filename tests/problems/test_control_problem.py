@@ -124,6 +124,11 @@ BADLY_STATED = {
         ValueError,
         "end_conditions must have lo <= hi, got",
     ),
+    "condition that the ends violate": (
+        {"end_conditions": (lambda x0, v0, x1, v1: [v1[0] ** 2, x1[0] - x0[0]], 0, [9, 0.5])},
+        ValueError,
+        r"end condition 1 is 1.0 with the ends given, outside its bounds \[0.0, 0.5\]",
+    ),
     "breakpoint outside": (
         {"breakpoints": [0.5, 1.0]},
         ValueError,
@@ -154,6 +159,15 @@ def test_badly_stated_problem_is_refused(name):
 def test_a_duration_is_within_its_bounds_up_to_rounding():
     assert 0.1 + 0.2 - 0.1 > 0.2
     assert double_integrator(t_span=(0.1, 0.1 + 0.2), duration_bounds=(0.2, 0.2)).t_span == (0.1, 0.1 + 0.2)
+
+
+def test_a_condition_is_met_by_ends_as_a_solve_leaves_them():
+    def closed(end):
+        return double_integrator(end=[end], end_conditions=(lambda x0, v0, x1, v1: x1 - x0, 1, 1))
+
+    assert closed(1 + 1e-9).end == (1 + 1e-9,)
+    with pytest.raises(ValueError, match=r"end condition 0 is 1\.000001 with the ends given"):
+        closed(1 + 1e-6)
 
 
 def test_parameter_guess_outside_its_bounds_is_refused():
