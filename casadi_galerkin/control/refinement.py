@@ -8,8 +8,8 @@ same.  Estimated are the relative errors of cost and duration, and the largest e
 them, relative to the size of its component.  The error of the control is not estimated, but the path that it leads to
 between the quadrature points is; nor is it known whether the optimum is the global one.
 
-Where the solver finds no path, it tries again with every interval halved, from the guess with which all began.  Where
-it finds none of degree m + 2, there is no error estimate, and the next mesh has
+Where the solver finds no path, it tries again with every interval halved, and then from the guess with which all began
+in place of the coarser path.  Where it finds none of degree m + 2, there is no error estimate, and the next mesh has
 every interval halved.  The same is done whenever four meshes in a row did not reduce the error, because meshes may
 otherwise alternate where controls switch often.  IPOPT's own tolerance does not follow `tol`: a looser one was hardly
 faster, and sometimes failed.
@@ -35,6 +35,7 @@ from __future__ import annotations
 
 import math
 import time
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache, partial
 
@@ -187,17 +188,14 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         return from_earlier_path(self.solver)
 
     def solve_finer(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
-        """The path on a mesh or, where none is found, on one twice as fine, from the guess with which all began.
-
-        A path on a coarse mesh may be far from any on a finer one.
-        """
+        """The path on a mesh or, where none is found, on one twice as fine."""
         try:
             return self.solve(self.method, mesh, guess)
         except ConvergenceError:
-            finer, first = halved(mesh), self.guess if isinstance(guess, ControlTrajectory) else guess
-            if self.out_of_time() or len(finer) - 1 > self.limits.intervals or not fits_any_mesh(first):
+            finer = halved(mesh)
+            if self.out_of_time() or len(finer) - 1 > self.limits.intervals or not fits_any_mesh(guess):
                 raise
-        return self.solve(self.method, finer, first)
+        return self.solve(self.method, finer, guess)
 
     def estimate(self, level: ControlTrajectory) -> Estimate[HigherDegree | None]:
         """The error estimated from a path of higher degree on the same mesh, where there is one."""
@@ -240,6 +238,10 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         try:
             return self.solve_finer(joints, known)
         except ConvergenceError as failure:
+            again = fits_any_mesh(self.guess) and 2 * (len(mesh) - 1) <= self.limits.intervals
+            if again and not self.out_of_time():  # a path on a coarse mesh may be far from any on a finer one
+                with suppress(ConvergenceError):
+                    return self.solve(self.method, halved(joints), self.guess)
             raise self.stopped(str(failure), *self.best) from failure
 
     def path_tol(self, detail: HigherDegree) -> float:
