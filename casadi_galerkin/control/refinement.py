@@ -65,11 +65,12 @@ from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
 WARM_START_BARRIER = 1e-4  # first barrier from an earlier path: with 1e-2 a robot arm left its path, and found none
-# Ratio of IPOPT's tolerance to its last barrier where the path is bounded or a control switches.  The barrier keeps
-# values off bounds to which little pushes them: controls on the short intervals beside a switch, and a path along a
-# bound at which it would stay by itself.  With IPOPT's own ratio of 10, the mass of a rocket was accurate to 3e-7 only,
-# and a path along a wall to 1e-5; with this one everywhere, the singular arc of a rocket took too long.
-BARRIER_RATIO = 1e4
+# Ratio of IPOPT's tolerance to its last barrier where a control switches, times tol², and the largest such ratio, also
+# where the solver leaves a bounded path open by more than this share of the tolerance.  The barrier keeps values off
+# bounds to which little pushes them: controls on the short intervals beside a switch, and a path along a bound at which
+# it would stay by itself.  With IPOPT's own ratio of 10, the mass of a rocket was accurate to 3e-7 only, and a path
+# along a wall to 1e-5.
+BARRIER_RATIO, LARGEST_BARRIER_RATIO, OPEN_SHARE = 3e-11, 1e4, 0.1
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
 PATIENCE = 4  # every interval is halved after so many levels in a row without a smaller error, as meshes may alternate
 LEFT_OPEN = (
@@ -136,6 +137,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     known: HigherDegree | None = None  # the last error estimate
     cost_known = math.inf  # smallest error so far of the cost of the path that is being refined
     guess: Guess | None = None  # with which the refinement began
+    left_open = False  # whether the solver leaves the path open, with bounds on it, by an error that counts
 
     def __init__(
         self,
@@ -183,8 +185,11 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     @property
     def warm_solver(self) -> Solver:
         """The solver from an earlier path."""
-        if self.walled or (self.known is not None and self.known.switches):
-            return from_earlier_path(self.solver, barrier_tol_factor=BARRIER_RATIO)
+        if self.left_open:
+            return from_earlier_path(self.solver, barrier_tol_factor=LARGEST_BARRIER_RATIO)
+        if self.known is not None and self.known.switches:
+            ratio = float(np.clip(BARRIER_RATIO / self.tol**2, 10, LARGEST_BARRIER_RATIO))
+            return from_earlier_path(self.solver, barrier_tol_factor=ratio)
         return from_earlier_path(self.solver)
 
     def solve_finer(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
@@ -212,12 +217,19 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         return Estimate(cost if self.of_cost else path, True, f"degree {method.degree}", detail)
 
     def check_solver(self, detail: HigherDegree) -> None:
-        """Stop where, in both degrees, the solver leaves too large an error of the cost or most of that of the path."""
+        """Stop where, in both degrees, the solver leaves too large an error of the cost, or most of that of the path.
+
+        Where bounds or path constraints may hold the path, the smallest barrier is tried before.
+        """
         cost, path = map(min, detail.remaining_error(detail.path), detail.remaining_error(detail.higher))
         if cost > self.tol:
             raise self.stopped(f"the solver may have left {cost:.0e} of the cost", *self.best, UNITS)
-        if not self.of_cost and path > max(self.tol, detail.error):
+        if self.of_cost:
+            return
+        if path > max(self.tol, detail.error) and (self.left_open or not self.walled):
             raise self.stopped(f"the solver leaves the path open by {path:.0e} of its size", *self.best, LEFT_OPEN)
+        if self.walled and detail.path.solver_error > OPEN_SHARE * self.tol:
+            self.left_open = True
 
     def improve(self, level: ControlTrajectory, estimate: Estimate[HigherDegree | None]) -> ControlTrajectory:
         """Solve on the better mesh from the path of higher degree or, where there is none, on a mesh twice as fine."""
@@ -313,7 +325,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
     def refined(self, level: ControlTrajectory) -> ControlTrajectory:
         """Refine a path and return it with its errors."""
-        self.known, self.cost_known = None, math.inf
+        self.known, self.cost_known, self.left_open = None, math.inf, False
         path, _ = self.refine(level)
         assert self.known is not None, "a path is accepted by its error estimate"
         path = with_parted_phases(path, self.stated)
