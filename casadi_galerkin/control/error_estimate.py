@@ -75,7 +75,7 @@ SWITCH_RESOLUTION = 0.05
 DIFFERING_ESTIMATES = 1e-4
 # distance over the duration below which switches are one, such as those of two controls at a breakpoint
 SAME_SWITCH = 1e-8
-ROUNDOFF = 1e-15  # of positions, relative to their sizes
+ROUNDOFF = 1e-15  # of positions and of impulses, relative to their sizes
 FINEST = 12  # number of distances from a point, each half of the one before, at which excess is looked for
 MET = 1e-4  # distance from a bound, over `_changes_at_largest`, up to which a point meets it
 UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
@@ -234,6 +234,12 @@ class HigherDegree:
         return excess, np.where(near, 0.0, excess)
 
     @cached_property
+    def control_misfit(self) -> np.ndarray:
+        """Errors of the impulses because controls are known at points only, (N,)."""
+        misfit = self.path.control_misfit
+        return np.asarray(np.where(misfit > ROUNDOFF, misfit, 0.0))
+
+    @cached_property
     def common_error(self) -> float:
         """Error of the path that is common to both degrees: by switches at a wrong time, and by `bound_errors`."""
         late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.switches]
@@ -280,7 +286,7 @@ class HigherDegree:
     @property
     def error(self) -> float:
         """Relative error of cost, duration and positions."""
-        return max(self.change, self.common_error, self.cost_error, float(np.sum(self.path.control_misfit)))
+        return max(self.change, self.common_error, self.cost_error, float(np.sum(self.control_misfit)))
 
     @property
     def cost_error(self) -> float:
@@ -304,7 +310,7 @@ class HigherDegree:
         kinked = fine > UNSMOOTH_RATIO * coarse
         parts = parts_wanted(error, path.method.degree + 1, tol)
         parts = np.where(kinked & (parts > 1), parts_wanted(error, KINK_ORDER, tol), parts)
-        parts = np.maximum(parts, parts_wanted(np.maximum(self.bound_errors, path.control_misfit), 1, tol))
+        parts = np.maximum(parts, parts_wanted(np.maximum(self.bound_errors, self.control_misfit), 1, tol))
         of_cost = np.maximum(self.jump_effects, self.excess_effects)
         mesh, parts = self.widened(np.maximum(parts, parts_wanted(of_cost, 1, cost_tol)))
         mesh = equidistributed(mesh, parts, MOST_PARTS, breakpoints=higher.problem.breakpoints)
