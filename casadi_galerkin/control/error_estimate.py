@@ -235,7 +235,10 @@ class HigherDegree:
 
     @cached_property
     def control_misfit(self) -> np.ndarray:
-        """Errors of the impulses because controls are known at points only, (N,)."""
+        """Errors of the impulses because controls are known at points only, (N,); zero for rounding.
+
+        Zero also where a force is not finite between the points, as u^1.5 is where u overshoots zero at a jump.
+        """
         misfit = self.path.control_misfit
         return np.asarray(np.where(misfit > ROUNDOFF, misfit, 0.0))
 

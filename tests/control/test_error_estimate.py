@@ -211,6 +211,23 @@ def test_an_impulse_shorter_than_the_distance_of_the_first_point_is_seen():
     assert error < min(1e-6, 2 * path.error_estimate)
 
 
+def test_a_force_that_an_overshoot_of_its_control_leaves_undefined_does_not_stop_the_refinement():
+    """u^1.5 is not a number where the polynomial of u is below zero, beside the jump inside an interval."""
+    start, end = 0.0236, 0.4505
+    problem = double_integrator(
+        force=lambda t, x, v, u: u[0] ** 1.5 - u[1] ** 1.5,
+        running_cost=lambda t, x, v, u: 1.0,
+        controls=2,
+        control_bounds=(0.0, 1.0),
+        duration_bounds=(0.5, 5.0),
+        start_velocity=[start],
+        end_velocity=[end],
+    )
+    path = cg.solve(problem, tol=1e-4)
+    fastest = np.sqrt(1 + (start**2 + end**2) / 2)
+    assert path.cost == pytest.approx(2 * fastest - start - end, rel=1e-6)
+
+
 @pytest.mark.parametrize("tol", [1e-4, 1e-6])
 def test_a_fit_without_residual_needs_no_finer_mesh_than_others(tol):
     """The least cost is zero, and errors relative to that of a discrete path did not fall with the mesh."""
