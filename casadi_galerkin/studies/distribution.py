@@ -285,21 +285,18 @@ class Batch:
     def _solve_lost(self, executor: Executor, pickled: bytes) -> None:
         """Solve what has no answer yet, each alone, so that a process that fails tells which variation it fails of."""
         lost = [i for i in range(len(self.variations)) if i not in self.answers]
+        known = [path for answer in self.answers.values() for path in _known(answer)]
         context, process = getattr(executor, "_mp_context", None), None
         with ExitStack() as started:
             for i in lost:
                 process = process or started.enter_context(ProcessPoolExecutor(1, context))
+                variation, near = self.variations[i], list[Known]()
+                if isinstance(self.solver, Neighbors) and known:
+                    near = [_nearest(varied(self.solver.problem, variation), known)]
                 try:
-                    given = pickled, [self.variations[i]], self._nearest_answer(self.variations[i])
-                    (self.answers[i],) = process.submit(_chunk, *given).result()
+                    (self.answers[i],) = process.submit(_chunk, pickled, [variation], near).result()
                 except Exception as error:
                     self.answers[i] = CutShort(f"the worker that solved this variation failed, {in_words(error)}")
                     process = None
+                known += _known(self.answers[i])
                 self.advance(1)
-
-    def _nearest_answer(self, variation: Variation) -> list[Known]:
-        """The nearest path that is solved, to start from, if the solver starts from neighbors."""
-        known = [path for answer in self.answers.values() for path in _known(answer)]
-        if not (known and isinstance(self.solver, Neighbors)):
-            return []
-        return [_nearest(varied(self.solver.problem, variation), known)]
