@@ -19,8 +19,8 @@ Some errors are common to both degrees, so that the difference does not show the
   bounds, but add up to a larger impulse than these allow.  Both degrees then have the same momentum behind it, and the
   same defect (`ControlTrajectory.dynamics_defect`).
 - Bounds of controls and path constraints, which hold at quadrature points only: see `unseen_excess` and
-  `HigherDegree.constraint_excess`.  What a path constraint is exceeded by changes the cost in first order: see
-  `HigherDegree.excess_effects`.
+  `HigherDegree.constraint_excess`.  What these constraints and positions exceed their bounds by changes the cost in
+  first order: see `HigherDegree.excess_effects`.
 - The Hamiltonian, which is constant where nothing depends on time.  Its variation, times duration over cost, was
   measured to be of the order of D where both degrees switch at the same wrong time.
 - Jumps in time (`jumps_in_time`): the errors of cost and path are estimated to be at least their effect.
@@ -51,6 +51,7 @@ from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, pa
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.jumps_in_time import jumps_in_time
 from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM
 from casadi_galerkin.control.switching import Switch, switches
@@ -257,19 +258,24 @@ class HigherDegree:
 
     @cached_property
     def excess_effects(self) -> np.ndarray:
-        """Changes of the cost on each interval by what path constraints are exceeded between the points; (N,).
+        """Changes of the cost on each interval by what positions and path constraints are exceeded between the points.
 
-        They are of first order in the excess ε, the same in both degrees: to allow a constraint of multiplier μ so much
-        changes the cost by ∫ μ ε dt.
+        They are of first order in the excess ε, the same in both degrees: to allow a bound of multiplier μ so much
+        changes the cost by ∫ μ ε dt; (N,).
         """
-        path = self.path
-        if path.path_multipliers is None:
-            return np.zeros(len(path.t) - 1)
-        parts = around(path.method.element.points)
-        excess = np.min([p._excess(parts)[1] for p in (path, self.higher)], axis=0)
-        forces = np.abs(path.path_multipliers.values).reshape(*excess.shape[:2], -1)
-        impulses = np.diff(path.t) * (forces @ np.array(path.method.quadrature.weights))
-        return np.array([self.of_cost(change) for change in np.sum(np.max(excess, axis=2) * impulses, axis=0)])
+        path, both, problem = self.path, (self.path, self.higher), self.path.problem
+        chain = Chain(problem, path.method, path.t)
+        joints, others = (np.abs(path.duals[1][chain.fields[name]]) for name in ("x", "nodes"))
+        impulses = [(joints[:-1] + np.sum(others, axis=1)).T]
+        parts = around(path.polynomial.nodes)
+        excesses = [[bound_excess(p.polynomial.values_at_parts(parts), *problem.position_bounds) for p in both]]
+        if path.path_multipliers is not None:
+            parts = around(path.method.element.points)
+            excesses.append([p._excess(parts)[1] for p in both])
+            forces = np.abs(path.path_multipliers.values).reshape(-1, len(path.t) - 1, path.control.rule.size)
+            impulses.append(forces @ np.array(path.method.quadrature.weights) * np.diff(path.t))
+        common = np.vstack([np.min(np.max(excess, axis=3), axis=0) for excess in excesses])
+        return np.array([self.of_cost(change) for change in np.sum(common * np.vstack(impulses), axis=0)])
 
     @property
     def jump_error(self) -> float:

@@ -262,14 +262,17 @@ class ControlTrajectory(Trajectory):
 
     @cached_property
     def constraint_excess(self) -> np.ndarray:
-        """Largest excess of the path constraints over their bounds between the points; (N,).
+        """Largest excess of path constraints and positions over their bounds between the points; (N,).
 
-        It is relative to the change of the constraint where the path changes by its size, and so about the part of its
-        size by which the path is off; at most one.
+        That of positions is relative to their sizes, that of a path constraint to its change where the path changes by
+        its size.  So both are about the part of its size by which the path is off, at most one.
         """
-        values, excess = self._excess(sampling_parts(FINER * self.method.degree))
-        part = np.max(excess, axis=2) / self._changes_at_largest(values, excess)
-        return np.asarray(np.minimum(np.max(part, axis=0, initial=0.0), 1.0))
+        parts = sampling_parts(FINER * self.method.degree)
+        values, excess = self._excess(parts)
+        outside = bound_excess(self.polynomial.values_at_parts(parts), *self.problem.position_bounds)
+        changes = self._changes_at_largest(values, excess)
+        relative = np.vstack((np.max(excess, axis=2) / changes, np.max(outside, axis=2) / self.sizes[:, None]))
+        return np.asarray(np.minimum(np.max(relative, axis=0), 1.0))
 
     def _excess(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values of the path constraints, and their excess over their bounds, zero where a value is not finite."""

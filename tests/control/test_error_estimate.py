@@ -114,6 +114,16 @@ def test_a_bound_that_is_touched_for_a_short_time_at_a_joint_is_seen_to_be_excee
     assert np.max(path(np.linspace(0, 1, 40001))) / cap - 1 <= path.error_estimate
 
 
+@pytest.mark.parametrize(("cap", "asked"), [(0.3, 1e-8), (0.5, 1e-4), (0.8, 1e-6)])
+def test_what_a_bound_of_a_first_order_component_is_exceeded_by_counts_in_the_cost(cap, asked):
+    """Held at the points of Gauss in place of the nodes, the same bound gives the same cost."""
+    late = lambda t, x, v, u: (u**2 + 10 * (x - ca.sin(t)) ** 2) / 2  # noqa: E731
+    follows = {"t_span": (0.0, 3.0), "end": [0.0], "running_cost": late}
+    least = cg.solve(first_order(**follows, path_constraint=(lambda t, x, v, u: x, -np.inf, cap)), cost_tol=2e-9).cost
+    path = cg.solve(first_order(**follows, position_bounds=(-np.inf, cap)), cost_tol=asked)
+    assert abs(path.cost / least - 1) <= path.cost_error <= asked
+
+
 def test_a_path_constraint_of_no_values_limits_nothing():
     """As of a program that has found no obstacles."""
     path = cg.solve(double_integrator(path_constraint=(lambda t, x, v, u: [], 0, 1)), tol=1e-5)

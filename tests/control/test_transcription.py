@@ -160,6 +160,9 @@ def test_position_bounds_hold_at_the_nodes():
     assert cg.solve(double_integrator(start_velocity=[-2.0]), cg.Galerkin(3), intervals=20).x.min() < -0.15
     assert path.polynomial.values.min() == pytest.approx(-0.1, abs=1e-7)
     assert path.polynomial.values.min() >= -0.1
+    outside = -0.1 - np.min(path(np.linspace(0, 1, 20001)))
+    assert path.constraint_excess.max() == pytest.approx(outside / path.sizes[0], rel=0.1)
+    assert "excess" in repr(path)
 
 
 def test_everything_at_once_is_solved_and_verified():
