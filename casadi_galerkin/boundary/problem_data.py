@@ -14,9 +14,9 @@ from casadi_galerkin.problems.boundary_problem import BoundaryProblem, Given, is
 from casadi_galerkin.problems.problem import VARIED, Problem
 
 
-def _given(problem: BoundaryProblem) -> dict[str, Given]:
+def _given(problem: Problem) -> dict[str, Given]:
     """All given values by name; None where a component is free."""
-    values = {name: getattr(problem, name) for name in VARIED}
+    values = {name: getattr(problem, name, None) for name in VARIED}
     return {name: value if isinstance(value, tuple) else (value,) for name, value in values.items() if is_given(value)}
 
 
@@ -30,7 +30,7 @@ def same_statement(one: Problem, other: BoundaryProblem) -> bool:
     return patterns[0] == patterns[1]
 
 
-def data_vector(problem: BoundaryProblem) -> np.ndarray:
+def data_vector(problem: Problem) -> np.ndarray:
     """All given numbers of a problem, its times first."""
     return np.array([*problem.t_span, *(a for a in chain(*_given(problem).values()) if a is not None)])
 

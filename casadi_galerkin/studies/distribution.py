@@ -30,7 +30,7 @@ from casadi_galerkin.control.refinement import first_control_discretization
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.problem import VARIED, map_times, section_times
+from casadi_galerkin.problems.problem import VARIED, Problem, map_times, section_times
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.limits import Limits, check_tolerance
 from casadi_galerkin.solution.progress import Advance
@@ -73,11 +73,11 @@ class Neighbors:
     """
 
     def __init__(self, problem: BoundaryProblem, method: Galerkin | None, intervals: int | None, tol: float) -> None:
-        self.problem, self._transcription = problem, transcribe(problem, method, intervals, tol=tol)
+        self._transcription = transcribe(problem, method, intervals, tol=tol)
 
     def __call__(self, variation: Variation, known: Sequence[Known]) -> Trajectory:
         """Solve from the nearest known path; where that leads to none, from the straight line."""
-        problem = varied(self.problem, variation)
+        problem = varied(self._transcription.problem, variation)
         if not known or (problem.energy is not None and "t_span" in variation):
             return self._transcription.found(problem, variation.get("guess"), None)
         (_, near), guess = _nearest(problem, known), variation.get("guess")
@@ -145,7 +145,7 @@ def _known(answer: Answer | None) -> list[Known]:
     return [(data_vector(answer.problem), answer)]
 
 
-def _nearest(problem: BoundaryProblem, known: Sequence[Known]) -> Known:
+def _nearest(problem: Problem, known: Sequence[Known]) -> Known:
     """The known path whose given values are nearest to those of a problem."""
     values = np.array([data_vector(problem), *(place for place, _ in known)])
     return known[nearest(values[0], values[1:], np.ptp(values, axis=0))]
@@ -187,7 +187,7 @@ class Batch:
     Parameters
     ----------
     solver : solves a variation in this process
-    variations : in their order
+    variations, problems : in their order, each with the problem that it states
 
     Attributes
     ----------
@@ -195,8 +195,8 @@ class Batch:
     advance : called with the number of new answers
     """
 
-    def __init__(self, solver: Solve, variations: Sequence[Variation]) -> None:
-        self.solver, self.variations = solver, variations
+    def __init__(self, solver: Solve, variations: Sequence[Variation], problems: Sequence[Problem]) -> None:
+        self.solver, self.variations, self.problems = solver, variations, problems
         self.answers: dict[int, Answer] = {}
         self.advance: Advance = lambda _: None
 
@@ -216,12 +216,12 @@ class Batch:
     def _chunks(self, solved: Solved) -> list[Chunk]:
         """Chunks in the order given, or of neighbors, the first of which `solved` has solved."""
         if isinstance(self.solver, Neighbors):
-            return self._neighborhoods(self.solver.problem, solved)
+            return self._neighborhoods(solved)
         count = len(self.variations)
         size = min(LARGEST_CHUNK, -(-count // CHUNKS) or 1)
         return [(range(first, min(first + size, count)), ()) for first in range(0, count, size)]
 
-    def _neighborhoods(self, problem: BoundaryProblem, solved: Solved) -> list[Chunk]:
+    def _neighborhoods(self, solved: Solved) -> list[Chunk]:
         """Chunks of variations that are near one another, each about a center, ordered by their distance from it.
 
         The centers are solved here by `solved`, always next the one that is nearest to a solved one.  The chunks do not
@@ -231,7 +231,7 @@ class Batch:
         if not count:
             return []
         size = min(LARGEST_CHUNK, max(SMALLEST_NEIGHBORHOOD, -(-count // CHUNKS)))
-        values = np.array([data_vector(varied(problem, variation)) for variation in self.variations])
+        values = np.array([data_vector(problem) for problem in self.problems])
         scaled = values / or_one(np.ptp(values, axis=0))
         centers = np.arange(0, count, size)
         apart = np.array([np.sum((scaled - scaled[center]) ** 2, axis=1) for center in centers])
@@ -290,11 +290,9 @@ class Batch:
         with ExitStack() as started:
             for i in lost:
                 process = process or started.enter_context(ProcessPoolExecutor(1, context))
-                variation, near = self.variations[i], list[Known]()
-                if isinstance(self.solver, Neighbors) and known:
-                    near = [_nearest(varied(self.solver.problem, variation), known)]
+                near = [_nearest(self.problems[i], known)] if isinstance(self.solver, Neighbors) and known else []
                 try:
-                    (self.answers[i],) = process.submit(_chunk, pickled, [variation], near).result()
+                    (self.answers[i],) = process.submit(_chunk, pickled, [self.variations[i]], near).result()
                 except Exception as error:
                     self.answers[i] = CutShort(f"the worker that solved this variation failed, {in_words(error)}")
                     process = None

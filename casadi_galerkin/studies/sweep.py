@@ -245,7 +245,7 @@ def sweep(
     checked, problems = [variation for variation, _ in given], tuple(other for _, other in given)
     arguments = (problem, method, intervals, tol)
     solver = solver_of(*arguments)  # refuses here what would fail in every worker
-    batch = Batch(solver, checked)
+    batch = Batch(solver, checked, problems)
     with progress("sweep", len(checked)) as batch.advance, suppress(KeyboardInterrupt):
         if executor is None:
             batch.solve_here()
