@@ -184,7 +184,8 @@ def finer(
 ) -> ReferenceSolution:
     """A path several digits finer than the given ones, and its own error from a second one of another degree."""
     degree = max(LEAST_DEGREE, FINER_DEGREE + max(path.method.degree for path in paths))
-    intervals = max(4, max((len(path.t) - 1) * path.method.degree for path in paths) // degree)
+    most = max((len(path.t) - 1) * path.method.degree for path in paths)
+    intervals = max(4, 1 + len(problem.breakpoints), most // degree)
     best: ReferenceSolution | None = None
     for _ in range(DOUBLINGS):
         try:

@@ -275,6 +275,14 @@ def test_the_error_of_a_free_duration_is_an_error_of_the_path(power):
     np.testing.assert_allclose([row.error for row in rows], durations, rtol=1e-3, atol=1e-10)
 
 
+def test_the_reference_has_an_interval_between_any_two_breakpoints():
+    """Of a higher degree it would need fewer intervals than the rows have."""
+    line, tenths = lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, [k / 10 for k in range(1, 10)]
+    problem = cg.BoundaryProblem(line, (0, 1), [0.0], [1.0], breakpoints=tenths)
+    (row,) = cg.trade(problem, [cg.Galerkin(2)], [10]).rows
+    assert 1e-8 < row.error < 1e-4
+
+
 def test_a_breakpoint_at_any_time_is_no_error():
     """Nothing happens there, so that each row has it elsewhere."""
     problem = double_integrator(
