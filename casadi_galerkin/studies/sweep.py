@@ -150,7 +150,7 @@ class Sweep(Table):
         return jumps(self._paths)
 
     def _of_boundary_problems(self) -> bool:
-        return all(isinstance(path.problem, BoundaryProblem) for path in self._paths.values())
+        return all(isinstance(problem, BoundaryProblem) for problem in self.problems)
 
     def _stacked(self, name: str) -> np.ndarray:
         shapes = {np.shape(getattr(path, name)) for path in self._paths.values()}

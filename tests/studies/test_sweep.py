@@ -276,9 +276,11 @@ def test_paths_of_neighboring_durations_are_on_one_branch():
 
 
 def test_jumps_are_told_of_boundary_problems():
-    sweep = cg.sweep(double_integrator(position_bounds=(-1, 9)), PUSHES[:1], METHOD, INTERVALS)
-    with pytest.raises(ValueError, match="boundary problems only"):
-        operator.attrgetter("jumps")(sweep)
+    for bounds in ((-20, 20), (-1e-3, 1e-3)):  # the latter allow no path
+        sweep = cg.sweep(double_integrator(control_bounds=bounds), [{}], METHOD, INTERVALS)
+        assert len(sweep.failures) == (bounds[1] < 1)
+        with pytest.raises(ValueError, match="boundary problems only"):
+            operator.attrgetter("jumps")(sweep)
     assert cg.sweep(bratu_problem(), [], METHOD, INTERVALS).jumps == {}
 
 
