@@ -104,5 +104,5 @@ class Branch:
         """Summarize the branch."""
         count, ends = counted(len(self.trajectories), "path"), f"from {self.parameters[0]} to {self.parameters[-1]}"
         lines = [f"Branch of {count} {ends}, {self.stopped}"]
-        lines += [f"  fold at {fold.parameters}, after {fold.after} paths" for fold in self.folds]
+        lines += [f"  fold at {fold.parameters}, after {counted(fold.after, 'path')}" for fold in self.folds]
         return "\n".join(lines)
