@@ -41,8 +41,8 @@ class Quadrature:
 
     Examples
     --------
-    >>> Quadrature([0.0, 0.5, 1.0], [1 / 6, 2 / 3, 1 / 6]).exactness
-    3
+    >>> Quadrature([0.0, 0.5, 1.0], [1 / 6, 2 / 3, 1 / 6]).order
+    4
     """
 
     points: tuple[float, ...]
@@ -71,18 +71,16 @@ class Quadrature:
         return f"Quadrature of {counted(len(self), 'point')} from {first:.4g} to {last:.4g}, order {self.order}"
 
     @property
-    def exactness(self) -> int:
-        """Highest degree up to which every polynomial is integrated exactly."""
+    def order(self) -> int:
+        """Order u of the rule, the least degree of a polynomial that it does not integrate exactly.
+
+        It is 2r for Gauss, 2r - 1 for Radau, 2r - 2 for Lobatto.
+        """
         q, w = np.array(self.points), np.array(self.weights)
         # No rule with r points is exact beyond degree 2r - 1, so degree 2r always fails.
         moments = legendre.legvander(2 * q - 1, 2 * len(q)).T @ w
         moments[0] -= 1
-        return int(np.argmax(np.abs(moments) > EXACTNESS_TOLERANCE)) - 1
-
-    @property
-    def order(self) -> int:
-        """Order u of the rule: exactness + 1 (2r for Gauss, 2r - 1 for Radau, 2r - 2 for Lobatto)."""
-        return self.exactness + 1
+        return int(np.argmax(np.abs(moments) > EXACTNESS_TOLERANCE))
 
 
 def _roots(series: np.ndarray) -> np.ndarray:

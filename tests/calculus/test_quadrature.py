@@ -27,7 +27,7 @@ def test_rule_is_exact_below_its_order_and_not_at_it(name, n):
     values = moments(rule, order)
     assert np.all(np.abs(values[: order - 1]) < MOMENT)
     assert abs(values[order - 1]) > 1e-3
-    assert (rule.order, rule.exactness, len(rule)) == (order, order - 1, n)
+    assert (rule.order, len(rule)) == (order, n)
 
 
 @pytest.mark.parametrize(("name", "n"), CASES)
@@ -77,18 +77,18 @@ def test_simpson_is_lobatto_of_three_points():
 
 
 @pytest.mark.parametrize(
-    ("points", "weights", "exactness"),
+    ("points", "weights", "order"),
     [
-        ([0.0, 0.25, 0.5, 0.75, 1.0], np.array([7, 32, 12, 32, 7]) / 90, 5),  # Boole
-        ([0.0, 1 / 3, 2 / 3, 1.0], np.array([1, 3, 3, 1]) / 8, 3),  # three-eighths
-        ([0.25, 0.5, 0.75], np.array([2, -1, 2]) / 3, 3),  # open Newton-Cotes, Milne: a negative weight
-        ([0.1, 0.9], [0.5, 0.5], 1),
-        ([0.3], [1.0], 0),
-        ([0.21132486540519, 0.78867513459481], [0.5, 0.5], 3),  # Gauss from a table with 14 digits
+        ([0.0, 0.25, 0.5, 0.75, 1.0], np.array([7, 32, 12, 32, 7]) / 90, 6),  # Boole
+        ([0.0, 1 / 3, 2 / 3, 1.0], np.array([1, 3, 3, 1]) / 8, 4),  # three-eighths
+        ([0.25, 0.5, 0.75], np.array([2, -1, 2]) / 3, 4),  # open Newton-Cotes, Milne: a negative weight
+        ([0.1, 0.9], [0.5, 0.5], 2),
+        ([0.3], [1.0], 1),
+        ([0.21132486540519, 0.78867513459481], [0.5, 0.5], 4),  # Gauss from a table with 14 digits
     ],
 )
-def test_exactness_of_a_users_rule_is_found(points, weights, exactness):
-    assert cg.Quadrature(points, weights).exactness == exactness
+def test_the_order_of_a_users_rule_is_found(points, weights, order):
+    assert cg.Quadrature(points, weights).order == order
 
 
 def test_points_of_weight_zero_are_dropped():
