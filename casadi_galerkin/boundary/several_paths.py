@@ -216,7 +216,7 @@ class Search:
         self.amplitudes = cycle(GROWING)
         self.data = transcription.data(mesh)
         self.found: list[tuple[Trajectory, np.ndarray]] = []  # with their unknowns
-        self.known: list[np.ndarray] = []  # unknowns of all critical points and their images, also of those dropped
+        self.known: list[np.ndarray] = []  # node values of all critical points and their images, also of those dropped
         self.solves = self.curves = self.unresolved = self.singular = self.iterations = 0
         self.failure: ConvergenceError | None = None
         self.parts = DiscreteCalculus(transcription.method, mesh).node_parts
@@ -344,11 +344,11 @@ class Search:
     def is_new(self, unknowns: np.ndarray) -> bool:
         """Record a critical point with its images under the symmetries; whether none of them was known."""
         values, numbering = self.values(unknowns), self.transcription.numbering
-        same, known = [unknowns], [self.values(each) for each in self.known]
+        same = [values]
         for i, symmetry in enumerate(self.symmetries):
             image = _image(i, symmetry, values).T.ravel()[numbering.place]
-            same.append(np.concatenate((image, unknowns[numbering.positions :])))
-        new = [each for each in same if not any(self.same(self.values(each), other) for other in known)]
+            same.append(self.values(np.concatenate((image, unknowns[numbering.positions :]))))
+        new = [each for each in same if not any(self.same(each, other) for other in self.known)]
         self.known += new
         return len(new) == len(same)
 
