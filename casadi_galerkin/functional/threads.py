@@ -33,21 +33,21 @@ def _functions() -> tuple[Callable[[], int], Callable[[int], object]]:
     return library.openblas_get_num_threads, library.openblas_set_num_threads
 
 
-count, use = _functions()
+thread_count, use_threads = _functions()
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Let OpenBLAS use one thread; a nested block changes nothing."""
-    several = count()
+    several = thread_count()
     if several == 1:
         yield  # another thread may be solving, and will restore the number
         return
     try:
-        use(1)
+        use_threads(1)
         yield
     finally:
-        use(several)
+        use_threads(several)
 
 
 fork_waits = threading.RLock()  # held by every solve, wherever a graph is built, and wherever buffers are evaluated
