@@ -75,19 +75,18 @@ class Evaluator:
     def __init__(self, function: ca.Function, bound: Mapping[str, np.ndarray] | None = None) -> None:
         self._function = function  # the buffer does not hold a reference to it
         self._buffer, self._run = function.buffer()
-        self.inputs, self.outputs = dict[str, np.ndarray](), dict[str, np.ndarray]()
         self.failure: RuntimeError | None = None
-        for names, unbound, size, bind in (
-            (function.name_in(), self.inputs, function.nnz_in, self._buffer.set_arg),
-            (function.name_out(), self.outputs, function.nnz_out, self._buffer.set_res),
-        ):
-            self._results = list[np.ndarray]()  # of the outputs, which come last
-            for i, name in enumerate(names):
-                array: Any = bound.get(name) if bound else None
-                if array is None:
-                    array = unbound[name] = np.zeros(size(i))
-                bind(i, memoryview(array))
-                self._results.append(array)
+        given = bound or {}
+        arguments = {name: given.get(name, np.zeros(function.nnz_in(name))) for name in function.name_in()}
+        results = {name: given.get(name, np.zeros(function.nnz_out(name))) for name in function.name_out()}
+        self._results = list(results.values())
+        self.inputs, self.outputs = (
+            {name: array for name, array in arrays.items() if name not in given} for arrays in (arguments, results)
+        )
+        for i, array in enumerate(arguments.values()):
+            self._buffer.set_arg(i, array.data)
+        for i, array in enumerate(self._results):
+            self._buffer.set_res(i, array.data)
 
     def run(self) -> None:
         """Evaluate on all arrays, without a check whether the evaluation was aborted."""
