@@ -93,12 +93,12 @@ class Pointwise:
         columns = {f"block{i}{j}": ca.project(self._cells[i, j], self.pattern).nz[:] for i, j in self.blocks}
         return {"f": self._value, **self._coefficients, **columns}
 
-    def mass(self, entries: np.ndarray) -> np.ndarray:
-        """∂²L̂/∂x'² at K points, (K, d, d), from the last of `blocks`, (K, entries)."""
-        mass = np.zeros((len(entries), *self.pattern.shape))
+    def matrices(self, entries: np.ndarray) -> np.ndarray:
+        """One of `blocks` at K points, (K, d, d), from its entries (K, entries of `pattern`)."""
+        matrices = np.zeros((len(entries), *self.pattern.shape))
         rows, columns = (np.array(index, dtype=int) for index in self.pattern.get_triplet())
-        mass[:, rows, columns] = entries
-        return mass
+        matrices[:, rows, columns] = entries
+        return matrices
 
     @cached_property
     def supplied(self) -> ca.Function | None:

@@ -178,7 +178,7 @@ class _Sampled:
     steps, h : steps (N,), and the same repeated for all places (N K,)
     x, v, times : positions and velocities (d, N K), and times (N K,)
     joints : numbers of the joints among the places, (N + 1,)
-    terms : the pointwise Functions of L̂
+    pointwise : Pointwise, L̂ and its derivatives at one point
     between : (K, points), matrix from values at the quadrature points to those of their polynomial at the places
     """
 
@@ -191,17 +191,17 @@ class _Sampled:
         first, last = path.mesh[[0, -1]]  # a step of L at either end, which L may round, is outside all times
         within = NEAREST * max(abs(first), abs(last))
         self.times = np.clip(times, first + within, last - within)
-        self.terms = pointwise(problem.lagrangian, problem.force)
+        self.pointwise = pointwise(problem.lagrangian, problem.force)
 
     @cached_property
     def derivatives(self) -> list[np.ndarray]:
-        """Outputs of `terms.derivatives`: L̂, its derivatives by x and x', and blocks of its Hessian, (N K, ...)."""
-        return self.evaluate(self.terms.derivatives)
+        """Outputs of `pointwise.derivatives`: L̂, its derivatives by x and x', and blocks of its Hessian, (N K, ...)."""
+        return self.evaluate(self.pointwise.derivatives)
 
     @cached_property
     def masses(self) -> np.ndarray:
         """∂²L/∂v² at the joints, (N + 1, d, d)."""
-        return np.asarray(self.h[self.joints, None, None] * self.terms.mass(self.derivatives[-1][self.joints]))
+        return np.asarray(self.h[self.joints, None, None] * self.pointwise.matrices(self.derivatives[-1][self.joints]))
 
     def evaluate(self, function: ca.Function) -> list[np.ndarray]:
         """Values of a Function of the arguments of L̂ at all places, (N K, ...) each."""
@@ -314,12 +314,10 @@ def kinks_in_place(problem: Problem, path: PiecewisePolynomial) -> np.ndarray:
     impulse of a step of the force by a change of the path, which is in no Hessian.
     """
     at, d, found = _Sampled(problem, path), len(path.values), np.zeros(len(path.mesh) - 1, dtype=bool)
-    rows, columns = (np.array(index, dtype=int) for index in at.terms.pattern.get_triplet())
     for varied in (0, 1):
-        lagrangian, slopes, momenta, *blocks = at.in_place(at.terms.derivatives, varied)
-        changes = np.zeros((len(slopes), d, d))
-        if (0, varied) in at.terms.blocks:
-            changes[:, rows, columns] = blocks[at.terms.blocks.index((0, varied))]
+        lagrangian, slopes, momenta, *blocks = at.in_place(at.pointwise.derivatives, varied)
+        entries = dict(zip(at.pointwise.blocks, blocks, strict=True)).get((0, varied))
+        changes = np.zeros((len(slopes), d, d)) if entries is None else at.pointwise.matrices(entries)
         energies = np.abs(lagrangian) + np.abs(momenta) @ np.max(np.abs(at.v * at.h), axis=1, keepdims=True)
         terms = np.abs(slopes) + energies / or_one(path.sizes)  # these may cancel, as where x is an angle
         found |= at.unexplained(varied, slopes, changes, terms)
@@ -348,8 +346,8 @@ def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarra
     floor = ROUNDING_FACTOR * EPS * (blurred + pulled + scale)
 
     supplied = at.steps * at.integral(work_of_constraint(at.problem, at.times, at.x, at.v))
-    if at.terms.supplied is not None:
-        falls, by_both = at.evaluate(at.terms.supplied)
+    if at.pointwise.supplied is not None:
+        falls, by_both = at.evaluate(at.pointwise.supplied)
         supplied += at.integral(falls)
         slopes = np.abs(at.v * at.h) + rounding * np.repeat(places, len(at.h) // len(at.steps), axis=1)
         rounded = np.abs(by_both) * np.concatenate((np.abs(at.x), slopes)).T  # the terms of a force may cancel

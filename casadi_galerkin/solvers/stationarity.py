@@ -174,7 +174,7 @@ class Linearization:
     def mass(self) -> np.ndarray:
         """∂²L̂/∂x'² at all points where ∇²S was last evaluated; (N r, d, d)."""
         pointwise = self.stationarity.functional.pointwise
-        return pointwise.mass(self._arrays["mass"].reshape(-1, pointwise.pattern.nnz()))
+        return pointwise.matrices(self._arrays["mass"].reshape(-1, pointwise.pattern.nnz()))
 
     def _bind(self, key: tuple[str, ...], function: ca.Function) -> Evaluator:
         """Bind the inputs and outputs of a Function to the arrays with their names."""
