@@ -16,6 +16,7 @@ import numpy as np
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.control_problem import ControlProblem
 
 # step of a control from one point to the next, over its range before, beyond which another control is looked for
@@ -76,10 +77,8 @@ def continuous_controls(
     if effect is None:
         return found
     times, x, v = path.sampled(chain.control_times)
-    at = [times[None, :], x, v]
-    if problem.parameters is not None:
-        at.append(np.tile(values["parameters"][:, None], len(controls)))
-    wanted = np.array(effect.map(len(controls))(controls.T, *at)[0])
+    p = [] if problem.parameters is None else [values["parameters"]]
+    wanted, _ = at_places(effect, controls.T, times, x, v, shared=p)
     scale = or_one(np.max(np.abs(wanted), axis=1))
     low, high = (np.array(bound) for bound in problem.control_bounds)
 
@@ -88,7 +87,7 @@ def continuous_controls(
         near = np.all(np.abs(now - last) <= LONG_STEP * np.ptp(controls[:k], axis=0))
         if near or not np.all((low < now) & (now < high)):
             continue
-        u = _same_effect(effect, [a[:, k] for a in at], wanted[:, k], scale, last)
+        u = _same_effect(effect, [times[k], x[:, k], v[:, k], *p], wanted[:, k], scale, last)
         if u is None or np.max(np.abs(u - last)) > np.max(np.abs(now - last)) / 2:
             continue
         if np.all((low < u) & (u < high)):

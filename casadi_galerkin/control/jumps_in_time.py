@@ -17,6 +17,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.controlled_motion import equations_of_motion
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
@@ -44,5 +45,5 @@ def jumps_in_time(path: ControlTrajectory) -> np.ndarray:
     multipliers = np.empty((0, at_points)) if path.path_multipliers is None else path.path_multipliers.at(points)
     z = *path.polynomial.at_parts(points), path.control.at(points), *path.costate.at_parts(points), multipliers
     given = [np.repeat(a.reshape(len(a), at_points), count // at_points, axis=1) for a in z]
-    values, rates, _ = integrand(path).map(count)(detector.times[None, :], *given)
-    return detector.jump_effects(np.array(values).ravel(), np.array(rates).ravel())
+    values, rates, _ = at_places(integrand(path), detector.times, *given)
+    return detector.jump_effects(values[0], rates[0])

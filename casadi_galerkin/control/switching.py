@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from casadi_galerkin.control.jumps_in_time import integrand
+from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 AT_BOUND = 0.05  # distance from a bound, over that of the bounds, below which a control is at the bound
@@ -67,7 +68,7 @@ def zero(path: ControlTrajectory, i: int, first: float, last: float) -> float:
     """Time at which the switching function of control i changes its sign; NaN if it does not."""
     times = np.linspace(first, last, PARTS + 1)
     state = path(times), path(times, 1), path.control(times), path.costate(times)
-    values = np.array(integrand(path).map(len(times))(times[None, :], *state, 0, 0)[2])[i]
+    values = at_places(integrand(path), times, *state, shared=(0.0, 0.0))[2][i]
     changes = np.flatnonzero(values[1:] * values[:-1] <= 0)
     if len(changes) == 0:
         return np.nan

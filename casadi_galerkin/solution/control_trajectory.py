@@ -15,6 +15,7 @@ from casadi_galerkin.calculus.numbers import counted, spanned
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, extrema, sampling_parts, times_at
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes, or_one
+from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.bounds import FEASIBLE, bound_excess
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -257,7 +258,7 @@ class ControlTrajectory(Trajectory):
         """Values of the path constraints at fractions (K,) of every interval, joints included; (k, N, K)."""
         constraint = with_parameters(self.problem.path_constraint[0], self.parameters)
         times, x, v = self.polynomial.sampled(parts)
-        values = np.array(constraint.map(len(times))(times[None, :], x, v, self.control.at(parts)))
+        (values,) = at_places(constraint, times, x, v, self.control.at(parts))
         return values.reshape(len(values), len(self.t) - 1, len(parts))
 
     @cached_property
@@ -302,9 +303,9 @@ class ControlTrajectory(Trajectory):
         derivative = ca.jacobian(constraint(t, *z), ca.vertcat(*z))
         sizes = np.concatenate((self.sizes, component_sizes(self(self.t, 1)), component_sizes(self.control.values)))
         times = self.t[:-1] + np.diff(self.t) * extrema(values, np.argmax(excess, axis=2)) / (values.shape[2] - 1)
-        terms = ca.Function("terms", [t, *z], [ca.mtimes(ca.fabs(derivative), sizes)]).map(times.size)
+        terms = ca.Function("terms", [t, *z], [ca.densify(ca.mtimes(ca.fabs(derivative), sizes))])
         flat, each = times.ravel(), np.arange(len(times))
-        found = np.array(terms(flat[None, :], self(flat), self(flat, 1), self.control(flat)))
+        (found,) = at_places(terms, flat, self(flat), self(flat, 1), self.control(flat))
         changes = found.reshape(len(times), *times.shape)[each, each]
         return np.where(np.isfinite(changes), np.maximum(changes, TINY), np.inf)
 
@@ -401,10 +402,9 @@ class ControlTrajectory(Trajectory):
         """
         times, x, v = self.polynomial.sampled(parts)
         pushes = np.empty((0, len(times))) if self.problem.constraint is None else self.multipliers(times)
-        motion = equations_of_motion(self.problem).map(len(times))
-        momentum, rate = motion(times[None, :], x, v, self.control.at(parts), pushes)
+        momentum, rate = at_places(equations_of_motion(self.problem), times, x, v, self.control.at(parts), pushes)
         shape = len(x), -1, len(parts)
-        return np.array(momentum).reshape(shape), np.array(rate).reshape(shape)
+        return momentum.reshape(shape), rate.reshape(shape)
 
     def _broken(self, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Times (K,) and values (n, K) of lines (n, N, ...) at `ALONG`, broken at the joints, where they may jump."""

@@ -34,8 +34,7 @@ from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_valu
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.calculus.roundoff import EPS, TINY, or_one
-from casadi_galerkin.functional.buffers import Evaluator
-from casadi_galerkin.functional.mapping import one_by_one
+from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.callables import depends_on_time
 from casadi_galerkin.problems.constrained_motion import tangent_momenta, work_of_constraint
@@ -105,17 +104,9 @@ def error_indicators(problem: Problem, path: PiecewisePolynomial, momentum: np.n
 
 
 def _at_places(problem: Problem, function: ca.Function, *given: np.ndarray) -> list[np.ndarray]:
-    """Values of a Function at K places, (K, ...) each.
-
-    Parameters
-    ----------
-    function : Function of one place; the parameters of the problem, if there are some, are its last input
-    given : (..., K), all other inputs
-    """
-    count, values, shared = given[0].shape[-1], [a.ravel(order="F") for a in given], tuple[int, ...]()
-    if problem.parameters is not None:
-        values, shared = [*values, np.array(problem.parameters)], (len(values),)
-    return [value.reshape(count, -1) for value in Evaluator(one_by_one(function, count, shared))(*values)]
+    """Values of a Function at K places, (K, ...) each; its last input are the parameters of the problem, if any."""
+    shared = [] if problem.parameters is None else [problem.parameters]
+    return [values.T for values in at_places(function, *given, shared=shared)]
 
 
 @lru_cache(8)

@@ -16,6 +16,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import truncation_error
 from casadi_galerkin.calculus.numbers import checked_index, counted, number, spanned, told_apart
 from casadi_galerkin.calculus.piecewise_polynomial import times_within
+from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.constrained_motion import motion_of, multipliers
 from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
@@ -186,9 +187,8 @@ class Trajectory(Path):
     @cached_property
     def energy(self) -> np.ndarray:
         """Energy p·v - L at the joints, from positions and momenta; (N + 1,)."""
-        mapped = self._lagrangian.map(len(self.t))
-        lagrangian = np.array(mapped(self.t[None, :], self.x, self.velocity)).ravel()
-        return np.asarray(np.sum(self.momentum * self.velocity, axis=0) - lagrangian)
+        (lagrangian,) = at_places(self._lagrangian, self.t, self.x, self.velocity)
+        return np.asarray(np.sum(self.momentum * self.velocity, axis=0) - lagrangian[0])
 
     def table(self) -> dict[str, np.ndarray]:
         """Times, positions, velocities, momenta and energy at the joints, by name."""
@@ -213,8 +213,8 @@ class Trajectory(Path):
         """
         checked_index("component", component, len(self.x))
         times = self._fine()
-        along = legendre_transform(self._lagrangian).map(len(times))(times[None, :], self(times), self(times, 1))
-        places = np.stack((self(times)[component], np.array(along[0])[component]))
+        momenta, _ = at_places(legendre_transform(self._lagrangian), times, self(times), self(times, 1))
+        places = np.stack((self(times)[component], momenta[component]))
         joints = np.stack((self.x[component], self.momentum[component]))
         names = (f"x[{component}]", f"p[{component}]") if labels is None else labels
         return plot_phase(places, joints, axes, names)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import Traceable, trace
 from casadi_galerkin.problems.constrained_motion import motion_of, tangents
@@ -120,7 +121,7 @@ def geometry(path: Trajectory, symmetry: Traceable | None = None) -> Geometry:
     momentum = None
     if symmetry is not None:
         generator = trace("symmetry", symmetry, {"x": len(path.x)}, len(path.x))
-        directions = np.array(generator.map(len(path.t))(path.x))
+        (directions,) = at_places(generator, path.x)
         finite = np.isfinite(directions).all(axis=0)
         if not finite.all():
             i = int(np.argmin(finite))

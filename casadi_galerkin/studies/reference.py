@@ -22,6 +22,7 @@ from casadi_galerkin.calculus.mesh_adaptation import resolving_interpolant, trun
 from casadi_galerkin.calculus.numbers import APART, counted, number
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
 from casadi_galerkin.control.phases import with_joined_phases
+from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -123,9 +124,9 @@ class ReferenceSolution:
         """L and p·v along the path, (K,) each."""
         t, x, v = symbols = self._lagrangian.sx_in()
         value = self._lagrangian(*symbols)
-        terms = ca.Function("terms", [t, x, v], [value, ca.jtimes(value, v, v)]).map(len(times))
-        first, second = terms(times[None, :], self._path(times), self._path(times, 1))
-        return np.array(first).ravel(), np.array(second).ravel()
+        terms = ca.Function("terms", [t, x, v], [value, ca.densify(ca.jtimes(value, v, v))])
+        first, second = at_places(terms, times, self._path(times), self._path(times, 1))
+        return first[0], second[0]
 
     def errors(self, path: Trajectory) -> dict[str, Any]:
         """Errors of a path by their names in a `Row`, all relative."""
