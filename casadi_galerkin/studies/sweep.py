@@ -232,14 +232,10 @@ def sweep(
     check_kind(problem, BoundaryProblem, ControlProblem)
     if isinstance(variations, (str, Mapping)) or not isinstance(variations, Iterable):
         raise TypeError(f"variations must be a sequence of dicts, got {variations!r}")
-    if isinstance(executor, ThreadPoolExecutor):
+    if executor is not None and (isinstance(executor, ThreadPoolExecutor) or not isinstance(executor, Executor)):
         raise TypeError(
-            "executor must run processes, got a ThreadPoolExecutor: CasADi Functions are not thread-safe, "
-            "use a ProcessPoolExecutor"
-        )
-    if executor is not None and not isinstance(executor, Executor):
-        raise TypeError(
-            f"executor must be a concurrent.futures.Executor, such as ProcessPoolExecutor(), got {executor!r}"
+            "executor must be a concurrent.futures.Executor, of processes such as ProcessPoolExecutor() because CasADi "
+            f"Functions are not thread-safe, got {executor!r}"
         )
     given = [_checked(problem, i, variation) for i, variation in enumerate(variations)]
     checked, problems = [variation for variation, _ in given], tuple(other for _, other in given)
