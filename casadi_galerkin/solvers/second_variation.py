@@ -43,6 +43,8 @@ def softest(at: Linearization, unknowns: np.ndarray, data: Data) -> tuple[np.nda
             largest, most = (np.max(np.abs(a / sizes)) for a in (solved, other))
         if not np.isfinite(largest + most):
             return y, 0.0  # singular to the last digit
+        if min(largest, most) == 0:
+            return y, np.inf  # all positions follow from the conditions on the ends
         y, z, force = solved / largest, other / most, rhs / largest  # ∇²S y = -force
         rhs = weights * z
     signed, positive = (float(value[0]) for value in at.evaluate("curvature", unknowns, data, z, y))

@@ -185,6 +185,16 @@ def test_a_curved_family_of_paths_is_refused_and_mostly_named():
     assert np.count_nonzero([named(problem, *case, orbit) for case in cases]) > len(cases) / 2
 
 
+@pytest.mark.parametrize("force", [None, lambda t, x, v: [-0.3 * v[0]]])
+def test_a_path_that_follows_from_its_conditions_alone_is_found(force):
+    """Its one free position is that of an end condition, so that nothing can vary."""
+    line, ends = lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2, lambda start, end: end[0] - start[0] - 0.5
+    problem = cg.BoundaryProblem(line, (0, 1), [0.2], [None], force=force, end_conditions=ends)
+    path = cg.solve(problem, cg.Galerkin(1), 1)
+    np.testing.assert_allclose(path.x, [[0.2, 0.7]], rtol=1e-15)
+    assert path.regularity >= 0.5
+
+
 def test_a_single_unknown_with_a_vanishing_second_derivative_is_named():
     problem = cg.BoundaryProblem(oscillator, (0, 2 * np.sqrt(2)), [0.5], [-0.5])
     with pytest.raises(cg.ConjugatePointError):
