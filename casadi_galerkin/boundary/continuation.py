@@ -150,7 +150,7 @@ class BranchFollower(Curve[Solution]):
     def parameters(self, z: np.ndarray) -> np.ndarray:
         """Parameters at a point z, exact at both ends."""
         near_first, near_target = self.first + z[-1] * self.direction, self.target - (1 - z[-1]) * self.direction
-        return np.asarray(near_first if z[-1] < 0.5 else near_target)
+        return near_first if z[-1] < 0.5 else near_target
 
     def problem(self, z: np.ndarray) -> BoundaryProblem:
         """The problem at a point z."""

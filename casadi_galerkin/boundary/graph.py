@@ -155,7 +155,7 @@ class BoundaryGraph:
     def change(self, step: np.ndarray) -> np.ndarray:
         """Node values (d, N m + 1) of a step of the unknowns."""
         given = np.zeros(self.numbering.size - self.numbering.free)
-        return np.asarray(np.concatenate((step, given))[self.numbering.of_nodes].T)
+        return np.concatenate((step, given))[self.numbering.of_nodes].T
 
     def data(self, joints: np.ndarray, plane: np.ndarray | None = None) -> Data:
         """Values of all inputs of the graph except the unknowns.

@@ -28,7 +28,7 @@ NEAREST = 64 * EPS  # two joints with a smaller relative difference count as one
 
 def too_near(joints: np.ndarray) -> np.ndarray:
     """Whether the two joints of each interval differ by no more than roundoff; (N,)."""
-    return np.asarray(np.diff(joints) <= NEAREST * np.abs(joints[1:]))
+    return np.diff(joints) <= NEAREST * np.abs(joints[1:])
 
 
 def time_scale(mesh: ArrayLike) -> np.ndarray:
@@ -91,7 +91,7 @@ class DiscreteCalculus:
     @cached_property
     def node_parts(self) -> np.ndarray:
         """The `node_times` as fractions of the time span, from 0 to 1; (N m + 1,)."""
-        return np.asarray((self.node_times - self.mesh[0]) / (self.mesh[-1] - self.mesh[0]))
+        return (self.node_times - self.mesh[0]) / (self.mesh[-1] - self.mesh[0])
 
     @cached_property
     def quadrature_times(self) -> np.ndarray:

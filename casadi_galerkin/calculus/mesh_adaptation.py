@@ -67,15 +67,15 @@ def truncation_error(path: PiecewisePolynomial, sizes: np.ndarray | None = None)
     if m < 3:
         steps, last = np.diff(path.mesh), np.max(coefficients[:, :, -1], axis=0)
         if len(steps) == 1:
-            return np.asarray(last)
+            return last
         change = np.max(np.abs(np.diff(signed[:, :, -1] / steps**m, axis=1)), axis=0) / (steps[1:] + steps[:-1]) * 2
         largest = np.maximum(np.append(change[:1], change), np.append(change, change[-1:]))
-        return np.asarray(largest * steps ** (m + 1) / (4 * m + 2))
+        return largest * steps ** (m + 1) / (4 * m + 2)
     last = np.maximum(coefficients[:, :, -1], coefficients[:, :, -2])
     before = np.maximum(coefficients[:, :, -3], coefficients[:, :, -4])
     rate = np.sqrt(np.minimum(last / np.maximum(before, TINY), 1.0))
     following = rate * np.maximum(coefficients[:, :, -1], rate * coefficients[:, :, -2])
-    return np.asarray(np.max(following, axis=0))
+    return np.max(following, axis=0)
 
 
 def largest_change(path: PiecewisePolynomial, nodes: np.ndarray, values: np.ndarray) -> float:
@@ -105,7 +105,7 @@ def spread_over(
     at = spread_between(edges, intervals)
     joints = np.interp(at, cumulated, mesh)
     joints[np.searchsorted(at, edges)] = fixed
-    return np.asarray(joints)
+    return joints
 
 
 def resized_mesh(mesh: np.ndarray, intervals: int, breakpoints: tuple[float, ...] = ()) -> np.ndarray:
@@ -115,7 +115,7 @@ def resized_mesh(mesh: np.ndarray, intervals: int, breakpoints: tuple[float, ...
 
 def parts_wanted(error: np.ndarray, order: int, tol: float) -> np.ndarray:
     """Parts into which to split intervals with errors (N,) that fall with the step to the power `order`; (N,)."""
-    return np.asarray((error / (TARGET * tol)) ** (1.0 / order))
+    return (error / (TARGET * tol)) ** (1.0 / order)
 
 
 def equidistributed(

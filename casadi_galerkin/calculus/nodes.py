@@ -53,7 +53,7 @@ def barycentric_weights(nodes: np.ndarray) -> np.ndarray:
     gaps = nodes[:, None] - nodes[None, :]
     np.fill_diagonal(gaps, 1.0)
     logs = -np.log(np.abs(gaps)).sum(axis=1)  # the plain product leaves the range of doubles near degree 500
-    return np.asarray(np.prod(np.sign(gaps), axis=1) * np.exp(logs - logs.max()))
+    return np.prod(np.sign(gaps), axis=1) * np.exp(logs - logs.max())
 
 
 def lagrange_values(nodes: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -64,7 +64,7 @@ def lagrange_values(nodes: np.ndarray, s: np.ndarray) -> np.ndarray:
     terms = barycentric_weights(nodes) / gaps
     rows = hit.any(axis=1)
     terms[rows] = hit[rows]
-    return np.asarray(terms / terms.sum(axis=1, keepdims=True))
+    return terms / terms.sum(axis=1, keepdims=True)
 
 
 def differentiation_matrix(nodes: np.ndarray) -> np.ndarray:
@@ -75,7 +75,7 @@ def differentiation_matrix(nodes: np.ndarray) -> np.ndarray:
     matrix = weights[None, :] / weights[:, None] / gaps
     np.fill_diagonal(matrix, 0.0)
     np.fill_diagonal(matrix, -matrix.sum(axis=1))
-    return np.asarray(matrix)
+    return matrix
 
 
 def lagrange_basis(nodes: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

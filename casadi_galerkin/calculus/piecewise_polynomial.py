@@ -25,7 +25,7 @@ def times_within(mesh: np.ndarray, t: ArrayLike) -> np.ndarray:
 
 def times_at(mesh: np.ndarray, parts: np.ndarray) -> np.ndarray:
     """Times at the same fractions (K,), from 0 to 1, of every interval; (N K,)."""
-    return np.asarray((mesh[:-1, None] + (mesh[1:] - mesh[:-1])[:, None] * parts).ravel())
+    return (mesh[:-1, None] + (mesh[1:] - mesh[:-1])[:, None] * parts).ravel()
 
 
 def extrema(values: np.ndarray, near: np.ndarray) -> np.ndarray:
@@ -111,7 +111,7 @@ class PiecewisePolynomial:
         local = self.values[:, i[:, None] * m + np.arange(m + 1)]
         if self.arrivals is not None:
             local[:, :, -1] = self.arrivals[:, i]
-        return np.asarray(local)
+        return local
 
     @property
     def jumps(self) -> np.ndarray:
@@ -130,14 +130,14 @@ class PiecewisePolynomial:
     def values_at_parts(self, parts: np.ndarray) -> np.ndarray:
         """Values (d, N, K) at the same parts (K,) of every interval, by its own polynomial."""
         values, _ = _basis(tuple(self.nodes.tolist()), tuple(parts.tolist()))
-        return np.asarray(self.local @ values.T)
+        return self.local @ values.T
 
     def at_parts(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values and derivatives (d, N, K) at the same fractions (K,) of every interval, by its own polynomial."""
         values, slopes = _basis(tuple(self.nodes.tolist()), tuple(parts.tolist()))
         local = self.local
         derivatives = (local - local[:, :, :1]) @ slopes.T / (self.mesh[1:] - self.mesh[:-1])[:, None]
-        return np.asarray(local @ values.T), np.asarray(derivatives)
+        return local @ values.T, derivatives
 
     def sampled(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Times (N K,), values and derivatives (d, N K) at these fractions (K,) of one interval after the other."""
@@ -185,7 +185,7 @@ class PiecewisePolynomial:
         local = self._local(i)
         if order:  # a derivative does not see a constant; without it the roundoff is that of the differences
             local = local - local[:, :, :1]
-        return np.asarray(np.einsum("dkj,kj->dk", local, basis).reshape((len(self.values), *times.shape)))
+        return np.einsum("dkj,kj->dk", local, basis).reshape((len(self.values), *times.shape))
 
     def __repr__(self) -> str:
         """Name the size, the degree and the time span."""

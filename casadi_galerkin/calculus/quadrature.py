@@ -89,12 +89,12 @@ def _roots(series: np.ndarray) -> np.ndarray:
     NumPy finds them, as complex numbers from version 2.5 on; a Newton step improves them, as NumPy does with Gauss's.
     """
     x = legendre.legroots(series).real
-    return np.asarray(x - legendre.legval(x, series) / legendre.legval(x, legendre.legder(series)))
+    return x - legendre.legval(x, series) / legendre.legval(x, legendre.legder(series))
 
 
 def _legendre(n: int, x: np.ndarray) -> np.ndarray:
     """The Legendre polynomial P_n at x, (K,)."""
-    return np.asarray(legendre.legvander(x, n)[:, n])
+    return legendre.legvander(x, n)[:, n]
 
 
 def _family(least: int) -> Callable[[Callable[[int], Quadrature]], Callable[[int], Quadrature]]:

@@ -260,7 +260,7 @@ class Chain:
         """Unit of every equation: `sizes` for the equations of motion, else one."""
         units = np.ones(self.kinds.max() + 1)
         units[self.motions] = sizes
-        return np.asarray(units[self.kinds])
+        return units[self.kinds]
 
     def path(self, values: dict[str, np.ndarray], mesh: np.ndarray) -> PiecewisePolynomial:
         """The path, with separate values before the joints where it jumps."""

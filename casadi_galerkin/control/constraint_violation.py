@@ -25,7 +25,7 @@ def equation_scales(chain: Chain, bounds: ProgramBounds, report: Report, before:
     sizes = np.where(report.sizes <= VANISHED * before, before, report.sizes)
     stated = largest_of(_bound_sizes(bounds.equations), chain.kinds)
     sizes = np.fmax(np.where(sizes > ZERO_TERMS, sizes, 0.0), stated)
-    return np.asarray(or_one(sizes)[chain.kinds])
+    return or_one(sizes)[chain.kinds]
 
 
 def violations(chain: Chain, optimum: Optimum, report: Report, before: np.ndarray) -> np.ndarray:
@@ -46,9 +46,9 @@ def violations(chain: Chain, optimum: Optimum, report: Report, before: np.ndarra
 
 def _bound_sizes(sides: np.ndarray) -> np.ndarray:
     """Larger sizes of the finite ones of lower and upper bounds (2, n); zero where there is none."""
-    return np.asarray(np.max(np.where(np.isfinite(sides), np.abs(sides), 0.0), axis=0))
+    return np.max(np.where(np.isfinite(sides), np.abs(sides), 0.0), axis=0)
 
 
 def _excess(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Distances of values from their bounds; infinite where the values are not finite."""
-    return np.asarray(np.where(np.isfinite(values), bound_excess(values, low, high), np.inf))
+    return np.where(np.isfinite(values), bound_excess(values, low, high), np.inf)

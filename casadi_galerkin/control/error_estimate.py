@@ -91,7 +91,7 @@ def position_errors(path: ControlTrajectory) -> np.ndarray:
     excess = np.max(np.where(outside > ROUNDOFF, outside, 0.0), axis=2)
     powers = np.full((len(excess), 1), 0.5)
     powers[[problem.mechanical + i for i in problem.rates.sparsity_jac(CONTROLS, 0).row()]] = 1.0
-    return np.asarray(np.max(excess**powers, axis=0))
+    return np.max(excess**powers, axis=0)
 
 
 def around(points: np.ndarray) -> np.ndarray:
@@ -129,7 +129,7 @@ def unseen_control_excess(path: ControlTrajectory, higher: ControlTrajectory) ->
     parts = sampling_parts(path.method.degree)
     values = [p.control.at(parts).reshape(-1, len(p.t) - 1, len(parts)) for p in (path, higher)]
     excess = np.max(unseen_excess(values, path.problem.control_bounds), axis=2)
-    return np.asarray(np.max(excess / component_sizes(path.control.values)[:, None], axis=0))
+    return np.max(excess / component_sizes(path.control.values)[:, None], axis=0)
 
 
 def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
@@ -137,7 +137,7 @@ def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
     nodes = Galerkin(degree).element.nodes
     lower = path.polynomial.values_at_parts(nodes) @ lagrange_values(nodes, sampling_parts(degree)).T
     change = path.polynomial.values_at_parts(sampling_parts(degree)) - lower
-    return np.asarray(np.max(np.abs(change) / path.sizes[:, None, None], axis=(0, 2)))
+    return np.max(np.abs(change) / path.sizes[:, None, None], axis=(0, 2))
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ class HigherDegree:
         (before, slope), (after, _) = (p.polynomial.at_parts(parts) for p in (path, higher))
         own, other = (times_at((p.t - p.t[0]) / np.ptp(p.t), parts).reshape(-1, len(parts)) for p in (path, higher))
         change = np.abs(after - before - slope * np.ptp(path.t) * (other - own))
-        return np.asarray(np.max(change / path.sizes[:, None, None], axis=(0, 2)))
+        return np.max(change / path.sizes[:, None, None], axis=(0, 2))
 
     @cached_property
     def change(self) -> float:
@@ -193,7 +193,7 @@ class HigherDegree:
         """Errors of the path on each interval because bounds hold at nodes or points only, (N,); see the module."""
         of_controls, of_positions = unseen_control_excess(self.path, self.higher), position_errors(self.path)
         errors = [of_positions, of_controls, self.shared_defect, *self.constraint_excess[0]]
-        return np.asarray(np.max(errors, axis=0))
+        return np.max(errors, axis=0)
 
     @cached_property
     def shared_defect(self) -> np.ndarray:
@@ -205,7 +205,7 @@ class HigherDegree:
         before, after = self.path.dynamics_defect, self.higher.dynamics_defect
         moved = after * np.diff(self.path.t) / np.ptp(self.path.t)
         shared = np.any(bounded) & (after > SHARED_DEFECT * before) & (self.differences < HIDDEN * moved)
-        return np.asarray(np.where(shared, moved, 0.0))
+        return np.where(shared, moved, 0.0)
 
     @cached_property
     def constraint_excess(self) -> tuple[np.ndarray, np.ndarray]:
@@ -241,7 +241,7 @@ class HigherDegree:
         Zero also where a force is not finite between the points, as u^1.5 is where u overshoots zero at a jump.
         """
         misfit = self.path.control_misfit
-        return np.asarray(np.where(misfit > ROUNDOFF, misfit, 0.0))
+        return np.where(misfit > ROUNDOFF, misfit, 0.0)
 
     @cached_property
     def common_error(self) -> float:

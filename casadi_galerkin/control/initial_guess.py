@@ -120,7 +120,7 @@ def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | No
     ends = problem.given_positions
     bent = np.clip(meeting_ends(values, calculus.node_parts, ends), *problem.position_bounds)
     bent[[0, -1]] = np.where(np.isnan(ends), bent[[0, -1]], ends)
-    return np.asarray(bent)
+    return bent
 
 
 def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus, guess: Values | None) -> np.ndarray:
@@ -134,4 +134,4 @@ def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus,
         where = "in the intervals" if problem.hold else "at the quadrature points"
         raise ValueError(f"{name} must have the shape {shape} for values {where}, got {values.shape}")
     check_finite_values(name, values, times)
-    return np.asarray(np.clip(values.T, *problem.control_bounds)).reshape(chain.intervals, -1, chain.controls)
+    return np.clip(values.T, *problem.control_bounds).reshape(chain.intervals, -1, chain.controls)

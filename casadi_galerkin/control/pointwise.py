@@ -65,8 +65,7 @@ class PointwiseTerms:
         if not any(output.nnz() for output in outputs):  # such as second derivatives of linear rows
             return lambda *_: ca.MX(outputs[0].numel(), self.count)
         function = ca.Function("terms", inputs, [*map(ca.densify, outputs)])
-        evaluated: Callable[..., Any] = self.mapping(function, self.count, ())
-        return evaluated
+        return self.mapping(function, self.count, ())
 
     @cached_property
     def value(self) -> Callable[..., ca.MX]:

@@ -134,7 +134,7 @@ def _slopes(chain: Chain, mesh: np.ndarray) -> ca.DM:
 def _active(values: np.ndarray, bounds: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """Which values meet a bound."""
     inside = np.minimum(values - bounds[0], bounds[1] - values)
-    return np.asarray(inside <= ACTIVE_TOLERANCE * sizes)
+    return inside <= ACTIVE_TOLERANCE * sizes
 
 
 def _stiffness(values: np.ndarray, multipliers: np.ndarray, bounds: np.ndarray) -> ca.DM:

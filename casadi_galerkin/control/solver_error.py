@@ -161,4 +161,4 @@ def _solutions(beside: Entries, diagonal: np.ndarray, rhs: np.ndarray) -> np.nda
     rows, columns, values = (np.append(*pair) for pair in zip(beside, (index, index, diagonal), strict=True))
     scale = 1 / np.sqrt(_largest(rows, values, len(index)))
     matrix = sparse([(rows, columns, scale[rows] * values * scale[columns])], (len(index), len(index)))
-    return np.asarray(scale[:, None] * ca.solve(matrix, ca.DM(scale[:, None] * rhs), "qr", NO_CUTOFF).full())
+    return scale[:, None] * ca.solve(matrix, ca.DM(scale[:, None] * rhs), "qr", NO_CUTOFF).full()

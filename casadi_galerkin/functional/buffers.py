@@ -117,4 +117,4 @@ class Evaluator:
         """CasADi's statistics of the last call, which must not have failed."""
         if self.failure is not None:
             raise self.failure
-        return dict(self._buffer.stats())
+        return self._buffer.stats()

@@ -138,7 +138,7 @@ class Functional:
         return [*self._embedded.points, *self._parameters]
 
     def _at_points(self, function: ca.Function) -> list[ca.MX]:
-        return list(self._mapping(function, self.numbering.points, self._shared).call(self._at))
+        return self._mapping(function, self.numbering.points, self._shared).call(self._at)
 
     @cached_property
     def _second(self) -> list[ca.MX]:

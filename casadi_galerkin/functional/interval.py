@@ -70,7 +70,7 @@ class SlopeBasis:
         """ψ_i(c), the integral of l_i from 0 to c; (len(c), m)."""
         m = len(self.points)
         scaled = lagrange_values(self.points, np.outer(c, self.points).ravel()).reshape(len(c), m, m)
-        return np.asarray(c[:, None] * np.einsum("l,cli->ci", self.weights, scaled))
+        return c[:, None] * np.einsum("l,cli->ci", self.weights, scaled)
 
     def taylor(self, terms: int) -> np.ndarray:
         """Taylor coefficients of the l_i at c = 1; at most m of them; (terms, m)."""

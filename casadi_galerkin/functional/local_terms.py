@@ -59,7 +59,7 @@ class LocalTerm:
         size, count = self.entries.shape
         y = ca.reshape(u.get_nz(False, self.entries.ravel(order="F").tolist()), size, count)
         t = ca.reshape(ca.mtimes(ca.MX(self.times), joints), self.function.size1_in(1), count)
-        return list(one_by_one(function, count, (2, 3)).call([y, t, parameters, given]))
+        return one_by_one(function, count, (2, 3)).call([y, t, parameters, given])
 
     def gathered(self, numbering: Numbering, rows: ca.MX) -> ca.MX:
         """Rows (n, K) summed for every unknown."""

@@ -107,7 +107,7 @@ class Numbering:
     def local(self) -> np.ndarray:
         """Entries of u of the values at every local node; (m + 1, N, d)."""
         m = self.method.degree
-        return np.asarray(self.of_nodes[m * np.arange(self.intervals)[None, :] + np.arange(m + 1)[:, None]])
+        return self.of_nodes[m * np.arange(self.intervals)[None, :] + np.arange(m + 1)[:, None]]
 
     @property
     def points(self) -> int:
@@ -127,4 +127,4 @@ def joints_of(numbering: Numbering, unknowns: np.ndarray, data: Data) -> np.ndar
     if not numbering.stretched:
         return mesh
     with np.errstate(over="ignore", invalid="ignore"):  # a solver that fails may leave any number
-        return np.asarray(mesh[0] + np.exp(unknowns[-1]) * (mesh - mesh[0]))
+        return mesh[0] + np.exp(unknowns[-1]) * (mesh - mesh[0])

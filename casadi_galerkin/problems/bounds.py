@@ -51,7 +51,7 @@ def bounds(name: str, value: Any, size: int) -> Bounds:
 def bound_excess(values: np.ndarray, low: ArrayLike, high: ArrayLike) -> np.ndarray:
     """By how much values (n, ...) leave their bounds (n,); zero within."""
     least, most = (np.reshape(side, (-1, *[1] * (values.ndim - 1))) for side in (low, high))
-    return np.asarray(np.maximum(np.maximum(least - values, values - most), 0.0))
+    return np.maximum(np.maximum(least - values, values - most), 0.0)
 
 
 def within_rounding(values: np.ndarray, low: ArrayLike, high: ArrayLike, sizes: ArrayLike = 0.0) -> np.ndarray:

@@ -162,7 +162,7 @@ def off_constraint(problem: Problem, path: PiecewisePolynomial) -> str | None:
 def tangents(motion: ca.Function, t: float, x: np.ndarray) -> np.ndarray:
     """Orthonormal basis of the tangents to the constraint at a position, (d, d - k)."""
     slope = np.array(motion(t, x, np.zeros(len(x)))[0])[len(x) :, : len(x)]
-    return np.asarray(np.linalg.svd(slope)[2][len(slope) :].T)
+    return np.linalg.svd(slope)[2][len(slope) :].T
 
 
 def multipliers(motion: ca.Function, t: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -177,7 +177,7 @@ def work_of_constraint(problem: Problem, t: np.ndarray, x: np.ndarray, v: np.nda
     if not depends_on_time(problem.constraint):
         return 0 * t
     motion = motion_of(problem, problem.force)
-    return np.asarray(np.sum(multipliers(motion, t, x, v) * _at(motion, t, x, v)[3], axis=0))
+    return np.sum(multipliers(motion, t, x, v) * _at(motion, t, x, v)[3], axis=0)
 
 
 def check_constraint(problem: Problem, known: Mapping[str, np.ndarray] | None = None) -> None:

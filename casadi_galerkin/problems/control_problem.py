@@ -236,7 +236,7 @@ class ControlProblem:
     @property
     def constraints(self) -> int:
         """Number of holonomic constraints."""
-        return 0 if self.constraint is None else int(self.constraint.numel_out(0))
+        return 0 if self.constraint is None else self.constraint.numel_out(0)
 
     @property
     def moving_constraints(self) -> np.ndarray:
@@ -255,7 +255,7 @@ class ControlProblem:
     @property
     def mechanical(self) -> int:
         """Number of components that have an equation of motion; the others follow rates."""
-        return int(self.force.numel_out(0))
+        return self.force.numel_out(0)
 
     @property
     def crossings(self) -> tuple[Crossing, ...]:

@@ -129,7 +129,7 @@ def velocities(
 def _inverse(masses: np.ndarray) -> np.ndarray:
     """Pseudo-inverses of mass matrices (K, d, d)."""
     scaled, scales = scaled_masses(_defined(masses))
-    return np.asarray(np.linalg.pinv(scaled, rcond=DEGENERATE, hermitian=True) / scales)
+    return np.linalg.pinv(scaled, rcond=DEGENERATE, hermitian=True) / scales
 
 
 def _defined(masses: np.ndarray) -> np.ndarray:

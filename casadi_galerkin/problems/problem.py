@@ -64,7 +64,7 @@ def map_times(times: np.ndarray, own: Sequence[float] | np.ndarray, other: Seque
     """Map times piecewise linearly from `own` marks to `other` ones; by their ends alone if their numbers differ."""
     if len(own) != len(other):
         own, other = [own[0], own[-1]], [other[0], other[-1]]
-    return times if np.array_equal(own, other) else np.asarray(np.interp(times, own, other))
+    return times if np.array_equal(own, other) else np.interp(times, own, other)
 
 
 def check_kind(problem: object, *kinds: type) -> None:

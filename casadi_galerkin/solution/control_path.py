@@ -54,7 +54,7 @@ class ControlPath:
         i = np.searchsorted(self._changes, flat, side="right")
         basis = lagrange_values(self.points, np.clip((flat - self.mesh[i]) / steps[i], 0.0, 1.0))
         local = self.values[:, i[:, None] * r + np.arange(r)]
-        return np.asarray(np.einsum("nkj,kj->nk", local, basis).reshape((len(self.values), *times.shape)))
+        return np.einsum("nkj,kj->nk", local, basis).reshape((len(self.values), *times.shape))
 
     def __repr__(self) -> str:
         """State the numbers of components, points and intervals."""
@@ -72,7 +72,7 @@ class ControlPath:
     def at(self, s: np.ndarray) -> np.ndarray:
         """Controls at fractions s (K,) of every interval, by its own polynomial, joints included; (n, N K)."""
         local = self.values.reshape(len(self.values), -1, len(self.points))
-        return np.asarray((local @ lagrange_values(self.points, s).T).reshape(len(self.values), -1))
+        return (local @ lagrange_values(self.points, s).T).reshape(len(self.values), -1)
 
     @property
     def _changes(self) -> np.ndarray:

@@ -223,7 +223,7 @@ class ControlTrajectory(Trajectory):
         at_joints = self._momenta
         defect = np.abs(momentum - at_joints[:, :-1, None] - impulse).max(axis=2)
         size = np.abs(at_joints).max(axis=1) + np.abs(impulse).max(axis=(1, 2))
-        return np.asarray((defect / or_one(size)[:, None]).max(axis=0))
+        return (defect / or_one(size)[:, None]).max(axis=0)
 
     @cached_property
     def control_misfit(self) -> np.ndarray:
@@ -239,7 +239,7 @@ class ControlTrajectory(Trajectory):
         rules = rule, gauss(len(rule) + 2)
         impulse, finer = (self._motion(np.array(r.points))[1] @ np.array(r.weights) * steps for r in rules)
         size = np.abs(self._momenta).max(axis=1) + np.abs(impulse).sum(axis=1)
-        return np.asarray((np.abs(finer - impulse) / or_one(size)[:, None]).max(axis=0))
+        return (np.abs(finer - impulse) / or_one(size)[:, None]).max(axis=0)
 
     @cached_property
     def control_overshoot(self) -> np.ndarray:
@@ -252,7 +252,7 @@ class ControlTrajectory(Trajectory):
         width = np.where(np.isfinite(high - low) & (high > low), high - low, 1.0)
         u = self.control.at(sampling_parts(len(self.method.quadrature)))
         excess = bound_excess(u, low, high) / width[:, None]
-        return np.asarray(excess.max(axis=0).reshape(len(self.t) - 1, -1).max(axis=1))
+        return excess.max(axis=0).reshape(len(self.t) - 1, -1).max(axis=1)
 
     def path_constraints(self, parts: np.ndarray) -> np.ndarray:
         """Values of the path constraints at fractions (K,) of every interval, joints included; (k, N, K)."""
@@ -273,7 +273,7 @@ class ControlTrajectory(Trajectory):
         outside = bound_excess(self.polynomial.values_at_parts(parts), *self.problem.position_bounds)
         changes = self._changes_at_largest(values, excess)
         relative = np.vstack((np.max(excess, axis=2) / changes, np.max(outside, axis=2) / self.sizes[:, None]))
-        return np.asarray(np.minimum(np.max(relative, axis=0), 1.0))
+        return np.minimum(np.max(relative, axis=0), 1.0)
 
     def _excess(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values of the path constraints, and their excess over their bounds, zero where a value is not finite."""
@@ -337,7 +337,7 @@ class ControlTrajectory(Trajectory):
             return super().plot(axes, labels, time)
         limited = self.path_multipliers is not None
         drawn = panels(3 + limited, size=(SIZE[0], (1.6 + 0.5 * limited) * SIZE[1]), sharex=True)
-        top: Axes = drawn[0]
+        top = drawn[0]
         super().plot(top, labels, "")
         draw_bounds(top, np.array(self.problem.position_bounds))
         self.plot_controls(drawn[1], control_labels, "")
@@ -479,7 +479,7 @@ class ControlTrajectory(Trajectory):
     @property
     def _truncation_error(self) -> np.ndarray:
         """Truncation error, or the defect of the equations of motion between the points where that is smaller."""
-        return np.asarray(np.minimum(super()._truncation_error, self.dynamics_defect))
+        return np.minimum(super()._truncation_error, self.dynamics_defect)
 
     def _between_points(self) -> list[str]:
         """Lines on the residuals between the points: the defect, and the excess over bounds."""

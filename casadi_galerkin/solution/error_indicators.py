@@ -141,7 +141,7 @@ def _jumps_of_force(
     means = sizes.reshape(len(local), len(steps), -1).mean(axis=2)
     whole = np.max(np.abs(momentum), axis=1) + means @ steps + moving + TINY
     effects = detector.jump_effects(forces, rates, ROUNDING_FACTOR * EPS * rounded)
-    return np.asarray(np.max(effects / whole[:, None], axis=0))
+    return np.max(effects / whole[:, None], axis=0)
 
 
 @lru_cache(64)
@@ -192,7 +192,7 @@ class _Sampled:
     @cached_property
     def masses(self) -> np.ndarray:
         """∂²L/∂v² at the joints, (N + 1, d, d)."""
-        return np.asarray(self.h[self.joints, None, None] * self.pointwise.matrices(self.derivatives[-1][self.joints]))
+        return self.h[self.joints, None, None] * self.pointwise.matrices(self.derivatives[-1][self.joints])
 
     def evaluate(self, function: ca.Function) -> list[np.ndarray]:
         """Values of a Function of the arguments of L̂ at all places, (N K, ...) each."""
@@ -233,7 +233,7 @@ class _Sampled:
         steepest = np.max(np.abs(derivatives).reshape(*values.shape, -1), axis=2)
         rounded = ROUNDING_FACTOR * EPS * np.max(np.abs(terms).reshape(values.shape), axis=2)
         explained = STEP_RATIO * np.einsum("jnkd,nd->jnk", steepest, moved) + rounded
-        return np.asarray(np.any(np.ptp(values, axis=2) > explained, axis=(0, 2)))
+        return np.any(np.ptp(values, axis=2) > explained, axis=(0, 2))
 
     def by_interval(self, values: np.ndarray) -> np.ndarray:
         """Values at all places, those of an interval in a row; (N, K)."""
@@ -245,7 +245,7 @@ class _Sampled:
 
     def integral(self, values: np.ndarray) -> np.ndarray:
         """Integral over every interval, scaled to length 1; (N,)."""
-        return np.asarray(self.at_points(values) @ self._weights)
+        return self.at_points(values) @ self._weights
 
 
 @np.errstate(invalid="ignore")  # L may be infinite
@@ -370,4 +370,4 @@ def _correction(mass: np.ndarray, missing: np.ndarray) -> np.ndarray:
     inverse = np.divide(1.0, values, out=np.zeros_like(values), where=regular)
     measured = missing.T / np.sqrt(np.diagonal(scales, axis1=1, axis2=2))  # squares of momenta may overflow
     roots = np.einsum("ti,tij->tj", measured, vectors) * np.sqrt(np.abs(inverse))
-    return np.asarray(np.sum(np.sign(values) * roots**2, axis=1) / 2)
+    return np.sum(np.sign(values) * roots**2, axis=1) / 2

@@ -64,7 +64,7 @@ def meeting_ends(values: np.ndarray, parts: np.ndarray, ends: np.ndarray) -> np.
     if not np.count_nonzero(moves):
         return values
     first, last = moves
-    return np.asarray(values + first + parts[:, None] * (last - first))
+    return values + first + parts[:, None] * (last - first)
 
 
 def relative_distance(values: np.ndarray, guessed: np.ndarray) -> float:
@@ -109,7 +109,7 @@ def waves(random: np.random.Generator, sizes: np.ndarray, period: float = 2.0) -
     def path(parts: ArrayLike) -> np.ndarray:
         angles = np.multiply.outer(2 * np.pi / period * modes, parts)
         shifts = phases.reshape(*shape, *[1] * np.ndim(parts))
-        return np.asarray(np.einsum("dk,dk...->d...", factors, np.cos(angles + shifts)))
+        return np.einsum("dk,dk...->d...", factors, np.cos(angles + shifts))
 
     return path
 

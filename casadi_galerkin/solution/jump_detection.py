@@ -39,14 +39,14 @@ class JumpDetector:
     def parts(self) -> np.ndarray:
         """The times as fractions of an interval; (r K,)."""
         places = np.array([0.0, *INNER.points, 1.0])
-        return np.asarray((self._edges[:-1, None] + np.diff(self._edges)[:, None] * places).ravel())
+        return (self._edges[:-1, None] + np.diff(self._edges)[:, None] * places).ravel()
 
     @cached_property
     def times(self) -> np.ndarray:
         """The times, strictly inside their intervals; (N r K,)."""
         inside = np.nextafter(self._mesh[:-1], np.inf), np.nextafter(self._mesh[1:], -np.inf)
         early, late = (np.repeat(side, len(self.parts)) for side in inside)
-        return np.asarray(np.clip(times_at(self._mesh, self.parts), early, late))
+        return np.clip(times_at(self._mesh, self.parts), early, late)
 
     def jump_effects(self, values: np.ndarray, rates: np.ndarray, rounded: ArrayLike = 0.0) -> np.ndarray:
         """Largest change of the integral over each interval by jumps, (..., N), beyond the roundoff of f.
@@ -63,4 +63,4 @@ class JumpDetector:
         )
         missing = np.abs(f[..., -1] - f[..., 0] - lasting * (slopes[..., 1:-1] @ np.array(INNER.weights)))
         beyond = np.maximum(missing - least[..., -1] - least[..., 0], 0.0)
-        return np.asarray(np.nansum(beyond * lasting, axis=-1))
+        return np.nansum(beyond * lasting, axis=-1)

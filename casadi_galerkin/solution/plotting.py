@@ -63,8 +63,7 @@ def axes_or_new(axes: Axes | None, size: tuple[float, float] = SIZE) -> Axes:
         if not callable(getattr(axes, "plot", None)):
             raise TypeError(f"axes must be Matplotlib axes, got {axes!r}; all other arguments are given by name")
         return axes
-    new: Axes = panels(size=size)
-    return new
+    return panels(size=size)
 
 
 class Pictured(ABC):
@@ -164,8 +163,7 @@ def _named(name: str, count: int, labels: Sequence[str] | None) -> Sequence[str]
     given = np.asarray(labels, dtype=object)  # a set has no order, and is refused
     if given.shape != (count,) or not all(isinstance(label, str) for label in given):
         raise ValueError(f"labels of {name} must be {counted(count, 'name')}, one per component, got {labels!r}")
-    names: list[str] = given.tolist()
-    return names
+    return given.tolist()
 
 
 def draw_bounds(axes: Axes, bounds: np.ndarray) -> None:

@@ -188,7 +188,7 @@ class Trajectory(Path):
     def energy(self) -> np.ndarray:
         """Energy p·v - L at the joints, from positions and momenta; (N + 1,)."""
         (lagrangian,) = at_places(self._lagrangian, self.t, self.x, self.velocity)
-        return np.asarray(np.sum(self.momentum * self.velocity, axis=0) - lagrangian[0])
+        return np.sum(self.momentum * self.velocity, axis=0) - lagrangian[0]
 
     def table(self) -> dict[str, np.ndarray]:
         """Times, positions, velocities, momenta and energy at the joints, by name."""

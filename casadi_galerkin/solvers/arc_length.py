@@ -52,7 +52,7 @@ class Curve(ABC, Generic[Accepted]):
     def unit(self, direction: np.ndarray) -> np.ndarray:
         """A direction of length one."""
         with np.errstate(invalid="ignore"):
-            return np.asarray(direction / self.length(direction))
+            return direction / self.length(direction)
 
     def tangent(self, z: np.ndarray, forward: np.ndarray) -> np.ndarray:
         """Unit tangent at a point of the curve, on the side of `forward`."""

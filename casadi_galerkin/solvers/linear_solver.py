@@ -247,7 +247,7 @@ def negative_pivots(matrix: ca.DM, factors: ca.Linsol) -> int:
     factors.nfact(matrix)
     if factors.rank(matrix) < matrix.size1():
         factors.nfact(matrix + SHIFTED * ca.diag(ca.sum2(ca.fabs(matrix))))
-    return int(factors.neig(matrix))
+    return factors.neig(matrix)
 
 
 @lru_cache(CACHE_SIZE)

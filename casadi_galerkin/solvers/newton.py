@@ -189,7 +189,7 @@ def _resting(numbering: Numbering, data: Data) -> np.ndarray:
     sizes = np.zeros(numbering.dimension)
     for those, end in zip((numbering.fixed_start, numbering.fixed_end), data[:2], strict=True):
         sizes[list(those)] += np.abs(end)
-    return np.asarray(sizes == 0)
+    return sizes == 0
 
 
 def _zero_components(
@@ -262,7 +262,7 @@ def _of_components(numbering: Numbering, values: np.ndarray) -> np.ndarray:
 
 def _still_changing(numbering: Numbering, at: Iterate) -> np.ndarray:
     """Which components a Newton step still changes by so much that the next one would not be roundoff; (d,)."""
-    return np.asarray(_of_components(numbering, np.abs(at.step) / at.sizes) ** 2 > EPS)
+    return _of_components(numbering, np.abs(at.step) / at.sizes) ** 2 > EPS
 
 
 def _check_going_on(linear: Linearization, at: Iterate, iteration: int) -> None:
@@ -298,7 +298,7 @@ def _final_iterate(linear: Linearization, at: Iterate, last: float, data: Data) 
         return None
     with np.errstate(over="ignore", invalid="ignore"):  # of a singular Hessian it may be of any size
         soft, step = soft / at.sizes, at.step / at.sizes
-        return np.asarray(at.unknowns + at.sizes * (step - soft * ((soft @ step) / max(soft @ soft, TINY))))
+        return at.unknowns + at.sizes * (step - soft * ((soft @ step) / max(soft @ soft, TINY)))
 
 
 def _forecast(step: np.ndarray, simplified: np.ndarray, now: Iterate) -> float:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -121,7 +121,7 @@ class Stationarity:
         sizes, (nonzeros,) = self.sizes(unknowns, data), Evaluator(self.functional.function("hessian"))(unknowns, *data)
         matrix = ca.DM(self.linear_solver.sparsity, nonzeros.tolist())
         changes = np.array(ca.mtimes(ca.fabs(matrix), np.where(np.isfinite(sizes), sizes, 0.0))).ravel()
-        return np.asarray(np.fmax(self.gradient_and_floor(unknowns, data)[1] / EPS, changes))
+        return np.fmax(self.gradient_and_floor(unknowns, data)[1] / EPS, changes)
 
     def sizes(self, unknowns: np.ndarray, data: Data) -> np.ndarray:
         """Size of every unknown: that of its component in the path, or one where that is zero; (n,)."""
@@ -158,7 +158,7 @@ class Linearization:
         """A CasADi solver, built when it is first used; kept here because two solves must not share one."""
         if key not in self._kept:
             self._kept[key] = build()
-        return cast(Built, self._kept[key])
+        return self._kept[key]
 
     @property
     def gradient(self) -> np.ndarray:
@@ -331,7 +331,7 @@ class Linearization:
             self.terms(x, (*ends, *further))
             gradient[:] = self.gradient
         self.terms(unknowns, data)
-        return np.asarray(gradients - self.gradient)
+        return gradients - self.gradient
 
     def rounding_effects(self, terms: np.ndarray) -> np.ndarray:
         """Changes of the unknowns, with the present ∇²S, by errors of the equations of sizes `terms` and random signs.

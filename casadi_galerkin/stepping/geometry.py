@@ -56,7 +56,7 @@ class Geometry:
     @property
     def determinants(self) -> np.ndarray:
         """Determinants of the steps' Jacobians, (N,); without forces they are 1."""
-        return np.asarray(np.linalg.det(self.jacobians))
+        return np.linalg.det(self.jacobians)
 
     @property
     def symplecticity_defects(self) -> np.ndarray:
@@ -65,7 +65,7 @@ class Geometry:
         sizes = np.repeat(np.sqrt([self.unit, 1 / self.unit]), d)
         omega = np.block([[np.zeros((d, d)), np.eye(d)], [-np.eye(d), np.zeros((d, d))]])
         defect = self.jacobians.transpose(0, 2, 1) @ omega @ self.jacobians - omega
-        return np.asarray(np.max(np.abs(defect) * np.outer(sizes, sizes), axis=(1, 2)))
+        return np.max(np.abs(defect) * np.outer(sizes, sizes), axis=(1, 2))
 
     def __repr__(self) -> str:
         """Summarize in a few lines."""

@@ -257,7 +257,7 @@ def _direction(shot: Shot, miss: np.ndarray, iteration: int = 0) -> np.ndarray:
     if _singular(scaled):
         _refuse_conjugate(shot, iteration)
         raise _failure("rounding hides how the end depends on the start", shot, iteration)
-    return np.asarray(np.linalg.solve(scaled, -miss / rows[:, 0]) / columns)
+    return np.linalg.solve(scaled, -miss / rows[:, 0]) / columns
 
 
 def _scaled(shot: Shot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -102,7 +102,7 @@ class Shooting:
     def velocity(self, roll: Roll) -> np.ndarray:
         """Velocity of a path at its start, (d,)."""
         first = roll.slopes[:, 0] @ self.stepper.basis.slopes(np.zeros(1)).T
-        return np.asarray(first.ravel() / (roll.mesh[1] - roll.mesh[0]))
+        return first.ravel() / (roll.mesh[1] - roll.mesh[0])
 
     def shoot(self, start: np.ndarray, velocity: np.ndarray) -> Shot:
         """The path from a start; `velocity` predicts the first step.  Raises if one of its steps fails."""

@@ -268,5 +268,5 @@ def trade(
 
 def _name(measure: Measure) -> str:
     """Name of a function; of a lambda, which has none, what it is."""
-    name: str = getattr(measure, "__name__", "")
+    name = getattr(measure, "__name__", "")
     return name if name.isidentifier() else "what is measured"
