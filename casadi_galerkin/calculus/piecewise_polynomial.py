@@ -13,6 +13,8 @@ from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_basi
 from casadi_galerkin.calculus.numbers import counted, real_array, spanned, whole
 from casadi_galerkin.calculus.roundoff import component_sizes
 
+FINEST = 12  # number of distances from a point, each half of the one before, at which a path is sampled
+
 
 def times_within(mesh: np.ndarray, t: ArrayLike) -> np.ndarray:
     """Times t as an array within the mesh; refuses one that lies outside by more than its rounding."""
@@ -40,6 +42,15 @@ def extrema(values: np.ndarray, near: np.ndarray) -> np.ndarray:
 def sampling_parts(degree: int) -> np.ndarray:
     """Fractions of an interval, 0 and 1 among them, at which something of this degree is sampled between its nodes."""
     return np.linspace(0.0, 1.0, 4 * degree + 1)
+
+
+def around(points: np.ndarray) -> np.ndarray:
+    """Fractions of an interval at distances of all sizes from some points.
+
+    What a path exceeds beside a point that meets a bound, or a bend beside a joint, may be narrower than any distance.
+    """
+    distances = 0.5 ** np.arange(1, FINEST + 1)
+    return np.unique(np.clip(np.add.outer(points, np.append(-distances, distances)), 0.0, 1.0))
 
 
 @lru_cache(64)

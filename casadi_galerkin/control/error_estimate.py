@@ -24,6 +24,7 @@ Some errors are common to both degrees, so that the difference does not show the
 - The Hamiltonian, which is constant where nothing depends on time.  Its variation, times duration over cost, was
   measured to be of the order of D where both degrees switch at the same wrong time.
 - Jumps in time (`jumps_in_time`): the errors of cost and path are estimated to be at least their effect.
+- Controls that leave or meet a bound inside an interval (`bends`), where the quadrature does not see this.
 - The error that the solver leaves (`solver_error`).
 - Controls as functions of time, which the equations see at the points only (`ControlTrajectory.control_misfit`).
 
@@ -49,8 +50,9 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, parts_wanted, truncation_error
 from casadi_galerkin.calculus.nodes import lagrange_values
-from casadi_galerkin.calculus.piecewise_polynomial import sampling_parts, times_at
+from casadi_galerkin.calculus.piecewise_polynomial import around, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.control.bends import bends
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.jumps_in_time import jumps_in_time
 from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM
@@ -77,7 +79,6 @@ DIFFERING_ESTIMATES = 1e-4
 # distance over the duration below which switches are one, such as those of two controls at a breakpoint
 SAME_SWITCH = 1e-8
 ROUNDOFF = 1e-15  # of positions and of impulses, relative to their sizes
-FINEST = 12  # number of distances from a point, each half of the one before, at which excess is looked for
 MET = 1e-4  # distance from a bound, over `_changes_at_largest`, up to which a point meets it
 UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
 
@@ -92,15 +93,6 @@ def position_errors(path: ControlTrajectory) -> np.ndarray:
     powers = np.full((len(excess), 1), 0.5)
     powers[[problem.mechanical + i for i in problem.rates.sparsity_jac(CONTROLS, 0).row()]] = 1.0
     return np.max(excess**powers, axis=0)
-
-
-def around(points: np.ndarray) -> np.ndarray:
-    """Fractions of an interval at distances of all sizes from some points.
-
-    What a path exceeds beside a point that meets a bound may be narrower than any given distance.
-    """
-    distances = 0.5 ** np.arange(1, FINEST + 1)
-    return np.unique(np.clip(np.add.outer(points, np.append(-distances, distances)), 0.0, 1.0))
 
 
 def unseen_excess(values: list[np.ndarray], bounds: Sequence[ArrayLike]) -> np.ndarray:
@@ -244,6 +236,12 @@ class HigherDegree:
         return np.where(misfit > ROUNDOFF, misfit, 0.0)
 
     @cached_property
+    def bends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Relative errors of the impulses, and of the cost, where controls bend inside an interval; (N,) each."""
+        of_impulses, of_cost = bends(self.path)
+        return of_impulses, np.array([self.of_cost(change) for change in of_cost])
+
+    @cached_property
     def common_error(self) -> float:
         """Error of the path that is common to both degrees: by switches at a wrong time, and by `bound_errors`."""
         late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.switches]
@@ -295,7 +293,8 @@ class HigherDegree:
     @property
     def error(self) -> float:
         """Relative error of cost, duration and positions."""
-        return max(self.change, self.common_error, self.cost_error, float(np.sum(self.control_misfit)))
+        missed = np.maximum(self.control_misfit, self.bends[0])
+        return max(self.change, self.common_error, self.cost_error, float(np.sum(missed)))
 
     @property
     def cost_error(self) -> float:
@@ -307,7 +306,7 @@ class HigherDegree:
         change, common = self.cost_change / (1 - SLOWEST), self.common_error
         variation = self.of_cost(self.path._hamiltonian_variation)
         unmet = float(np.max(self.constraint_excess[1], initial=0.0))
-        effects = self.jump_error + float(np.sum(self.excess_effects))
+        effects = self.jump_error + float(np.sum(self.excess_effects) + np.sum(self.bends[1]))
         return max(change, common**2, variation**2, distance, unmet, effects)
 
     def better_mesh(self, tol: float, cost_tol: float) -> np.ndarray:
@@ -320,6 +319,8 @@ class HigherDegree:
         parts = parts_wanted(error, path.method.degree + 1, tol)
         parts = np.where(kinked & (parts > 1), parts_wanted(error, KINK_ORDER, tol), parts)
         parts = np.maximum(parts, parts_wanted(np.maximum(self.bound_errors, self.control_misfit), 1, tol))
+        for errors, allowed in zip(self.bends, (tol, cost_tol), strict=True):
+            parts = np.maximum(parts, parts_wanted(errors, KINK_ORDER, allowed))
         of_cost = np.maximum(self.jump_effects, self.excess_effects)
         mesh, parts = self.widened(np.maximum(parts, parts_wanted(of_cost, 1, cost_tol)))
         mesh = equidistributed(mesh, parts, MOST_PARTS, breakpoints=higher.problem.breakpoints)

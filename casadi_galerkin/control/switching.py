@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from casadi_galerkin.control.jumps_in_time import integrand
+from casadi_galerkin.control.hamiltonian import integrand
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 

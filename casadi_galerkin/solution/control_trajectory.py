@@ -395,14 +395,15 @@ class ControlTrajectory(Trajectory):
         mechanical = self.problem.mechanical
         return np.vstack((self.momentum[:mechanical], self.x[mechanical:]))
 
-    def _motion(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """∂L/∂v and ∂L/∂x + F at fractions (K,) of every interval, (d, N, K) each.
+    def _motion(self, parts: np.ndarray, controls: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """∂L/∂v and ∂L/∂x + F at fractions (K,) of every interval, (d, N, K) each, with its controls or others.
 
         Where a component follows a rate, its value and its rate take their places.
         """
         times, x, v = self.polynomial.sampled(parts)
         pushes = np.empty((0, len(times))) if self.problem.constraint is None else self.multipliers(times)
-        momentum, rate = at_places(equations_of_motion(self.problem), times, x, v, self.control.at(parts), pushes)
+        u = self.control.at(parts) if controls is None else controls
+        momentum, rate = at_places(equations_of_motion(self.problem), times, x, v, u, pushes)
         shape = len(x), -1, len(parts)
         return momentum.reshape(shape), rate.reshape(shape)
 

@@ -1,0 +1,69 @@
+"""An error indicator for controls that leave or meet a bound inside intervals.
+
+An optimal control minimizes the integrand I of the cost (`hamiltonian`) within its bounds.  Where I is convex in u, one
+step of Newton's method from `control(t)` leads near this minimizer.  If it is at a bound on a part of an interval only,
+it bends there, and the quadrature sees this at its points alone.  Where a bend is nearer to a joint than the first
+point, or in the middle of an interval, both degrees make the same error.  So the errors are estimated by how much the
+integrals of all forces, and of I, along the minimizers differ from their quadratures.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.nodes import lagrange_values
+from casadi_galerkin.calculus.piecewise_polynomial import around
+from casadi_galerkin.calculus.roundoff import or_one
+from casadi_galerkin.control.hamiltonian import along, integrand
+from casadi_galerkin.functional.mapping import at_places
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+
+PARTS = np.union1d(around(np.array([0.0, 1.0])), np.linspace(0.0, 1.0, 33))  # where an interval is sampled
+WIDTHS = np.convolve(np.diff(PARTS), [0.5, 0.5])  # weights of the trapezoidal rule there
+FLAT = 1e-8  # curvature of I over those of the single controls, up to which it is not convex
+
+
+@np.errstate(invalid="ignore", divide="ignore")  # at an end, values may be infinite
+def minimizers(path: ControlTrajectory, function: ca.Function) -> np.ndarray:
+    """Controls that minimize I, the `integrand`, within their bounds, at `PARTS` of every interval; (n, N K).
+
+    Controls on which I depends linearly are left as they are: where they switch is known from `switching`.
+    """
+    times, x, v, u, *others = along(path, PARTS)
+    low, high = (np.array(side)[:, None] for side in path.problem.control_bounds)
+    best = np.clip(u, low, high)
+    _, _, slope, columns = at_places(function, times, x, v, best, *others)
+    curvature = columns.reshape(len(u), len(u), -1)
+    curved = np.einsum("iik->ik", curvature)
+    convex = np.all(np.isfinite(columns), axis=0) & np.all(np.isfinite(slope), axis=0) & (curved > 0)
+    free = convex & ((best > low) | (slope < 0)) & ((best < high) | (slope > 0))
+    scale = np.where(free, 1 / np.sqrt(curved), 0.0)
+    scaled = np.where(free, scale[:, None] * curvature * scale, 0.0)
+    values, vectors = np.linalg.eigh(np.where(free[:, None], scaled, 0.0).transpose(2, 0, 1))
+    inverse = np.where(values > FLAT, 1 / values, 0.0)
+    steps = -scale * np.einsum("kij,kj,klj,lk->ik", vectors, inverse, vectors, np.where(free, scale * slope, 0.0))
+    return np.where(convex, np.clip(best + steps, low, high), u)
+
+
+def bends(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of the impulse, and of the cost, on each interval where a control bends; (N,) each.
+
+    The former are over the largest momentum plus the sum of all impulses.
+    """
+    bounds, steps, rule = np.array(path.problem.control_bounds), np.diff(path.t), path.method.quadrature
+    if path.problem.hold or not np.isfinite(bounds).any():
+        return np.zeros(len(steps)), np.zeros(len(steps))
+    function, points = integrand(path), np.array(rule.points)
+    at_points, best = (u.reshape(len(u), len(steps), -1) for u in (path.control.at(points), minimizers(path, function)))
+    parts, u = np.append(points, PARTS), np.dstack((at_points, best)).reshape(len(best), -1)
+    times, x, v, _, *others = along(path, parts)
+    total = at_places(function, times, x, v, u, *others)[0].reshape(1, len(steps), -1)
+    seen, values = np.split(np.vstack((path._motion(parts, u)[1], total)), [len(points)], axis=2)
+    missed = values - seen @ lagrange_values(points, PARTS).T
+    errors = np.abs(np.where(np.isfinite(missed), missed, 0.0) @ WIDTHS) * steps
+    low, high = bounds[:, :, None, None]
+    side = (best >= high).astype(int) - (best <= low)
+    errors[:, ~np.any(np.ptp(side, axis=2), axis=0)] = 0.0
+    sizes = np.abs(path._momenta).max(axis=1) + np.abs(seen[:-1] @ np.array(rule.weights) * steps).sum(axis=1)
+    return (errors[:-1] / or_one(sizes)[:, None]).max(axis=0), errors[-1]

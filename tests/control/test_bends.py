@@ -1,0 +1,83 @@
+import numpy as np
+import pytest
+from control_problems import double_integrator, minimum_time
+
+import casadi_galerkin as cg
+from casadi_galerkin.control.bends import PARTS, bends, minimizers
+from casadi_galerkin.control.hamiltonian import integrand
+
+STRENGTH = 1.6
+
+
+def carried(distance, **changes):
+    """From rest to rest within 2 s by a force of at most 1.6, with least ∫u²/2: u bends at `bend` and at 2 - `bend`."""
+    fields = {"t_span": (0.0, 2.0), "end": [distance], "running_cost": lambda t, x, v, u: u[0] ** 2 / 2}
+    return double_integrator(**fields, control_bounds=(-STRENGTH, STRENGTH), **changes)
+
+
+def bend(distance):
+    return 1 - np.sqrt(3 - 3 * distance / STRENGTH)
+
+
+def cost(distance):
+    return STRENGTH**2 * (1 + 2 * bend(distance)) / 3
+
+
+def places(distance, times):
+    begin = bend(distance)
+    early = np.minimum(times, 2 - times)
+    since = np.maximum(early - begin, 0)
+    half = STRENGTH * (np.minimum(early, begin) ** 2 / 2 + begin * since + since**2 / 2 - since**3 / (6 * (1 - begin)))
+    return np.where(times > 1, distance - half, half)
+
+
+@pytest.mark.parametrize(
+    ("distance", "asked"),
+    [
+        (1.552, {"tol": 1e-4}),  # bends at 0.005 of an interval, before the first point of both degrees
+        (1.552, {"tol": 1e-5}),
+        (1.44, {"tol": 1e-7}),
+        (1.2553333, {"tol": 1e-8}),  # bends in the middle of an interval
+        (1.2, {"cost_tol": 1e-6}),
+        (1.44, {"cost_tol": 1e-4}),
+    ],
+)
+def test_errors_by_bends_are_bounded_by_their_estimates(distance, asked):
+    path, times = cg.solve(carried(distance), **asked), np.linspace(0, 2, 4001)
+    assert abs(path.cost / cost(distance) - 1) <= max(1.2 * path.cost_error, 1e-11)
+    if "tol" in asked:
+        error = np.max(np.abs(path(times)[0] - places(distance, times))) / distance
+        assert error <= path.error_estimate <= asked["tol"]
+
+
+def test_what_a_bend_beside_a_joint_hides_is_found_where_it_is():
+    """The force leaves its bound shortly after the joint of an interval on which it is at the bound at all points."""
+    begin = bend(1.44)
+    path = cg.solve(carried(1.44), cg.Galerkin(6), mesh=[0, begin - 0.01, 0.8, 1.2, 2.01 - begin, 2])
+    of_impulse, of_cost = bends(path)
+    assert np.min(of_impulse[[1, 3]]) > 1e-6 > np.max(of_impulse[[0, 2, 4]])
+    assert np.min(of_cost[[1, 3]]) > 0 == np.max(of_cost[[0, 2, 4]])
+
+
+def test_a_bend_at_a_joint_is_no_error():
+    begin = bend(1.44)
+    path = cg.solve(carried(1.44), cg.Galerkin(4), mesh=[0, begin, 1, 2 - begin, 2])
+    assert np.max(bends(path)) < 1e-8
+    assert path.cost == pytest.approx(cost(1.44), rel=1e-8)
+
+
+def test_between_the_points_controls_that_act_together_minimize_the_cost():
+    """Two coupled forces; without bounds that are met, their polynomials are the minimizers."""
+    coupled = lambda t, x, v, u: u[0] ** 2 + u[1] ** 2 + u[0] * u[1] + x[0] ** 2  # noqa: E731
+    problem = double_integrator(
+        force=lambda t, x, v, u: u[0] + 3 * u[1], running_cost=coupled, controls=2, control_bounds=(-50, 50)
+    )
+    path = cg.solve(problem, cg.Galerkin(8), 4)
+    best = minimizers(path, integrand(path))
+    np.testing.assert_allclose(best, path.control.at(PARTS), atol=1e-6 * np.max(np.abs(best)))
+    assert np.max(bends(path)) == 0
+
+
+def test_controls_without_bounds_held_ones_and_those_that_switch_do_not_bend():
+    for problem in (double_integrator(), carried(1.44, hold=True), minimum_time()):
+        assert np.max(bends(cg.solve(problem, cg.Galerkin(3), 7))) < 1e-15
