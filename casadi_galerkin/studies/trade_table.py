@@ -14,7 +14,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted, finite
 from casadi_galerkin.calculus.quadrature import gauss, lobatto, radau
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.problem import map_times
+from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.export import Table
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.plotting import Pictured, plot_work_precision
@@ -45,6 +45,7 @@ class Row:
     solver : as `solve` takes it; None where a path is found step by step
     tol : the tolerance; None of a fixed discretization
     mesh : (N + 1,), joints that were found for `tol`, taken as a fixed mesh; None of all other rows
+    breakpoints : of the traded problem, joints of this mesh
     shooting : whether the path is found by `shoot`
     unknowns : node values and controls solved for
     first_seconds : of a first call with a problem, which builds everything but the patterns that another problem with
@@ -75,6 +76,7 @@ class Row:
     solver: Solver | None = None
     tol: float | None = None
     mesh: tuple[float, ...] | None = None
+    breakpoints: tuple[float, ...] = ()
     shooting: bool = False
     unknowns: int = 0
     first_seconds: float = np.nan
@@ -90,14 +92,16 @@ class Row:
     def solve(self, problem: AnyProblem, guess: Guess | None = None) -> Trajectory:
         """Solve a problem in this way, the one that was traded or another; arguments and errors as for `solve`.
 
-        By shooting, `guess` is a Trajectory.  A mesh that was found for a tolerance is stretched to the time span.
+        By shooting, `guess` is a Trajectory.  A mesh that was found for a tolerance is stretched to the time span
+        between its breakpoints.
         """
         if self.adaptive:
             return solve(problem, tol=self.tol, guess=guess, solver=self.solver)
         if not self.shooting:
             if self.mesh is None:
                 return solve(problem, self.method, self.intervals, guess=guess, solver=self.solver)
-            mesh = map_times(np.array(self.mesh), [self.mesh[0], self.mesh[-1]], problem.t_span)
+            own = [self.mesh[0], *self.breakpoints, self.mesh[-1]]
+            mesh = map_times(np.array(self.mesh), own, section_times(problem))
             return solve(problem, self.method, mesh=mesh, guess=guess, solver=self.solver)
         given = cast(BoundaryProblem, problem), cast(Galerkin, self.method), self.intervals  # which `shoot` checks
         return shoot(*given, guess=cast(Trajectory | None, guess))
