@@ -172,8 +172,11 @@ def _interpolated(problem: AnyProblem, at: Callable[[np.ndarray], np.ndarray]) -
 
 
 def quantity(measure: Measure, path: Path) -> float:
-    """A quantity of a path; a TypeError refuses what is no number, a ValueError one that is not finite."""
-    value = measure(path)
+    """A quantity of a path; a TypeError refuses what is no number, a ValueError what is not finite or not there."""
+    try:
+        value = measure(path)
+    except Exception as error:
+        raise ValueError(f"measure raised {error!r}") from error
     checked = number(value)
     if checked is None or not math.isfinite(checked):
         raise (TypeError if checked is None else ValueError)(f"measure must return a finite number, got {value!r}")

@@ -217,7 +217,7 @@ def trade(
     measure : a callable path -> number, the quantity whose error counts: a position at some time, a momentum, the cost.
         The path is a Trajectory, unless `reference` is a callable, which can only be called; default the path itself,
         everywhere.  Its error is relative to its value on the reference where that is not zero; a way fails where it
-        is not finite, or raises a ValueError
+        is not finite, or raises an exception
     guess : a callable t -> (d,) or a Trajectory, for all ways and the reference: where several paths join the ends, it
         chooses one.  With `shooting`, a Trajectory, best a coarse one: it is the answer of a way on its own mesh
 

@@ -130,6 +130,14 @@ def test_a_way_whose_quantity_is_not_defined_fails_alone(oscillator):
     assert fine.failure is None
 
 
+def test_an_exception_of_a_measure_is_a_failure_that_names_it(oscillator):
+    coarse, fine = cg.trade(oscillator, [cg.Galerkin(4)], [4, 8], measure=lambda path: path.x[0, 5]).rows
+    assert coarse.failure.startswith("measure raised IndexError(")
+    assert fine.failure is None
+    with pytest.raises(ValueError, match="measure raised KeyError"):
+        cg.trade(oscillator, [cg.Galerkin(4)], [4], lambda t: [np.sin(t)], measure=lambda path: {}["reach"])
+
+
 def layer(t):
     """The path of ε x'' = x for √ε = 1e-4."""
     return [np.exp(-1e4 * t)]
