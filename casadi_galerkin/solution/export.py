@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from abc import ABC, abstractmethod
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ class Table(ABC):
     def to_csv(self, file: str | Path) -> None:
         """Write the columns to a file of comma-separated values, under a line of their names, with all digits."""
         columns = self.to_dict()
-        with Path(file).open("w", newline="", encoding="utf-8") as opened:
+        with _path(file).open("w", newline="", encoding="utf-8") as opened:
             writer = csv.writer(opened)
             writer.writerow(columns)
             writer.writerows(zip(*columns.values(), strict=True))
@@ -41,7 +42,14 @@ class Table(ABC):
     def to_npz(self, file: str | Path) -> None:
         """Write the columns to an archive that ``numpy.load`` reads by their names."""
         columns: dict[str, Any] = self.table()
-        np.savez(file, **columns)
+        np.savez(_path(file), **columns)
+
+
+def _path(file: str | Path) -> Path:
+    """The path of a file, given as a string or a path."""
+    if not isinstance(file, (str, PathLike)):
+        raise TypeError(f"file must be the path of a file, a string or a Path, got {file!r}")
+    return Path(file)
 
 
 def by_component(name: str, values: np.ndarray) -> dict[str, np.ndarray]:

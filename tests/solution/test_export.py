@@ -1,6 +1,7 @@
 """What is saved can be read again, with all digits and the names of the attributes it comes from."""
 
 import csv
+import io
 import json
 from functools import cache
 
@@ -57,6 +58,14 @@ def test_files_give_back_every_digit(answer, tmp_path):
         for name, column in kept.table().items():
             np.testing.assert_array_equal(archive[name], column)
             np.testing.assert_array_equal(np.array([row[name] for row in rows]).astype(column.dtype), column)
+
+
+@pytest.mark.parametrize("file", [None, 3, io.StringIO()])
+def test_what_is_no_path_of_a_file_is_refused(file):
+    kept, _ = answers()[0]
+    for write in (kept.to_csv, kept.to_npz):
+        with pytest.raises(TypeError, match="file must be the path of a file, a string or a Path, got"):
+            write(file)
 
 
 def test_columns_are_the_attributes_at_the_joints():
