@@ -85,6 +85,8 @@ class Branch:
         axes : Matplotlib axes to draw into, labeled by their owner; default a new figure, labeled by the parameter
         parameter : which, from 0 to n - 1
         """
+        if not callable(height):
+            raise TypeError(f"height must be a callable Path -> number, got {height!r}")
         checked_index("parameter", parameter, self.parameters.shape[1])
 
         def checked(path: Path) -> float:

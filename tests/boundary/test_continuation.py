@@ -359,6 +359,8 @@ def test_a_branch_that_turns_back_ends_where_it_began_even_near_zero():
 def test_a_height_that_is_no_number_is_refused(round_the_fold, height):
     with np.errstate(divide="ignore"), pytest.raises(ValueError, match="what height returns must be a finite number"):
         round_the_fold.plot(height)
+    with pytest.raises(TypeError, match="height must be a callable Path -> number, got 3"):
+        round_the_fold.plot(3)
 
 
 def test_a_branch_that_meets_its_mirror_image_turns_where_another_one_crosses():
