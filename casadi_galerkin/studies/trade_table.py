@@ -14,7 +14,9 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import counted, finite
 from casadi_galerkin.calculus.quadrature import gauss, lobatto, radau
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.problem import map_times, section_times
+from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.initial_problem import InitialProblem
+from casadi_galerkin.problems.problem import check_kind, map_times, section_times
 from casadi_galerkin.solution.export import Table
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.plotting import Pictured, plot_work_precision
@@ -100,6 +102,7 @@ class Row:
         if not self.shooting:
             if self.mesh is None:
                 return solve(problem, self.method, self.intervals, guess=guess, solver=self.solver)
+            check_kind(problem, BoundaryProblem, InitialProblem, ControlProblem)
             own = [self.mesh[0], *self.breakpoints, self.mesh[-1]]
             mesh = map_times(np.array(self.mesh), own, section_times(problem))
             return solve(problem, self.method, mesh=mesh, guess=guess, solver=self.solver)

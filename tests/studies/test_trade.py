@@ -124,6 +124,12 @@ def test_breakpoints_stay_joints_of_a_mesh_that_is_stretched():
         assert knot in row.solve(problem).t
 
 
+def test_no_row_solves_what_is_no_problem(every_way):
+    for row in every_way[2].rows:
+        with pytest.raises(TypeError, match=r"problem must be a BoundaryProblem.*, got int"):
+            row.solve(3)
+
+
 def test_a_problem_with_a_function_of_this_process_is_refused_before_any_cell():
     with pytest.raises(TypeError, match=r"cannot be pickled, .* such as a casadi\.Callback"):
         cg.trade(pendulum_with_callback(), [cg.Galerkin(4)], [10])
