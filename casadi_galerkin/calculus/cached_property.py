@@ -1,4 +1,4 @@
-"""A property that is computed when it is first used, and kept.
+"""A property that is computed when it is first used, and kept; an array is read-only.
 
 Before Python 3.12, ``functools.cached_property`` holds a lock while it computes: a child that was forked while another
 thread of its parent did so hung when it used the same property.  Here two threads may compute the same value twice.
@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 if TYPE_CHECKING:
     from functools import cached_property
@@ -26,6 +28,8 @@ else:
             if instance is None:
                 return self
             value = instance.__dict__[self._name] = self._find(instance)
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False  # whoever changed it would change what the instance is
             return value
 
 

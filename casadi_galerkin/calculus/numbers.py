@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 APART = 1e-12  # least relative difference of two times; between nearer ones velocities would be roundoff
 
@@ -74,6 +75,13 @@ def checked_index(name: str, value: object, count: int) -> int:
     if checked is None or not 0 <= checked < count:
         raise ValueError(f"{name} must be a whole number from 0 to {count - 1}, got {value!r}")
     return checked
+
+
+def read_only(values: ArrayLike) -> np.ndarray:
+    """A view of an array, through which it cannot be changed."""
+    view = np.asarray(values).view()
+    view.flags.writeable = False
+    return view
 
 
 def real_array(name: str, values: Any, free: bool = False) -> np.ndarray:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import differentiation_matrix, lagrange_basis, lagrange_values
-from casadi_galerkin.calculus.numbers import counted, real_array, spanned, whole
+from casadi_galerkin.calculus.numbers import counted, read_only, real_array, spanned, whole
 from casadi_galerkin.calculus.roundoff import component_sizes
 
 FINEST = 12  # number of distances from a point, each half of the one before, at which a path is sampled
@@ -84,7 +84,7 @@ class PiecewisePolynomial:
     def __init__(
         self, mesh: np.ndarray, nodes: np.ndarray, values: np.ndarray, arrivals: np.ndarray | None = None
     ) -> None:
-        self.mesh, self.nodes, self.values = np.asarray(mesh), np.asarray(nodes), np.asarray(values)
+        self.mesh, self.nodes, self.values = map(read_only, (mesh, nodes, values))
         self.arrivals = arrivals
         count = (len(self.mesh) - 1) * self.degree + 1
         if self.values.ndim != 2 or self.values.shape[1] != count:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.nodes import barycentric_weights, lagrange_values
-from casadi_galerkin.calculus.numbers import counted, spanned
+from casadi_galerkin.calculus.numbers import counted, read_only, spanned
 from casadi_galerkin.calculus.piecewise_polynomial import times_at, times_within
 from casadi_galerkin.calculus.roundoff import EPS
 
@@ -44,7 +44,7 @@ class ControlPath:
     """
 
     def __init__(self, mesh: np.ndarray, points: np.ndarray, values: np.ndarray, rule: np.ndarray) -> None:
-        self.mesh, self.points, self.values, self.rule = mesh, points, values, rule
+        self.mesh, self.points, self.values, self.rule = mesh, points, read_only(values), rule
 
     def __call__(self, t: ArrayLike) -> np.ndarray:
         """Controls at times t within the mesh; shape (n,) + t.shape."""

@@ -86,6 +86,9 @@ class Trajectory(Path):
     find_regularity: Callable[[], float | None] | None = None
     find_difference: Callable[[], float] | None = None  # relative, to a path of a higher degree
 
+    def __post_init__(self) -> None:
+        self.momentum.flags.writeable = False
+
     def estimate_error(self) -> float:
         """Estimate the relative error of x, at the joints and between them; kept as `error_estimate`.
 

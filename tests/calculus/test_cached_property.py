@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import threading
 
+import numpy as np
 import pytest
 
 from casadi_galerkin.calculus.cached_property import cached_property
@@ -27,6 +28,17 @@ def test_a_value_is_found_once_by_every_instance():
     one, other = Counted(), Counted()
     assert (one.value, one.value, other.value) == (1, 1, 1)
     assert (one.found, other.found) == (1, 1)
+
+
+def test_an_array_is_kept_as_it_was_found():
+    class Named:
+        @cached_property
+        def value(self):
+            return np.ones(2)
+
+    named = Named()
+    with pytest.raises(ValueError, match="read-only"):
+        named.value *= 2.0
 
 
 def test_the_class_shows_the_words_of_the_method():
