@@ -75,7 +75,7 @@ def control_function(
         "duration": ca.sum1(everything[f["durations"][-1].tolist()]),
         "cost": found["f"],
     }
-    return verified_function(inputs, outputs, verified, ["guess", "controls"])
+    return verified_function(inputs, outputs, verified, ["guess", "controls"], derivatives=False)
 
 
 def _given(problem: ControlProblem, chain: Chain) -> dict[str, np.ndarray]:
