@@ -1,13 +1,15 @@
 """Errors of a path against a reference: one that is given, or a solve several digits finer.
 
 The error of such a reference itself is estimated by its difference from a second solve, of another degree on another
-mesh.  Both are refined until this difference is far below the errors that are to be measured, or no longer falls.
+mesh.  Both are refined until this difference is far below the errors that are to be measured, or no longer falls.  If
+their equal intervals resolve less than the tolerances of paths, as at a kink, both are solved to sharper tolerances.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -38,6 +40,7 @@ SAMPLES = 2000  # times at which errors are taken, and at least 4 on every inter
 FINER_DEGREE, LEAST_DEGREE = 4, 8  # degrees that a reference has more than the methods, and its least one
 RESOLVED = 1e-11  # truncation error of an interpolated callable from which its velocities are not used
 FINER, LEAST_ERROR, DOUBLINGS = 1e-2, 1e-14, 4  # a reference's error over the least error measured, and its floor
+SHARPER, LEAST_TOLERANCE = 0.1, 1e-7  # a reference's tolerance over the least error estimated, and its floor
 
 AnyProblem: TypeAlias = BoundaryProblem | InitialProblem | ControlProblem
 Reference: TypeAlias = Trajectory | Callable[[float], ArrayLike]
@@ -190,6 +193,13 @@ def finer(
     degree = max(LEAST_DEGREE, FINER_DEGREE + max(path.method.degree for path in paths))
     most = max((len(path.t) - 1) * path.method.degree for path in paths)
     intervals = max(4, 1 + len(problem.breakpoints), most // degree)
+
+    def measured(other: Trajectory, fine: Trajectory) -> ReferenceSolution:
+        name = f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}"
+        truth = ReferenceSolution(problem, fine, measure, name)
+        truth.error = truth.errors(other)["error"]
+        return truth
+
     best: ReferenceSolution | None = None
     for _ in range(DOUBLINGS):
         try:
@@ -199,9 +209,7 @@ def finer(
             if best is None:
                 raise
             break
-        name = f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}"
-        truth = ReferenceSolution(problem, fine, measure, name)
-        truth.error = truth.errors(other)["error"]
+        truth = measured(other, fine)
         if best is not None and truth.error >= best.error:
             break
         best = truth
@@ -209,4 +217,10 @@ def finer(
             break
         intervals *= 2
     assert best is not None
+    known = [path.error_estimate for path in paths if path.error_estimate is not None]
+    tol = max(LEAST_TOLERANCE, SHARPER * min(known, default=math.inf))
+    if tol < best.error:
+        with suppress(ConvergenceError):
+            truth = measured(solve(problem, tol=tol, guess=guess), solve(problem, tol=SHARPER * tol, guess=guess))
+            best = min(best, truth, key=lambda truth: truth.error)
     return best

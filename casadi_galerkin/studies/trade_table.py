@@ -185,7 +185,7 @@ class Trade(Table, Pictured):
         best = min((row.error for row in self._solved()), default=np.nan)
         raise ValueError(
             f"no row has an error of at most {tol:g}: the least is {best:.1e}, the reference's own "
-            f"{self.reference_error:.1e}. Trade with more intervals or higher degrees"
+            f"{self.reference_error:.1e}. Trade with more intervals or higher degrees, or against a finer `reference`"
         )
 
     def order(self, method: Galerkin) -> float | None:

@@ -67,6 +67,16 @@ def test_a_reference_that_does_not_fit_is_refused_before_any_cell(reference, err
         cg.trade(problem, [cg.Galerkin(2)], [4], reference=reference)
 
 
+def test_a_kink_that_tolerances_resolve_is_resolved_by_the_reference():
+    """On equal intervals its own error was 1e-4; those of the way to the tolerance are some 1e-8."""
+    kink = cg.BoundaryProblem(
+        lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 / 2 + ca.if_else(t < 1.1, 0.0, 1.0) * x[0], (0.0, 2.0), [0.0], [1.0]
+    )
+    measured = cg.trade(kink, [cg.Galerkin(3)], [8], tolerances=[1e-5])
+    assert measured.reference_error < 1e-7
+    assert measured.cheapest(1e-5).tol == 1e-5
+
+
 def test_periodic_paths_count_their_first_joint_once():
     forced = cg.BoundaryProblem(
         lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 + x[0] * ca.cos(t), (0.0, 2 * np.pi), [None], periodic=True
