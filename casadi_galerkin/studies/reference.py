@@ -75,12 +75,13 @@ class ReferenceSolution:
     Attributes
     ----------
     name : what it is, in words
-    error : its own estimated relative error, 0 where none is known
+    own : its own estimated errors by their names in a `Row`; of a given reference at most that of its path is known
     """
 
     def __init__(self, problem: AnyProblem, given: Reference, measure: Measure | None, name: str = "given") -> None:
         _check(problem, given)
-        self.name, self.error = name, getattr(given, "error_estimate", None) or 0.0
+        estimate = getattr(given, "error_estimate", None)
+        self.name, self.own = name, {} if estimate is None else {"error": estimate, "path_error": estimate}
         self._path: Path
         self._at: Callable[[np.ndarray], np.ndarray]
         if isinstance(given, Trajectory):
@@ -91,7 +92,7 @@ class ReferenceSolution:
         self._marks, parameters = _marks(stated), stated.parameters
         calculus = DiscreteCalculus(Galerkin(LEAST_DEGREE), self._path.t)
         self._lagrangian = with_parameters(problem.lagrangian, parameters)
-        values, kinetic = self._terms(calculus.quadrature_times)
+        values, kinetic = self._terms(self._path, calculus.quadrature_times)
         self._sizes = self._path.sizes[:, None]
         self._energy_size = float(np.max(np.abs(values) + np.abs(kinetic))) or 1.0  # zero at rest
         self._functional_size = float(calculus.weights @ np.abs(values)) or 1.0
@@ -112,6 +113,11 @@ class ReferenceSolution:
         if measure is not None:
             self._quantity = quantity(measure, self._path)
 
+    @property
+    def error(self) -> float:
+        """Its own estimated relative error, 0 where none is known."""
+        return self.own.get("error", 0.0)
+
     def _matching(self, path: Trajectory, times: np.ndarray) -> np.ndarray:
         """Times of the reference at the same parts of the durations between breakpoints."""
         return map_times(times, _marks(path.problem), self._marks)
@@ -123,24 +129,27 @@ class ReferenceSolution:
             own, marks = own[[0, -1]], marks[[0, -1]]
         return float(np.max(np.abs((own - own[0]) - (marks - marks[0]))) / np.ptp(marks))
 
-    def _terms(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """L and p·v along the path, (K,) each."""
+    def _terms(self, path: Path, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """L and p·v along a path, (K,) each."""
         t, x, v = symbols = self._lagrangian.sx_in()
         value = self._lagrangian(*symbols)
         terms = ca.Function("terms", [t, x, v], [value, ca.densify(ca.jtimes(value, v, v))])
-        first, second = at_places(terms, times, self._path(times), self._path(times, 1))
+        first, second = at_places(terms, times, path(times), path(times, 1))
         return first[0], second[0]
+
+    def _energy(self, path: Path, times: np.ndarray) -> np.ndarray:
+        """Energy along a path, (K,)."""
+        lagrangian, kinetic = self._terms(path, times)
+        return kinetic - lagrangian
 
     def errors(self, path: Trajectory) -> dict[str, Any]:
         """Errors of a path by their names in a `Row`, all relative."""
-        inside = np.linspace(0.0, 1.0, max(4, SAMPLES // len(path.t)) + 1)[1:-1]
-        joints, times = self._matching(path, path.t), times_at(path.t, inside)
+        joints, times = self._matching(path, path.t), _between(path)
         joint_error = float(np.max(np.abs(path.x - self._at(joints)) / self._sizes))
         between = self._at(self._matching(path, times))
         between_error = float(np.max(np.abs(path(times) - between) / self._sizes))
         path_error = max(between_error, joint_error, self._duration_error(path))
-        lagrangian, kinetic = self._terms(joints)
-        energy_error = float(np.max(np.abs(path.energy - (kinetic - lagrangian))))
+        energy_error = float(np.max(np.abs(path.energy - self._energy(self._path, joints))))
         functional = path.cost if isinstance(path, ControlTrajectory) else path.action
         return {
             "error": path_error if self._measure is None else self._missed(self._measure, path),
@@ -150,9 +159,24 @@ class ReferenceSolution:
             "energy_error": energy_error / self._energy_size,
         }
 
+    def own_errors(self, other: Trajectory) -> dict[str, Any]:
+        """Its own errors, from another path of like accuracy; energies are compared between the joints, too.
+
+        There rows may have joints, at which its own energy is that along its polynomial.
+        """
+        errors, times = self.errors(other), _between(other)
+        missed = self._energy(self._path, self._matching(other, times)) - self._energy(other, times)
+        between = float(np.max(np.abs(missed))) / self._energy_size
+        return errors | {"energy_error": max(errors["energy_error"], between)}
+
     def _missed(self, measure: Measure, path: Trajectory) -> float:
         """Error of the quantity that the user names, relative to its value where that is not zero."""
         return abs(quantity(measure, path) - self._quantity) / (abs(self._quantity) or 1.0)
+
+
+def _between(path: Trajectory) -> np.ndarray:
+    """Times between the joints of a path at which errors are taken."""
+    return times_at(path.t, np.linspace(0.0, 1.0, max(4, SAMPLES // len(path.t)) + 1)[1:-1])
 
 
 def _marks(problem: Problem) -> list[float]:
@@ -197,7 +221,7 @@ def finer(
     def measured(other: Trajectory, fine: Trajectory) -> ReferenceSolution:
         name = f"{fine.method} on {counted(len(fine.t) - 1, 'interval')}"
         truth = ReferenceSolution(problem, fine, measure, name)
-        truth.error = truth.errors(other)["error"]
+        truth.own = truth.own_errors(other)
         return truth
 
     best: ReferenceSolution | None = None

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from textwrap import shorten
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -144,6 +145,8 @@ class Trade(Table, Pictured):
     reference_error : its own estimated relative error; of a reference that was given, its `error_estimate`, or 0 if it
         has none
     quantity : name of what `Row.error` is the error of; None where it is the path
+    reference_errors : estimated errors of the reference itself by their names in a Row, as far as they are known; in a
+        Row, smaller ones mean nothing
 
     Examples
     --------
@@ -158,6 +161,7 @@ class Trade(Table, Pictured):
     reference: str
     reference_error: float
     quantity: str | None = None
+    reference_errors: Mapping[str, Any] = field(default_factory=dict)
 
     def front(self) -> list[Row]:
         """Rows that no other row beats in both time of a repeated solve and error (the Pareto set), fastest first.
@@ -246,13 +250,19 @@ class Trade(Table, Pictured):
         return f"{text}\n  least error {best.error:.1e} in {cost}: {best.method}, {how}"
 
     def __str__(self) -> str:
-        """Readable table; the front is marked with a star, and of many rows shown alone."""
+        """Readable table; the front is marked with a star, and of many rows shown alone.
+
+        The last row holds the errors of the reference itself, where these are known.
+        """
         front, named = self.front(), self.quantity is not None
         shown = self.rows if len(self.rows) <= MOST_SHOWN else front
         table = [HEADS, *(_words(row, row in front) for row in shown)]
-        widths = [max(len(words[k]) for words in table) for k in range(len(HEADS))]
         heads = "".join(f"{head:>12}" for head in [*COSTS, *(["error"] if named else []), *ERRORS])
         numbers = [heads, *(_numbers(row, named) for row in shown)]
+        if self.reference_errors:
+            table.append(("", "", "", "", "reference itself"))
+            numbers.append(" " * 12 * len(COSTS) + _errors(Row(**self.reference_errors), named))
+        widths = [max(len(words[k]) for words in table) for k in range(len(HEADS))]
         lines = ["  ".join(map(str.ljust, words, widths)) + end for words, end in zip(table, numbers, strict=True)]
         lines += [f"reference: {self.reference}", "*: no other row is both faster when repeated and more accurate"]
         if named:
@@ -283,9 +293,13 @@ def _numbers(row: Row, named: bool) -> str:
     if row.failure is not None:
         return f"  failed: {shorten(row.failure.partition('. ')[0], REASON, placeholder='…')}"
     seconds = "".join(f"{1e3 * value:12.3f}" for value in (row.first_seconds, row.solve_seconds))
+    return f"{row.unknowns:12d}{seconds}{row.iterations:12d}{_errors(row, named)}"
+
+
+def _errors(row: Row, named: bool) -> str:
+    """The errors of a row, in a table."""
     errors = [row.path_error, row.joint_error, row.functional_error, row.energy_error]
-    shown = "".join(f"{value:12.1e}" for value in ([row.error] if named else []) + errors)
-    return f"{row.unknowns:12d}{seconds}{row.iterations:12d}{shown}"
+    return "".join(f"{value:12.1e}" for value in ([row.error] if named else []) + errors)
 
 
 def rule_of(method: Galerkin, relative: bool = False) -> str:

@@ -77,6 +77,17 @@ def test_a_kink_that_tolerances_resolve_is_resolved_by_the_reference():
     assert measured.cheapest(1e-5).tol == 1e-5
 
 
+def test_a_reference_across_a_jump_of_the_control_knows_that_its_energy_is_coarser_than_its_path():
+    """The velocity of its polynomial errs around the jump, where ways to a tolerance have a joint."""
+    fastest = double_integrator(
+        running_cost=lambda t, x, v, u: 1.0, control_bounds=(-1.0, 0.5), duration_bounds=(0.5, 10.0)
+    )
+    measured = cg.trade(fastest, [cg.Galerkin(3)], [8], tolerances=[1e-3])
+    assert measured.reference_error < 1e-5
+    assert measured.reference_errors["error"] == measured.reference_error
+    assert 1e-4 < measured.rows[1].energy_error < 5 * measured.reference_errors["energy_error"]
+
+
 def test_periodic_paths_count_their_first_joint_once():
     forced = cg.BoundaryProblem(
         lambda t, x, v: v[0] ** 2 / 2 - x[0] ** 2 + x[0] * ca.cos(t), (0.0, 2 * np.pi), [None], periodic=True

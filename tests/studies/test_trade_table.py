@@ -59,11 +59,23 @@ def test_cheapest_refuses_what_no_row_reaches():
 
 def test_table_holds_every_row_and_the_reference(measured):
     text = str(measured)
-    assert len(text.splitlines()) == 3 + len(measured.rows)
+    assert len(text.splitlines()) == 4 + len(measured.rows)
     assert f"own error {measured.reference_error:.1e}" in text
     table = measured.to_dict()
     assert table["error"] == [row.error for row in measured.rows]
     assert table["degree"] == [row.method.degree for row in measured.rows]
+
+
+def test_errors_of_the_reference_itself_stand_below_those_of_the_rows():
+    own = {"error": 1e-7, "path_error": 2e-7, "energy_error": 3e-5}
+    for quantity, shown in ((None, ""), ("reach", "     1.0e-07")):
+        text = str(cg.Trade((row(1.0, 1e-3),), "solved", 1e-7, quantity, own))
+        head, _, last, *_ = text.splitlines()
+        assert len(last) == len(head)
+        assert (
+            last.split("reference itself")[1].strip()
+            == (shown + "     2.0e-07         nan         nan     3.0e-05").strip()
+        )
 
 
 def test_many_rows_are_shown_by_their_front_and_failures():
