@@ -28,22 +28,27 @@ FLAT = 1e-8  # curvature of I over those of the single controls, up to which it 
 def minimizers(path: ControlTrajectory, function: ca.Function) -> np.ndarray:
     """Controls that minimize I, the `integrand`, within their bounds, at `PARTS` of every interval; (n, N K).
 
-    Controls on which I depends linearly are left as they are: where they switch is known from `switching`.
+    They minimize the quadratic model of I about `control(t)`: each step is one of Newton's method for the controls that
+    are not pushed against a bound.  Controls on which I depends linearly are left as they are: where they switch is
+    known from `switching`.
     """
     times, x, v, u, *others = along(path, PARTS)
     low, high = (np.array(side)[:, None] for side in path.problem.control_bounds)
-    best = np.clip(u, low, high)
-    _, _, slope, columns = at_places(function, times, x, v, best, *others)
+    best = within = np.clip(u, low, high)
+    _, _, slope, columns = at_places(function, times, x, v, within, *others)
     curvature = columns.reshape(len(u), len(u), -1)
     curved = np.einsum("iik->ik", curvature)
     convex = np.all(np.isfinite(columns), axis=0) & np.all(np.isfinite(slope), axis=0) & (curved > 0)
-    free = convex & ((best > low) | (slope < 0)) & ((best < high) | (slope > 0))
-    scale = np.where(free, 1 / np.sqrt(curved), 0.0)
-    scaled = np.where(free, scale[:, None] * curvature * scale, 0.0)
-    values, vectors = np.linalg.eigh(np.where(free[:, None], scaled, 0.0).transpose(2, 0, 1))
-    inverse = np.where(values > FLAT, 1 / values, 0.0)
-    steps = -scale * np.einsum("kij,kj,klj,lk->ik", vectors, inverse, vectors, np.where(free, scale * slope, 0.0))
-    return np.where(convex, np.clip(best + steps, low, high), u)
+    for _ in range(2 * len(u)):
+        pull = slope + np.einsum("ijk,jk->ik", curvature, best - within)
+        free = convex & ((best > low) | (pull < 0)) & ((best < high) | (pull > 0))
+        scale = np.where(free, 1 / np.sqrt(curved), 0.0)
+        scaled = np.where(free[:, None] & free, scale[:, None] * curvature * scale, 0.0)
+        values, vectors = np.linalg.eigh(scaled.transpose(2, 0, 1))
+        inverse = np.where(values > FLAT, 1 / values, 0.0)
+        forces = np.where(free, -scale * pull, 0.0)
+        best = np.clip(best + scale * np.einsum("kij,kj,klj,lk->ik", vectors, inverse, vectors, forces), low, high)
+    return np.where(convex, best, u)
 
 
 def bends(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:

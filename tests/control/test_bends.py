@@ -4,7 +4,8 @@ from control_problems import double_integrator, minimum_time
 
 import casadi_galerkin as cg
 from casadi_galerkin.control.bends import PARTS, bends, minimizers
-from casadi_galerkin.control.hamiltonian import integrand
+from casadi_galerkin.control.hamiltonian import along, integrand
+from casadi_galerkin.functional.mapping import at_places
 
 STRENGTH = 1.6
 
@@ -66,16 +67,23 @@ def test_a_bend_at_a_joint_is_no_error():
     assert path.cost == pytest.approx(cost(1.44), rel=1e-8)
 
 
-def test_between_the_points_controls_that_act_together_minimize_the_cost():
-    """Two coupled forces; without bounds that are met, their polynomials are the minimizers."""
-    coupled = lambda t, x, v, u: u[0] ** 2 + u[1] ** 2 + u[0] * u[1] + x[0] ** 2  # noqa: E731
-    problem = double_integrator(
-        force=lambda t, x, v, u: u[0] + 3 * u[1], running_cost=coupled, controls=2, control_bounds=(-50, 50)
-    )
-    path = cg.solve(problem, cg.Galerkin(8), 4)
+@pytest.mark.parametrize("strength", [50.0, 4.0, 1.5])
+def test_between_the_points_controls_that_act_together_minimize_the_cost(strength):
+    """Two coupled forces, of which none, one or both are at a bound in a part of an interval."""
+    coupled = lambda t, x, v, u: u[0] ** 2 + u[1] ** 2 + 1.5 * u[0] * u[1] + x[0] ** 2  # noqa: E731
+    bounds = {"control_bounds": (-strength, [50.0, strength])}
+    problem = double_integrator(force=lambda t, x, v, u: 3 * u[0] + u[1], running_cost=coupled, controls=2, **bounds)
+    path = cg.solve(problem, cg.Galerkin(6), 4)
     best = minimizers(path, integrand(path))
-    np.testing.assert_allclose(best, path.control.at(PARTS), atol=1e-6 * np.max(np.abs(best)))
-    assert np.max(bends(path)) == 0
+    times, x, v, u, *others = along(path, PARTS)
+    slope, size = at_places(integrand(path), times, x, v, best, *others)[2], np.max(np.abs(best))
+    low, high = (np.array(side)[:, None] for side in problem.control_bounds)
+    assert np.all((low <= best) & (best <= high))
+    assert np.all(slope[best - low > 1e-9] < 1e-9 * size)
+    assert np.all(slope[high - best > 1e-9] > -1e-9 * size)
+    if strength == 50.0:
+        np.testing.assert_allclose(best, u, atol=1e-5 * size)
+        assert np.max(bends(path)) == 0
 
 
 def test_controls_without_bounds_held_ones_and_those_that_switch_do_not_bend():
