@@ -27,7 +27,8 @@ def first_values(
     """Values of the fields at a guess, within the bounds and with the given values; for `near` see `near_answer`.
 
     Without a guess the path is the straight line between the ends, and controls are zero, or the middle of their
-    bounds where these exclude zero.  Momenta and impulses are left out, and the units of momenta are one.  Free
+    bounds unless zero lies inside of these: from zero on a bound, as of a thruster, a quadrotor took ten times as many
+    iterations, or found nothing.  Momenta and impulses are left out, and the units of momenta are one.  Free
     durations are `longer` times those of the mesh, within their bounds; those of an earlier solution are kept.
     """
     path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
@@ -101,11 +102,11 @@ def near_answer(guess: Guess | None, chain: Chain, calculus: DiscreteCalculus) -
     return guess if np.max(np.abs(joints - calculus.mesh)) <= same else None
 
 
-def _resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
-    """Zero where it is within the bounds; else their middle, or the finite one."""
+def resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
+    """Zero where it is inside of the bounds; else their middle, or the finite one."""
     return np.array(
         [
-            0.0 if a <= 0 <= b else (a + b) / 2 if np.isfinite(b - a) else a if np.isfinite(a) else b
+            0.0 if a < 0 < b else (a + b) / 2 if np.isfinite(b - a) else a if np.isfinite(a) else b
             for a, b in zip(low, high, strict=True)
         ]
     )
@@ -114,7 +115,7 @@ def _resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
 def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None) -> np.ndarray:
     """Node values (N m + 1, d) that meet the fixed ends and are within bounds."""
     if guess is None:
-        values = np.full((len(calculus.node_times), problem.dimension), _resting(*problem.position_bounds))
+        values = np.full((len(calculus.node_times), problem.dimension), resting(*problem.position_bounds))
     else:
         values = guess_values(guess, calculus, problem.dimension).T
     ends = problem.given_positions
@@ -126,7 +127,7 @@ def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | No
 def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus, guess: Values | None) -> np.ndarray:
     """Controls (N, points, n) within bounds, from a callable of time or an array of values at these points."""
     if guess is None:
-        return np.full((chain.intervals, len(chain.control_times), chain.controls), _resting(*problem.control_bounds))
+        return np.full((chain.intervals, len(chain.control_times), chain.controls), resting(*problem.control_bounds))
     name, times = "the guess of the controls", times_at(calculus.mesh, chain.control_times)
     shape = (chain.controls, len(times))
     values = sampled(name, guess, times, shape[0]) if callable(guess) else real_array(name, guess)

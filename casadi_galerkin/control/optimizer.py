@@ -38,7 +38,8 @@ FATROP_TOLERANCE = 1e-9
 # Fatrop treats rows with smaller pivots, in units of the unknowns, as dependent, and adds a constant to the diagonal
 # until they are not.  Where the constant is too small it never ends: with its default 1e-5 for lengths of 1e-6, with
 # 1e-7 for constraints at many nodes.  This value solves both; but lengths of 1e-7, one of 40 guesses of an acrobot and
-# 6 of 15 meshes of a hanging chain hang.  With 5e-5 and `delta_c_stripe` 1e-2 no chain does, but a robot arm.
+# 6 of 15 meshes of a hanging chain hang, and so do controls other than zero that are bounded by 1e-5, where none are
+# needed.  With 5e-5 and `delta_c_stripe` 1e-2 no chain does, but a robot arm.
 PIVOT = 1e-6
 FATROP_WORDS = {"0": "Solve Succeeded", "1": "No Optimum Found"}  # fatrop returns only numbers
 # part of max(1, |b|) by which a solver relaxes bounds b; fatrop has no option for it

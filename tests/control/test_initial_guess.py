@@ -115,6 +115,36 @@ def test_a_pair_that_does_not_fit_is_refused(guess, kind, message):
         cg.solve(pendulum(3.0), cg.Galerkin(4), 10, guess=guess)
 
 
+def test_controls_begin_at_zero_only_where_that_is_inside_of_their_bounds():
+    low, high = [-1, 0, -4, 0, 2, -np.inf], [1, 5, 0, np.inf, 3, np.inf]
+    six = {"controls": 6, "force": lambda t, x, v, u: ca.sum1(u), "running_cost": lambda t, x, v, u: ca.sumsqr(u)}
+    program = cg.transcribe(double_integrator(**six, control_bounds=(low, high)), cg.Galerkin(2), 3)
+    begun = program.starting_point(program.problem, program.calculus, None).values["controls"]
+    np.testing.assert_array_equal(begun, np.broadcast_to([0, 2.5, -2, 0, 2.5, 0], begun.shape))
+
+
+def test_thrusters_that_only_push_begin_between_their_bounds():
+    """From zero, the quadrotor finds nothing on 150 intervals within 1000 iterations."""
+    mass, inertia, arm, weight = 0.5, 0.004, 0.15, 0.5 * 9.81
+    quadrotor = cg.ControlProblem(
+        lambda t, x, v: mass * (v[0] ** 2 + v[1] ** 2) / 2 + inertia * v[2] ** 2 / 2 - weight * x[1],
+        (0.0, 4.0),
+        start=[0, 1, 0],
+        end=[6, 1, 0],
+        start_velocity=[0, 0, 0],
+        end_velocity=[0, 0, 0],
+        force=lambda t, x, v, u: [-(u[0] + u[1]) * ca.sin(x[2]), (u[0] + u[1]) * ca.cos(x[2]), arm * (u[1] - u[0])],
+        running_cost=lambda t, x, v, u: ca.sumsqr(u - weight / 2),
+        controls=2,
+        control_bounds=(0, 5),
+        position_bounds=([-1, 0, -1.2], [8, 5, 1.2]),
+        waypoints=[(1.0, [2, 2.5, None]), (2.0, [4, 0.5, None]), (3.0, [(4.9, 5.1), (1.9, 2.1), None])],
+    )
+    path = cg.solve(quadrotor, cg.Galerkin(4), intervals=150)
+    assert path.iterations < 100
+    assert path.cost == pytest.approx(9.8106, abs=1e-3)
+
+
 @pytest.mark.parametrize("name", NEAR)
 def test_an_earlier_answer_starts_warm_and_saves_iterations(name):
     problem, method, changes = NEAR[name]
