@@ -35,7 +35,8 @@ HINTS = {
     "Solve Succeeded": f"{UNITS}, and bound a free duration",
     "Restoration Failed": NO_PATH,
 }
-OTHER_HINT = "Try a guess nearer to the path, or more intervals; the cost may have no lower bound"
+OTHER_HINT = "Try a guess of path and controls, such as the answer on fewer intervals, or more intervals"
+UNBOUNDED = "; the cost may have no lower bound"
 KINK_HINTS = {  # by operations on controls in the running cost
     (ca.OP_FMAX, ca.OP_FMIN, ca.OP_LT, ca.OP_LE): (
         "The running cost holds fmax, fmin or a comparison of a control, and its derivative may jump there: replace "
@@ -72,7 +73,7 @@ def explained(
         state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
     if hint is OTHER_HINT:
         kinks = (words for kind, words in KINK_HINTS.items() if controls_within(problem.running_cost, kind))
-        hint = next(kinks, hint)
+        hint = next(kinks, hint + UNBOUNDED if cost < 0 else hint)
     stopped = f"{solver} stopped with '{optimum.status}' after {optimum.iterations} iterations"
     return ConvergenceError(f"{stopped}; {state}. {hint}", Path(path), float(relative[worst] / EPS), optimum.iterations)
 

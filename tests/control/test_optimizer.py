@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import double_integrator
+from control_problems import double_integrator, pendulum
 
 import casadi_galerkin as cg
 
@@ -65,6 +65,13 @@ def test_unbounded_problem_ends_with_the_solvers_own_words(changes):
     with pytest.raises(cg.ConvergenceError, match=r"Diverging Iterates.*no lower bound") as caught:
         cg.solve(double_integrator(**changes), cg.Galerkin(3), intervals=10)
     assert caught.value.iterations <= 500
+
+
+@pytest.mark.parametrize(("sign", "told"), [(1, "more intervals$"), (-1, "; the cost may have no lower bound$")])
+def test_too_few_iterations_point_to_an_unbounded_cost_only_where_it_is_negative(sign, told):
+    swing = pendulum(3.0, running_cost=lambda t, x, v, u: sign * u[0] ** 2, control_bounds=(-20.0, 20.0))
+    with pytest.raises(cg.ConvergenceError, match=f"Maximum Iterations .* such as the answer on fewer .*{told}"):
+        cg.solve(swing, cg.Galerkin(3), 10, solver=cg.ipopt.with_options(max_iter=4))
 
 
 def test_an_optimum_that_roundoff_keeps_from_the_tolerance_is_found():
