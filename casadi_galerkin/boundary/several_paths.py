@@ -59,6 +59,10 @@ SMALLEST, LARGEST = -2.0, 5.0  # powers of two between which the amplitude of a 
 GROWING = 2 ** np.arange(SMALLEST, LARGEST + 1)
 SHOWN = 6  # paths in a repr
 FINER = "a higher degree or more intervals may"
+NO_PATH = (
+    "There may be no path between these ends in this time; else give cg.solve a guess nearer to it, or come from an "
+    "easier problem by cg.sweep or cg.continuation"
+)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -358,7 +362,7 @@ class Search:
         kind, why = ConvergenceError, f"; from the straight line, {began}"
         if self.unresolved:
             dropped = counted(self.unresolved, "critical point")
-            why = f", but {dropped} of the discrete action that the mesh does not resolve; {FINER}"
+            why = f", but {dropped} of the discrete action that the mesh does not resolve; {FINER}. {NO_PATH}"
         elif self.singular:
             kind = ConjugatePointError
         return kind(

@@ -183,7 +183,8 @@ def test_where_the_straight_line_leads_to_nothing_its_load_does(duration):
 
 def test_where_the_mesh_resolves_nothing_that_is_said():
     with pytest.raises(
-        cg.ConvergenceError, match=r"no path was found in \d+ solves, but \d+ critical points of the discrete"
+        cg.ConvergenceError,
+        match=r"no path was found in \d+ solves, but \d+ critical points of the .* may be no path .* cg\.sweep or",
     ):
         cg.paths(LONG, cg.Galerkin(1), 3)
 
