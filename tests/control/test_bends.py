@@ -38,9 +38,8 @@ def places(distance, times):
         (1.552, {"tol": 1e-4}),  # bends at 0.005 of an interval, before the first point of both degrees
         (1.552, {"tol": 1e-5}),
         (1.44, {"tol": 1e-7}),
-        (1.2553333, {"tol": 1e-8}),  # bends in the middle of an interval
-        (1.2, {"cost_tol": 1e-6}),
-        (1.44, {"cost_tol": 1e-4}),
+        (1.1973333, {"cost_tol": 1e-6}),
+        (1.4486667, {"cost_tol": 1e-6}),
     ],
 )
 def test_errors_by_bends_are_bounded_by_their_estimates(distance, asked):
