@@ -236,7 +236,7 @@ class HigherDegree:
         return np.where(misfit > ROUNDOFF, misfit, 0.0)
 
     @cached_property
-    def bends(self) -> tuple[np.ndarray, np.ndarray]:
+    def bend_errors(self) -> tuple[np.ndarray, np.ndarray]:
         """Relative errors of the impulses, and of the cost, where controls bend inside an interval; (N,) each."""
         of_impulses, of_cost = bends(self.path)
         return of_impulses, np.array([self.of_cost(change) for change in of_cost])
@@ -293,7 +293,7 @@ class HigherDegree:
     @property
     def error(self) -> float:
         """Relative error of cost, duration and positions."""
-        missed = np.maximum(self.control_misfit, self.bends[0])
+        missed = np.maximum(self.control_misfit, self.bend_errors[0])
         return max(self.change, self.common_error, self.cost_error, float(np.sum(missed)))
 
     @property
@@ -306,7 +306,7 @@ class HigherDegree:
         change, common = self.cost_change / (1 - SLOWEST), self.common_error
         variation = self.of_cost(self.path._hamiltonian_variation)
         unmet = float(np.max(self.constraint_excess[1], initial=0.0))
-        effects = self.jump_error + float(np.sum(self.excess_effects) + np.sum(self.bends[1]))
+        effects = self.jump_error + float(np.sum(self.excess_effects) + np.sum(self.bend_errors[1]))
         return max(change, common**2, variation**2, distance, unmet, effects)
 
     def better_mesh(self, tol: float, cost_tol: float) -> np.ndarray:
@@ -319,7 +319,7 @@ class HigherDegree:
         parts = parts_wanted(error, path.method.degree + 1, tol)
         parts = np.where(kinked & (parts > 1), parts_wanted(error, KINK_ORDER, tol), parts)
         parts = np.maximum(parts, parts_wanted(np.maximum(self.bound_errors, self.control_misfit), 1, tol))
-        for errors, allowed in zip(self.bends, (tol, cost_tol), strict=True):
+        for errors, allowed in zip(self.bend_errors, (tol, cost_tol), strict=True):
             parts = np.maximum(parts, parts_wanted(errors, KINK_ORDER, allowed))
         of_cost = np.maximum(self.jump_effects, self.excess_effects)
         mesh, parts = self.widened(np.maximum(parts, parts_wanted(of_cost, 1, cost_tol)))

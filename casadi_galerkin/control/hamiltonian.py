@@ -20,15 +20,15 @@ from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 def integrand(path: ControlTrajectory) -> ca.Function:
     """(t, z) -> I, ∂I/∂t, ∂I/∂u and the columns of ∂²I/∂u², without the force of a holonomic constraint."""
     problem, motion = path.problem, equations_of_motion(path.problem)
-    *along, push = motion.sx_in()
-    cost = with_parameters(problem.running_cost, path.parameters)(*along)
-    limited = with_parameters(problem.path_constraint[0], path.parameters)(*along)
+    *point, push = motion.sx_in()
+    cost = with_parameters(problem.running_cost, path.parameters)(*point)
+    limited = with_parameters(problem.path_constraint[0], path.parameters)(*point)
     costate, rate = (ca.SX.sym(name, problem.dimension) for name in ("costate", "costate_rate"))
-    multipliers, (momentum, changes) = ca.SX.sym("multipliers", limited.numel()), motion(*along, 0 * push)
+    multipliers, (momentum, changes) = ca.SX.sym("multipliers", limited.numel()), motion(*point, 0 * push)
     total = cost + ca.dot(costate, changes) + ca.dot(rate, momentum) + ca.dot(multipliers, limited)
-    curvature, slope = ca.hessian(total, along[3])
-    found = total, ca.gradient(total, along[0]), slope, ca.densify(curvature).nz[:]
-    return ca.Function("integrand", [*along, costate, rate, multipliers], [*map(ca.densify, found)])
+    curvature, slope = ca.hessian(total, point[3])
+    found = total, ca.gradient(total, point[0]), slope, ca.densify(curvature).nz[:]
+    return ca.Function("integrand", [*point, costate, rate, multipliers], [*map(ca.densify, found)])
 
 
 def along(path: ControlTrajectory, parts: np.ndarray) -> list[np.ndarray]:
