@@ -14,7 +14,6 @@ import numpy as np
 
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import around
-from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.control.hamiltonian import along, integrand
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
@@ -52,14 +51,14 @@ def minimizers(path: ControlTrajectory, function: ca.Function) -> np.ndarray:
 
 
 def bends(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of the impulse, and of the cost, on each interval where a control bends; (N,) each.
+    """Errors of the impulse, and of the cost, on each interval where a control bends, zero on others; (N,) each.
 
     The former are over the largest momentum plus the sum of all impulses.
     """
-    bounds, steps, rule = np.array(path.problem.control_bounds), np.diff(path.t), path.method.quadrature
+    bounds, steps = np.array(path.problem.control_bounds), np.diff(path.t)
     if path.problem.hold or not np.isfinite(bounds).any():
         return np.zeros(len(steps)), np.zeros(len(steps))
-    function, points = integrand(path), np.array(rule.points)
+    function, points = integrand(path), np.array(path.method.quadrature.points)
     at_points, best = (u.reshape(len(u), len(steps), -1) for u in (path.control.at(points), minimizers(path, function)))
     parts, u = np.append(points, PARTS), np.dstack((at_points, best)).reshape(len(best), -1)
     times, x, v, _, *others = along(path, parts)
@@ -70,5 +69,4 @@ def bends(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
     low, high = bounds[:, :, None, None]
     side = (best >= high).astype(int) - (best <= low)
     errors[:, ~np.any(np.ptp(side, axis=2), axis=0)] = 0.0
-    sizes = np.abs(path._momenta).max(axis=1) + np.abs(seen[:-1] @ np.array(rule.weights) * steps).sum(axis=1)
-    return (errors[:-1] / or_one(sizes)[:, None]).max(axis=0), errors[-1]
+    return (errors[:-1] / path._impulse_sizes[:, None]).max(axis=0), errors[-1]

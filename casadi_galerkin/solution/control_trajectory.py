@@ -13,7 +13,7 @@ from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.numbers import counted, spanned
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, extrema, sampling_parts, times_at
-from casadi_galerkin.calculus.quadrature import gauss
+from casadi_galerkin.calculus.quadrature import Quadrature, gauss
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes, or_one
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.bounds import FEASIBLE, bound_excess
@@ -235,11 +235,8 @@ class ControlTrajectory(Trajectory):
         sum of all intervals, times the growth of an error along it.  It is of the order of the method, but large where
         controls turn over between the points, as an angle does that is limited to one turn.
         """
-        rule, steps = self.method.quadrature, np.diff(self.t)
-        rules = rule, gauss(len(rule) + 2)
-        impulse, finer = (self._motion(np.array(r.points))[1] @ np.array(r.weights) * steps for r in rules)
-        size = np.abs(self._momenta).max(axis=1) + np.abs(impulse).sum(axis=1)
-        return (np.abs(finer - impulse) / or_one(size)[:, None]).max(axis=0)
+        missed = self._impulses(gauss(len(self.method.quadrature) + 2)) - self._impulses(self.method.quadrature)
+        return (np.abs(missed) / self._impulse_sizes[:, None]).max(axis=0)
 
     @cached_property
     def control_overshoot(self) -> np.ndarray:
@@ -406,6 +403,16 @@ class ControlTrajectory(Trajectory):
         momentum, rate = at_places(equations_of_motion(self.problem), times, x, v, u, pushes)
         shape = len(x), -1, len(parts)
         return momentum.reshape(shape), rate.reshape(shape)
+
+    def _impulses(self, rule: Quadrature) -> np.ndarray:
+        """Integrals ∫ (∂L/∂x + F) dt over every interval by a rule; (d, N)."""
+        return self._motion(np.array(rule.points))[1] @ np.array(rule.weights) * np.diff(self.t)
+
+    @cached_property
+    def _impulse_sizes(self) -> np.ndarray:
+        """Largest momentum plus the sum of all impulses, of every component; one where that is zero; (d,)."""
+        impulses = np.abs(self._impulses(self.method.quadrature))
+        return or_one(np.abs(self._momenta).max(axis=1) + impulses.sum(axis=1))
 
     def _broken(self, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Times (K,) and values (n, K) of lines (n, N, ...) at `ALONG`, broken at the joints, where they may jump."""
