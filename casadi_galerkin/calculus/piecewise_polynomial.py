@@ -85,7 +85,7 @@ class PiecewisePolynomial:
         self, mesh: np.ndarray, nodes: np.ndarray, values: np.ndarray, arrivals: np.ndarray | None = None
     ) -> None:
         self.mesh, self.nodes, self.values = map(read_only, (mesh, nodes, values))
-        self.arrivals = arrivals
+        self.arrivals = None if arrivals is None else read_only(arrivals)
         count = (len(self.mesh) - 1) * self.degree + 1
         if self.values.ndim != 2 or self.values.shape[1] != count:
             raise ValueError(f"values at the nodes must have the shape (d, {count}), got {self.values.shape}")

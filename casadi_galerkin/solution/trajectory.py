@@ -87,7 +87,9 @@ class Trajectory(Path):
     find_difference: Callable[[], float] | None = None  # relative, to a path of a higher degree
 
     def __post_init__(self) -> None:
-        self.momentum.flags.writeable = False
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
 
     def estimate_error(self) -> float:
         """Estimate the relative error of x, at the joints and between them; kept as `error_estimate`.
