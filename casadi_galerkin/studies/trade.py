@@ -263,7 +263,7 @@ def trade(
         truth = finer(problem, paths, guess, measure)
     rows = [cell.row if cell.path is None else replace(cell.row, **truth.errors(cell.path)) for cell in cells]
     described = f"{truth.name}, own error {truth.error:.1e}" if truth.error else truth.name
-    return Trade(tuple(rows), described, truth.error, None if measure is None else _name(measure), truth.own)
+    return Trade(tuple(rows), described, truth.own, None if measure is None else _name(measure))
 
 
 def _name(measure: Measure) -> str:

@@ -142,11 +142,9 @@ class Trade(Table, Pictured):
     ----------
     rows : one for each way, in the order in which they were asked for
     reference : what the errors are differences to
-    reference_error : its own estimated relative error; of a reference that was given, its `error_estimate`, or 0 if it
-        has none
+    reference_errors : its own estimated errors by their names in a Row, as far as they are known; in a Row, smaller
+        ones mean nothing.  Of a reference that was given, only its `error_estimate` is known, if it has one
     quantity : name of what `Row.error` is the error of; None where it is the path
-    reference_errors : estimated errors of the reference itself by their names in a Row, as far as they are known; in a
-        Row, smaller ones mean nothing
 
     Examples
     --------
@@ -159,9 +157,13 @@ class Trade(Table, Pictured):
 
     rows: tuple[Row, ...]
     reference: str
-    reference_error: float
-    quantity: str | None = None
     reference_errors: Mapping[str, Any] = field(default_factory=dict)
+    quantity: str | None = None
+
+    @property
+    def reference_error(self) -> float:
+        """The reference's own estimated `error`, 0 where none is known."""
+        return self.reference_errors.get("error", 0.0)
 
     def front(self) -> list[Row]:
         """Rows that no other row beats in both time of a repeated solve and error (the Pareto set), fastest first.

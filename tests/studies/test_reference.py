@@ -84,7 +84,6 @@ def test_a_reference_across_a_jump_of_the_control_knows_that_its_energy_is_coars
     )
     measured = cg.trade(fastest, [cg.Galerkin(3)], [8], tolerances=[1e-3])
     assert measured.reference_error < 1e-5
-    assert measured.reference_errors["error"] == measured.reference_error
     assert 1e-4 < measured.rows[1].energy_error < 5 * measured.reference_errors["energy_error"]
 
 

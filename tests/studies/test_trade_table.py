@@ -18,27 +18,27 @@ def row(seconds, error, **changes):
 def test_front_holds_exactly_the_rows_no_other_beats():
     best, worse, fine, slow = row(1.0, 1e-3), row(2.0, 1e-2), row(3.0, 1e-6), row(4.0, 1e-6)
     failed = Row(cg.Galerkin(2), 5, failure="no path")
-    assert cg.Trade((slow, failed, worse, fine, best), "given", 0.0).front() == [best, fine]
+    assert cg.Trade((slow, failed, worse, fine, best), "given").front() == [best, fine]
 
 
 def test_order_is_that_of_fixed_meshes_solved_at_once():
     rows = [row(1.0, 1.0 / count**3, intervals=count) for count in (4, 8, 16)]
     others = [row(1.0, 1.0, intervals=32, tol=1e-6, mesh=(0.0, 1.0)), row(1.0, 1.0, intervals=16, shooting=True)]
-    assert cg.Trade((*rows, *others), "given", 0.0).order(cg.Galerkin(2)) == pytest.approx(3, rel=1e-12)
+    assert cg.Trade((*rows, *others), "given").order(cg.Galerkin(2)) == pytest.approx(3, rel=1e-12)
 
 
 def test_errors_within_the_floor_are_equal_on_the_front():
     fast, slow = row(1.0, 1e-6 + 1e-15), row(2.0, 1e-6)
-    assert cg.Trade((fast, slow), "given", 0.0).front() == [fast]
+    assert cg.Trade((fast, slow), "given").front() == [fast]
     finer = row(2.0, 1e-6 - 2e-14)
-    assert cg.Trade((fast, finer), "given", 0.0).front() == [fast, finer]
-    assert cg.Trade((fast, finer), "solved", 1e-13).front() == [fast]
+    assert cg.Trade((fast, finer), "given").front() == [fast, finer]
+    assert cg.Trade((fast, finer), "solved", {"error": 1e-13}).front() == [fast]
 
 
 @pytest.mark.usefixtures("headless")
 def test_a_quantity_that_is_named_has_a_column_and_the_axis():
     rows = (row(1.0, 1e-3, path_error=1e-5),)
-    named, path = cg.Trade(rows, "given", 0.0, "reach"), cg.Trade(rows, "given", 0.0)
+    named, path = cg.Trade(rows, "given", quantity="reach"), cg.Trade(rows, "given")
     assert "1.0e-03     1.0e-05" in str(named)
     assert "error: of reach" in str(named)
     assert "1.0e-03" not in str(path)
@@ -48,13 +48,13 @@ def test_a_quantity_that_is_named_has_a_column_and_the_axis():
 
 def test_cheapest_is_the_fastest_row_within_the_tolerance():
     rows = row(1.0, 1e-3), row(2.0, 1e-5), row(3.0, 1e-6)
-    assert cg.Trade(rows, "given", 0.0).cheapest(1e-4) is rows[1]
-    assert cg.Trade(rows, "solved", 5e-6).cheapest(1e-5) is rows[2]  # the reference's own error counts
+    assert cg.Trade(rows, "given").cheapest(1e-4) is rows[1]
+    assert cg.Trade(rows, "solved", {"error": 5e-6}).cheapest(1e-5) is rows[2]  # the reference's own error counts
 
 
 def test_cheapest_refuses_what_no_row_reaches():
     with pytest.raises(ValueError, match=r"at most 1e-09: the least is 1\.0e-03.* finer `reference`"):
-        cg.Trade((row(1.0, 1e-3),), "given", 0.0).cheapest(1e-9)
+        cg.Trade((row(1.0, 1e-3),), "given").cheapest(1e-9)
 
 
 def test_table_holds_every_row_and_the_reference(measured):
@@ -69,7 +69,7 @@ def test_table_holds_every_row_and_the_reference(measured):
 def test_errors_of_the_reference_itself_stand_below_those_of_the_rows():
     own = {"error": 1e-7, "path_error": 2e-7, "energy_error": 3e-5}
     for quantity, shown in ((None, ""), ("reach", "     1.0e-07")):
-        text = str(cg.Trade((row(1.0, 1e-3),), "solved", 1e-7, quantity, own))
+        text = str(cg.Trade((row(1.0, 1e-3),), "solved", own, quantity))
         head, _, last, *_ = text.splitlines()
         assert len(last) == len(head)
         assert (
@@ -81,7 +81,7 @@ def test_errors_of_the_reference_itself_stand_below_those_of_the_rows():
 def test_many_rows_are_shown_by_their_front_and_failures():
     rows = [row(1.0 + k, 1e-3 / (1 + k % 5)) for k in range(60)]
     failed = [Row(cg.Galerkin(2), 5, cg.rootfinder, failure="no path")] * 3
-    text = str(cg.Trade((*rows, *failed), "given", 0.0))
+    text = str(cg.Trade((*rows, *failed), "given"))
     assert [line.startswith("*   ") for line in text.splitlines()].count(True) == 5
     assert "the other 58 rows are left out" in text
     assert "failed: 3 by rootfinder" in text
@@ -90,7 +90,7 @@ def test_many_rows_are_shown_by_their_front_and_failures():
 @pytest.mark.parametrize("tol", [np.nan, "1e-3"])
 def test_cheapest_refuses_what_is_no_number(tol):
     with pytest.raises(ValueError, match="tol must be a finite number, got"):
-        cg.Trade((row(1.0, 1e-3),), "given", 0.0).cheapest(tol)
+        cg.Trade((row(1.0, 1e-3),), "given").cheapest(tol)
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_a_legend_names_what_is_drawn_and_nothing_else():
         row(5.0, 1e-9, solver=SOLVER, tol=1e-6, mesh=(0.0, 1.0)),
         Row(cg.Galerkin(8), 5, cg.ipopt, failure="no path"),
     ]
-    axes = cg.Trade(tuple(rows), "given", 0.0).plot()
+    axes = cg.Trade(tuple(rows), "given").plot()
     names = [text.get_text() for text in axes.get_legend().get_texts()]
     assert names == [
         *("the front", "degree 2", "degree 4", "to a tolerance", "on its mesh"),
@@ -157,7 +157,7 @@ def test_lines_of_one_name_are_all_drawn():
     """Rules of the same ends and order differ within."""
     rules = [cg.Quadrature([0.0, 0.5 - s, 0.5 + s, 1.0], [0.25, 0.25, 0.25, 0.25]) for s in (0.1, 0.2)]
     rows = tuple(row(1.0, 1e-3, method=cg.Galerkin(2, quadrature=rule)) for rule in rules)
-    axes = cg.Trade(rows, "given", 0.0).plot()
+    axes = cg.Trade(rows, "given").plot()
     assert len(axes.lines) == 1 + 2  # and the front
 
 
