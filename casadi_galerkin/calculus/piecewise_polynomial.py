@@ -47,7 +47,7 @@ def sampling_parts(degree: int) -> np.ndarray:
 def around(points: np.ndarray) -> np.ndarray:
     """Fractions of an interval at distances of all sizes from some points.
 
-    What a path exceeds beside a point that meets a bound, or a bend beside a joint, may be narrower than any distance.
+    How wide the part is in which a path exceeds a bound beside a point, or bends beside a joint, is not known before.
     """
     distances = 0.5 ** np.arange(1, FINEST + 1)
     return np.unique(np.clip(np.add.outer(points, np.append(-distances, distances)), 0.0, 1.0))

@@ -67,6 +67,8 @@ def retry_from_other_guesses(
 ) -> ControlTrajectory:
     """Solve from a guess; where that fails, nearer to the straight line, with the least controls, or for longer.
 
+    The least controls are as near to zero as their bounds allow.
+
     Parameters
     ----------
     problem, guess : arguments of the solve

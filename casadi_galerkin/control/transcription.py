@@ -143,7 +143,7 @@ class ControlTranscription:
             it has the same method and intervals, the solver starts warm, from its multipliers.  A guess of the controls
             is a callable t -> (n,), or an array (n, N r) of values at the quadrature points, of held controls (n, N).
             Where no path is found from a guess, one halfway to the straight line is tried, then the straight line, and
-            this with the least controls
+            this with controls as near to zero as their bounds allow
         mesh : (N + 1,) joints; where the duration is free their span is its guess, and where nothing is found from
             that, 4 and 16 times as long ones are tried, as far as its bounds allow, if it has some
         solver : ipopt or fatrop, with or without options

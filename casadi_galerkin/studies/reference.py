@@ -75,7 +75,7 @@ class ReferenceSolution:
     Attributes
     ----------
     name : what it is, in words
-    own : its own estimated errors by their names in a `Row`; of a given reference at most that of its path is known
+    own : its own estimated errors by their names in a `Row`; of a given reference its `error_estimate`, if it has one
     """
 
     def __init__(self, problem: AnyProblem, given: Reference, measure: Measure | None, name: str = "given") -> None:
@@ -160,9 +160,10 @@ class ReferenceSolution:
         }
 
     def own_errors(self, other: Trajectory) -> dict[str, Any]:
-        """Its own errors, from another path of like accuracy; energies are compared between the joints, too.
+        """Its own errors, estimated by the differences of another path of like accuracy.
 
-        There rows may have joints, at which its own energy is that along its polynomial.
+        Energies are compared between the joints, too: a row may have a joint there, at which its energy is compared
+        with that along the polynomial of the reference.
         """
         errors, times = self.errors(other), _between(other)
         missed = self._energy(self._path, self._matching(other, times)) - self._energy(other, times)
@@ -199,7 +200,7 @@ def _interpolated(problem: AnyProblem, at: Callable[[np.ndarray], np.ndarray]) -
 
 
 def quantity(measure: Measure, path: Path) -> float:
-    """A quantity of a path; a TypeError refuses what is no number, a ValueError what is not finite or not there."""
+    """A quantity of a path; a TypeError refuses what is no number, a ValueError infinity, NaN and exceptions."""
     try:
         value = measure(path)
     except Exception as error:

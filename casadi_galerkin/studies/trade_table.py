@@ -48,7 +48,7 @@ class Row:
     solver : as `solve` takes it; None where a path is found step by step
     tol : the tolerance; None of a fixed discretization
     mesh : (N + 1,), joints that were found for `tol`, taken as a fixed mesh; None of all other rows
-    breakpoints : of the traded problem, joints of this mesh
+    breakpoints : those of the traded problem, which are joints of `mesh`; none without it
     shooting : whether the path is found by `shoot`
     unknowns : node values and controls solved for
     first_seconds : of a first call with a problem, which builds everything but the patterns that another problem with
