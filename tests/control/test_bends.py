@@ -4,6 +4,7 @@ from control_problems import double_integrator, minimum_time
 
 import casadi_galerkin as cg
 from casadi_galerkin.control.bends import PARTS, bends, minimizers
+from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.hamiltonian import along, integrand
 from casadi_galerkin.functional.mapping import at_places
 
@@ -53,10 +54,13 @@ def test_errors_by_bends_are_bounded_by_their_estimates(distance, asked):
 def test_what_a_bend_beside_a_joint_hides_is_found_where_it_is():
     """The force leaves its bound shortly after the joint of an interval on which it is at the bound at all points."""
     begin = bend(1.44)
-    path = cg.solve(carried(1.44), cg.Galerkin(6), mesh=[0, begin - 0.01, 0.8, 1.2, 2.01 - begin, 2])
+    mesh = np.array([0, begin - 0.01, 0.8, 1.2, 2.01 - begin, 2])
+    path, higher = (cg.solve(carried(1.44), cg.Galerkin(degree), mesh=mesh) for degree in (6, 8))
     of_impulse, of_cost = bends(path)
     assert np.min(of_impulse[[1, 3]]) > 1e-6 > np.max(of_impulse[[0, 2, 4]])
     assert np.min(of_cost[[1, 3]]) > 0 == np.max(of_cost[[0, 2, 4]])
+    better = HigherDegree(path, higher).better_mesh(tol=1e-3, cost_tol=1e-8)
+    assert min(np.sum((mesh[k] < better) & (better < mesh[k + 1])) for k in (1, 3)) > 4
 
 
 def test_a_bend_at_a_joint_is_no_error():
