@@ -26,10 +26,11 @@ def first_values(
 ) -> dict[str, np.ndarray]:
     """Values of the fields at a guess, within the bounds and with the given values; for `near` see `near_answer`.
 
-    Without a guess the path is the straight line between the ends, and controls are zero, or the middle of their
-    bounds unless zero lies inside of these: from zero on a bound, as of a thruster, a quadrotor took ten times as many
-    iterations, or found nothing.  Momenta and impulses are left out, and the units of momenta are one.  Free
-    durations are `longer` times those of the mesh, within their bounds; those of an earlier solution are kept.
+    Without a guess the path is the straight line between the ends.  Controls, and positions that no end fixes, are
+    zero, or in the middle of their bounds unless zero lies inside of these: from zero on a bound, as of a thruster, a
+    quadrotor took ten times as many iterations, or found nothing.  Momenta and impulses are left out, and the units of
+    momenta are one.  Free durations are `longer` times those of the mesh, within their bounds; those of an earlier
+    solution are kept.
     """
     path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical

@@ -234,7 +234,7 @@ def sweep(
         raise TypeError(f"variations must be a sequence of dicts, got {variations!r}")
     if executor is not None and (isinstance(executor, ThreadPoolExecutor) or not isinstance(executor, Executor)):
         raise TypeError(
-            "executor must be a concurrent.futures.Executor, of processes such as ProcessPoolExecutor() because CasADi "
+            "executor must be a concurrent.futures.Executor of processes, such as ProcessPoolExecutor(), as CasADi "
             f"Functions are not thread-safe, got {executor!r}"
         )
     given = [_checked(problem, i, variation) for i, variation in enumerate(variations)]

@@ -570,7 +570,7 @@ def test_dasks_local_cluster_gives_the_same(serial):
 
 
 def test_threads_are_refused():
-    with ThreadPoolExecutor(2) as threads, pytest.raises(TypeError, match=r"of processes .* got .*ThreadPoolExecutor"):
+    with ThreadPoolExecutor(2) as threads, pytest.raises(TypeError, match=r"of processes, .* got .*ThreadPoolExecutor"):
         cg.sweep(bratu_problem(), VARIATIONS, METHOD, INTERVALS, executor=threads)
 
 
@@ -579,7 +579,7 @@ def test_threads_are_refused():
 
 @pytest.mark.parametrize("executor", ["x", 2, ProcessPoolExecutor])
 def test_what_is_no_executor_is_refused(executor):
-    with pytest.raises(TypeError, match=r"executor must be a concurrent\.futures\.Executor, .*, got .*(x|2|Process)"):
+    with pytest.raises(TypeError, match=r"a concurrent\.futures\.Executor of processes, .*, got .*(x|2|Process)"):
         cg.sweep(bratu_problem(), VARIATIONS, METHOD, INTERVALS, executor=executor)
 
 
