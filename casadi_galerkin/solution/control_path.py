@@ -44,7 +44,7 @@ class ControlPath:
     """
 
     def __init__(self, mesh: np.ndarray, points: np.ndarray, values: np.ndarray, rule: np.ndarray) -> None:
-        self.mesh, self.points, self.values, self.rule = mesh, points, read_only(values), rule
+        self.mesh, self.points, self.values, self.rule = map(read_only, (mesh, points, values, rule))
 
     def __call__(self, t: ArrayLike) -> np.ndarray:
         """Controls at times t within the mesh; shape (n,) + t.shape."""

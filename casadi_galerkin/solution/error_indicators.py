@@ -104,7 +104,7 @@ def error_indicators(problem: Problem, path: PiecewisePolynomial, momentum: np.n
 
 
 def _at_places(problem: Problem, function: ca.Function, *given: np.ndarray) -> list[np.ndarray]:
-    """Values of a Function at K places, (K, ...) each; its last input are the parameters of the problem, if any."""
+    """Values of a Function at K places, (K, ...) each; its last input is that of the parameters, if there are some."""
     shared = [] if problem.parameters is None else [problem.parameters]
     return [values.T for values in at_places(function, *given, shared=shared)]
 

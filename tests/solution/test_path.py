@@ -79,7 +79,7 @@ def test_times_outside_a_path_are_refused(path, order):
 def test_no_array_of_a_path_changes_it(path):
     arrays = [path.t, path.x, path.polynomial.values]
     arrays += [getattr(path, name) for name in ("velocity", "energy") if hasattr(path, name)]
-    arrays += [path.control.values, path.costate.values] if hasattr(path, "control") else []
+    arrays += [path.control.values, path.control.mesh, path.costate.values] if hasattr(path, "control") else []
     arrays += [value for value in vars(path).values() if isinstance(value, np.ndarray)]
     for array in arrays:
         with pytest.raises(ValueError, match="read-only"):
