@@ -1,8 +1,8 @@
 """An error indicator for controls that leave or meet a bound inside intervals.
 
-An optimal control minimizes the integrand I of the cost (`hamiltonian`) within its bounds.  Where I is convex in u, one
-step of Newton's method from `control(t)` leads near this minimizer.  If it is at a bound on a part of an interval only,
-it bends there, and the quadrature sees this at its points alone.  Where a bend is nearer to a joint than the first
+An optimal control minimizes the integrand I of the cost (`hamiltonian`) within its bounds.  Where I is convex in u,
+Newton's method leads from `control(t)` to this minimizer.  If it is at a bound on a part of an interval only, it bends
+there, and the quadrature sees this at its points alone.  Where a bend is nearer to a joint than the first
 point, or in the middle of an interval, both degrees make the same error.  So the errors are estimated by how much the
 integrals of all forces, and of I, along the minimizers differ from their quadratures.
 """
@@ -20,6 +20,8 @@ from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 PARTS = np.union1d(around(np.array([0.0, 1.0])), np.linspace(0.0, 1.0, 33))  # where an interval is sampled
 WIDTHS = np.convolve(np.diff(PARTS), [0.5, 0.5])  # weights of the trapezoidal rule there
+STEPS, CONVERGED = 12, 1e-9  # most steps to a minimizer, and the relative step that ends them
+ROUNDED = 1e-14  # relative change of I that may be rounding
 FLAT = 1e-8  # curvature of I over those of the single controls, up to which it is not convex
 
 
@@ -27,27 +29,35 @@ FLAT = 1e-8  # curvature of I over those of the single controls, up to which it 
 def minimizers(path: ControlTrajectory, function: ca.Function) -> np.ndarray:
     """Controls that minimize I, the `integrand`, within their bounds, at `PARTS` of every interval; (n, N K).
 
-    They minimize the quadratic model of I about `control(t)`: each step is one of Newton's method for the controls that
-    are not pushed against a bound.  Controls on which I depends linearly are left as they are: where they switch is
-    known from `switching`.
+    Each step is one of Newton's method for the controls that are not pushed against a bound, halved where I does not
+    fall.  Controls on which I depends linearly are left as they are: where they switch is known from `switching`.
     """
     times, x, v, u, *others = along(path, PARTS)
     low, high = (np.array(side)[:, None] for side in path.problem.control_bounds)
-    best = within = np.clip(u, low, high)
-    _, _, slope, columns = at_places(function, times, x, v, within, *others)
-    curvature = columns.reshape(len(u), len(u), -1)
-    curved = np.einsum("iik->ik", curvature)
-    convex = np.all(np.isfinite(columns), axis=0) & np.all(np.isfinite(slope), axis=0) & (curved > 0)
-    for _ in range(2 * len(u)):
-        pull = slope + np.einsum("ijk,jk->ik", curvature, best - within)
-        free = convex & ((best > low) | (pull < 0)) & ((best < high) | (pull > 0))
-        scale = np.where(free, 1 / np.sqrt(curved), 0.0)
+    best, share = np.clip(u, low, high), np.ones(len(times))
+    found = at_places(function, times, x, v, best, *others)
+    curved = np.einsum("iik->ik", found[3].reshape(len(u), len(u), -1)) > 0
+    for _ in range(STEPS):
+        _, _, slope, columns = found
+        curvature = columns.reshape(len(u), len(u), -1)
+        own = np.einsum("iik->ik", curvature)
+        finite = np.isfinite(columns).all(axis=0) & np.isfinite(slope).all(axis=0)
+        free = finite & (own > 0) & ((best > low) | (slope < 0)) & ((best < high) | (slope > 0))
+        scale = np.where(free, 1 / np.sqrt(own), 0.0)
         scaled = np.where(free[:, None] & free, scale[:, None] * curvature * scale, 0.0)
         values, vectors = np.linalg.eigh(scaled.transpose(2, 0, 1))
         inverse = np.where(values > FLAT, 1 / values, 0.0)
-        forces = np.where(free, -scale * pull, 0.0)
-        best = np.clip(best + scale * np.einsum("kij,kj,klj,lk->ik", vectors, inverse, vectors, forces), low, high)
-    return np.where(convex, best, u)
+        forces = np.where(free, -scale * slope, 0.0)
+        steps = scale * np.einsum("kij,kj,klj,lk->ik", vectors, inverse, vectors, forces)
+        tried = np.clip(best + share * steps, low, high)
+        there = at_places(function, times, x, v, tried, *others)
+        falls = there[0][0] <= found[0][0] + ROUNDED * np.abs(found[0][0])
+        moved = np.abs(tried - best) > CONVERGED * np.abs(tried)
+        found = [np.where(falls, new, old) for new, old in zip(there, found, strict=True)]
+        best, share = np.where(falls, tried, best), np.where(falls, 1.0, share / 2)
+        if not moved.any():
+            break
+    return np.where(curved, best, u)
 
 
 def bends(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:

@@ -28,9 +28,10 @@ def first_values(
 
     Without a guess the path is the straight line between the ends.  Controls, and positions that no end fixes, are
     zero, or in the middle of their bounds unless zero lies inside of these: from zero on a bound, as of a thruster, a
-    quadrotor took ten times as many iterations, or found nothing.  Momenta and impulses are left out, and the units of
-    momenta are one.  Free durations are `longer` times those of the mesh, within their bounds; those of an earlier
-    solution are kept.
+    quadrotor took ten times as many iterations, or found nothing.  Where all components follow rates, controls are as
+    near to zero as their bounds allow: from the middle, the infected of epidemics grew without bounds on coarse meshes.
+    Momenta and impulses are left out, and the units of momenta are one.  Free durations are `longer` times those of the
+    mesh, within their bounds; those of an earlier solution are kept.
     """
     path_guess, control_guess = guess if isinstance(guess, tuple) and len(guess) == 2 else (guess, None)
     mesh, times, n, dm = calculus.mesh, calculus.node_times, chain.intervals, chain.mechanical
@@ -103,7 +104,12 @@ def near_answer(guess: Guess | None, chain: Chain, calculus: DiscreteCalculus) -
     return guess if np.max(np.abs(joints - calculus.mesh)) <= same else None
 
 
-def resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
+def first_controls(problem: ControlProblem) -> np.ndarray:
+    """Controls with which an optimization begins, (n,); see `first_values`."""
+    return _resting(*problem.control_bounds) if problem.mechanical else np.clip(0.0, *problem.control_bounds)
+
+
+def _resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
     """Zero where it is inside of the bounds; else their middle, or the finite one."""
     return np.array(
         [
@@ -116,7 +122,7 @@ def resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
 def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | None) -> np.ndarray:
     """Node values (N m + 1, d) that meet the fixed ends and are within bounds."""
     if guess is None:
-        values = np.full((len(calculus.node_times), problem.dimension), resting(*problem.position_bounds))
+        values = np.full((len(calculus.node_times), problem.dimension), _resting(*problem.position_bounds))
     else:
         values = guess_values(guess, calculus, problem.dimension).T
     ends = problem.given_positions
@@ -128,7 +134,7 @@ def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | No
 def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus, guess: Values | None) -> np.ndarray:
     """Controls (N, points, n) within bounds, from a callable of time or an array of values at these points."""
     if guess is None:
-        return np.full((chain.intervals, len(chain.control_times), chain.controls), resting(*problem.control_bounds))
+        return np.full((chain.intervals, len(chain.control_times), chain.controls), first_controls(problem))
     name, times = "the guess of the controls", times_at(calculus.mesh, chain.control_times)
     shape = (chain.controls, len(times))
     values = sampled(name, guess, times, shape[0]) if callable(guess) else real_array(name, guess)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.control.initial_guess import resting
+from casadi_galerkin.control.initial_guess import first_controls
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import section_times
@@ -117,7 +117,7 @@ def _beginnings(problem: ControlProblem, guess: Guess | None) -> Iterator[tuple[
         for name, share in GUESS_SHARES.items():
             yield name, {"share": share}
     least = np.clip(0.0, *problem.control_bounds)
-    if np.any(least != resting(*problem.control_bounds)):
+    if np.any(least != first_controls(problem)):
         yield "the straight line with the least controls", {"guess": (None, lambda _: least)}
     bounds = problem.duration_bounds
     if bounds is not None and np.isfinite(bounds[1]).all():

@@ -138,12 +138,13 @@ class ControlTranscription:
         start, end, start_velocity, end_velocity : d numbers each, with None exactly where the problem has None
         parameters : as many numbers as the problem has; where they are free, the guess
         guess : None (the straight line between the ends, and controls of zero, or in the middle of bounds unless zero
-            is inside of these), anything `Transcription.solve` takes for the path, a tuple of that and a guess of the
-            controls, or an earlier ControlTrajectory, whose controls, duration and parameters are then used too; where
-            it has the same method and intervals, the solver starts warm, from its multipliers.  A guess of the controls
-            is a callable t -> (n,), or an array (n, N r) of values at the quadrature points, of held controls (n, N).
-            Where no path is found from a guess, one halfway to the straight line is tried, then the straight line, and
-            this with controls as near to zero as their bounds allow
+            is inside of these; where all components follow rates, as near to zero as bounds allow), anything
+            `Transcription.solve` takes for the path, a tuple of that and a guess of the controls, or an earlier
+            ControlTrajectory, whose controls, duration and parameters are then used too; where it has the same method
+            and intervals, the solver starts warm, from its multipliers.  A guess of the controls is a callable
+            t -> (n,), or an array (n, N r) of values at the quadrature points, of held controls (n, N).  Where no path
+            is found from a guess, one halfway to the straight line is tried, then the straight line, and this with
+            controls as near to zero as their bounds allow
         mesh : (N + 1,) joints; where the duration is free their span is its guess, and where nothing is found from
             that, 4 and 16 times as long ones are tried, as far as its bounds allow, if it has some
         solver : ipopt or fatrop, with or without options

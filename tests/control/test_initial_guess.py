@@ -145,6 +145,30 @@ def test_thrusters_that_only_push_begin_between_their_bounds():
     assert path.cost == pytest.approx(9.8106, abs=1e-3)
 
 
+def test_an_epidemic_begins_without_vaccinations():
+    """From half of the most, susceptible and infected leave all bounds on a coarse mesh, and cost less than nothing."""
+    spread, cured = 1.892, 0.567
+    task = cg.ControlProblem(
+        None,
+        (0.0, 22.3),
+        start=[0.99, 0.01],
+        end=[None] * 2,
+        start_velocity=[None] * 2,
+        end_velocity=[None] * 2,
+        force=None,
+        rates=lambda t, x, v, u: [
+            -spread * x[0] * x[1] - u[0] * x[0],
+            spread * x[0] * x[1] - cured * x[1],
+        ],
+        running_cost=lambda t, x, v, u: x[1] + 0.4975 * u[0] ** 2,
+        controls=1,
+        control_bounds=(0.0, 0.6834),
+    )
+    path = cg.solve(task, tol=1e-5)
+    assert path.cost == pytest.approx(0.483524, abs=1e-6)
+    assert len(path.t) <= 20
+
+
 @pytest.mark.parametrize("name", NEAR)
 def test_an_earlier_answer_starts_warm_and_saves_iterations(name):
     problem, method, changes = NEAR[name]
