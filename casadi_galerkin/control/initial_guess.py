@@ -104,11 +104,6 @@ def near_answer(guess: Guess | None, chain: Chain, calculus: DiscreteCalculus) -
     return guess if np.max(np.abs(joints - calculus.mesh)) <= same else None
 
 
-def first_controls(problem: ControlProblem) -> np.ndarray:
-    """Controls with which an optimization begins, (n,); see `first_values`."""
-    return _resting(*problem.control_bounds) if problem.mechanical else np.clip(0.0, *problem.control_bounds)
-
-
 def _resting(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
     """Zero where it is inside of the bounds; else their middle, or the finite one."""
     return np.array(
@@ -134,7 +129,9 @@ def _path(problem: ControlProblem, calculus: DiscreteCalculus, guess: Guess | No
 def _controls(problem: ControlProblem, chain: Chain, calculus: DiscreteCalculus, guess: Values | None) -> np.ndarray:
     """Controls (N, points, n) within bounds, from a callable of time or an array of values at these points."""
     if guess is None:
-        return np.full((chain.intervals, len(chain.control_times), chain.controls), first_controls(problem))
+        bounds = problem.control_bounds
+        first = _resting(*bounds) if problem.mechanical else np.clip(0.0, *bounds)
+        return np.full((chain.intervals, len(chain.control_times), chain.controls), first)
     name, times = "the guess of the controls", times_at(calculus.mesh, chain.control_times)
     shape = (chain.controls, len(times))
     values = sampled(name, guess, times, shape[0]) if callable(guess) else real_array(name, guess)

@@ -1,4 +1,4 @@
-"""Retries of an optimization that fails: other solvers, gentler guesses and controls, longer durations.
+"""Retries of an optimization that fails: other solvers, guesses nearer to the straight line, longer durations.
 
 Iterations of failed solves are counted, and the report of the solution names what failed before it.
 """
@@ -7,12 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from casadi_galerkin.calculus.roundoff import EPS
-from casadi_galerkin.control.initial_guess import first_controls
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import section_times
@@ -65,14 +63,12 @@ def _fallback(solver: Solver, failure: ConvergenceError) -> Solver | None:
 def retry_from_other_guesses(
     problem: ControlProblem, guess: Guess | None, solved: Callable[..., ControlTrajectory]
 ) -> ControlTrajectory:
-    """Solve from a guess; where that fails, nearer to the straight line, with the least controls, or for longer.
-
-    The least controls are as near to zero as their bounds allow.
+    """Solve from a guess; where that fails, from halfway to the straight line, from this, or with longer durations.
 
     Parameters
     ----------
     problem, guess : arguments of the solve
-    solved : solves from a beginning, by names of the arguments of `ControlTranscription.starting_point`
+    solved : solves from a beginning, by the names `longer` and `share` of `ControlTranscription.starting_point`
 
     Raises
     ------
@@ -104,7 +100,7 @@ def retry_from_other_guesses(
     raise ConvergenceError(words, first.path, first.residual, sum(failure.iterations for failure in failures))
 
 
-def _beginnings(problem: ControlProblem, guess: Guess | None) -> Iterator[tuple[str, dict[str, Any]]]:
+def _beginnings(problem: ControlProblem, guess: Guess | None) -> Iterator[tuple[str, dict[str, float]]]:
     """The guess, and then the other beginnings, each with its name.
 
     There are none for an earlier solution, and no longer durations where these are unbounded, because the cost may then
@@ -116,9 +112,6 @@ def _beginnings(problem: ControlProblem, guess: Guess | None) -> Iterator[tuple[
     if guess is not None:
         for name, share in GUESS_SHARES.items():
             yield name, {"share": share}
-    least = np.clip(0.0, *problem.control_bounds)
-    if np.any(least != first_controls(problem)):
-        yield "the straight line with the least controls", {"guess": (None, lambda _: least)}
     bounds = problem.duration_bounds
     if bounds is not None and np.isfinite(bounds[1]).all():
         last, longest = 1.0, float(np.max(np.divide(bounds[1], np.diff(section_times(problem)))))

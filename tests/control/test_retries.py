@@ -68,26 +68,6 @@ def test_the_straight_line_is_begun_from_where_a_guess_and_half_of_its_waves_lea
     assert path.iterations > straight.iterations + 500
 
 
-def test_the_least_controls_are_begun_with_where_the_middle_of_their_bounds_leads_nowhere():
-    """An epidemic against a vaccination, which may only be positive."""
-    epidemic = cg.ControlProblem(
-        None,
-        (0.0, 11.0),
-        start=[0.99, 0.01],
-        end=[None, None],
-        start_velocity=[None, None],
-        end_velocity=[None, None],
-        force=None,
-        rates=lambda t, x, v, u: [-(1.2 * x[1] + u[0]) * x[0], (1.2 * x[0] - 0.3) * x[1]],
-        running_cost=lambda t, x, v, u: x[1] + 0.7 * u[0] ** 2,
-        controls=1,
-        control_bounds=(0.0, 0.3),
-    )
-    path = cg.solve(epidemic, cg.Galerkin(4), intervals=20)
-    assert path.solver.endswith("from the straight line with the least controls")
-    assert path.cost == pytest.approx(0.61671, abs=1e-4)
-
-
 def test_a_gentler_guess_on_which_a_callable_is_not_finite_is_none():
     """The guess leaps over the gap in which the cost is not defined, halfway to the straight line is within."""
     pushed = double_integrator(
