@@ -2,9 +2,9 @@
 
 An optimal control minimizes the integrand I of the cost (`hamiltonian`) within its bounds.  Where I is convex in u,
 Newton's method leads from `control(t)` to this minimizer.  If it is at a bound on a part of an interval only, it bends
-there, and the quadrature sees this at its points alone.  Where a bend is nearer to a joint than the first
-point, or in the middle of an interval, both degrees make the same error.  So the errors are estimated by how much the
-integrals of all forces, and of I, along the minimizers differ from their quadratures.
+there, and the quadrature sees this at its points alone.  Where a bend is nearer to a joint than the first point, or in
+the middle of an interval, both degrees make the same error.  So the errors are estimated by how much the integrals of
+all forces, and of I, along the minimizers differ from their quadratures.
 """
 
 from __future__ import annotations

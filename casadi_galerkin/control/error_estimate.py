@@ -259,10 +259,10 @@ class HigherDegree:
 
     @cached_property
     def excess_effects(self) -> np.ndarray:
-        """Changes of the cost on each interval by what positions and path constraints are exceeded between the points.
+        """Changes of the cost on each interval by what positions and path constraints exceed their bounds by; (N,).
 
-        They are of first order in the excess ε, the same in both degrees: to allow a bound of multiplier μ so much
-        changes the cost by ∫ μ ε dt; (N,).
+        Between the points they do.  The changes are of first order in the excess ε, the same in both degrees: to allow
+        a bound of multiplier μ so much changes the cost by ∫ μ ε dt.
         """
         path, both, problem = self.path, (self.path, self.higher), self.path.problem
         chain = Chain(problem, path.method, path.t)
