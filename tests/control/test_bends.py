@@ -66,18 +66,8 @@ def test_what_a_bend_beside_a_joint_hides_is_found_where_it_is():
 
 def test_a_steep_control_bends_no_more_than_both_degrees_say():
     """A smoothed cost of fuel, whose curvature varies by 1e8: near a bound one step of Newton's method leads far."""
-    problem = cg.ControlProblem(
-        lambda t, x, v: v[0] ** 2 / 2,
-        (0.0, 1.85),
-        start=[0.0],
-        end=[1.0],
-        start_velocity=[0.0],
-        end_velocity=[0.0],
-        force=lambda t, x, v, u: u,
-        running_cost=lambda t, x, v, u: ca.sqrt(u[0] ** 2 + 0.004**2) + 0.17 * v[0] ** 2,
-        controls=1,
-        control_bounds=(-5.8, 5.8),
-    )
+    fuel = lambda t, x, v, u: ca.sqrt(u[0] ** 2 + 0.004**2) + 0.17 * v[0] ** 2  # noqa: E731
+    problem = double_integrator(t_span=(0.0, 1.85), running_cost=fuel, control_bounds=(-5.8, 5.8))
     path = cg.solve(problem, tol=1e-6)
     assert len(path.t) <= 60
     assert path.cost == pytest.approx(cg.solve(problem, cg.Galerkin(3), 400).cost, rel=1e-5)

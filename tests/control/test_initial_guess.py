@@ -5,7 +5,7 @@ import pickle
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import NEAR, cart_pole, double_integrator, minimum_time, pendulum, plane
+from control_problems import NEAR, cart_pole, double_integrator, first_order, minimum_time, pendulum, plane
 
 import casadi_galerkin as cg
 from casadi_galerkin.control.initial_guess import first_values, near_answer
@@ -148,20 +148,17 @@ def test_thrusters_that_only_push_begin_between_their_bounds():
 def test_an_epidemic_begins_without_vaccinations():
     """From half of the most, susceptible and infected leave all bounds on a coarse mesh, and cost less than nothing."""
     spread, cured = 1.892, 0.567
-    task = cg.ControlProblem(
-        None,
-        (0.0, 22.3),
+    task = first_order(
+        t_span=(0.0, 22.3),
         start=[0.99, 0.01],
         end=[None] * 2,
         start_velocity=[None] * 2,
         end_velocity=[None] * 2,
-        force=None,
         rates=lambda t, x, v, u: [
             -spread * x[0] * x[1] - u[0] * x[0],
             spread * x[0] * x[1] - cured * x[1],
         ],
         running_cost=lambda t, x, v, u: x[1] + 0.4975 * u[0] ** 2,
-        controls=1,
         control_bounds=(0.0, 0.6834),
     )
     path = cg.solve(task, tol=1e-5)
