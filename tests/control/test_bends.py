@@ -40,6 +40,8 @@ def places(distance, times):
         (1.552, {"tol": 1e-4}),  # bends at 0.005 of an interval, before the first point of both degrees
         (1.552, {"tol": 1e-5}),
         (1.44, {"tol": 1e-7}),
+        (1.12, {"tol": 1e-8}),  # IPOPT's own complementarity of 1e-12 would leave more than this of the path
+        (1.2166667, {"tol": 1e-8}),
         (1.1973333, {"cost_tol": 1e-6}),
         (1.4486667, {"cost_tol": 1e-6}),
     ],

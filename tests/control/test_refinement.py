@@ -291,14 +291,23 @@ def test_what_the_solver_leaves_of_the_cost_is_part_of_its_error():
     assert error < 1.01 * path.error_estimate < 1e-4
 
 
-def test_a_cost_too_small_for_the_solver_ends_a_refinement_at_once(capsys):
-    small = double_integrator(running_cost=lambda t, x, v, u: 5e-10 * u[0] ** 2, control_bounds=(-5.0, 5.0))
+def with_price(price):
+    return double_integrator(running_cost=lambda t, x, v, u: price * u[0] ** 2, control_bounds=(-5.0, 5.0))
+
+
+def test_the_solver_is_asked_to_leave_less_where_what_it_left_of_the_cost_counts(capsys):
+    path, alike = cg.solve(with_price(5e-10), tol=1e-5, verbose=1), cg.solve(with_price(1.0), tol=1e-8)
+    assert abs(path.cost / alike.cost / 5e-10 - 1) <= path.cost_error <= path.error_estimate <= 1e-5
+    assert "\n      1 " in capsys.readouterr().out  # the first level was not accepted
+
+
+def test_a_cost_too_small_for_the_solver_ends_a_refinement_soon(capsys):
     units = "take units in which cost, lengths, times and masses are near one"
     with pytest.raises(cg.LimitReached, match=f"may have left .* of the cost.* tolerances are absolute: {units}"):
-        cg.solve(small, tol=1e-5, verbose=1)
-    assert len(capsys.readouterr().out.splitlines()) == 2
+        cg.solve(with_price(5e-14), tol=1e-5, verbose=1)
+    assert len(capsys.readouterr().out.splitlines()) == 3
     with pytest.raises(cg.LimitReached, match=f"1 level was not enough.*{units}"):
-        cg.solve(small, tol=1e-5, limits=cg.Limits(levels=1))
+        cg.solve(with_price(5e-14), tol=1e-5, limits=cg.Limits(levels=1))
 
 
 def test_lines_of_the_levels(capsys):
