@@ -1,10 +1,10 @@
-"""An error indicator for controls that leave or meet a bound inside intervals.
+"""Controls that leave or meet a bound inside intervals: when, and an error indicator.
 
 An optimal control minimizes the integrand I of the cost (`hamiltonian`) within its bounds.  Where I is convex in u,
 Newton's method leads from `control(t)` to this minimizer.  If it is at a bound on a part of an interval only, it bends
 there, and the quadrature sees this at its points alone.  Where a bend is nearer to a joint than the first point, or in
 the middle of an interval, both degrees make the same error.  So the errors are estimated by how much the integrals of
-all forces, and of I, along the minimizers differ from their quadratures.
+all forces, and of I, along the minimizers differ from their quadratures.  With a joint at the bend there is no error.
 """
 
 from __future__ import annotations
@@ -23,14 +23,20 @@ WIDTHS = np.convolve(np.diff(PARTS), [0.5, 0.5])  # weights of the trapezoidal r
 STEPS, CONVERGED = 12, 1e-9  # most steps to a minimizer, and the relative step that ends them
 ROUNDED = 1e-14  # relative change of I that may be rounding
 FLAT = 1e-8  # curvature of I over those of the single controls, up to which it is not convex
+AT_BOUND = 1e-6  # distance from a bound, over the size of the control, up to which a minimizer is there
+INTERPOLATED = 4  # values within the bounds from which the time is interpolated at which a control meets one
 
 
 @np.errstate(invalid="ignore", divide="ignore")  # at an end, values may be infinite
-def minimizers(path: ControlTrajectory, function: ca.Function) -> np.ndarray:
-    """Controls that minimize I, the `integrand`, within their bounds, at `PARTS` of every interval; (n, N K).
+def minimizers(path: ControlTrajectory, function: ca.Function) -> tuple[np.ndarray, np.ndarray]:
+    """Controls that minimize I, the `integrand`, within their bounds, at `PARTS` of every interval.
 
     Each step is one of Newton's method for the controls that are not pushed against a bound, halved where I does not
     fall.  Controls on which I depends linearly are left as they are: where they switch is known from `switching`.
+
+    Returns
+    -------
+    the minimizers, and whether I is convex in the single control there; (n, N K) each
     """
     times, x, v, u, *others = along(path, PARTS)
     low, high = (np.array(side)[:, None] for side in path.problem.control_bounds)
@@ -57,7 +63,37 @@ def minimizers(path: ControlTrajectory, function: ca.Function) -> np.ndarray:
         best, share = np.where(falls, tried, best), np.where(falls, 1.0, share / 2)
         if not moved.any():
             break
-    return np.where(curved, best, u)
+    return np.where(curved, best, u), curved
+
+
+def sides(u: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """1 where a minimizer (..., K) is at the upper bound, -1 where at the lower, else 0."""
+    slack = AT_BOUND * np.max(np.abs(u), axis=-1, keepdims=True)
+    return (u >= high - slack).astype(int) - (u <= low + slack)
+
+
+def bend_times(path: ControlTrajectory) -> list[float]:
+    """Times at which controls leave or meet a bound, those of one control after the other."""
+    bounds, found = np.array(path.problem.control_bounds), list[float]()
+    if path.problem.hold or not np.isfinite(bounds).any():
+        return found
+    (best, curved), times = minimizers(path, integrand(path)), path.polynomial.sampled(PARTS)[0]
+    for i in np.flatnonzero(curved.all(axis=1)):
+        side = sides(best[i], *bounds[:, i])
+        found += [_bend(times, best[i], side, k, bounds[:, i]) for k in np.flatnonzero(np.diff(side)).tolist()]
+    return found
+
+
+@np.errstate(invalid="ignore", divide="ignore")  # where a control is constant beside its bound
+def _bend(times: np.ndarray, u: np.ndarray, side: np.ndarray, k: int, bounds: np.ndarray) -> float:
+    """The time between two samples at which a control is at its bound, interpolated from those within the bounds."""
+    first, step = (k + 1, 1) if side[k] else (k, -1)
+    within = first + step * np.arange(INTERPOLATED)
+    within = within[within // len(PARTS) == first // len(PARTS)]  # on one interval
+    within = within[np.logical_and.accumulate(side[within] == 0)]
+    bound = bounds[int(np.max(side[k : k + 2]) > 0)]
+    when = lagrange_values(u[within], np.array([bound]))[0] @ times[within] if len(within) > 1 else np.nan
+    return float(np.clip(when, *times[k : k + 2]) if np.isfinite(when) else np.mean(times[k : k + 2]))
 
 
 def bends(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
@@ -69,14 +105,14 @@ def bends(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
     if path.problem.hold or not np.isfinite(bounds).any():
         return np.zeros(len(steps)), np.zeros(len(steps))
     function, points = integrand(path), np.array(path.method.quadrature.points)
-    at_points, best = (u.reshape(len(u), len(steps), -1) for u in (path.control.at(points), minimizers(path, function)))
+    samples = path.control.at(points), minimizers(path, function)[0]
+    at_points, best = (u.reshape(len(u), len(steps), -1) for u in samples)
     parts, u = np.append(points, PARTS), np.dstack((at_points, best)).reshape(len(best), -1)
     times, x, v, _, *others = along(path, parts)
     total = at_places(function, times, x, v, u, *others)[0].reshape(1, len(steps), -1)
     seen, values = np.split(np.vstack((path._motion(parts, u)[1], total)), [len(points)], axis=2)
     missed = values - seen @ lagrange_values(points, PARTS).T
     errors = np.abs(np.where(np.isfinite(missed), missed, 0.0) @ WIDTHS) * steps
-    low, high = bounds[:, :, None, None]
-    side = (best >= high).astype(int) - (best <= low)
+    side = sides(best.reshape(len(best), -1), *bounds[:, :, None]).reshape(best.shape)
     errors[:, ~np.any(np.ptp(side, axis=2), axis=0)] = 0.0
     return (errors[:-1] / path._impulse_sizes[:, None]).max(axis=0), errors[-1]

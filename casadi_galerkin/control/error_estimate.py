@@ -32,7 +32,8 @@ The estimated error of the cost is at least the square of each of the first five
 constraints that no point near by meets, because nothing tells how steeply the cost changes there.
 
 The new mesh equidistributes the part of the finer path that degree m cannot represent.  Where a higher degree does not
-reduce this part, the path has a kink, and intervals are split as for a method of order 2.  Where a control switches
+reduce this part, the path has a kink, and intervals are split as for a method of order 2.  Where a control leaves or
+meets a bound, by the minimizers of `bends`, there is a joint in place of finer intervals.  Where a control switches
 inside an interval, its impulse ∫ u dt gives the time of the switch, and a joint is placed there.  Two more joints are
 placed on either side of it, at a distance of the uncertainty of that time.  The next path then switches between them,
 and its switching time is about ten times more accurate.
@@ -52,7 +53,7 @@ from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, pa
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import around, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
-from casadi_galerkin.control.bends import bends
+from casadi_galerkin.control.bends import bend_times, bends
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.jumps_in_time import jumps_in_time
 from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM
@@ -326,8 +327,24 @@ class HigherDegree:
             parts = np.maximum(parts, parts_wanted(errors, KINK_ORDER, allowed))
         of_cost = np.maximum(self.jump_effects, self.excess_effects)
         mesh, parts = self.widened(np.maximum(parts, parts_wanted(of_cost, 1, cost_tol)))
-        mesh = equidistributed(mesh, parts, MOST_PARTS, breakpoints=higher.problem.breakpoints)
-        return self.with_jumps(mesh, tol)
+        bent, least = self.bend_times(tol), self.least_distance(tol)
+        beside = [(mesh[:-1] - least <= when) & (when <= mesh[1:] + least) for when in bent]
+        parts = np.where(np.any(beside, axis=0), np.minimum(parts, 1.0), parts)
+        joints = tuple(sorted((*higher.problem.breakpoints, *bent)))
+        return self.with_jumps(equidistributed(mesh, parts, MOST_PARTS, breakpoints=joints), tol)
+
+    def least_distance(self, tol: float) -> float:
+        """Least distance of joints that are placed at switches and bends."""
+        return float(SWITCH_RESOLUTION * np.sqrt(tol) * np.ptp(self.higher.t))
+
+    def bend_times(self, tol: float) -> list[float]:
+        """Times at which controls of the path of higher degree leave or meet a bound, apart from all other joints."""
+        path, found = self.higher, list[float]()
+        fixed = [path.t[0], *path.problem.breakpoints, path.t[-1], *(s.when for s in self.switches)]
+        for when in bend_times(path):
+            if np.min(np.abs(np.array(fixed + found) - when)) > self.least_distance(tol):
+                found.append(when)
+        return found
 
     def widened(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mesh and parts without the narrow intervals around switches; an interval with a switch need not be split."""
@@ -359,7 +376,7 @@ class HigherDegree:
         """
         jumps: dict[float, float] = {}  # time of a switch -> distance of the joints on either side
         duration, breakpoints = np.ptp(mesh), self.higher.problem.breakpoints
-        closest, known = SWITCH_RESOLUTION * np.sqrt(tol) * duration, max(self.change, TARGET * tol) * duration
+        closest, known = self.least_distance(tol), max(self.change, TARGET * tol) * duration
         switched = [(s, s.when) for s in self.switches]
         switched += [(s, s.due) for s in self.switches if abs(s.due - s.when) > DIFFERING_ESTIMATES * duration]
         for s, when in switched:

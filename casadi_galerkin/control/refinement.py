@@ -67,11 +67,15 @@ from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
 WARM_START_BARRIER = 1e-4  # first barrier from an earlier path: with 1e-2 a robot arm left its path, and found none
-# Options with which IPOPT leaves less, from where it has left more than this share of the tolerance.  It else ends
-# where no multiplier times the distance to its bound exceeds 1e-12, with controls 1e-4 off the bounds that they leave
-# or meet: of 90 paths with bounded controls, 46 were refused at tol = 1e-8, and one with these.  They come second,
-# because where arcs are singular IPOPT may lose its way with them.
-OPEN_SHARE, SHARP = 0.1, {"compl_inf_tol": 1e-16, "barrier_tol_factor": 1e3, "acceptable_iter": 15}
+# Ratio of IPOPT's tolerance to its last barrier where a control switches, times tol², and the largest such ratio.  The
+# barrier keeps values off bounds to which little pushes them, such as controls on the short intervals beside a switch.
+# With IPOPT's own ratio of 10, the mass of a rocket was accurate to 3e-7 only.
+BARRIER_RATIO, LARGEST_BARRIER_RATIO = 3e-11, 1e4
+# Options with which IPOPT leaves less where no control switches, from where it has left more than this share of the
+# tolerance.  It else ends where no multiplier times the distance to its bound exceeds 1e-12, with controls 1e-4 off the
+# bounds that they leave or meet.  These come second, because where arcs are singular IPOPT may lose its way with them.
+OPEN_SHARE = 0.1
+SHARP = {"barrier_tol_factor": LARGEST_BARRIER_RATIO, "compl_inf_tol": 1e-16, "acceptable_iter": 6}
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
 PATIENCE = 4  # every interval is halved after so many levels in a row without a smaller error, as meshes may alternate
 LEFT_OPEN = (
@@ -123,9 +127,9 @@ def perturbed(path: ControlTrajectory, by: float) -> ControlTrajectory:
 
 
 @lru_cache(8)  # a check of an option builds a solver
-def from_earlier_path(solver: Solver, sharp: bool) -> Solver:
-    """The solver for an earlier path as guess, where it has no options of its own; if `sharp`, to leave less."""
-    return solver.with_options(**{"mu_init": WARM_START_BARRIER, **(SHARP if sharp else {}), **solver.options})
+def from_earlier_path(solver: Solver, **others: float) -> Solver:
+    """The solver for an earlier path as guess, with other options where it has none of its own."""
+    return solver.with_options(**{"mu_init": WARM_START_BARRIER, **others, **solver.options})
 
 
 class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
@@ -170,8 +174,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def solve(self, method: Galerkin, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """Solve with one method on one mesh within the phases of the problem."""
         transcription = transcribed_control(self.problem, method, None, mesh, one_by_one)
-        known = isinstance(guess, ControlTrajectory)
-        solver = from_earlier_path(self.solver, self.left_open) if known else self.solver
+        solver = self.warm_solver if isinstance(guess, ControlTrajectory) else self.solver
         try:
             with until(self.deadline):
                 path = transcription.solve(guess=guess, solver=solver, verbose=self.verbose if self.verbose > 1 else 0)
@@ -182,6 +185,14 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
             self.build_seconds += transcription.build_seconds
         self.iterations += path.iterations
         return path
+
+    @property
+    def warm_solver(self) -> Solver:
+        """The solver from an earlier path."""
+        if self.known is None or not self.known.switches:
+            return from_earlier_path(self.solver, **(SHARP if self.left_open else {}))
+        ratio = BARRIER_RATIO / self.tol**2 if not self.left_open else np.inf
+        return from_earlier_path(self.solver, barrier_tol_factor=float(np.clip(ratio, 10, LARGEST_BARRIER_RATIO)))
 
     def solve_finer(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """The path on a mesh or, where none is found, on one twice as fine."""

@@ -4,7 +4,7 @@ import pytest
 from control_problems import double_integrator, minimum_time
 
 import casadi_galerkin as cg
-from casadi_galerkin.control.bends import PARTS, bends, minimizers
+from casadi_galerkin.control.bends import PARTS, bend_times, bends, minimizers
 from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.hamiltonian import along, integrand
 from casadi_galerkin.functional.mapping import at_places
@@ -41,7 +41,7 @@ def places(distance, times):
         (1.552, {"tol": 1e-5}),
         (1.44, {"tol": 1e-7}),
         (1.12, {"tol": 1e-8}),  # IPOPT's own complementarity of 1e-12 would leave more than this of the path
-        (1.2166667, {"tol": 1e-8}),
+        (1.2166667, {"tol": 1e-9}),
         (1.1973333, {"cost_tol": 1e-6}),
         (1.4486667, {"cost_tol": 1e-6}),
     ],
@@ -63,7 +63,33 @@ def test_what_a_bend_beside_a_joint_hides_is_found_where_it_is():
     assert np.min(of_impulse[[1, 3]]) > 1e-6 > np.max(of_impulse[[0, 2, 4]])
     assert np.min(of_cost[[1, 3]]) > 0 == np.max(of_cost[[0, 2, 4]])
     better = HigherDegree(path, higher).better_mesh(tol=1e-3, cost_tol=1e-8)
-    assert min(np.sum((mesh[k] < better) & (better < mesh[k + 1])) for k in (1, 3)) > 4
+    for when in (begin, 2 - begin):
+        assert np.min(np.abs(better - when)) < 1e-3 < np.min(np.abs(mesh - when))
+
+
+@pytest.mark.parametrize("tol", [1e-6, 1e-9])
+def test_there_is_a_joint_at_every_bend_so_that_the_mesh_stays_coarse(tol):
+    path, begin = cg.solve(carried(1.44), tol=tol), bend(1.44)
+    assert len(path.t) == 9
+    for when in (begin, 2 - begin):
+        assert np.min(np.abs(path.t - when)) < 1e-4
+
+
+def test_times_of_bends():
+    path, begin = cg.solve(carried(1.44), cg.Galerkin(4), mesh=np.linspace(0, 2, 42)), bend(1.44)
+    np.testing.assert_allclose(bend_times(path), [begin, 2 - begin], atol=5e-5)
+
+
+def test_a_force_that_passes_between_its_bounds_within_an_interval_bends_twice():
+    """In -1 ≤ u ≤ 1 the cost 0.05 u² - u cos(πt) is least at u = 10 cos(πt) or a bound, whatever the path does."""
+    passing = double_integrator(
+        end=[None],
+        end_velocity=[None],
+        running_cost=lambda t, x, v, u: 0.05 * u[0] ** 2 - u[0] * ca.cos(np.pi * t),
+        control_bounds=(-1.0, 1.0),
+    )
+    around = np.arccos([0.1, -0.1]) / np.pi
+    np.testing.assert_allclose(bend_times(cg.solve(passing, cg.Galerkin(4), 3)), around, atol=1e-6)
 
 
 def test_a_steep_control_bends_no_more_than_both_degrees_say():
@@ -89,11 +115,11 @@ def test_between_the_points_controls_that_act_together_minimize_the_cost(strengt
     bounds = {"control_bounds": (-strength, [50.0, strength])}
     problem = double_integrator(force=lambda t, x, v, u: 3 * u[0] + u[1], running_cost=coupled, controls=2, **bounds)
     path = cg.solve(problem, cg.Galerkin(6), 4)
-    best = minimizers(path, integrand(path))
+    best, convex = minimizers(path, integrand(path))
     times, x, v, u, *others = along(path, PARTS)
     slope, size = at_places(integrand(path), times, x, v, best, *others)[2], np.max(np.abs(best))
     low, high = (np.array(side)[:, None] for side in problem.control_bounds)
-    assert np.all((low <= best) & (best <= high))
+    assert np.all((low <= best) & (best <= high) & convex)
     assert np.all(slope[best - low > 1e-9] < 1e-9 * size)
     assert np.all(slope[high - best > 1e-9] > -1e-9 * size)
     if strength == 50.0:
@@ -103,4 +129,6 @@ def test_between_the_points_controls_that_act_together_minimize_the_cost(strengt
 
 def test_controls_without_bounds_held_ones_and_those_that_switch_do_not_bend():
     for problem in (double_integrator(), carried(1.44, hold=True), minimum_time()):
-        assert np.max(bends(cg.solve(problem, cg.Galerkin(3), 7))) < 1e-15
+        path = cg.solve(problem, cg.Galerkin(3), 7)
+        assert np.max(bends(path)) < 1e-15
+        assert bend_times(path) == []
