@@ -238,11 +238,8 @@ class HigherDegree:
 
     @cached_property
     def bend_errors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Relative errors of the impulses, and of the cost, where controls bend inside an interval; (N,) each.
-
-        Only what both degrees share counts: it is not in their difference.
-        """
-        of_impulses, of_cost = np.minimum(bends(self.path), bends(self.higher))
+        """Relative errors of the impulses, and of the cost, where controls bend inside an interval; (N,) each."""
+        of_impulses, of_cost = bends(self.path)
         return of_impulses, np.array([self.of_cost(change) for change in of_cost])
 
     @cached_property

@@ -92,12 +92,12 @@ def test_a_force_that_passes_between_its_bounds_within_an_interval_bends_twice()
     np.testing.assert_allclose(bend_times(cg.solve(passing, cg.Galerkin(4), 3)), around, atol=1e-6)
 
 
-def test_a_steep_control_bends_no_more_than_both_degrees_say():
+def test_a_steep_control_takes_no_fine_mesh():
     """A smoothed cost of fuel, whose curvature varies by 1e8: near a bound one step of Newton's method leads far."""
     fuel = lambda t, x, v, u: ca.sqrt(u[0] ** 2 + 0.004**2) + 0.17 * v[0] ** 2  # noqa: E731
     problem = double_integrator(t_span=(0.0, 1.85), running_cost=fuel, control_bounds=(-5.8, 5.8))
     path = cg.solve(problem, tol=1e-6)
-    assert len(path.t) <= 60
+    assert len(path.t) <= 35
     assert path.cost == pytest.approx(cg.solve(problem, cg.Galerkin(3), 400).cost, rel=1e-5)
 
 
