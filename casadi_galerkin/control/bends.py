@@ -9,6 +9,8 @@ all forces, and of I, along the minimizers differ from their quadratures.  With 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import casadi as ca
 import numpy as np
 
@@ -72,15 +74,34 @@ def sides(u: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return (u >= high - slack).astype(int) - (u <= low + slack)
 
 
-def bend_times(path: ControlTrajectory) -> list[float]:
-    """Times at which controls leave or meet a bound, those of one control after the other."""
-    bounds, found = np.array(path.problem.control_bounds), list[float]()
+@dataclass(frozen=True)
+class Bend:
+    """A time at which a control leaves or meets a bound.
+
+    Attributes
+    ----------
+    when : its time
+    control : the number of the control
+    before, after : 1 where the control is at its upper bound, -1 at its lower, 0 between the two
+    """
+
+    when: float
+    control: int
+    before: int
+    after: int
+
+
+def bends(path: ControlTrajectory) -> list[Bend]:
+    """The bends of all controls, those of one control after the other, in order."""
+    bounds, found = np.array(path.problem.control_bounds), list[Bend]()
     if path.problem.hold or not np.isfinite(bounds).any():
         return found
     (best, curved), times = minimizers(path, integrand(path)), path.polynomial.sampled(PARTS)[0]
-    for i in np.flatnonzero(curved.all(axis=1)):
+    for i in np.flatnonzero(curved.all(axis=1)).tolist():
         side = sides(best[i], *bounds[:, i])
-        found += [_bend(times, best[i], side, k, bounds[:, i]) for k in np.flatnonzero(np.diff(side)).tolist()]
+        for k in np.flatnonzero(np.diff(side)).tolist():
+            when = _bend(times, best[i], side, k, bounds[:, i])
+            found.append(Bend(when, i, int(side[k]), int(side[k + 1])))
     return found
 
 
@@ -96,7 +117,7 @@ def _bend(times: np.ndarray, u: np.ndarray, side: np.ndarray, k: int, bounds: np
     return float(np.clip(when, *times[k : k + 2]) if np.isfinite(when) else np.mean(times[k : k + 2]))
 
 
-def bends(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
+def bend_errors(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
     """Errors of the impulse, and of the cost, on each interval where a control bends, zero on others; (N,) each.
 
     The former are over the largest momentum plus the sum of all impulses.

@@ -53,7 +53,7 @@ from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, pa
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import around, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
-from casadi_galerkin.control.bends import bend_times, bends
+from casadi_galerkin.control.bends import Bend, bend_errors, bends
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.jumps_in_time import jumps_in_time
 from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM
@@ -148,7 +148,12 @@ class HigherDegree:
     @cached_property
     def switches(self) -> list[Switch]:
         """Switches of the path of higher degree."""
-        return switches(self.higher)
+        return switches(self.higher, self.bends)
+
+    @cached_property
+    def bends(self) -> list[Bend]:
+        """Bends of the path of higher degree."""
+        return bends(self.higher)
 
     def of_cost(self, change: float) -> float:
         """A change of the cost relative to its size; zero where the cost cannot be told from zero."""
@@ -239,7 +244,7 @@ class HigherDegree:
     @cached_property
     def bend_errors(self) -> tuple[np.ndarray, np.ndarray]:
         """Relative errors of the impulses, and of the cost, where controls bend inside an interval; (N,) each."""
-        of_impulses, of_cost = bends(self.path)
+        of_impulses, of_cost = bend_errors(self.path)
         return of_impulses, np.array([self.of_cost(change) for change in of_cost])
 
     @cached_property
@@ -338,7 +343,7 @@ class HigherDegree:
         """Times at which controls of the path of higher degree leave or meet a bound, apart from all other joints."""
         path, found = self.higher, list[float]()
         fixed = [path.t[0], *path.problem.breakpoints, path.t[-1], *(s.when for s in self.switches)]
-        for when in bend_times(path):
+        for when in (bend.when for bend in self.bends):
             if np.min(np.abs(np.array(fixed + found) - when)) > self.least_distance(tol):
                 found.append(when)
         return found

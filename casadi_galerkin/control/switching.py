@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
+from casadi_galerkin.control.bends import Bend
 from casadi_galerkin.control.hamiltonian import integrand
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 AT_BOUND = 0.05  # distance from a bound, over that of the bounds, below which a control is at the bound
+RESOLVED = 0.1  # distance of joints from two bends, over that of the bends, up to which these are joints
 PARTS = 32  # parts of a bracket on each of which the switching function is interpolated linearly
 
 
@@ -23,7 +26,7 @@ class Switch:
     ----------
     when : its time, from the impulse ∫ u dt over the intervals around it
     joint : time of the nearest joint
-    due : time of the zero of the switching function; `when` if there is none nearby
+    due : time of the zero of the switching function, or the middle of a passage; `when` if there is neither nearby
     """
 
     when: float
@@ -39,28 +42,46 @@ def sides(u: np.ndarray, low: float, high: float) -> np.ndarray:
     return np.where((side == near[2:]) | (side == near[:-2]), side, 0)
 
 
-def switches(path: ControlTrajectory) -> list[Switch]:
-    """All switches of all controls, each within the length of one interval."""
+def switches(path: ControlTrajectory, bends: Sequence[Bend] = ()) -> list[Switch]:
+    """All switches of all controls, each within the length of one interval, where these are the bends of the path."""
     found, r, steps, times = [], len(path.method.quadrature), np.diff(path.t), path.control.times
     for i, (u, low, high) in enumerate(zip(path.control.values, *path.problem.control_bounds, strict=True)):
         if not 0 < high - low < np.inf:
             continue
-        side = sides(u, low, high)
+        side, passages = sides(u, low, high), passages_of(bends, i)
         bound = np.flatnonzero(side)
         for a, b in pairwise(bound.tolist()):
             first, last = a // r, b // r
-            if side[a] != side[b] and times[b] - times[a] <= np.max(steps[first : last + 1]):
-                found.append(switch(path, i, first, last, *((high, low) if side[a] > 0 else (low, high))))
+            if side[a] == side[b] or times[b] - times[a] > np.max(steps[first : last + 1]):
+                continue
+            near = [p for p in passages if times[a] <= np.mean(p) <= times[b]]
+            if near and resolved(path.t, near[0]):
+                continue
+            due = float(np.mean(near[0])) if near else zero(path, i, times[first * r], times[last * r + r - 1])
+            before, after = (high, low) if side[a] > 0 else (low, high)
+            found.append(switch(path, i, first, last, before, after, due))
     return found
 
 
-def switch(path: ControlTrajectory, i: int, first: int, last: int, before: float, after: float) -> Switch:
+def passages_of(bends: Sequence[Bend], i: int) -> list[tuple[float, float]]:
+    """The times at which a control leaves one bound and meets the other, which are equal where no more is known."""
+    own = [bend for bend in bends if bend.control == i]
+    pairs = [(bend, bend) for bend in own] + list(pairwise(own))
+    return [(a.when, b.when) for a, b in pairs if a.before * b.after == -1]
+
+
+def resolved(mesh: np.ndarray, passage: tuple[float, float]) -> bool:
+    """Whether there are joints at both ends of a passage."""
+    distances = np.min(np.abs(mesh - np.reshape(passage, (2, 1))), axis=1)
+    return bool(np.max(distances) < RESOLVED * (passage[1] - passage[0]))
+
+
+def switch(path: ControlTrajectory, i: int, first: int, last: int, before: float, after: float, due: float) -> Switch:
     """The switch of control i within some intervals: a jump at this time would have the same impulse there."""
     r, steps = len(path.method.quadrature), np.diff(path.t)[first : last + 1]
     local = path.control.values[i].reshape(-1, r)[first : last + 1]
     means = local @ np.array(path.method.quadrature.weights)
     when = float(path.t[first] + steps @ (means - after) / (before - after))
-    due = zero(path, i, path.control.times[first * r], path.control.times[last * r + r - 1])
     return Switch(when, float(path.t[np.argmin(np.abs(path.t - when))]), due if np.isfinite(due) else when)
 
 

@@ -4,7 +4,7 @@ import pytest
 from control_problems import double_integrator, minimum_time
 
 import casadi_galerkin as cg
-from casadi_galerkin.control.bends import PARTS, bend_times, bends, minimizers
+from casadi_galerkin.control.bends import PARTS, bend_errors, bends, minimizers
 from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.hamiltonian import along, integrand
 from casadi_galerkin.functional.mapping import at_places
@@ -59,7 +59,7 @@ def test_what_a_bend_beside_a_joint_hides_is_found_where_it_is():
     begin = bend(1.44)
     mesh = np.array([0, begin - 0.01, 0.8, 1.2, 2.01 - begin, 2])
     path, higher = (cg.solve(carried(1.44), cg.Galerkin(degree), mesh=mesh) for degree in (6, 8))
-    of_impulse, of_cost = bends(path)
+    of_impulse, of_cost = bend_errors(path)
     assert np.min(of_impulse[[1, 3]]) > 1e-6 > np.max(of_impulse[[0, 2, 4]])
     assert np.min(of_cost[[1, 3]]) > 0 == np.max(of_cost[[0, 2, 4]])
     better = HigherDegree(path, higher).better_mesh(tol=1e-3, cost_tol=1e-8)
@@ -77,7 +77,7 @@ def test_there_is_a_joint_at_every_bend_so_that_the_mesh_stays_coarse(tol):
 
 def test_times_of_bends():
     path, begin = cg.solve(carried(1.44), cg.Galerkin(4), mesh=np.linspace(0, 2, 42)), bend(1.44)
-    np.testing.assert_allclose(bend_times(path), [begin, 2 - begin], atol=5e-5)
+    np.testing.assert_allclose([bend.when for bend in bends(path)], [begin, 2 - begin], atol=5e-5)
 
 
 def test_a_force_that_passes_between_its_bounds_within_an_interval_bends_twice():
@@ -89,7 +89,9 @@ def test_a_force_that_passes_between_its_bounds_within_an_interval_bends_twice()
         control_bounds=(-1.0, 1.0),
     )
     around = np.arccos([0.1, -0.1]) / np.pi
-    np.testing.assert_allclose(bend_times(cg.solve(passing, cg.Galerkin(4), 3)), around, atol=1e-6)
+    first, second = bends(cg.solve(passing, cg.Galerkin(4), 3))
+    np.testing.assert_allclose([first.when, second.when], around, atol=1e-6)
+    assert (first.before, first.after, second.before, second.after) == (1, 0, 0, -1)
 
 
 def test_a_steep_control_takes_no_fine_mesh():
@@ -104,7 +106,7 @@ def test_a_steep_control_takes_no_fine_mesh():
 def test_a_bend_at_a_joint_is_no_error():
     begin = bend(1.44)
     path = cg.solve(carried(1.44), cg.Galerkin(4), mesh=[0, begin, 1, 2 - begin, 2])
-    assert np.max(bends(path)) < 1e-8
+    assert np.max(bend_errors(path)) < 1e-8
     assert path.cost == pytest.approx(cost(1.44), rel=1e-8)
 
 
@@ -124,11 +126,11 @@ def test_between_the_points_controls_that_act_together_minimize_the_cost(strengt
     assert np.all(slope[high - best > 1e-9] > -1e-9 * size)
     if strength == 50.0:
         np.testing.assert_allclose(best, u, atol=1e-5 * size)
-        assert np.max(bends(path)) == 0
+        assert np.max(bend_errors(path)) == 0
 
 
 def test_controls_without_bounds_held_ones_and_those_that_switch_do_not_bend():
     for problem in (double_integrator(), carried(1.44, hold=True), minimum_time()):
         path = cg.solve(problem, cg.Galerkin(3), 7)
-        assert np.max(bends(path)) < 1e-15
-        assert bend_times(path) == []
+        assert np.max(bend_errors(path)) < 1e-15
+        assert bends(path) == []
