@@ -173,6 +173,15 @@ def test_a_copy_of_a_path_is_a_guess():
     np.testing.assert_allclose(again.x, path.x, rtol=1e-14, atol=1e-14)
 
 
+def test_a_copy_of_a_transcription_to_a_tolerance_has_its_mesh_and_follows_its_paths():
+    transcription = cg.transcribe(swing(), cg.Galerkin(6), 5, tol=1e-8)
+    first = transcription.solve()
+    copy = there_and_back(transcription)
+    assert str(copy) == str(transcription)
+    again = copy.solve(end=[1.1], guess=there_and_back(first))
+    np.testing.assert_allclose(again.x, transcription.solve(end=[1.1], guess=first).x, rtol=1e-12, atol=1e-12)
+
+
 def failure(build):
     with pytest.raises(cg.ConvergenceError) as caught:
         build()

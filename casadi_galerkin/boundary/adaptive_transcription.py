@@ -13,6 +13,7 @@ converge in one step, ends, times and parameters are moved in several steps (con
 from __future__ import annotations
 
 from collections.abc import Sequence
+from weakref import WeakKeyDictionary
 
 from numpy.typing import ArrayLike
 
@@ -77,6 +78,13 @@ class AdaptiveTranscription:
         self.method, self._coarse = first_discretization(problem, self.tol, method, intervals, mesh)
         self._graphs = GraphCache(problem, by_rows)
         self.first: Trajectory | None = None
+        # numbers of negative eigenvalues on a path's own mesh; a path is often known to several that follow it
+        self._indices: WeakKeyDictionary[PiecewisePolynomial, int | None] = WeakKeyDictionary()
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickled without its Functions, which are built again from the problem."""
+        built_from = self.problem, self.tol, self.method, None, self._coarse, self.limits
+        return type(self), built_from, {"first": self.first}
 
     def solve(
         self,
@@ -161,8 +169,10 @@ class AdaptiveTranscription:
         graphs = refinement.graphs
 
         def index(problem: BoundaryProblem, path: PiecewisePolynomial) -> int | None:
-            graph = graphs.transcription(self.method, path.mesh).for_problem(problem)
-            return negative_eigenvalues(graph.stationarity, *graph.on_path(path))
+            if path not in self._indices:
+                graph = graphs.transcription(self.method, path.mesh).for_problem(problem)
+                self._indices[path] = negative_eigenvalues(graph.stationarity, *graph.on_path(path))
+            return self._indices[path]
 
         known_index = index(known.problem, known.polynomial)
         *fewer, most = STEPS[:1] if graphs.problem.constraint else STEPS  # on the way ends may violate the constraint
