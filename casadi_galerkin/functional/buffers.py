@@ -77,8 +77,14 @@ class Evaluator:
         self._buffer, self._run = function.buffer()
         self.failure: RuntimeError | None = None
         given = bound or {}
-        arguments = {name: given.get(name, np.zeros(function.nnz_in(name))) for name in function.name_in()}
-        results = {name: given.get(name, np.zeros(function.nnz_out(name))) for name in function.name_out()}
+        arguments = {
+            name: given[name] if name in given else np.zeros(function.nnz_in(i))
+            for i, name in enumerate(function.name_in())
+        }
+        results = {
+            name: given[name] if name in given else np.zeros(function.nnz_out(i))
+            for i, name in enumerate(function.name_out())
+        }
         self._results = list(results.values())
         self.inputs, self.outputs = (
             {name: array for name, array in arrays.items() if name not in given} for arrays in (arguments, results)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from casadi_galerkin.calculus.roundoff import component_sizes
-from casadi_galerkin.functional.threads import fork_waits
+from casadi_galerkin.functional.buffers import Evaluator
+from casadi_galerkin.functional.pointwise import pointwise
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.legendre_transform import degenerate, legendre_transform, refuse_degenerate
+from casadi_galerkin.problems.legendre_transform import degenerate, refuse_degenerate
 
 GENERIC = 0.1, 0.4, 0.7  # fractions of a bent line between the ends, at which the mass matrix is evaluated
 
@@ -26,11 +27,11 @@ def check_mass(problem: BoundaryProblem | ControlProblem) -> None:
     start, end = (np.array([x or 0.0 for x in end]) for end in (problem.start, problem.end))
     rise, size, span = end - start, component_sizes(np.array([start, end]).T), last - first
     bend, given = size * np.cos(1.0 + np.arange(len(start))), [] if problem.parameters is None else [problem.parameters]
-    with fork_waits:
-        transform = legendre_transform(problem.lagrangian)
-        for share in GENERIC:
-            t, x, v = first + share * span, start + share * (rise + bend), (rise + (1 - share) * bend) / span
-            mass = transform(t, x, v, *given)[1].full()[:count, :count]
-            if not (np.isfinite(mass).all() and degenerate(mass)):
-                return
+    lagrangian = pointwise(problem.lagrangian, None if isinstance(problem, ControlProblem) else problem.force)
+    derivatives = Evaluator(lagrangian.derivatives)  # a Function within L may fail
+    for share in GENERIC:
+        t, x, v = first + share * span, start + share * (rise + bend), (rise + (1 - share) * bend) / span
+        mass = lagrangian.matrices(derivatives(t, 1.0, x, v, *given)[-1][None])[0, :count, :count]
+        if not (np.isfinite(mass).all() and degenerate(mass)):
+            return
     refuse_degenerate(mass, f"wherever it was tried, such as at t = {t:.6g}, x = {x}, v = {v}")
