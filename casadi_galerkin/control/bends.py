@@ -16,6 +16,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import around
+from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.control.hamiltonian import along, integrand
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
@@ -118,13 +119,13 @@ def _bend(times: np.ndarray, u: np.ndarray, side: np.ndarray, k: int, bounds: np
 
 
 def bend_errors(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of the impulse, and of the cost, on each interval where a control bends, zero on others; (N,) each.
+    """What the quadrature misses of the impulses (d, N), and of the cost (N,), on each interval where a control bends.
 
-    The former are over the largest momentum plus the sum of all impulses.
+    Of a component that follows a rate the impulse is its change.
     """
     bounds, steps = np.array(path.problem.control_bounds), np.diff(path.t)
     if path.problem.hold or not np.isfinite(bounds).any():
-        return np.zeros(len(steps)), np.zeros(len(steps))
+        return np.zeros((len(path.x), len(steps))), np.zeros(len(steps))
     function, points = integrand(path), np.array(path.method.quadrature.points)
     samples = path.control.at(points), minimizers(path, function)[0]
     at_points, best = (u.reshape(len(u), len(steps), -1) for u in samples)
@@ -133,7 +134,19 @@ def bend_errors(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
     total = at_places(function, times, x, v, u, *others)[0].reshape(1, len(steps), -1)
     seen, values = np.split(np.vstack((path._motion(parts, u)[1], total)), [len(points)], axis=2)
     missed = values - seen @ lagrange_values(points, PARTS).T
-    errors = np.abs(np.where(np.isfinite(missed), missed, 0.0) @ WIDTHS) * steps
+    errors = np.where(np.isfinite(missed), missed, 0.0) @ WIDTHS * steps
     side = sides(best.reshape(len(best), -1), *bounds[:, :, None]).reshape(best.shape)
     errors[:, ~np.any(np.ptp(side, axis=2), axis=0)] = 0.0
-    return (errors[:-1] / path._impulse_sizes[:, None]).max(axis=0), errors[-1]
+    return errors[:-1], np.abs(errors[-1])
+
+
+def carried(path: ControlTrajectory, impulses: np.ndarray) -> np.ndarray:
+    """Largest change of the path, relative to its sizes, until every joint by impulses (d, N) on the intervals; (N,).
+
+    It is that of a free motion, by p over v as mass.
+    """
+    d, pushed = path.problem.mechanical, np.cumsum(impulses, axis=1)
+    speeds, momenta = (np.max(np.abs(values[:d]), axis=1) for values in (path(path.t, 1), path._momenta))
+    moved, during = pushed.copy(), (pushed - impulses / 2)[:d] * np.diff(path.t)
+    moved[:d] = np.cumsum(during, axis=1) * (speeds / or_one(momenta))[:, None]
+    return np.max(np.abs(moved) / path.sizes[:, None], axis=0)

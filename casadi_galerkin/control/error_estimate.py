@@ -53,7 +53,7 @@ from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, pa
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import around, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
-from casadi_galerkin.control.bends import Bend, bend_errors, bends
+from casadi_galerkin.control.bends import Bend, bend_errors, bends, carried
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.jumps_in_time import jumps_in_time
 from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM
@@ -75,6 +75,7 @@ SWITCH_MARGIN = 3.0  # distance of the joints beside a switch over the uncertain
 # least distance of these joints over √tol and the duration: a switch between two joints changes x by the square of
 # their distance
 SWITCH_RESOLUTION = 0.05
+AT_JOINT = 0.05  # distance from a joint, as part of an interval, up to which a bend is at the joint
 # difference of the two estimates of a switching time, over the duration, above which both become joints
 DIFFERING_ESTIMATES = 1e-4
 # distance over the duration below which switches are one, such as those of two controls at a breakpoint
@@ -131,6 +132,14 @@ def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
     lower = path.polynomial.values_at_parts(nodes) @ lagrange_values(nodes, sampling_parts(degree)).T
     change = path.polynomial.values_at_parts(sampling_parts(degree)) - lower
     return np.max(np.abs(change) / path.sizes[:, None, None], axis=(0, 2))
+
+
+def holds(mesh: np.ndarray, times: Sequence[float], margin: float | np.ndarray) -> np.ndarray:
+    """Whether any of some times is in an interval, without this part of it at either end; (N,)."""
+    margins, inside = margin * np.diff(mesh), np.zeros(len(mesh) - 1, dtype=bool)
+    for when in times:
+        inside |= (mesh[:-1] + margins < when) & (when < mesh[1:] - margins)
+    return inside
 
 
 @dataclass(frozen=True)
@@ -243,9 +252,15 @@ class HigherDegree:
 
     @cached_property
     def bend_errors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Relative errors of the impulses, and of the cost, where controls bend inside an interval; (N,) each."""
-        of_impulses, of_cost = bend_errors(self.path)
-        return of_impulses, np.array([self.of_cost(change) for change in of_cost])
+        """Relative errors of the path, and of the cost, where controls bend inside an interval; (N,) each.
+
+        Of the impulses only what both degrees miss counts: the rest is in their difference.
+        """
+        (missed, of_cost), (of_higher, _) = bend_errors(self.path), bend_errors(self.higher)
+        shared = np.where(missed * of_higher > 0, np.sign(missed) * np.minimum(np.abs(missed), np.abs(of_higher)), 0.0)
+        shares = np.max(np.abs(shared) / self.path._impulse_sizes[:, None], axis=0)
+        of_path = np.max(carried(self.path, shared)) * shares / max(np.sum(shares), 1e-300)
+        return of_path, np.array([self.of_cost(change) for change in of_cost])
 
     @cached_property
     def common_error(self) -> float:
@@ -322,16 +337,17 @@ class HigherDegree:
         error *= max(self.change - self.jump_error, 0.0) / max(np.max(error), 1e-300)
         coarse, fine = (truncation_error(p.polynomial, path.sizes) for p in (path, higher))
         kinked = fine > UNSMOOTH_RATIO * coarse
-        parts = parts_wanted(error, path.method.degree + 1, tol)
-        parts = np.where(kinked & (parts > 1), parts_wanted(error, KINK_ORDER, tol), parts)
+        smooth = parts_wanted(error, path.method.degree + 1, tol)
+        parts = np.where(kinked & (smooth > 1), parts_wanted(error, KINK_ORDER, tol), smooth)
         parts = np.maximum(parts, parts_wanted(np.maximum(self.bound_errors, self.control_misfit), 1, tol))
         for errors, allowed in zip(self.bend_errors, (tol, cost_tol), strict=True):
             parts = np.maximum(parts, parts_wanted(errors, KINK_ORDER, allowed))
         of_cost = np.maximum(self.jump_effects, self.excess_effects)
-        mesh, parts = self.widened(np.maximum(parts, parts_wanted(of_cost, 1, cost_tol)))
-        bent, least = self.bend_times(tol), self.least_distance(tol)
-        beside = [(mesh[:-1] - least <= when) & (when <= mesh[1:] + least) for when in bent]
-        parts = np.where(np.any(beside, axis=0), np.minimum(parts, 1.0), parts)
+        parts, bent = np.maximum(parts, parts_wanted(of_cost, 1, cost_tol)), self.bend_times(tol)
+        # beside a bend a joint is to take away what is not smooth; where there is none yet, all may be due to the bend
+        parts = np.where(holds(higher.t, bent, -self.least_distance(tol) / np.diff(higher.t)), smooth, parts)
+        mesh, parts = self.widened(parts)
+        parts = np.where(holds(mesh, bent, AT_JOINT), np.minimum(parts, 1.0), parts)
         joints = tuple(sorted((*higher.problem.breakpoints, *bent)))
         return self.with_jumps(equidistributed(mesh, parts, MOST_PARTS, breakpoints=joints), tol)
 

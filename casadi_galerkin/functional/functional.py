@@ -85,6 +85,8 @@ class Functional:
     ) -> None:
         began = time.perf_counter()
         self.pointwise, self.numbering, self.terms = pointwise(lagrangian, force), kept(numbering), terms
+        if self.pointwise.linear:
+            raise ValueError("the Lagrangian is linear in x and v: no path makes its action stationary, or all do")
         self._without_force = None if force is None else (lagrangian, numbering, mapping, None, terms, given)
         self.symmetric = self.pointwise.symmetric and all(term.symmetric for term in terms)
         self._mapping = by_rows if numbering.points >= MANY else mapping

@@ -38,6 +38,7 @@ class Pointwise:
     pattern : Sparsity (d, d), symmetric, that contains the patterns of all blocks of J
     blocks : which of (0, 0), (0, 1), (1, 0) are not structurally zero, and then (1, 1); 0 stands for x and 1 for x'
     kinetic : whether no ∂²L̂/∂x'_i² is structurally zero
+    linear : whether J is structurally zero
     """
 
     def __init__(self, lagrangian: ca.Function, force: ca.Function | None) -> None:
@@ -58,8 +59,7 @@ class Pointwise:
         self._coefficients = {"fx": gradient[of_x], "fv": gradient[of_slope]}
         self._cells = {(i, j): self._jacobian[row, column] for i, row in rows for j, column in rows}
         self.blocks = tuple(key for key, cell in self._cells.items() if cell.nnz() or key == (1, 1))
-        if not self._jacobian.nnz():
-            raise ValueError("the Lagrangian is linear in x and v: no path makes its action stationary, or all do")
+        self.linear = not self._jacobian.nnz()
         self.pattern = ca.Sparsity.diag(d)  # ∇²S must have a diagonal even where L does not depend on a component
         for key in self.blocks:
             sparsity = self._cells[key].sparsity()

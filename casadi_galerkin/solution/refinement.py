@@ -20,6 +20,7 @@ from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.progress import progress
 
+FRUITFUL = 0.9  # ratio of an error to the smallest before below which its level has come nearer
 HINT = "Try a looser tolerance, a guess nearer to the path, or higher limits"
 NO_NEARER = (
     "Try another tolerance, looser or tighter, breakpoints where controls switch, more intervals to begin with, or a "
@@ -54,9 +55,9 @@ class Refinement(ABC, Generic[Level, Detail]):
     Attributes
     ----------
     roundoff_level : an error below it that does not fall to half is taken to be at the roundoff floor
-    persistence : largest number of levels in a row without a smaller error
+    persistence : largest number of levels in a row that come no nearer
     best : level of the smallest trusted error so far, and that error; where none is trusted yet, the last level
-    fruitless : number of levels in a row without a smaller error
+    fruitless : number of levels in a row that came no nearer
     """
 
     roundoff_level: float
@@ -112,7 +113,7 @@ class Refinement(ABC, Generic[Level, Detail]):
                 if error <= self.tol:
                     return level, error
                 at_floor, nearer = smallest / 2 < error < self.roundoff_level, error < smallest
-                self.fruitless = 0 if nearer else self.fruitless + 1
+                self.fruitless = 0 if error < FRUITFUL * smallest else self.fruitless + 1
                 if nearer or smallest == np.inf:
                     self.best = level, estimate.error
                 smallest = min(smallest, error)
