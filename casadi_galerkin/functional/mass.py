@@ -7,6 +7,7 @@ import numpy as np
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.pointwise import pointwise
+from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.legendre_transform import degenerate, refuse_degenerate
@@ -27,8 +28,9 @@ def check_mass(problem: BoundaryProblem | ControlProblem) -> None:
     start, end = (np.array([x or 0.0 for x in end]) for end in (problem.start, problem.end))
     rise, size, span = end - start, component_sizes(np.array([start, end]).T), last - first
     bend, given = size * np.cos(1.0 + np.arange(len(start))), [] if problem.parameters is None else [problem.parameters]
-    lagrangian = pointwise(problem.lagrangian, None if isinstance(problem, ControlProblem) else problem.force)
-    derivatives = Evaluator(lagrangian.derivatives)  # a Function within L may fail
+    with fork_waits:
+        lagrangian = pointwise(problem.lagrangian, None if isinstance(problem, ControlProblem) else problem.force)
+        derivatives = Evaluator(lagrangian.derivatives)  # a Function within L may fail
     for share in GENERIC:
         t, x, v = first + share * span, start + share * (rise + bend), (rise + (1 - share) * bend) / span
         mass = lagrangian.matrices(derivatives(t, 1.0, x, v, *given)[-1][None])[0, :count, :count]
