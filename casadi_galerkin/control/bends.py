@@ -108,7 +108,7 @@ def bends(path: ControlTrajectory) -> list[Bend]:
 
 @np.errstate(invalid="ignore", divide="ignore")  # where a control is constant beside its bound
 def _bend(times: np.ndarray, u: np.ndarray, side: np.ndarray, k: int, bounds: np.ndarray) -> float:
-    """The time between two samples at which a control is at its bound, interpolated from those within the bounds."""
+    """The time between two samples at which a control is at its bound, as a function of values within the bounds."""
     first, step = (k + 1, 1) if side[k] else (k, -1)
     within = first + step * np.arange(INTERPOLATED)
     within = within[within // len(PARTS) == first // len(PARTS)]  # on one interval

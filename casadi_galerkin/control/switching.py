@@ -1,4 +1,8 @@
-"""Where controls switch from bound to bound: by their impulses, and by the switching function ∂(ℓ + λ·(F, ρ))/∂u."""
+"""Where controls switch from bound to bound: by their impulses, and by the switching function ∂(ℓ + λ·(F, ρ))/∂u.
+
+A control of convex cost does not jump, but may pass from bound to bound within an interval.  It switches in the middle
+between the two `bends`, and no more once both of these are joints.
+"""
 
 from __future__ import annotations
 
