@@ -23,7 +23,7 @@ from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 PARTS = np.union1d(around(np.array([0.0, 1.0])), np.linspace(0.0, 1.0, 33))  # where an interval is sampled
 WIDTHS = np.convolve(np.diff(PARTS), [0.5, 0.5])  # weights of the trapezoidal rule there
-STEPS, CONVERGED = 12, 1e-9  # most steps to a minimizer, and the relative step that ends them
+STEPS, CONVERGED = 40, 1e-9  # most steps to a minimizer, and the relative step that ends them
 ROUNDED = 1e-14  # relative change of I that may be rounding
 FLAT = 1e-8  # curvature of I over those of the single controls, up to which it is not convex
 AT_BOUND = 1e-6  # distance from a bound, over the size of the control, up to which a minimizer is there
@@ -34,8 +34,9 @@ INTERPOLATED = 4  # values within the bounds from which the time is interpolated
 def minimizers(path: ControlTrajectory, function: ca.Function) -> tuple[np.ndarray, np.ndarray]:
     """Controls that minimize I, the `integrand`, within their bounds, at `PARTS` of every interval.
 
-    Each step is one of Newton's method for the controls that are not pushed against a bound, halved where I does not
-    fall.  Controls on which I depends linearly are left as they are: where they switch is known from `switching`.
+    Each step is one of Newton's method for the controls that are not pushed against a bound, no longer than the bounds
+    are apart, and halved where I does not fall.  Controls on which I depends linearly are left as they are: where they
+    switch is known from `switching`.
 
     Returns
     -------
@@ -58,7 +59,8 @@ def minimizers(path: ControlTrajectory, function: ca.Function) -> tuple[np.ndarr
         inverse = np.where(values > FLAT, 1 / values, 0.0)
         forces = np.where(free, -scale * slope, 0.0)
         steps = scale * np.einsum("kij,kj,klj,lk->ik", vectors, inverse, vectors, forces)
-        tried = np.clip(best + share * steps, low, high)
+        longest = np.max(np.abs(steps) / (high - low), axis=0, initial=1.0)
+        tried = np.clip(best + share / longest * steps, low, high)
         there = at_places(function, times, x, v, tried, *others)
         falls = there[0][0] <= found[0][0] + ROUNDED * np.abs(found[0][0])
         moved = np.abs(tried - best) > CONVERGED * np.abs(tried)

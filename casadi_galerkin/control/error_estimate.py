@@ -69,6 +69,7 @@ HIDDEN = 1e-2  # difference of both paths over what the defect moves them below 
 UNSMOOTH_RATIO = 0.25  # ratio of the truncation errors of both degrees above which a path is not smooth on an interval
 KINK_ORDER = 2  # a jump of the acceleration inside a step h changes x by the order of h²
 MOST_PARTS = 8.0  # most parts that one interval is split into at once: enough to resolve a kink in a few levels
+MOST_BESIDE = 2.0  # most parts that an interval beside a bend is split into for what is not smooth
 NARROW_RATIO = 0.25  # length over that of a neighbor below which an interval counts as one placed beside a switch
 REMOVAL_DISTANCE = 1 / 3  # distance to a switch, as part of an interval, below which an old joint is removed
 SWITCH_MARGIN = 3.0  # distance of the joints beside a switch over the uncertainty of its time
@@ -345,7 +346,8 @@ class HigherDegree:
         of_cost = np.maximum(self.jump_effects, self.excess_effects)
         parts, bent = np.maximum(parts, parts_wanted(of_cost, 1, cost_tol)), self.bend_times(tol)
         # beside a bend a joint is to take away what is not smooth; where there is none yet, all may be due to the bend
-        parts = np.where(holds(higher.t, bent, -self.least_distance(tol) / np.diff(higher.t)), smooth, parts)
+        beside = holds(higher.t, bent, -self.least_distance(tol) / np.diff(higher.t))
+        parts = np.where(beside, np.maximum(smooth, np.minimum(parts, MOST_BESIDE)), parts)
         mesh, parts = self.widened(parts)
         parts = np.where(holds(mesh, bent, AT_JOINT), np.minimum(parts, 1.0), parts)
         joints = tuple(sorted((*higher.problem.breakpoints, *bent)))
