@@ -16,7 +16,7 @@ faster, and sometimes failed.
 
 On smooth paths the estimate is near the true error.  Where a position touches its bound it is many times the error.
 Where controls switch, or reach their bounds or those of a path constraint, both degrees may share a wrong time of this:
-of 402 paths with bounded controls or speeds, the estimates of 16 were too small, by up to 4.5 times, and those of 3
+of 402 paths with bounded controls or speeds, the estimates of 34 were too small, by up to 4.5 times, and those of 3
 costs, by up to 3.5 times; no error was above `tol`.  How often the estimate bounds the error of the cost is counted on
 nineteen problems by `examples/benchmark/literature.py`.
 
