@@ -126,50 +126,48 @@ def test_what_oscillating_impulses_carry_far_is_estimated():
     assert np.max(np.abs(path(times)[0] - places)) / path.sizes[0] <= path.error_estimate <= 1e-4
 
 
-def test_a_steep_arc_beside_a_bend_gets_a_finer_mesh():
-    """A rate is to follow a narrow peak, by at most one: it meets that bound on both steep sides of the peak."""
-    peak = cg.ControlProblem(
+def rated(cost, bounds):
+    """A component that follows its control, the rate, for two seconds from zero."""
+    ends = [0.0], [None], [None], [None]
+    return cg.ControlProblem(
         None,
         (0.0, 2.0),
-        [0.0],
-        [None],
-        [None],
-        [None],
+        *ends,
         force=None,
         rates=lambda t, x, v, u: u,
-        running_cost=lambda t, x, v, u: u[0] ** 2 / 2 - (4 / (1 + ((t - 0.65) / 0.01) ** 2) - 0.2) * u[0],
+        running_cost=lambda t, x, v, u: cost(t, u[0]),
         controls=1,
-        control_bounds=(-0.5, 1.0),
+        control_bounds=bounds,
     )
-    path = cg.solve(peak, tol=1e-3, limits=cg.Limits(levels=20))
-    times = np.linspace(0, 2, 400_001)
-    rates = np.clip(4 / (1 + (((times[1:] + times[:-1]) / 2 - 0.65) / 0.01) ** 2) - 0.2, -0.5, 1)
-    places = np.append(0.0, np.cumsum(rates) * times[1])
-    assert np.max(np.abs(path(times)[0] - places)) / path.sizes[0] <= path.error_estimate <= 1e-3
+
+
+def missed_by(path, rate, count):
+    """Largest error of such a path, over its size, by the midpoint rule on so many intervals."""
+    times = np.linspace(0, 2, count + 1)
+    places = np.append(0.0, np.cumsum(rate((times[1:] + times[:-1]) / 2)) * times[1])
+    return np.max(np.abs(path(times)[0] - places)) / path.sizes[0]
+
+
+def test_a_steep_arc_beside_a_bend_gets_a_finer_mesh():
+    """A rate is to follow a narrow peak, by at most one: it meets that bound on both steep sides of the peak."""
+
+    def peak(t):
+        return 4 / (1 + ((t - 0.65) / 0.01) ** 2) - 0.2
+
+    path = cg.solve(rated(lambda t, u: u**2 / 2 - peak(t) * u, (-0.5, 1.0)), tol=1e-3, limits=cg.Limits(levels=20))
+    assert missed_by(path, lambda t: np.clip(peak(t), -0.5, 1), 400_000) <= path.error_estimate <= 1e-3
 
 
 def test_a_control_that_leaves_its_bound_like_a_cube_root_is_known():
     """The cost (u + 0.0001)⁴/4 - u sin(3t + 1) is nearly flat at u = 0, where Newton's first step is far too long."""
-    rooted = cg.ControlProblem(
-        None,
-        (0.0, 2.0),
-        [0.0],
-        [None],
-        [None],
-        [None],
-        force=None,
-        rates=lambda t, x, v, u: u,
-        running_cost=lambda t, x, v, u: (u[0] + 0.0001) ** 4 / 4 - u[0] * ca.sin(3 * t + 1),
-        controls=1,
-        control_bounds=(0.0, 0.8),
-    )
-    path, times = cg.solve(rooted, tol=1e-6), np.linspace(0, 2, 1_000_001)
-    rates = np.clip(np.cbrt(np.sin(3 * (times[1:] + times[:-1]) / 2 + 1)) - 0.0001, 0, 0.8)
-    places = np.append(0.0, np.cumsum(rates) * times[1])
-    assert np.max(np.abs(path(times)[0] - places)) / path.sizes[0] <= path.error_estimate <= 1e-6
+
+    def rate(t):
+        return np.clip(np.cbrt(np.sin(3 * t + 1)) - 0.0001, 0, 0.8)
+
+    path = cg.solve(rated(lambda t, u: (u + 0.0001) ** 4 / 4 - u * ca.sin(3 * t + 1), (0.0, 0.8)), tol=1e-6)
+    assert missed_by(path, rate, 1_000_000) <= path.error_estimate <= 1e-6
     best, _ = minimizers(path, integrand(path))
-    exact = np.clip(np.cbrt(np.sin(3 * path.polynomial.sampled(PARTS)[0] + 1)) - 0.0001, 0, 0.8)
-    np.testing.assert_allclose(best[0], exact, atol=1e-6)
+    np.testing.assert_allclose(best[0], rate(path.polynomial.sampled(PARTS)[0]), atol=1e-6)
 
 
 def test_a_bend_at_a_joint_is_no_error():
