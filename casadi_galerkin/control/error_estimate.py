@@ -1,4 +1,4 @@
-"""Error estimate of an optimal path, by a path of degree m + 2 on the same mesh, and a better mesh.
+"""Error estimate of an optimal path, by a path of degree m + 2 on the same mesh.
 
 Let D be the largest of three differences between the two paths: the relative changes of the cost and of the duration,
 and the largest change of x at the same fraction of the duration, relative to the size of its component.  Let q be the
@@ -30,13 +30,6 @@ Some errors are common to both degrees, so that the difference does not show the
 
 The estimated error of the cost is at least the square of each of the first five, and at least the excess over path
 constraints that no point near by meets, because nothing tells how steeply the cost changes there.
-
-The new mesh equidistributes the part of the finer path that degree m cannot represent.  Where a higher degree does not
-reduce this part, the path has a kink, and intervals are split as for a method of order 2.  Where a control leaves or
-meets a bound, by the minimizers of `bends`, there is a joint in place of finer intervals.  Where a control switches
-inside an interval, its impulse ∫ u dt gives the time of the switch, and a joint is placed there.  Two more joints are
-placed on either side of it, at a distance of the uncertainty of that time.  The next path then switches between them,
-and its switching time is about ten times more accurate.
 """
 
 from __future__ import annotations
@@ -48,9 +41,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.mesh_adaptation import TARGET, equidistributed, parts_wanted, truncation_error
-from casadi_galerkin.calculus.nodes import lagrange_values
+from casadi_galerkin.calculus.mesh_adaptation import truncation_error
 from casadi_galerkin.calculus.piecewise_polynomial import around, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.control.bends import Bend, bend_errors, bends, carried
@@ -66,21 +57,6 @@ from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 SLOWEST = 2 / 3  # largest q, which is also assumed where switches or path constraints slow down convergence
 SHARED_DEFECT = 0.5  # ratio of the defects of both degrees above which a higher degree does not reduce it
 HIDDEN = 1e-2  # difference of both paths over what the defect moves them below which it does not show the defect
-UNSMOOTH_RATIO = 0.25  # ratio of the truncation errors of both degrees above which a path is not smooth on an interval
-KINK_ORDER = 2  # a jump of the acceleration inside a step h changes x by the order of h²
-MOST_PARTS = 8.0  # most parts that one interval is split into at once: enough to resolve a kink in a few levels
-MOST_BESIDE = 2.0  # most parts that an interval beside a bend is split into for what is not smooth
-NARROW_RATIO = 0.25  # length over that of a neighbor below which an interval counts as one placed beside a switch
-REMOVAL_DISTANCE = 1 / 3  # distance to a switch, as part of an interval, below which an old joint is removed
-SWITCH_MARGIN = 3.0  # distance of the joints beside a switch over the uncertainty of its time
-# least distance of these joints over √tol and the duration: a switch between two joints changes x by the square of
-# their distance
-SWITCH_RESOLUTION = 0.05
-AT_JOINT = 0.05  # distance from a joint, as part of an interval, up to which a bend is at the joint
-# difference of the two estimates of a switching time, over the duration, above which both become joints
-DIFFERING_ESTIMATES = 1e-4
-# distance over the duration below which switches are one, such as those of two controls at a breakpoint
-SAME_SWITCH = 1e-8
 ROUNDOFF = 1e-15  # of positions and of impulses, relative to their sizes
 MET = 1e-4  # distance from a bound, over `_changes_at_largest`, up to which a point meets it
 UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
@@ -125,22 +101,6 @@ def unseen_control_excess(path: ControlTrajectory, higher: ControlTrajectory) ->
     values = [p.control.at(parts).reshape(-1, len(p.t) - 1, len(parts)) for p in (path, higher)]
     excess = np.max(unseen_excess(values, path.problem.control_bounds), axis=2)
     return np.max(excess / component_sizes(path.control.values)[:, None], axis=0)
-
-
-def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:
-    """Distance of a path from its interpolant of a lower degree on each interval, relative to the sizes; (N,)."""
-    nodes = Galerkin(degree).element.nodes
-    lower = path.polynomial.values_at_parts(nodes) @ lagrange_values(nodes, sampling_parts(degree)).T
-    change = path.polynomial.values_at_parts(sampling_parts(degree)) - lower
-    return np.max(np.abs(change) / path.sizes[:, None, None], axis=(0, 2))
-
-
-def holds(mesh: np.ndarray, times: Sequence[float], margin: float | np.ndarray) -> np.ndarray:
-    """Whether any of some times is in an interval, without this part of it at either end; (N,)."""
-    margins, inside = margin * np.diff(mesh), np.zeros(len(mesh) - 1, dtype=bool)
-    for when in times:
-        inside |= (mesh[:-1] + margins < when) & (when < mesh[1:] - margins)
-    return inside
 
 
 @dataclass(frozen=True)
@@ -330,88 +290,3 @@ class HigherDegree:
         unmet = float(np.max(self.constraint_excess[1], initial=0.0))
         effects = self.jump_error + float(np.sum(self.excess_effects) + np.sum(self.bend_errors[1]))
         return max(change, common**2, variation**2, distance, unmet, effects)
-
-    def better_mesh(self, tol: float, cost_tol: float) -> np.ndarray:
-        """Joints, in the time of the path of higher degree, with which both errors should be below their tolerances."""
-        path, higher = self.path, self.higher
-        error = beyond_degree(higher, path.method.degree)
-        error *= max(self.change - self.jump_error, 0.0) / max(np.max(error), 1e-300)
-        coarse, fine = (truncation_error(p.polynomial, path.sizes) for p in (path, higher))
-        kinked = fine > UNSMOOTH_RATIO * coarse
-        smooth = parts_wanted(error, path.method.degree + 1, tol)
-        parts = np.where(kinked & (smooth > 1), parts_wanted(error, KINK_ORDER, tol), smooth)
-        parts = np.maximum(parts, parts_wanted(np.maximum(self.bound_errors, self.control_misfit), 1, tol))
-        for errors, allowed in zip(self.bend_errors, (tol, cost_tol), strict=True):
-            parts = np.maximum(parts, parts_wanted(errors, KINK_ORDER, allowed))
-        of_cost = np.maximum(self.jump_effects, self.excess_effects)
-        parts, bent = np.maximum(parts, parts_wanted(of_cost, 1, cost_tol)), self.bend_times(tol)
-        # beside a bend a joint is to take away what is not smooth; where there is none yet, all may be due to the bend
-        beside = holds(higher.t, bent, -self.least_distance(tol) / np.diff(higher.t))
-        parts = np.where(beside, np.maximum(smooth, np.minimum(parts, MOST_BESIDE)), parts)
-        mesh, parts = self.widened(parts)
-        parts = np.where(holds(mesh, bent, AT_JOINT), np.minimum(parts, 1.0), parts)
-        joints = tuple(sorted((*higher.problem.breakpoints, *bent)))
-        return self.with_jumps(equidistributed(mesh, parts, MOST_PARTS, breakpoints=joints), tol)
-
-    def least_distance(self, tol: float) -> float:
-        """Least distance of joints that are placed at switches and bends."""
-        return float(SWITCH_RESOLUTION * np.sqrt(tol) * np.ptp(self.higher.t))
-
-    def bend_times(self, tol: float) -> list[float]:
-        """Times at which controls of the path of higher degree leave or meet a bound, apart from all other joints."""
-        path, found = self.higher, list[float]()
-        fixed = [path.t[0], *path.problem.breakpoints, path.t[-1], *(s.when for s in self.switches)]
-        for when in (bend.when for bend in self.bends):
-            if np.min(np.abs(np.array(fixed + found) - when)) > self.least_distance(tol):
-                found.append(when)
-        return found
-
-    def widened(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mesh and parts without the narrow intervals around switches; an interval with a switch need not be split."""
-        mesh = self.higher.t
-        steps = np.concatenate(([0.0], np.diff(mesh), [0.0]))
-        narrow = steps[1:-1] < NARROW_RATIO * np.maximum(steps[:-2], steps[2:])
-        parts, drop = parts.copy(), np.zeros(len(mesh), dtype=bool)
-        for s in self.switches:
-            times = (s.when, s.joint, s.due)
-            first = max(int(np.searchsorted(mesh, min(times))) - 1, 0)
-            last = min(int(np.searchsorted(mesh, max(times), side="right")) - 1, len(narrow) - 1)
-            while first > 0 and narrow[first]:
-                first -= 1
-            while last < len(narrow) - 1 and narrow[last]:
-                last += 1
-            parts[first : last + 1] = np.minimum(parts[first : last + 1], 1.0)
-            drop[first + 1 : last + 1] |= narrow[first:last] | narrow[first + 1 : last + 1]
-        keep = np.flatnonzero(~drop | np.isin(mesh, self.higher.problem.breakpoints))
-        return mesh[keep], np.maximum.reduceat(parts, keep[:-1])
-
-    def with_jumps(self, mesh: np.ndarray, tol: float) -> np.ndarray:
-        """The mesh with joints at the switches, and on either side at the distance of the uncertainty of their times.
-
-        There are two estimates of a switching time.  Where the given ends determine it, the impulse is accurate, but
-        the switching function only to the distance of two quadrature points.  Where the ends do not determine it, all
-        controls may stay at their bounds on both sides of a joint, and the switching function is more accurate.  So
-        where the two estimates differ, both become joints.  A switch whose distance to a breakpoint is below the error
-        of the path is taken to be at the breakpoint, because a joint beside it would be too near.
-        """
-        jumps: dict[float, float] = {}  # time of a switch -> distance of the joints on either side
-        duration, breakpoints = np.ptp(mesh), self.higher.problem.breakpoints
-        closest, known = self.least_distance(tol), max(self.change, TARGET * tol) * duration
-        switched = [(s, s.when) for s in self.switches]
-        switched += [(s, s.due) for s in self.switches if abs(s.due - s.when) > DIFFERING_ESTIMATES * duration]
-        for s, when in switched:
-            when = next((b for b in breakpoints if abs(b - when) < known), when)
-            if any(abs(when - other) < SAME_SWITCH * duration for other in jumps):
-                continue
-            k = int(np.searchsorted(mesh[1:-1], when))
-            near = min((k, k + 1), key=lambda j: abs(mesh[j] - when))
-            stays = mesh[near] in (mesh[0], *breakpoints, mesh[-1])
-            if not stays and abs(mesh[near] - when) < REMOVAL_DISTANCE * (mesh[k + 1] - mesh[k]):
-                mesh = np.delete(mesh, near)
-            jumps[when] = max(closest, SWITCH_MARGIN * abs(s.when - s.joint), SWITCH_MARGIN * abs(s.due - s.joint))
-        joints = np.unique(np.concatenate((mesh, list(jumps))))
-        for when, distance in jumps.items():
-            k = int(np.searchsorted(joints, when))
-            wide = distance < NARROW_RATIO * np.diff(joints)[k - 1 : k + 1]
-            mesh = np.append(mesh, np.array([when - distance, when + distance])[wide])
-        return np.unique(np.concatenate((mesh, list(jumps))))

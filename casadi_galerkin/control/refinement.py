@@ -1,12 +1,12 @@
 """From a tolerance to a degree and a mesh, for trajectory optimization.
 
 Every mesh is solved twice: with degree m, and with degree m + 2 from a perturbed copy of the first path
-(`error_estimate` describes how the two give an error and a new mesh).  The perturbation is √`tol` of the size of the
-path.  Without it, the solver would stop at the first path wherever a change of the path hardly changes the cost, and
-the two would not differ.  From the perturbed path it returns to an isolated optimum, but not where many paths cost the
-same.  Estimated are the relative errors of cost and duration, and the largest error of x at the joints and between
-them, relative to the size of its component.  The error of the control is not estimated, but the path that it leads to
-between the quadrature points is; nor is it known whether the optimum is the global one.
+(`error_estimate` describes how the two give an error, and `better_mesh` a new mesh).  The perturbation is √`tol` of
+the size of the path.  Without it, the solver would stop at the first path wherever a change of the path hardly changes
+the cost, and the two would not differ.  From the perturbed path it returns to an isolated optimum, but not where many
+paths cost the same.  Estimated are the relative errors of cost and duration, and the largest error of x at the joints
+and between them, relative to the size of its component.  The error of the control is not estimated, but the path that
+it leads to between the quadrature points is; nor is it known whether the optimum is the global one.
 
 Where the solver finds no path, it tries again with every interval halved, and then from the guess with which all began
 in place of the coarser path.  Where it finds none of degree m + 2, there is no error estimate, and the next mesh has
@@ -48,6 +48,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss, lobatto
+from casadi_galerkin.control.better_mesh import better_mesh
 from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.failure_report import UNITS
 from casadi_galerkin.control.phases import with_joined_phases, with_parted_phases
@@ -237,7 +238,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         if detail is None or (self.fruitless > 0 and self.fruitless % PATIENCE == 0):
             mesh = halved(known.t)
         else:
-            mesh = detail.better_mesh(self.path_tol(detail), self.tol)
+            mesh = better_mesh(detail, self.path_tol(detail), self.tol)
         if len(mesh) - 1 > self.limits.intervals:
             raise self.stopped(f"the mesh would need {len(mesh) - 1} intervals", *self.best)
         joints = self.scaled(mesh, known)

@@ -5,6 +5,7 @@ from control_problems import double_integrator, minimum_time
 
 import casadi_galerkin as cg
 from casadi_galerkin.control.bends import PARTS, bend_errors, bends, minimizers
+from casadi_galerkin.control.better_mesh import better_mesh
 from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.hamiltonian import along, integrand
 from casadi_galerkin.functional.mapping import at_places
@@ -66,7 +67,7 @@ def test_what_a_bend_beside_a_joint_hides_is_found_where_it_is():
     (of_impulse,), of_cost = np.abs(bend_errors(path)[0]), bend_errors(path)[1]
     assert np.min(of_impulse[[1, 3]]) > 1e-6 > np.max(of_impulse[[0, 2, 4]])
     assert np.min(of_cost[[1, 3]]) > 0 == np.max(of_cost[[0, 2, 4]])
-    better = HigherDegree(path, higher).better_mesh(tol=1e-3, cost_tol=1e-8)
+    better = better_mesh(HigherDegree(path, higher), tol=1e-3, cost_tol=1e-8)
     for when in (begin, 2 - begin):
         assert np.min(np.abs(better - when)) < 1e-3 < np.min(np.abs(mesh - when))
 
