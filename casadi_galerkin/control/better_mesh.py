@@ -2,10 +2,10 @@
 
 It equidistributes the part of the path of higher degree that degree m cannot represent.  Where a higher degree does not
 reduce this part, the path has a kink, and intervals are split as for a method of order 2.  Where a control leaves or
-meets a bound, by the minimizers of `bends`, there is a joint in place of finer intervals.  Where a control switches
-inside an interval, its impulse ∫ u dt gives the time of the switch, and a joint is placed there.  Two more joints are
-placed on either side of it, at a distance of the uncertainty of that time.  The next path then switches between them,
-and its switching time is about ten times more accurate.
+meets a bound, by the minimizers of `bends`, and where a position touches one (`touches`), there is a joint in place of
+finer intervals.  Where a control switches inside an interval, its impulse ∫ u dt gives the time of the switch, and a
+joint is placed there.  Two more joints are placed on either side of it, at a distance of the uncertainty of that time.
+The next path then switches between them, and its switching time is about ten times more accurate.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ def least_distance(path: ControlTrajectory, tol: float) -> float:
 
 
 def bend_times(found: HigherDegree, tol: float) -> list[float]:
-    """Times at which controls of the path of higher degree leave or meet a bound, apart from all other joints."""
+    """Times at which controls leave or meet a bound, or positions touch theirs, apart from all other joints."""
     path, times = found.higher, list[float]()
     fixed = [path.t[0], *path.problem.breakpoints, path.t[-1], *(s.when for s in found.switches)]
-    for when in (bend.when for bend in found.bends):
+    for when in (*found.touch_times, *(bend.when for bend in found.bends)):
         if np.min(np.abs(np.array(fixed + times) - when)) > least_distance(path, tol):
             times.append(when)
     return times
@@ -71,7 +71,9 @@ def wanted_parts(found: HigherDegree, bent: Sequence[float], tol: float, cost_to
     kinked = fine > UNSMOOTH_RATIO * coarse
     smooth = parts_wanted(error, degree + 1, tol)
     parts = np.where(kinked & (smooth > 1), parts_wanted(error, KINK_ORDER, tol), smooth)
-    parts = np.maximum(parts, parts_wanted(np.maximum(found.bound_errors, found.control_misfit), 1, tol))
+    touched = holds(higher.t, found.touch_times, -least_distance(higher, tol) / np.diff(higher.t))
+    of_points = np.maximum(np.where(touched, 0.0, found.bound_errors), found.control_misfit)
+    parts = np.maximum(parts, parts_wanted(of_points, 1, tol))
     for errors, allowed in zip(found.bend_errors, (tol, cost_tol), strict=True):
         parts = np.maximum(parts, parts_wanted(errors, KINK_ORDER, allowed))
     parts = np.maximum(parts, parts_wanted(np.maximum(found.jump_effects, found.excess_effects), 1, cost_tol))

@@ -14,7 +14,8 @@ Some errors are common to both degrees, so that the difference does not show the
   and rates ρ, is zero.  If the nearest joint lies elsewhere, there may be no quadrature point between the two, and then
   neither path shows the difference.
 - Bounds of positions, which hold at nodes only.  Where a path exceeds one by ε between nodes, the error of the path is
-  about √ε; about ε for a component whose rate is controlled, which can follow its bound.
+  about √ε; about ε for a component whose rate is controlled, which can follow its bound.  Where it only touches its
+  bound, `touches` tells how late or early, also where rounding hides the excess.
 - Impulses shorter than the distance of the first point from a joint.  There the controls at the points keep to their
   bounds, but add up to a larger impulse than these allow.  Both degrees then have the same momentum behind it, and the
   same defect (`ControlTrajectory.dynamics_defect`).
@@ -45,10 +46,10 @@ from casadi_galerkin.calculus.mesh_adaptation import truncation_error
 from casadi_galerkin.calculus.piecewise_polynomial import around, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.control.bends import Bend, bend_errors, bends, carried
-from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.jumps_in_time import jumps_in_time
 from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM
 from casadi_galerkin.control.switching import Switch, switches
+from casadi_galerkin.control.touches import Touch, bound_impulses, touch_time, touches
 from casadi_galerkin.problems.bounds import bound_excess
 from casadi_galerkin.problems.dependence import CONTROLS, VELOCITIES, rows_that_depend
 from casadi_galerkin.solution.control_trajectory import FINER, ControlTrajectory
@@ -63,15 +64,21 @@ UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, b
 
 
 def position_errors(path: ControlTrajectory) -> np.ndarray:
-    """Errors of the path on each interval, (N,), because its positions exceed their bounds between the nodes."""
-    problem = path.problem
-    parts = np.union1d(sampling_parts(path.method.degree), around(path.polynomial.nodes))
-    positions = path.polynomial.values_at_parts(parts)
-    outside = bound_excess(positions, *problem.position_bounds) / path.sizes[:, None, None]
-    excess = np.max(np.where(outside > ROUNDOFF, outside, 0.0), axis=2)
+    """Errors of the path on each interval, (N,), because its positions exceed their bounds between the nodes.
+
+    At the nodes they do so by what the solver leaves.  This moves the bound, but not the time at which it is met.
+    """
+    problem, nodes = path.problem, path.polynomial.nodes
+    parts = np.union1d(sampling_parts(path.method.degree), around(nodes))
+    at_nodes, between = (
+        np.max(bound_excess(path.polynomial.values_at_parts(where), *problem.position_bounds), axis=2)
+        / path.sizes[:, None]
+        for where in (nodes, parts)
+    )
+    excess = between - at_nodes
     powers = np.full((len(excess), 1), 0.5)
     powers[[problem.mechanical + i for i in problem.rates.sparsity_jac(CONTROLS, 0).row()]] = 1.0
-    return np.max(excess**powers, axis=0)
+    return np.max(np.where(excess > ROUNDOFF, excess, 0.0) ** powers + at_nodes, axis=0)
 
 
 def unseen_excess(values: list[np.ndarray], bounds: Sequence[ArrayLike]) -> np.ndarray:
@@ -110,10 +117,12 @@ class HigherDegree:
     Attributes
     ----------
     path, higher : ControlTrajectory, of degree m and of degree m + 2
+    touched_before : touches of bounds by paths on another mesh
     """
 
     path: ControlTrajectory
     higher: ControlTrajectory
+    touched_before: Sequence[Touch] = ()
 
     @cached_property
     def switches(self) -> list[Switch]:
@@ -124,6 +133,17 @@ class HigherDegree:
     def bends(self) -> list[Bend]:
         """Bends of the path of higher degree."""
         return bends(self.higher)
+
+    @cached_property
+    def touches(self) -> list[list[Touch]]:
+        """Touches of bounds by the path of higher degree, and by the other."""
+        return [touches(p) for p in (self.higher, self.path)]
+
+    @property
+    def touch_times(self) -> list[float]:
+        """Times at which the path of higher degree should touch bounds."""
+        (own, others), t = self.touches, self.higher.t
+        return [float(t[0] + np.ptp(t) * touch_time(touch, [*others, *self.touched_before])) for touch in own]
 
     def of_cost(self, change: float) -> float:
         """A change of the cost relative to its size; zero where the cost cannot be told from zero."""
@@ -225,9 +245,9 @@ class HigherDegree:
 
     @cached_property
     def common_error(self) -> float:
-        """Error of the path that is common to both degrees: by switches at a wrong time, and by `bound_errors`."""
+        """Error of the path that is common to both degrees: of switches and touches in time, and by `bound_errors`."""
         late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.switches]
-        return float(max(*late, np.max(self.bound_errors), 0.0))
+        return float(max(*late, *(touch.error for touch in self.touches[1]), np.max(self.bound_errors), 0.0))
 
     @cached_property
     def jump_effects(self) -> np.ndarray:
@@ -244,9 +264,7 @@ class HigherDegree:
         a bound of multiplier μ so much changes the cost by ∫ μ ε dt.
         """
         path, both, problem = self.path, (self.path, self.higher), self.path.problem
-        chain = Chain(problem, path.method, path.t)
-        joints, others = (np.abs(path.duals[1][chain.fields[name]]) for name in ("x", "nodes"))
-        impulses = [(joints[:-1] + np.sum(others, axis=1)).T]
+        impulses = [np.sum(np.abs(bound_impulses(path)), axis=2)]
         parts = around(path.polynomial.nodes)
         excesses = [[bound_excess(p.polynomial.values_at_parts(parts), *problem.position_bounds) for p in both]]
         if path.path_multipliers is not None:

@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+from control_problems import double_integrator
+from scipy.optimize import brentq
+
+import casadi_galerkin as cg
+from casadi_galerkin.control.touches import Touch, touch_time, touches
+
+WALL = 0.1
+
+
+def wall(speed, **changes):
+    """A mass that comes with a velocity of -speed, must not pass -0.1, and is to rest at 1."""
+    return double_integrator(start_velocity=[-speed], position_bounds=(-WALL, np.inf), **changes)
+
+
+def touched(speed):
+    """The time of the touch, where the acceleration is continuous."""
+
+    def jump(t):
+        return 6 * WALL / t**2 - 2 * speed / t - 6 * (1 + WALL) / (1 - t) ** 2
+
+    return brentq(jump, 1e-3, 3 * WALL / speed, xtol=1e-15)
+
+
+def places(speed, times):
+    """Two cubics, which meet at rest at the wall."""
+    when = touched(speed)
+    early, late = times / when, np.maximum(times - when, 0.0) / (1 - when)
+    before = -speed * when * early * (1 - early) ** 2 - WALL * early**2 * (3 - 2 * early)
+    return np.where(times < when, before, -WALL + (1 + WALL) * late**2 * (3 - 2 * late))
+
+
+@pytest.mark.parametrize("speed", [2.0, 3.0, 5.0])
+@pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-9])
+def test_a_touch_gets_a_joint_and_no_finer_mesh(speed, tol):
+    path, times = cg.solve(wall(speed), tol=tol), np.linspace(0, 1, 20001)
+    assert np.max(np.abs(path(times)[0] - places(speed, times))) <= path.error_estimate <= tol
+    assert len(path.t) <= 12
+
+
+def test_what_the_solver_leaves_at_a_joint_is_no_square_root():
+    """At the middle, the joint of any even mesh, the bound is exceeded by some 1e-12."""
+    swing = double_integrator(end=[0.0], start_velocity=[1.0], end_velocity=[-1.0], position_bounds=(-np.inf, 0.2))
+    path = cg.solve(swing, tol=1e-9)
+    assert path.cost == pytest.approx(2.24, rel=1e-10)
+    assert len(path.t) == 9
+
+
+def test_a_bound_acts_where_the_path_is_nearest_once_there_is_a_joint():
+    speed = 2.0
+    coarse, fine = (
+        cg.solve(wall(speed), cg.Galerkin(7), mesh=mesh)
+        for mesh in (np.linspace(0, 1, 9), [0.0, touched(speed), 0.5, 1.0])
+    )
+    (first,), (second,) = touches(coarse), touches(fine)
+    assert abs(first.acts - first.extreme) > 1e-4
+    assert first.error > 1e-3
+    assert second.extreme == pytest.approx(touched(speed), abs=1e-11)
+    assert second.error < 1e-9
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        wall(0.1),  # it turns before the wall
+        double_integrator(position_bounds=(-1.0, 1.0)),  # the end is on the bound
+        double_integrator(end=[0.0], start_velocity=[1.0], end_velocity=[-1.0], position_bounds=(-np.inf, 0.1)),
+        double_integrator(waypoints=[(0.5, [0.9])], breakpoints=(0.5,), position_bounds=(-1.0, 2.0)),
+    ],
+)
+def test_free_paths_and_those_along_a_bound_touch_none(problem):
+    assert touches(cg.solve(problem, cg.Galerkin(5), 8)) == []
+
+
+@pytest.mark.parametrize("slope", [-1.5, -0.1, 0.4])
+def test_two_paths_give_the_fixed_point_of_a_line(slope):
+    def touch(acts):
+        return Touch(0, acts, 0.3 + slope * (acts - 0.3), 0.0)
+
+    assert touch_time(touch(0.32), [touch(0.29)]) == pytest.approx(0.3)
+
+
+def test_without_another_path_at_another_time_the_bound_is_to_act_half_way():
+    own = Touch(0, 0.32, 0.30, 0.0)
+    for others in ([], [own], [Touch(1, 0.31, 0.3, 0.0)], [Touch(0, 0.35, 0.3299, 0.0)]):  # the last secant leads far
+        assert touch_time(own, others) == pytest.approx(0.31)
