@@ -10,7 +10,8 @@ The next path then switches between them, and its switching time is about ten ti
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -32,6 +33,7 @@ SWITCH_MARGIN = 3.0  # distance of the joints beside a switch over the uncertain
 # x by the square of their distance
 SWITCH_RESOLUTION = 0.05
 AT_JOINT = 0.05  # distance from a joint, as part of an interval, up to which a bend is at the joint
+LONGER = 1.5  # ratio of the lengths of two intervals beside a touch up to which their other ends are moved
 # difference of the two estimates of a switching time, over the duration, above which both become joints
 DIFFERING_ESTIMATES = 1e-4
 # distance over the duration below which switches are one, such as those of two controls at a breakpoint
@@ -44,7 +46,9 @@ def better_mesh(found: HigherDegree, tol: float, cost_tol: float) -> np.ndarray:
     mesh, parts = without_narrow(found, wanted_parts(found, bent, tol, cost_tol))
     parts = np.where(holds(mesh, bent, AT_JOINT), np.minimum(parts, 1.0), parts)
     joints = tuple(sorted((*found.higher.problem.breakpoints, *bent)))
-    return with_switches(found, equidistributed(mesh, parts, MOST_PARTS, breakpoints=joints), tol)
+    mesh = equidistributed(mesh, parts, MOST_PARTS, breakpoints=joints)
+    mesh = symmetric_about(mesh, set(found.touch_times[1]).intersection(bent), joints)
+    return with_switches(found, mesh, tol)
 
 
 def least_distance(path: ControlTrajectory, tol: float) -> float:
@@ -54,9 +58,9 @@ def least_distance(path: ControlTrajectory, tol: float) -> float:
 
 def bend_times(found: HigherDegree, tol: float) -> list[float]:
     """Times at which controls leave or meet a bound, or positions touch theirs, apart from all other joints."""
-    path, times = found.higher, list[float]()
+    path, times, touched = found.higher, list[float](), chain(*found.touch_times)
     fixed = [path.t[0], *path.problem.breakpoints, path.t[-1], *(s.when for s in found.switches)]
-    for when in (*found.touch_times, *(bend.when for bend in found.bends)):
+    for when in (*touched, *(bend.when for bend in found.bends)):
         if np.min(np.abs(np.array(fixed + times) - when)) > least_distance(path, tol):
             times.append(when)
     return times
@@ -71,9 +75,7 @@ def wanted_parts(found: HigherDegree, bent: Sequence[float], tol: float, cost_to
     kinked = fine > UNSMOOTH_RATIO * coarse
     smooth = parts_wanted(error, degree + 1, tol)
     parts = np.where(kinked & (smooth > 1), parts_wanted(error, KINK_ORDER, tol), smooth)
-    touched = holds(higher.t, found.touch_times, -least_distance(higher, tol) / np.diff(higher.t))
-    of_points = np.maximum(np.where(touched, 0.0, found.bound_errors), found.control_misfit)
-    parts = np.maximum(parts, parts_wanted(of_points, 1, tol))
+    parts = np.maximum(parts, parts_wanted(np.maximum(found.bound_errors, found.control_misfit), 1, tol))
     for errors, allowed in zip(found.bend_errors, (tol, cost_tol), strict=True):
         parts = np.maximum(parts, parts_wanted(errors, KINK_ORDER, allowed))
     parts = np.maximum(parts, parts_wanted(np.maximum(found.jump_effects, found.excess_effects), 1, cost_tol))
@@ -116,6 +118,22 @@ def without_narrow(found: HigherDegree, parts: np.ndarray) -> tuple[np.ndarray, 
         drop[first + 1 : last + 1] |= narrow[first:last] | narrow[first + 1 : last + 1]
     keep = np.flatnonzero(~drop | np.isin(mesh, found.higher.problem.breakpoints))
     return mesh[keep], np.maximum.reduceat(parts, keep[:-1])
+
+
+def symmetric_about(mesh: np.ndarray, times: Iterable[float], fixed: Sequence[float]) -> np.ndarray:
+    """The mesh with intervals of equal lengths on both sides of some of its joints; others stay where they are fixed.
+
+    A path constraint that is touched there acts at the quadrature points on both sides, in the mean at the joint.
+    """
+    for when in times:
+        k = int(np.searchsorted(mesh, when))
+        before, after = mesh[k] - mesh[k - 1], mesh[k + 1] - mesh[k]
+        far, place = (k - 1, when - after) if before > after else (k + 1, when + before)
+        if mesh[far] in (mesh[0], *fixed, mesh[-1]) or max(before, after) > LONGER * min(before, after):
+            mesh = np.unique(np.append(mesh, place))
+        else:
+            mesh = np.concatenate((mesh[:far], [place], mesh[far + 1 :]))
+    return mesh
 
 
 def with_switches(found: HigherDegree, mesh: np.ndarray, tol: float) -> np.ndarray:

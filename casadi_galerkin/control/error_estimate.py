@@ -49,9 +49,16 @@ from casadi_galerkin.control.bends import Bend, bend_errors, bends, carried
 from casadi_galerkin.control.jumps_in_time import jumps_in_time
 from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM
 from casadi_galerkin.control.switching import Switch, switches
-from casadi_galerkin.control.touches import Touch, bound_impulses, touch_time, touches
+from casadi_galerkin.control.touches import (
+    Touch,
+    constraint_impulses,
+    of_positions,
+    position_impulses,
+    touch_time,
+    touches,
+)
 from casadi_galerkin.problems.bounds import bound_excess
-from casadi_galerkin.problems.dependence import CONTROLS, VELOCITIES, rows_that_depend
+from casadi_galerkin.problems.dependence import CONTROLS
 from casadi_galerkin.solution.control_trajectory import FINER, ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 
@@ -63,10 +70,11 @@ MET = 1e-4  # distance from a bound, over `_changes_at_largest`, up to which a p
 UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
 
 
-def position_errors(path: ControlTrajectory) -> np.ndarray:
+def position_errors(path: ControlTrajectory, touched: Sequence[Touch]) -> np.ndarray:
     """Errors of the path on each interval, (N,), because its positions exceed their bounds between the nodes.
 
-    At the nodes they do so by what the solver leaves.  This moves the bound, but not the time at which it is met.
+    At the nodes they do so by what the solver leaves.  This moves the bound, but not the time at which it is met, which
+    is also known where the bound is only touched.
     """
     problem, nodes = path.problem, path.polynomial.nodes
     parts = np.union1d(sampling_parts(path.method.degree), around(nodes))
@@ -76,8 +84,12 @@ def position_errors(path: ControlTrajectory) -> np.ndarray:
         for where in (nodes, parts)
     )
     excess = between - at_nodes
-    powers = np.full((len(excess), 1), 0.5)
+    powers = np.full(excess.shape, 0.5)
     powers[[problem.mechanical + i for i in problem.rates.sparsity_jac(CONTROLS, 0).row()]] = 1.0
+    for touch in (touch for touch in touched if touch.number < len(powers)):
+        times = sorted((touch.acts, touch.extreme))
+        first, last = np.searchsorted(path.t, path.t[0] + np.ptp(path.t) * np.array(times)) - 1
+        powers[touch.number, max(first, 0) : last + 2] = 1.0
     return np.max(np.where(excess > ROUNDOFF, excess, 0.0) ** powers + at_nodes, axis=0)
 
 
@@ -140,10 +152,13 @@ class HigherDegree:
         return [touches(p) for p in (self.higher, self.path)]
 
     @property
-    def touch_times(self) -> list[float]:
-        """Times at which the path of higher degree should touch bounds."""
-        (own, others), t = self.touches, self.higher.t
-        return [float(t[0] + np.ptp(t) * touch_time(touch, [*others, *self.touched_before])) for touch in own]
+    def touch_times(self) -> tuple[list[float], list[float]]:
+        """Times at which the path of higher degree should touch the bounds of positions, and path constraints."""
+        (own, others), t, times = self.touches, self.higher.t, (list[float](), list[float]())
+        for touch in own:
+            part = touch_time(touch, [*others, *self.touched_before])
+            times[touch.number >= len(self.path.x)].append(float(t[0] + np.ptp(t) * part))
+        return times
 
     def of_cost(self, change: float) -> float:
         """A change of the cost relative to its size; zero where the cost cannot be told from zero."""
@@ -179,7 +194,8 @@ class HigherDegree:
     @cached_property
     def bound_errors(self) -> np.ndarray:
         """Errors of the path on each interval because bounds hold at nodes or points only, (N,); see the module."""
-        of_controls, of_positions = unseen_control_excess(self.path, self.higher), position_errors(self.path)
+        of_controls = unseen_control_excess(self.path, self.higher)
+        of_positions = position_errors(self.path, self.touches[1])
         errors = [of_positions, of_controls, self.shared_defect, *self.constraint_excess[0]]
         return np.max(errors, axis=0)
 
@@ -210,10 +226,8 @@ class HigherDegree:
         path, (function, *bounds) = self.path, self.path.problem.path_constraint
         parts = sampling_parts(FINER * path.method.degree)
         values, excesses = zip(*(p._excess(parts) for p in (path, self.higher)), strict=True)
-        others = [(k, np.ones(function.size1_in(k), dtype=bool)) for k in (VELOCITIES, CONTROLS)]
-        of_positions = ~np.any([rows_that_depend(function, *every) for every in others], axis=0)[:, None]
         both = np.min(np.max(excesses, axis=3), axis=0)
-        common = np.where(of_positions, both, np.max(unseen_excess(values, bounds), axis=2))
+        common = np.where(of_positions(function)[:, None], both, np.max(unseen_excess(values, bounds), axis=2))
         changes = path._changes_at_largest(values[0], excesses[0])
         at_points = path.path_constraints(path.method.element.points)
         distances = [np.min(np.abs(at_points - np.reshape(side, (-1, 1, 1))), axis=2) for side in bounds]
@@ -264,14 +278,13 @@ class HigherDegree:
         a bound of multiplier μ so much changes the cost by ∫ μ ε dt.
         """
         path, both, problem = self.path, (self.path, self.higher), self.path.problem
-        impulses = [np.sum(np.abs(bound_impulses(path)), axis=2)]
+        impulses = [np.sum(position_impulses(path), axis=2)]
         parts = around(path.polynomial.nodes)
         excesses = [[bound_excess(p.polynomial.values_at_parts(parts), *problem.position_bounds) for p in both]]
         if path.path_multipliers is not None:
             parts = around(path.method.element.points)
             excesses.append([p._excess(parts)[1] for p in both])
-            forces = np.abs(path.path_multipliers.values).reshape(-1, len(path.t) - 1, path.control.rule.size)
-            impulses.append(forces @ np.array(path.method.quadrature.weights) * np.diff(path.t))
+            impulses.append(np.sum(constraint_impulses(path), axis=2))
         common = np.vstack([np.min(np.max(excess, axis=3), axis=0) for excess in excesses])
         return np.array([self.of_cost(change) for change in np.sum(common * np.vstack(impulses), axis=0)])
 

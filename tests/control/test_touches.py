@@ -39,6 +39,16 @@ def test_a_touch_gets_a_joint_and_no_finer_mesh(speed, tol):
     assert len(path.t) <= 12
 
 
+@pytest.mark.parametrize("tol", [1e-4, 1e-5, 1e-7])  # with even and odd numbers of points
+def test_a_path_constraint_that_is_touched_acts_on_both_sides_of_a_joint(tol):
+    """With a joint elsewhere it acted at one point near by; errors were 7 and 600 times their estimates."""
+    speed, times = 2.0, np.linspace(0, 1, 20001)
+    above = (lambda t, x, v, u: x, -WALL, np.inf)
+    path = cg.solve(double_integrator(start_velocity=[-speed], path_constraint=above), tol=tol)
+    assert np.max(np.abs(path(times)[0] - places(speed, times))) <= path.error_estimate <= tol
+    assert len(path.t) <= 20
+
+
 def test_what_the_solver_leaves_at_a_joint_is_no_square_root():
     """At the middle, the joint of any even mesh, the bound is exceeded by some 1e-12."""
     swing = double_integrator(end=[0.0], start_velocity=[1.0], end_velocity=[-1.0], position_bounds=(-np.inf, 0.2))
@@ -67,6 +77,7 @@ def test_a_bound_acts_where_the_path_is_nearest_once_there_is_a_joint():
         double_integrator(position_bounds=(-1.0, 1.0)),  # the end is on the bound
         double_integrator(end=[0.0], start_velocity=[1.0], end_velocity=[-1.0], position_bounds=(-np.inf, 0.1)),
         double_integrator(waypoints=[(0.5, [0.9])], breakpoints=(0.5,), position_bounds=(-1.0, 2.0)),
+        double_integrator(path_constraint=(lambda t, x, v, u: v, -2.0, 1.4)),  # bounds of velocities are not touched
     ],
 )
 def test_free_paths_and_those_along_a_bound_touch_none(problem):
