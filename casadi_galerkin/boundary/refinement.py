@@ -49,7 +49,7 @@ from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceErro
 from casadi_galerkin.solution.guess import Guess, joined_by_lines
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
-from casadi_galerkin.solution.refinement import HINT, Estimate, Refinement
+from casadi_galerkin.solution.refinement import Estimate, Refinement
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.newton import NEWTON
@@ -160,14 +160,6 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
             return Estimate(1 - self.agreements[-1], False, "responses to forces", np.full(len(truncation), 2.0))
         shares = np.maximum(truncation, TINY) / max(float(np.max(truncation)), TINY)
         return Estimate(error, True, f"degree {higher.method.degree}", self.parts(error * shares))
-
-    def stopped(self, reason: str, level: CriticalPoint, error: float, hint: str = HINT) -> LimitReached:
-        """Report the error reached; where times are so far from zero that their rounding may be the cause, say so."""
-        mesh = level.polynomial.mesh
-        latest, duration = float(np.max(np.abs(mesh))), mesh[-1] - mesh[0]
-        if latest > duration and EPS * latest > self.tol * duration:
-            hint = f"Times near {latest:.1e} are rounded by {EPS * latest:.0e}: count them from the start"
-        return super().stopped(reason, level, error, hint)
 
     def regular(self, level: CriticalPoint) -> bool:
         """Whether the path is so regular that an error of eps in its values stays far below the tolerance."""

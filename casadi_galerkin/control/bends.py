@@ -27,6 +27,9 @@ STEPS, CONVERGED = 40, 1e-9  # most steps to a minimizer, and the relative step 
 ROUNDED = 1e-14  # relative change of I that may be rounding
 FLAT = 1e-8  # curvature of I over those of the single controls, up to which it is not convex
 AT_BOUND = 1e-6  # distance from a bound, over the size of the control, up to which a minimizer is there
+# change of a control over the distance of its bounds, or over the largest control, from which it is not an error of the
+# solver only: one that is off throughout is not
+LEAST_MOTION = 1e-7
 INTERPOLATED = 4  # values within the bounds from which the time is interpolated at which a control meets one
 
 
@@ -100,7 +103,9 @@ def bends(path: ControlTrajectory) -> list[Bend]:
     if path.problem.hold or not np.isfinite(bounds).any():
         return found
     (best, curved), times = minimizers(path, integrand(path)), path.polynomial.sampled(PARTS)[0]
-    for i in np.flatnonzero(curved.all(axis=1)).tolist():
+    widths = np.where(np.isfinite(np.ptp(bounds, axis=0)), np.ptp(bounds, axis=0), np.max(np.abs(best)))
+    moving = np.ptp(best, axis=1) > LEAST_MOTION * widths
+    for i in np.flatnonzero(curved.all(axis=1) & moving).tolist():
         side = sides(best[i], *bounds[:, i])
         for k in np.flatnonzero(np.diff(side)).tolist():
             when = _bend(times, best[i], side, k, bounds[:, i])

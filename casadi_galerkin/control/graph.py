@@ -164,7 +164,7 @@ class ControlGraph:
 
     @cached_property
     def _verification(self) -> ObjectPool[Evaluator]:
-        """(unknowns, data, φ, λ) -> the arrays of a `Report`.
+        """(unknowns, data, φ, λ, sizes of the unknowns) -> the arrays of a `Report`.
 
         Two sizes of every equation are among them: the sum of the sizes of its terms, and the sum of the sizes of the
         terms of these, Σ |∂e/∂z| |z|, which may cancel.
@@ -173,9 +173,10 @@ class ControlGraph:
         (at, weights, local_multipliers), points = given, made.points
         part, duration = (int(points.row(name)[0, 0]) for name in ("part", "duration"))
         actions, by_step = self.terms[0].action_and_derivative(part)(at[0], weights[0], local_multipliers[0])
-        test, magnitudes = ca.fabs(made.test.T), ca.fabs(self._everything)
-        others = ca.mtimes(ca.fabs(made.linear), magnitudes[: chain.unknowns])
-        canceled = ca.mtimes(ca.fabs(self._derivatives), ca.mtimes(ca.fabs(made.differentiated), magnitudes))
+        test, sizes = ca.fabs(made.test.T), ca.MX.sym("sizes", chain.unknowns)
+        others = ca.mtimes(ca.fabs(made.linear), sizes)
+        magnitudes = ca.mtimes(ca.fabs(made.differentiated), ca.vertcat(sizes, ca.fabs(self.data)))
+        canceled = ca.mtimes(ca.fabs(self._derivatives), magnitudes)
         slopes = self._gradients + ca.mtimes(self._derivatives.T, ca.veccat(*local_multipliers))
         active = [z[place.active.tolist(), :] for place, z in zip(self.terms, self.inputs, strict=True)]
         changes = [z - ca.repmat(ca.sum2(z) / z.shape[1], 1, z.shape[1]) for z in active]
@@ -192,15 +193,19 @@ class ControlGraph:
             ca.sum1(ca.reshape(by_step / at[0][duration, :], -1, chain.intervals)),
             arriving,
         ]
-        verification = self._function("verification", [*map(ca.densify, outputs)], factor, multipliers)
+        verification = self._function("verification", [*map(ca.densify, outputs)], factor, multipliers, sizes)
         return ObjectPool(lambda: Evaluator(verification))
 
     def report(self, unknowns: np.ndarray, data: np.ndarray, multipliers: np.ndarray | None = None) -> Report:
-        """Evaluate the `Report` of a point."""
+        """Evaluate the `Report` of a point.
+
+        The sizes of the unknowns are the largest of their kind: an end or a waypoint may be where the path is at zero.
+        """
         chain = self.chain
         given = np.zeros(chain.equations) if multipliers is None else multipliers
+        sizes = largest_of(np.abs(unknowns), chain.unknown_kinds)[chain.unknown_kinds]
         with self._verification.lend() as evaluate:
-            values = evaluate(unknowns, data, np.ones(1), given)
+            values = evaluate(unknowns, data, np.ones(1), given, sizes)
         cost, of_changes, equations, action, *terms, slope, hamiltonian, arriving = values
         # The terms of a component at rest are only roundoff of its slopes, which is measured by the sizes of the terms
         # that cancel in the slopes.  The sizes of other components do not include these.

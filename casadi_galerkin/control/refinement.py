@@ -77,6 +77,7 @@ BARRIER_RATIO, LARGEST_BARRIER_RATIO = 3e-11, 1e4
 # bounds that they leave or meet.  These come second, because where arcs are singular IPOPT may lose its way with them.
 OPEN_SHARE = 0.1
 SHARP = {"barrier_tol_factor": LARGEST_BARRIER_RATIO, "compl_inf_tol": 1e-16, "acceptable_iter": 6}
+OPEN_LEVELS = 3  # levels in a row that are left open after which the refinement ends: a finer mesh may help
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
 PATIENCE = 4  # every interval is halved after so many levels in a row without a smaller error, as meshes may alternate
 LEFT_OPEN = (
@@ -144,6 +145,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     cost_known = math.inf  # smallest error so far of the cost of the path that is being refined
     guess: Guess | None = None  # with which the refinement began
     left_open = False  # whether the solver has left an error that counts, and has to leave less
+    open_levels = 0  # levels in a row on which it has not
 
     def __init__(
         self,
@@ -221,11 +223,13 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         return Estimate(cost if self.of_cost else path, True, f"degree {method.degree}", detail)
 
     def check_solver(self, detail: HigherDegree) -> None:
-        """Ask the solver to leave less where what it leaves counts, and stop where it does so again in both degrees."""
+        """Ask the solver to leave less where what it leaves counts, and stop where it does not on several meshes."""
         cost, path = map(min, detail.remaining_error(detail.path), detail.remaining_error(detail.higher))
-        if self.left_open and cost > self.tol:
+        of_path = not self.of_cost and path > max(self.tol, detail.error)
+        self.open_levels = self.open_levels + 1 if self.left_open and (cost > self.tol or of_path) else 0
+        if self.open_levels == OPEN_LEVELS and cost > self.tol:
             raise self.stopped(f"the solver may have left {cost:.0e} of the cost", *self.best, UNITS)
-        if self.left_open and not self.of_cost and path > max(self.tol, detail.error):
+        if self.open_levels == OPEN_LEVELS:
             raise self.stopped(f"the solver leaves the path open by {path:.0e} of its size", *self.best, LEFT_OPEN)
         most = cost if self.of_cost else max(cost, detail.path.solver_error)
         self.left_open = self.left_open or most > OPEN_SHARE * self.tol
@@ -324,7 +328,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
     def refined(self, level: ControlTrajectory) -> ControlTrajectory:
         """Refine a path and return it with its errors."""
-        self.known, self.cost_known, self.left_open = None, math.inf, False
+        self.known, self.cost_known, self.left_open, self.open_levels = None, math.inf, False, 0
         path, _ = self.refine(level)
         assert self.known is not None, "a path is accepted by its error estimate"
         path = with_parted_phases(path, self.stated)

@@ -340,6 +340,8 @@ def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarra
     if at.pointwise.supplied is not None:
         falls, by_both = at.evaluate(at.pointwise.supplied)
         supplied += at.integral(falls)
+        shifted = np.abs(at.times[at.joints] - at.path.mesh)  # of the first and of the last joint
+        floor += 2 * shifted * np.abs(falls[at.joints, 0] / h)
         slopes = np.abs(at.v * at.h) + rounding * np.repeat(places, len(at.h) // len(at.steps), axis=1)
         rounded = np.abs(by_both) * np.concatenate((np.abs(at.x), slopes)).T  # the terms of a force may cancel
         floor += ROUNDING_FACTOR * EPS * np.append(0.0, np.cumsum(at.integral(np.sum(rounded, axis=1))))

@@ -15,6 +15,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.path import Path
@@ -138,8 +139,14 @@ class Refinement(ABC, Generic[Level, Detail]):
             raise self.stopped(f"{self.limits.seconds:g} seconds have passed", *self.best)
 
     def stopped(self, reason: str, level: Level, error: float, hint: str = HINT) -> LimitReached:
-        """The error that reports the error reached and what to try, with the best path attached."""
+        """The error that reports the error reached and what to try, with the best path attached.
+
+        Where times are so far from zero that their rounding may be the cause, it says so.
+        """
         path = self.path(level, error)
+        latest, duration = float(np.max(np.abs(path.t))), float(np.ptp(path.t))
+        if latest > duration and EPS * latest > self.tol * duration:
+            hint = f"Times near {latest:.1e} are rounded by {EPS * latest:.0e}: count them from the start"
         known = f"an estimated error of {error:.1e}" if np.isfinite(error) else "no finite error estimate"
         return LimitReached(
             f"tolerance {self.tol:g} was not reached: {reason}. The best path has {len(path.t) - 1} intervals "
