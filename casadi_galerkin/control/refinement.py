@@ -145,7 +145,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     cost_known = math.inf  # smallest error so far of the cost of the path that is being refined
     guess: Guess | None = None  # with which the refinement began
     left_open = False  # whether the solver has left an error that counts, and has to leave less
-    open_levels = 0  # levels in a row on which it has not
+    open_levels = 0  # levels in a row on which it has left the path open all the same
 
     def __init__(
         self,
@@ -223,12 +223,12 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         return Estimate(cost if self.of_cost else path, True, f"degree {method.degree}", detail)
 
     def check_solver(self, detail: HigherDegree) -> None:
-        """Ask the solver to leave less where what it leaves counts, and stop where it does not on several meshes."""
+        """Ask the solver to leave less where what it leaves counts, and stop where it does not, for a path thrice."""
         cost, path = map(min, detail.remaining_error(detail.path), detail.remaining_error(detail.higher))
-        of_path = not self.of_cost and path > max(self.tol, detail.error)
-        self.open_levels = self.open_levels + 1 if self.left_open and (cost > self.tol or of_path) else 0
-        if self.open_levels == OPEN_LEVELS and cost > self.tol:
+        if self.left_open and cost > self.tol:
             raise self.stopped(f"the solver may have left {cost:.0e} of the cost", *self.best, UNITS)
+        path_open = self.left_open and not self.of_cost and path > max(self.tol, detail.error)
+        self.open_levels = self.open_levels + 1 if path_open else 0
         if self.open_levels == OPEN_LEVELS:
             raise self.stopped(f"the solver leaves the path open by {path:.0e} of its size", *self.best, LEFT_OPEN)
         most = cost if self.of_cost else max(cost, detail.path.solver_error)

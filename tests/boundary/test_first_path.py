@@ -86,6 +86,19 @@ def test_a_guess_is_put_on_the_first_mesh_once():
     assert len(calls) == 4  # all times at once, and three of them to see whether that is what it means
 
 
+@pytest.mark.parametrize(("strength", "speed", "height"), [(101.28, 147.92, 0.878), (147.5, 193.48, 1.142)])
+def test_many_swings_are_found_on_a_finer_mesh_than_the_first(strength, speed, height):
+    """A driven double well that swings 25 to 30 times, of which eight intervals see nothing."""
+
+    def lagrangian(t, x, v):
+        q = height * ca.sin(speed * t) + t
+        drive = -(speed**2) * height * ca.sin(speed * t) + strength * (q**3 - q)
+        return v[0] ** 2 / 2 - strength * (x[0] ** 4 / 4 - x[0] ** 2 / 2) + drive * x[0]
+
+    path = cg.solve(cg.BoundaryProblem(lagrangian, (0.0, 1.0), [0.0], [height * np.sin(speed) + 1]), tol=1e-6)
+    assert path.error_estimate <= 1e-6
+
+
 def test_a_path_on_the_other_side_of_the_sun_is_not_taken_for_the_one_meant():
     """The cubic nearest to this guess leads to the path on the other side."""
     problem, exact = comet(0.9)

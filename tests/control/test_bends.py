@@ -35,6 +35,26 @@ def places(distance, times):
     return np.where(times > 1, distance - half, half)
 
 
+def test_a_control_that_is_off_throughout_does_not_bend():
+    """What the solver leaves of it, 1e-10, is at the bound in some places and not in others."""
+    spring = double_integrator(
+        lagrangian=lambda t, x, v: (v[0] ** 2 - x[0] ** 2) / 2,
+        start=[-1.0],
+        end=[None],
+        end_velocity=[None],
+        force=lambda t, x, v, u: u[0] - u[1] - 0.3 * v[0],
+        running_cost=lambda t, x, v, u: (u[0] - u[1]) ** 2 / 4 + 0.3 * (u[0] + u[1]),
+        terminal_cost=lambda t, x, v: 3 * x[0] ** 2,
+        controls=2,
+        control_bounds=(0.0, [0.5, 1.5]),
+    )
+    path = cg.solve(spring, tol=1e-6)
+    largest = np.max(path.control.values, axis=1)
+    assert largest[1] < 1e-6 < largest[0]
+    assert [bend.control for bend in bends(path)] == [0, 0]
+    assert len(path.t) <= 12  # 130 with a joint at every other bend
+
+
 def largest_miss(path):
     return np.max(np.abs(np.vstack(bend_errors(path))))
 

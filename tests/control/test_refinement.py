@@ -11,6 +11,7 @@ from control_problems import (
     cart_pole,
     cartesian_pendulum,
     double_integrator,
+    first_order,
     minimum_time,
     pendulum,
     plane,
@@ -123,6 +124,48 @@ def test_obstacle_is_passed_below_at_the_exact_cost():
     assert path.error_estimate <= tol
     assert exact_obstacle()[0] == pytest.approx(module.EXACT, rel=1e-14)
     assert true_error(path, *exact_obstacle()) <= tol
+
+
+@pytest.mark.parametrize(("stiffness", "drag", "speed", "price"), [(1.0, 0.5, 1.0, 0.1), (2.5, 0.2, 1.7, 0.6)])
+def test_periodic_ends_may_lie_where_a_component_turns(stiffness, drag, speed, price):
+    """There x[1] is zero at both ends: what the condition compares is rounding, and was once called violated."""
+    follow = first_order(
+        t_span=(0.0, 2 * np.pi / speed),
+        start=[None] * 2,
+        end=[None] * 2,
+        start_velocity=[None] * 2,
+        end_velocity=[None] * 2,
+        rates=lambda t, x, v, u: [x[1], u[0] - stiffness * x[0] - drag * x[1]],
+        running_cost=lambda t, x, v, u: ((x[0] - ca.cos(speed * t)) ** 2 + price * u[0] ** 2) / 2,
+        end_conditions=(lambda x0, v0, x1, v1: x1 - x0, 0.0, 0.0),
+    )
+    path = cg.solve(follow, tol=1e-6)
+    response = 1 / ((stiffness - speed**2) ** 2 + (drag * speed) ** 2)
+    assert path.cost == pytest.approx(np.pi / (2 * speed) * price / (price + response), rel=1e-10)
+    assert len(path.t) == 9
+
+
+def test_times_that_are_rounded_too_much_are_told():
+    late = double_integrator(t_span=(1.7e9, 1.7e9 + 2), running_cost=lambda t, x, v, u: u**2 + (x - ca.sin(t)) ** 2)
+    with pytest.raises(cg.LimitReached, match=r"Times near 1.7e\+09 are rounded by 4e-07: count them from the start"):
+        cg.solve(late, tol=1e-8, limits=cg.Limits(seconds=20))
+
+
+def test_a_path_left_open_on_a_coarse_mesh_may_be_known_on_a_finer_one():
+    """Least time with a speed limit at the points: on the first meshes controls alternate along it."""
+    drive = double_integrator(
+        t_span=(0.0, 4.0),
+        end=[2.6],
+        start_velocity=[0.1],
+        end_velocity=[0.3],
+        running_cost=lambda t, x, v, u: 1,
+        control_bounds=(-2.1, 1.2),
+        path_constraint=(lambda t, x, v, u: v, -0.7, 0.7),
+        duration_bounds=(0.02, 60.0),
+    )
+    path = cg.solve(drive, tol=1e-6)
+    cruise = 2.6 - (0.7**2 - 0.1**2) / (2 * 1.2) - (0.7**2 - 0.3**2) / (2 * 2.1)
+    assert path.cost == pytest.approx(0.6 / 1.2 + 0.4 / 2.1 + cruise / 0.7, rel=1e-6)
 
 
 def wall():

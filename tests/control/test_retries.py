@@ -5,7 +5,7 @@ import re
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import double_integrator, plane
+from control_problems import double_integrator, first_order, plane
 from paths import script
 
 import casadi_galerkin as cg
@@ -37,6 +37,28 @@ def test_a_free_duration_is_begun_with_longer_ones_where_none_is_found(duration)
     near = cg.solve(swing_to_rest(20.0), cg.Galerkin(4), intervals=30)
     assert "times the duration" not in near.solver
     assert path.cost == pytest.approx(near.cost, rel=1e-6)
+
+
+def test_a_higher_barrier_leads_to_a_path_where_the_straight_line_is_far_from_any():
+    """Least time of x' = v, v' = u with a speed limit, where neither velocity at the ends leads to the other end."""
+    drive = first_order(
+        t_span=(0.0, 2.36),
+        start=[0.0, -0.375],
+        end=[2.2, -0.534],
+        start_velocity=[None] * 2,
+        end_velocity=[None] * 2,
+        rates=lambda t, x, v, u: [x[1], u[0]],
+        running_cost=lambda t, x, v, u: 1,
+        control_bounds=(-1.154, 1.246),
+        position_bounds=([-np.inf, -0.774], [np.inf, 1.351]),
+        duration_bounds=(0.02, 60.0),
+    )
+    path = cg.solve(drive, tol=1e-4)
+    up, down = (1.351 + 0.375) / 1.246, (1.351 + 0.534) / 1.154
+    along = 2.2 - (1.351**2 - 0.375**2) / (2 * 1.246) - (1.351**2 - 0.534**2) / (2 * 1.154)
+    assert path.cost == pytest.approx(up + down + along / 1.351, rel=1e-4)
+    coarse = cg.solve(drive, cg.Galerkin(4), intervals=8)
+    assert "after IPOPT stopped with 'Infeasible Problem Detected'" in coarse.solver
 
 
 def test_longer_durations_that_lead_nowhere_are_told():

@@ -261,6 +261,21 @@ def test_what_rounding_does_to_the_action_far_from_zero_is_no_doubt(far, tol):
     np.testing.assert_allclose(path(times) - far, expected(times), rtol=0, atol=far * tol)
 
 
+@pytest.mark.parametrize(("begin", "tol"), [(-1e3, 1e-11), (1e5, 1e-9), (1e6, 1e-8), (1e6, 1e-11)])
+def test_times_far_from_zero_do_not_unbalance_the_energy(begin, tol):
+    """L is looked at a little inside of the ends, where it may step: by 1e-8 at t = 1e6, which its energy shows."""
+
+    def lagrangian(t, x, v):
+        since = t - begin
+        return v[0] ** 2 / 2 - x[0] ** 2 / 2 + (since - 3 * ca.sin(2 * since)) * x[0]
+
+    path = cg.solve(cg.BoundaryProblem(lagrangian, (begin, begin + 1), [0.0], [np.sin(2) + 1]), tol=tol)
+    since = np.linspace(0, 1, 101)
+    error = np.max(np.abs(path(begin + since)[0] - np.sin(2 * since) - since)) / (np.sin(2) + 1)
+    assert error <= max(tol, 1e-15 * abs(begin))  # times are rounded
+    assert len(path.t) <= 10
+
+
 @pytest.mark.parametrize("intervals", [9, 10])
 def test_a_step_in_x_at_a_joint_enters_the_estimate(intervals):
     """On ten intervals the path meets it at a joint, and both degrees agree to 1e-15."""
