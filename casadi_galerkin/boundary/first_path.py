@@ -111,9 +111,10 @@ def first_path_strategies(
     """Strategies to find a first path, in the order in which they are tried.
 
     First Newton's method on the coarse mesh; with a guess also from the smoothed guess, and on a mesh that resolves the
-    guess.  Then its rescues on the coarse mesh; a homotopy in the force, if there is one, whose paths
-    `intermediate_path` finds; a descent of the action with moving joints; and finally, without a guess, the search for
-    `several_paths`, otherwise `solver` itself.  With a guess, a path near it is preferred to one that is far from it.
+    guess.  Then its rescues on the coarse mesh; without a guess, Newton's method on a finer one; a homotopy in the
+    force, if there is one, whose paths `intermediate_path` finds; a descent of the action with moving joints; and
+    finally, without a guess, the search for `several_paths` on the finer mesh, otherwise `solver` itself.  With a
+    guess, a path near it is preferred to one that is far from it.
     """
     problem = graphs.problem
     given = guess_on_resolving_mesh(graphs, method, guess, mesh, COARSE_RESOLUTION)
