@@ -39,6 +39,19 @@ def extrema(values: np.ndarray, near: np.ndarray) -> np.ndarray:
     return np.where(np.abs(shift) <= 1, inner[:, :, 0] + shift, near)
 
 
+def extreme_values(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest of sampled values (n, N, K), and of the parabolas through these and their neighbors; (n, N)."""
+    found = list[np.ndarray]()
+    for extreme, number in ((np.min, np.argmin), (np.max, np.argmax)):
+        inner = np.clip(number(values, axis=2), 1, values.shape[2] - 2)[:, :, None]
+        before, here, after = (np.take_along_axis(values, inner + k, axis=2)[:, :, 0] for k in (-1, 0, 1))
+        rise, bend = after - before, before - 2 * here + after
+        within = np.abs(rise) < 2 * np.abs(bend)
+        vertex = here - np.divide(rise**2, 8 * bend, out=np.zeros_like(rise), where=within)
+        found.append(extreme((extreme(values, axis=2), vertex), axis=0))
+    return found[0], found[1]
+
+
 def sampling_parts(degree: int) -> np.ndarray:
     """Fractions of an interval, 0 and 1 among them, at which something of this degree is sampled between its nodes."""
     return np.linspace(0.0, 1.0, 4 * degree + 1)
@@ -154,6 +167,22 @@ class PiecewisePolynomial:
         """Times (N K,), values and derivatives (d, N K) at these fractions (K,) of one interval after the other."""
         values, derivatives = (a.reshape(len(a), -1) for a in self.at_parts(parts))
         return times_at(self.mesh, parts), values, derivatives
+
+    def extremes(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest values on every interval, (d, N) each, from samples at increasing fractions of it.
+
+        Beside the extreme samples a step of Newton's method leads to where the slope vanishes.
+        """
+        sampled, steps, found = self.values_at_parts(parts), np.diff(self.mesh)[:, None], list[np.ndarray]()
+        numbers = np.arange(len(sampled))
+        for k in (np.argmin(sampled, axis=2), np.argmax(sampled, axis=2)):
+            near, last = (self.mesh[:-1] + np.diff(self.mesh) * parts[k]).ravel(), len(parts) - 1
+            slopes, bends = (self(near, nu).reshape(-1, *k.shape)[numbers, numbers] for nu in (1, 2))
+            away = np.divide(slopes, bends, out=np.zeros(k.shape), where=bends != 0) / steps.T
+            place = np.clip(parts[k] - away, parts[np.maximum(k - 1, 0)], parts[np.minimum(k + 1, last)])
+            times = (self.mesh[:-1] + np.diff(self.mesh) * place).ravel()
+            found.append(self(times).reshape(-1, *k.shape)[numbers, numbers])
+        return np.minimum(np.min(sampled, axis=2), found[0]), np.maximum(np.max(sampled, axis=2), found[1])
 
     def at(self, nodes: np.ndarray) -> np.ndarray:
         """Node values (d, N m' + 1) on the same mesh with other nodes; without times, whose rounding would count."""

@@ -25,6 +25,7 @@ from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 UNSMOOTH_RATIO = 0.25  # ratio of the truncation errors of both degrees above which a path is not smooth on an interval
 KINK_ORDER = 2  # a jump of the acceleration inside a step h changes x by the order of h²
 MOST_PARTS = 8.0  # most parts that one interval is split into at once: enough to resolve a kink in a few levels
+LEAST_PARTS = 0.75  # least parts of every interval while the time of a touch is not known
 MOST_BESIDE = 2.0  # most parts that an interval beside a bend is split into for what is not smooth
 NARROW_RATIO = 0.25  # length over that of a neighbor below which an interval counts as one placed beside a switch
 REMOVAL_DISTANCE = 1 / 3  # distance to a switch, as part of an interval, below which an old joint is removed
@@ -81,7 +82,9 @@ def wanted_parts(found: HigherDegree, bent: Sequence[float], tol: float, cost_to
     parts = np.maximum(parts, parts_wanted(np.maximum(found.jump_effects, found.excess_effects), 1, cost_tol))
     # beside a bend a joint is to take away what is not smooth; where there is none yet, all may be due to the bend
     beside = holds(higher.t, bent, -least_distance(higher, tol) / np.diff(higher.t))
-    return np.where(beside, np.maximum(smooth, np.minimum(parts, MOST_BESIDE)), parts)
+    parts = np.where(beside, np.maximum(smooth, np.minimum(parts, MOST_BESIDE)), parts)
+    unknown = max(found.touch_errors, default=0.0) > tol  # on a much coarser mesh times of touches would be less known
+    return np.maximum(parts, LEAST_PARTS) if unknown else parts
 
 
 def beyond_degree(path: ControlTrajectory, degree: int) -> np.ndarray:

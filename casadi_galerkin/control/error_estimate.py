@@ -43,7 +43,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.mesh_adaptation import truncation_error
-from casadi_galerkin.calculus.piecewise_polynomial import around, sampling_parts, times_at
+from casadi_galerkin.calculus.piecewise_polynomial import around, extreme_values, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.control.bends import Bend, bend_errors, bends, carried
 from casadi_galerkin.control.jumps_in_time import jumps_in_time
@@ -54,6 +54,7 @@ from casadi_galerkin.control.touches import (
     constraint_impulses,
     of_positions,
     position_impulses,
+    touch_error,
     touch_time,
     touches,
 )
@@ -65,6 +66,7 @@ from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 SLOWEST = 2 / 3  # largest q, which is also assumed where switches or path constraints slow down convergence
 SHARED_DEFECT = 0.5  # ratio of the defects of both degrees above which a higher degree does not reduce it
 HIDDEN = 1e-2  # difference of both paths over what the defect moves them below which it does not show the defect
+TOUCHED_LATE = 2.0  # error of a free duration over how late a bound acts that is touched
 ROUNDOFF = 1e-15  # of positions and of impulses, relative to their sizes
 MET = 1e-4  # distance from a bound, over `_changes_at_largest`, up to which a point meets it
 UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
@@ -76,14 +78,11 @@ def position_errors(path: ControlTrajectory, touched: Sequence[Touch]) -> np.nda
     At the nodes they do so by what the solver leaves.  This moves the bound, but not the time at which it is met, which
     is also known where the bound is only touched.
     """
-    problem, nodes = path.problem, path.polynomial.nodes
-    parts = np.union1d(sampling_parts(path.method.degree), around(nodes))
-    at_nodes, between = (
-        np.max(bound_excess(path.polynomial.values_at_parts(where), *problem.position_bounds), axis=2)
-        / path.sizes[:, None]
-        for where in (nodes, parts)
-    )
-    excess = between - at_nodes
+    problem, x = path.problem, path.polynomial
+    low, high = (np.array(side)[:, None] for side in problem.position_bounds)
+    least, most = x.extremes(np.union1d(sampling_parts(x.degree), around(x.nodes)))
+    at_nodes = np.max(bound_excess(x.local, *problem.position_bounds), axis=2) / path.sizes[:, None]
+    excess = np.maximum(low - least, most - high) / path.sizes[:, None] - at_nodes
     powers = np.full(excess.shape, 0.5)
     powers[[problem.mechanical + i for i in problem.rates.sparsity_jac(CONTROLS, 0).row()]] = 1.0
     for touch in (touch for touch in touched if touch.number < len(powers)):
@@ -150,6 +149,11 @@ class HigherDegree:
     def touches(self) -> list[list[Touch]]:
         """Touches of bounds by the path of higher degree, and by the other."""
         return [touches(p) for p in (self.higher, self.path)]
+
+    @cached_property
+    def touch_errors(self) -> list[float]:
+        """Errors of the path because bounds that it touches act at wrong times."""
+        return [touch_error(touch, self.touches[0]) for touch in self.touches[1]]
 
     @property
     def touch_times(self) -> tuple[list[float], list[float]]:
@@ -225,10 +229,11 @@ class HigherDegree:
         """
         path, (function, *bounds) = self.path, self.path.problem.path_constraint
         parts = sampling_parts(FINER * path.method.degree)
-        values, excesses = zip(*(p._excess(parts) for p in (path, self.higher)), strict=True)
-        both = np.min(np.max(excesses, axis=3), axis=0)
+        values, (excess, _) = zip(*(p._excess(parts) for p in (path, self.higher)), strict=True)
+        extremes = [[bound_excess(side, *bounds) for side in extreme_values(one)] for one in values]
+        both = np.min(np.max(np.nan_to_num(extremes, posinf=0.0), axis=1), axis=0)
         common = np.where(of_positions(function)[:, None], both, np.max(unseen_excess(values, bounds), axis=2))
-        changes = path._changes_at_largest(values[0], excesses[0])
+        changes = path._changes_at_largest(values[0], excess)
         at_points = path.path_constraints(path.method.element.points)
         distances = [np.min(np.abs(at_points - np.reshape(side, (-1, 1, 1))), axis=2) for side in bounds]
         met = np.pad(np.min(distances, axis=0) <= MET * changes, ((0, 0), (1, 1)))
@@ -261,7 +266,10 @@ class HigherDegree:
     def common_error(self) -> float:
         """Error of the path that is common to both degrees: of switches and touches in time, and by `bound_errors`."""
         late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.switches]
-        return float(max(*late, *(touch.error for touch in self.touches[1]), np.max(self.bound_errors), 0.0))
+        late += self.touch_errors
+        if self.path.problem.duration_bounds is not None:  # a free duration is longer or shorter by about as much
+            late += [TOUCHED_LATE * abs(touch.extreme - touch.acts) for touch in self.touches[1]]
+        return float(max(*late, np.max(self.bound_errors), 0.0))
 
     @cached_property
     def jump_effects(self) -> np.ndarray:

@@ -31,9 +31,10 @@ GUESS_SHARES = {"halfway between the straight line and the guess": 0.5, "the str
 # above the usual 1e-9 until the restoration failed, and elsewhere moved it away again from an optimum that it had met.
 # The costs of both differed by 1e-12 where both ended.
 LOOSELY_ACCEPTABLE = {"acceptable_tol": 1e-8, "acceptable_iter": 1}
-# For IPOPT where it ends at a path that is not feasible, from an inconsistent straight line: of 150 problems of least
+# For IPOPT where it calls a problem infeasible, as from an inconsistent straight line: of 150 problems of least
 # time and two rates it solves three of the seven that fail with the usual first barrier of 1e-2.
 HIGH_BARRIER = {"mu_init": 1.0}
+INFEASIBLE = "Infeasible Problem Detected"  # IPOPT's own words
 
 
 def with_fallbacks(solver: Solver, solved: Callable[[Solver], ControlTrajectory]) -> ControlTrajectory:
@@ -57,12 +58,15 @@ def with_fallbacks(solver: Solver, solved: Callable[[Solver], ControlTrajectory]
 def _fallback(solver: Solver, failure: ConvergenceError) -> Solver | None:
     """IPOPT where fatrop fails, which stalls more easily, and IPOPT with other options where IPOPT fails.
 
-    It is less exact where it fails on a feasible path, and else begins with a higher barrier.
+    It is less exact where it fails on a feasible path, and begins with a higher barrier where it calls the problem
+    infeasible.
     """
     if solver.name == fatrop.name:
         return ipopt
-    others = HIGH_BARRIER if failure.residual * EPS > FEASIBLE else LOOSELY_ACCEPTABLE
-    return None if others.keys() & solver.options.keys() else solver.with_options(**others)
+    feasible = failure.residual * EPS <= FEASIBLE
+    others = LOOSELY_ACCEPTABLE if feasible else HIGH_BARRIER
+    tried = others.keys() & solver.options.keys() or not (feasible or INFEASIBLE in str(failure))
+    return None if tried else solver.with_options(**others)
 
 
 def retry_from_other_guesses(

@@ -23,6 +23,7 @@ from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 AT_BOUND = 1e-6  # distance from a bound, over the size of a value, up to which it is at the bound
 LEAST_SHARE = 1e-6  # impulse at a node over the largest one up to which no bound acts there
+LEAST_PART = 1e-3  # the same among neighbors, which the solver keeps a little off the bound
 LEAST_EFFECT = 1e-9  # cost, over its size, of moving the bound by the size of the value, up to which none acts
 MOST_NODES = 4  # on more nodes than these a path does not touch a bound, but moves along it
 PARABOLA = 0.25  # distance from the bound an interval beside a touch, over that of a parabola, which is seen at least
@@ -40,12 +41,14 @@ class Touch:
     acts, extreme : the times a and e
     error : √ of the excess over the bound between a and e, over the size of the value.  This is about the error of the
         path.  The excess itself is soon hidden by rounding
+    reach : change of the value by the slope between a and e in the whole duration, over its size
     """
 
     number: int
     acts: float
     extreme: float
     error: float
+    reach: float
 
 
 @dataclass(frozen=True)
@@ -138,7 +141,8 @@ def touches(path: ControlTrajectory) -> list[Touch]:
         least = max(LEAST_SHARE * np.max(impulses), LEAST_EFFECT * path.cost_size / bounded.size)
         acting = np.flatnonzero(impulses > least)
         groups = np.split(acting, 1 + np.flatnonzero(np.diff(acting) > 1))
-        found += [_touch(bounded, group) for group in groups if 0 < len(group) <= MOST_NODES]
+        main = [group[impulses[group] > LEAST_PART * np.max(impulses[group])] for group in groups if len(group)]
+        found += [_touch(bounded, group) for group in main if len(group) <= MOST_NODES]
     return [touch for touch in found if touch is not None]
 
 
@@ -156,18 +160,35 @@ def _touch(bounded: Bounded, group: np.ndarray) -> Touch | None:
     beside = np.clip(e + step * np.array([-1.0, 1.0]), begin, end)
     if not np.all((path(beside)[0] - path(e)[0]) / curvature > PARABOLA * (beside - e) ** 2 / 2):
         return None
-    error = abs(slope) / float(np.sqrt(2 * abs(curvature) * bounded.size))
-    return Touch(bounded.number, (a - begin) / (end - begin), (e - begin) / (end - begin), error)
+    error, reach = abs(slope) / float(np.sqrt(2 * abs(curvature) * bounded.size)), abs(slope) / bounded.size
+    return Touch(bounded.number, (a - begin) / (end - begin), (e - begin) / (end - begin), error, reach * (end - begin))
+
+
+def alike(touch: Touch, others: Sequence[Touch]) -> list[Touch]:
+    """Touches of the same bound by other paths that act at so different times that two give a secant, nearest first."""
+    same = [other for other in others if other.number == touch.number]
+    far = [other for other in same if abs(other.acts - touch.acts) > DIFFERENT * abs(touch.extreme - touch.acts)]
+    return sorted(far, key=lambda other: abs(other.extreme - touch.extreme))
 
 
 def touch_time(touch: Touch, others: Sequence[Touch]) -> float:
     """The time of a touch by the secant rule from that of another path, or between a and e; a fraction."""
     a, late = touch.acts, touch.extreme - touch.acts
-    alike = (other for other in others if other.number == touch.number)
-    for other in sorted(alike, key=lambda other: abs(other.extreme - touch.extreme)):
+    for other in alike(touch, others):
         change = other.extreme - other.acts - late
-        if abs(other.acts - a) > DIFFERENT * abs(late) and change:
-            step = -late * (other.acts - a) / change
-            if abs(step) <= FARTHEST * abs(late):
-                return a + step
+        step = -late * (other.acts - a) / change if change else np.inf
+        if abs(step) <= FARTHEST * abs(late):
+            return a + step
     return a + late / 2
+
+
+def touch_error(touch: Touch, others: Sequence[Touch]) -> float:
+    """Error of the path because a bound that is touched acts at a wrong time.
+
+    Where the touch is weak, it hardly changes the path: then e hardly depends on a, and the slope at the touch would
+    change by no more than that between a and e times this dependence.
+    """
+    for other in alike(touch, others)[:1]:
+        dependence = abs((other.extreme - touch.extreme) / (other.acts - touch.acts))
+        return min(touch.error, dependence * touch.reach)
+    return touch.error

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import casadi_galerkin as cg
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, extreme_values
 
 
 def test_derivative_at_a_joint_is_the_right_one_and_at_the_last_the_left_one():
@@ -75,6 +75,23 @@ def test_a_jump_has_a_value_on_either_side():
     assert path.at_parts(np.array([0.0, 1.0]))[0].tolist() == [[[0.0, 1.0], [-2.0, 0.0]]]
     first = path.between(0, 1)
     assert (first(0.5)[0], first(1.0)[0]) == (0.25, 1.0)
+
+
+def test_extreme_values_lie_between_samples():
+    """(t - 0.3)² on [0, 1], and sin on ten intervals, whose extremes at π/2 and 3π/2 are on no sample."""
+    parts, nodes = np.array([0.0, 0.5, 1.0]), np.linspace(0.0, 1.0, 5)
+    values = (np.array([[[0.0, 0.5, 1.0]]]) - 0.3) ** 2
+    np.testing.assert_allclose(extreme_values(values), [[[0.0]], [[0.49]]], atol=1e-16)
+    assert extreme_values(np.array([[[0.0, 1.0, 3.0]]])) == ([[0.0]], [[3.0]])  # the vertex is outside
+    bowl = PiecewisePolynomial(np.array([0.0, 1.0]), parts, values[0])
+    np.testing.assert_allclose(bowl.extremes(parts), [[[0.0]], [[0.49]]], atol=1e-15)
+    mesh = np.linspace(0.1, 6.2, 11)
+    wave = PiecewisePolynomial(mesh, nodes, np.sin([PiecewisePolynomial(mesh, nodes, np.zeros((1, 41))).node_times]))
+    least, largest = wave.extremes(nodes)
+    fine = wave.values_at_parts(np.linspace(0.0, 1.0, 2001))
+    np.testing.assert_allclose(least, fine.min(axis=2), atol=1e-7)
+    np.testing.assert_allclose(largest, fine.max(axis=2), atol=1e-7)
+    assert np.max(wave.values_at_parts(nodes)) < np.max(largest) - 1e-4
 
 
 def test_a_continuous_path_has_no_jumps():

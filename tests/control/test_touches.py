@@ -4,7 +4,7 @@ from control_problems import double_integrator
 from scipy.optimize import brentq
 
 import casadi_galerkin as cg
-from casadi_galerkin.control.touches import Touch, touch_time, touches
+from casadi_galerkin.control.touches import Touch, touch_error, touch_time, touches
 
 WALL = 0.1
 
@@ -49,6 +49,43 @@ def test_a_path_constraint_that_is_touched_acts_on_both_sides_of_a_joint(tol):
     assert len(path.t) <= 20
 
 
+@pytest.mark.parametrize(
+    ("form", "tol", "speed", "wall"),
+    [
+        ("position_bounds", 1e-7, 5.0881955919992565, 1.1400564114391583),
+        ("position_bounds", 1e-6, 3.4078044626103243, 0.9274403044547828),
+        ("path_constraint", 1e-7, 5.632980426138671, 1.2126517332377627),
+    ],
+)
+def test_an_excess_between_all_samples_is_seen(form, tol, speed, wall):
+    """On the first mesh the free path exceeds the bound by 1e-6 to 1e-5, and at no node, point or sample."""
+    bounds = {
+        "position_bounds": {"position_bounds": (-np.inf, wall)},
+        "path_constraint": {"path_constraint": (lambda t, x, v, u: x, -np.inf, wall)},
+    }
+    throw = double_integrator(end=[0.0], start_velocity=[4.0], end_velocity=[-speed], **bounds[form])
+    path = cg.solve(throw, tol=tol)
+    assert np.max(path(np.linspace(0, 1, 20001))) / wall - 1 <= path.error_estimate <= tol
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-5, 1e-6])
+def test_a_touch_that_is_late_changes_a_free_duration(tol):
+    """Its error was twice the tolerance, when only that of the path counted."""
+    drop = double_integrator(
+        start=[-0.8920465935768263],
+        end=[-0.6436850728334991],
+        start_velocity=[-2.4610560903943046],
+        end_velocity=[2.204130891912202],
+        running_cost=lambda t, x, v, u: 438.95468075455364 + u**2 / 2,
+        position_bounds=(-0.9117641524208709, np.inf),
+        duration_bounds=(0.02, 20.0),
+        waypoints=[(0.5, [-0.7678668332051627])],
+        breakpoints=(0.5,),
+    )
+    path = cg.solve(drop, tol=tol)
+    assert abs(path.t[-1] / 0.1914951500 - 1) <= path.error_estimate <= tol
+
+
 def test_what_the_solver_leaves_at_a_joint_is_no_square_root():
     """At the middle, the joint of any even mesh, the bound is exceeded by some 1e-12."""
     swing = double_integrator(end=[0.0], start_velocity=[1.0], end_velocity=[-1.0], position_bounds=(-np.inf, 0.2))
@@ -87,12 +124,23 @@ def test_free_paths_and_those_along_a_bound_touch_none(problem):
 @pytest.mark.parametrize("slope", [-1.5, -0.1, 0.4])
 def test_two_paths_give_the_fixed_point_of_a_line(slope):
     def touch(acts):
-        return Touch(0, acts, 0.3 + slope * (acts - 0.3), 0.0)
+        return Touch(0, acts, 0.3 + slope * (acts - 0.3), 0.1, 0.2)
 
     assert touch_time(touch(0.32), [touch(0.29)]) == pytest.approx(0.3)
 
 
+def test_where_the_extreme_hardly_depends_on_when_the_bound_acts_the_error_is_small():
+    own, other = Touch(0, 0.32, 0.30, 0.1, 0.2), Touch(0, 0.33, 0.30001, 0.1, 0.2)
+    assert touch_error(own, [other]) == pytest.approx(2e-4)
+    assert touch_error(own, [Touch(0, 0.33, 0.27, 0.1, 0.2)]) == touch_error(own, []) == 0.1
+
+
 def test_without_another_path_at_another_time_the_bound_is_to_act_half_way():
-    own = Touch(0, 0.32, 0.30, 0.0)
-    for others in ([], [own], [Touch(1, 0.31, 0.3, 0.0)], [Touch(0, 0.35, 0.3299, 0.0)]):  # the last secant leads far
+    own = Touch(0, 0.32, 0.30, 0.1, 0.2)
+    for others in (
+        [],
+        [own],
+        [Touch(1, 0.31, 0.3, 0.1, 0.2)],
+        [Touch(0, 0.35, 0.3299, 0.1, 0.2)],
+    ):  # the last secant leads far
         assert touch_time(own, others) == pytest.approx(0.31)
