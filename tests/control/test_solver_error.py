@@ -181,7 +181,7 @@ def test_no_cost_is_called_known_that_units_keep_from_the_solver(tolerance):
     except cg.LimitReached as reached:
         path = reached.path
     error = abs(path.cost / units["price"] / exact - 1)
-    assert path.unseen_change > 0.3 * error * path.cost
+    assert path.unseen_change > 0.3 * (error - 1e-13) * path.cost  # of an exact path both are rounding
 
 
 def test_a_control_without_effect_in_a_phase_does_not_hide_the_cost():
