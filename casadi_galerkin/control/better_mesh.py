@@ -132,8 +132,11 @@ def symmetric_about(mesh: np.ndarray, times: Iterable[float], fixed: Sequence[fl
         k = int(np.searchsorted(mesh, when))
         before, after = mesh[k] - mesh[k - 1], mesh[k + 1] - mesh[k]
         far, place = (k - 1, when - after) if before > after else (k + 1, when + before)
-        if mesh[far] in (mesh[0], *fixed, mesh[-1]) or max(before, after) > LONGER * min(before, after):
+        if max(before, after) > LONGER * min(before, after):
             mesh = np.unique(np.append(mesh, place))
+        elif mesh[far] in (mesh[0], *fixed, mesh[-1]):
+            half = min(before, after) / 2
+            mesh = np.unique(np.append(mesh, [when - half, when + half]))
         else:
             mesh = np.concatenate((mesh[:far], [place], mesh[far + 1 :]))
     return mesh

@@ -4,6 +4,7 @@ from control_problems import double_integrator
 from scipy.optimize import brentq
 
 import casadi_galerkin as cg
+from casadi_galerkin.control.better_mesh import symmetric_about
 from casadi_galerkin.control.touches import Touch, touch_error, touch_time, touches
 
 WALL = 0.1
@@ -119,6 +120,20 @@ def test_a_bound_acts_where_the_path_is_nearest_once_there_is_a_joint():
 )
 def test_free_paths_and_those_along_a_bound_touch_none(problem):
     assert touches(cg.solve(problem, cg.Galerkin(5), 8)) == []
+
+
+@pytest.mark.parametrize(
+    ("mesh", "fixed", "expected"),
+    [
+        ([0.0, 0.1, 0.5, 0.8, 1.0], [0.5], [0.0, 0.2, 0.5, 0.8, 1.0]),  # the other end of the longer interval is moved
+        ([0.0, 0.1, 0.5, 0.8, 1.0], [0.1, 0.5], [0.0, 0.1, 0.35, 0.5, 0.65, 0.8, 1.0]),
+        ([0.0, 0.3, 0.5, 1.0], [0.5], [0.0, 0.3, 0.5, 0.7, 1.0]),
+        ([0.0, 0.5 + 1e-16, 1.0], [0.5 + 1e-16], [0.0, 0.25, 0.5, 0.75, 1.0]),  # rounding makes no short intervals
+    ],
+)
+def test_intervals_beside_a_touch_get_one_length(mesh, fixed, expected):
+    times = [mesh[int(np.argmin(np.abs(np.array(mesh) - 0.5)))]]
+    np.testing.assert_allclose(symmetric_about(np.array(mesh), times, fixed), expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize("slope", [-1.5, -0.1, 0.4])
