@@ -142,11 +142,11 @@ def first_path_strategies(
         yield name, find if guess is None else partial(_near, given, find)
     fine = finer().mesh
     fine = resized_mesh(fine, max(MORE * (len(given.mesh) - 1), len(fine) - 1), problem.breakpoints)
-    start = graphs.transcription(method, fine).guess_on_mesh(guess, fine)
+    start = cache(lambda: graphs.transcription(method, fine).guess_on_mesh(guess, fine))
     if guess is None:
-        yield "Newton's method on a finer mesh", partial(solved, start, brief)
+        yield "Newton's method on a finer mesh", partial(solved, start(), brief)
     if problem.force is not None:
-        yield "Newton's method under a growing force", partial(path_by_homotopy, graphs, start, intermediate_path)
+        yield "Newton's method under a growing force", partial(path_by_homotopy, graphs, start(), intermediate_path)
     if stationarity.variational and not stationarity.functional.numbering.multipliers:
         joints = resized_mesh(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
         yield "descent of the action", partial(_by_descent, graphs, method, joints, guess, brief)

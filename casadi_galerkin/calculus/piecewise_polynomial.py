@@ -30,26 +30,29 @@ def times_at(mesh: np.ndarray, parts: np.ndarray) -> np.ndarray:
     return (mesh[:-1, None] + (mesh[1:] - mesh[:-1])[:, None] * parts).ravel()
 
 
-def extrema(values: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Places, counted in samples, of the extrema of sampled values (n, N, K) near some samples (n, N), by parabolas."""
-    inner = np.clip(near, 1, values.shape[2] - 2)[:, :, None]
-    before, here, after = (np.take_along_axis(values, inner + k, axis=2)[:, :, 0] for k in (-1, 0, 1))
+def _parabolas(values: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places, counted in samples, and values at the vertices of parabolas through three samples each, see `extrema`.
+
+    Where a vertex is beyond the three, it is the sample itself.
+    """
+    inner = np.clip(near, 1, values.shape[2] - 2)
+    before, here, after = (np.take_along_axis(values, inner[:, :, None] + k, axis=2)[:, :, 0] for k in (-1, 0, 1))
     with np.errstate(divide="ignore", invalid="ignore"):
         shift = (before - after) / (2 * (before - 2 * here + after))
-    return np.where(np.abs(shift) <= 1, inner[:, :, 0] + shift, near)
+    within = np.abs(shift) <= 1
+    own = np.take_along_axis(values, near[:, :, None], axis=2)[:, :, 0]
+    return np.where(within, inner + shift, near), np.where(within, here + (after - before) * shift / 4, own)
+
+
+def extrema(values: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Places, counted in samples, of the extrema of sampled values (n, N, K) near some samples (n, N), by parabolas."""
+    return _parabolas(values, near)[0]
 
 
 def extreme_values(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Least and largest of sampled values (n, N, K), and of the parabolas through these and their neighbors; (n, N)."""
-    found = list[np.ndarray]()
-    for extreme, number in ((np.min, np.argmin), (np.max, np.argmax)):
-        inner = np.clip(number(values, axis=2), 1, values.shape[2] - 2)[:, :, None]
-        before, here, after = (np.take_along_axis(values, inner + k, axis=2)[:, :, 0] for k in (-1, 0, 1))
-        rise, bend = after - before, before - 2 * here + after
-        within = np.abs(rise) < 2 * np.abs(bend)
-        vertex = here - np.divide(rise**2, 8 * bend, out=np.zeros_like(rise), where=within)
-        found.append(extreme((extreme(values, axis=2), vertex), axis=0))
-    return found[0], found[1]
+    least, largest = (_parabolas(values, number(values, axis=2))[1] for number in (np.argmin, np.argmax))
+    return np.minimum(np.min(values, axis=2), least), np.maximum(np.max(values, axis=2), largest)
 
 
 def sampling_parts(degree: int) -> np.ndarray:
@@ -173,16 +176,20 @@ class PiecewisePolynomial:
 
         Beside the extreme samples a step of Newton's method leads to where the slope vanishes.
         """
-        sampled, steps, found = self.values_at_parts(parts), np.diff(self.mesh)[:, None], list[np.ndarray]()
-        numbers = np.arange(len(sampled))
-        for k in (np.argmin(sampled, axis=2), np.argmax(sampled, axis=2)):
-            near, last = (self.mesh[:-1] + np.diff(self.mesh) * parts[k]).ravel(), len(parts) - 1
-            slopes, bends = (self(near, nu).reshape(-1, *k.shape)[numbers, numbers] for nu in (1, 2))
-            away = np.divide(slopes, bends, out=np.zeros(k.shape), where=bends != 0) / steps.T
-            place = np.clip(parts[k] - away, parts[np.maximum(k - 1, 0)], parts[np.minimum(k + 1, last)])
-            times = (self.mesh[:-1] + np.diff(self.mesh) * place).ravel()
-            found.append(self(times).reshape(-1, *k.shape)[numbers, numbers])
-        return np.minimum(np.min(sampled, axis=2), found[0]), np.maximum(np.max(sampled, axis=2), found[1])
+        sampled, steps, each = self.values_at_parts(parts), np.diff(self.mesh), np.arange(len(self.values))
+
+        def own(at: np.ndarray, nu: int = 0) -> np.ndarray:
+            """Of every component the value or derivative at its own fractions of the intervals, (d, N)."""
+            times = self.mesh[:-1] + steps * at
+            return self(times.ravel(), nu).reshape(len(each), *times.shape)[each, each]
+
+        def beside(k: np.ndarray) -> np.ndarray:
+            slopes, bends = own(parts[k], 1), own(parts[k], 2)
+            away = np.divide(slopes, bends, out=np.zeros(k.shape), where=bends != 0) / steps
+            return own(np.clip(parts[k] - away, parts[np.maximum(k - 1, 0)], parts[np.minimum(k + 1, len(parts) - 1)]))
+
+        least, largest = (beside(number(sampled, axis=2)) for number in (np.argmin, np.argmax))
+        return np.minimum(np.min(sampled, axis=2), least), np.maximum(np.max(sampled, axis=2), largest)
 
     def at(self, nodes: np.ndarray) -> np.ndarray:
         """Node values (d, N m' + 1) on the same mesh with other nodes; without times, whose rounding would count."""

@@ -103,8 +103,8 @@ def bends(path: ControlTrajectory) -> list[Bend]:
     if path.problem.hold or not np.isfinite(bounds).any():
         return found
     (best, curved), times = minimizers(path, integrand(path)), path.polynomial.sampled(PARTS)[0]
-    widths = np.where(np.isfinite(np.ptp(bounds, axis=0)), np.ptp(bounds, axis=0), np.max(np.abs(best)))
-    moving = np.ptp(best, axis=1) > LEAST_MOTION * widths
+    widths = np.ptp(bounds, axis=0)
+    moving = np.ptp(best, axis=1) > LEAST_MOTION * np.where(np.isfinite(widths), widths, np.max(np.abs(best)))
     for i in np.flatnonzero(curved.all(axis=1) & moving).tolist():
         side = sides(best[i], *bounds[:, i])
         for k in np.flatnonzero(np.diff(side)).tolist():

@@ -155,7 +155,7 @@ class HigherDegree:
         """Errors of the path because bounds that it touches act at wrong times."""
         return [touch_error(touch, self.touches[0]) for touch in self.touches[1]]
 
-    @property
+    @cached_property
     def touch_times(self) -> tuple[list[float], list[float]]:
         """Times at which the path of higher degree should touch the bounds of positions, and path constraints."""
         (own, others), t, times = self.touches, self.higher.t, (list[float](), list[float]())

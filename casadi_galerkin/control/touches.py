@@ -15,11 +15,10 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts
 from casadi_galerkin.control.chain import Chain
-from casadi_galerkin.problems.bounds import bound_excess
 from casadi_galerkin.problems.dependence import CONTROLS, VELOCITIES, rows_that_depend
-from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+from casadi_galerkin.solution.control_trajectory import FINER, ControlTrajectory
 
 AT_BOUND = 1e-6  # distance from a bound, over the size of a value, up to which it is at the bound
 LEAST_SHARE = 1e-6  # impulse at a node over the largest one up to which no bound acts there
@@ -109,14 +108,14 @@ def bounded_positions(path: ControlTrajectory) -> list[Bounded]:
 
 def bounded_constraints(path: ControlTrajectory) -> list[Bounded]:
     """The path constraints of positions, with their impulses at the quadrature points."""
-    function, *bounds = path.problem.path_constraint
+    function = path.problem.path_constraint[0]
     if path.path_multipliers is None or not np.any(of_positions(function)):
         return []
     nodes = Galerkin(2 * path.method.degree).element.nodes
     local = path.path_constraints(nodes)
     ends = local[:, -1:, -1]
     values = np.concatenate((local[:, :, :-1].reshape(len(local), -1), ends), axis=1)
-    sizes = np.min(path._changes_at_largest(local, bound_excess(local, *bounds)), axis=1)
+    sizes = np.min(path._changes_at_largest(*path._excess(sampling_parts(FINER * path.method.degree))), axis=1)
     impulses = constraint_impulses(path).reshape(len(local), -1)
     return [
         Bounded(
