@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise, product
 
 import casadi as ca
 import numpy as np
@@ -52,7 +53,7 @@ class Touch:
 
 @dataclass(frozen=True)
 class Bounded:
-    """A bounded value along a path.
+    """A bounded value along a part of a path in which the path does not jump.
 
     Attributes
     ----------
@@ -67,6 +68,18 @@ class Bounded:
     size: float
     times: np.ndarray
     impulses: np.ndarray
+
+
+def between_jumps(path: ControlTrajectory) -> list[slice]:
+    """The intervals between a jump of a path and the next."""
+    ends = [0, *np.searchsorted(path.t, [when for when, _ in path.problem.jumps]).tolist(), len(path.t) - 1]
+    return [slice(*pair) for pair in pairwise(ends)]
+
+
+def continuous(path: ControlTrajectory, part: slice, nodes: np.ndarray, local: np.ndarray) -> PiecewisePolynomial:
+    """The path that has some values (N,) at the nodes of every interval, on intervals without a jump between them."""
+    values = np.append(local[part, :-1], local[part.stop - 1, -1])
+    return PiecewisePolynomial(path.t[part.start : part.stop + 1], nodes, values[None])
 
 
 def of_positions(constraint: ca.Function) -> np.ndarray:
@@ -93,17 +106,17 @@ def constraint_impulses(path: ControlTrajectory) -> np.ndarray:
 
 
 def bounded_positions(path: ControlTrajectory) -> list[Bounded]:
-    """The positions that have momenta, with the impulses of their bounds at all nodes but the ends."""
-    local, m, x = position_impulses(path), path.method.degree, path.polynomial
-    impulses = local[:, :, :-1].reshape(len(local), -1)
-    impulses[:, m::m] += local[:, :-1, -1]
-    low, high = (np.array(side)[:, None] for side in path.problem.position_bounds)
-    distances = np.minimum(x.values - low, high - x.values)[:, :-1] / path.sizes[:, None]
-    impulses[distances > AT_BOUND] = 0.0
-    return [
-        Bounded(i, PiecewisePolynomial(x.mesh, x.nodes, x.values[[i]]), path.sizes[i], x.node_times[1:-1], acting[1:])
-        for i, acting in enumerate(impulses[: path.problem.mechanical])
-    ]
+    """The positions that have momenta, with the impulses of their bounds at all nodes but ends and jumps."""
+    impulses, x, m = position_impulses(path), path.polynomial, path.method.degree
+    low, high = (np.array(side)[:, None, None] for side in path.problem.position_bounds)
+    impulses[np.minimum(x.local - low, high - x.local) / path.sizes[:, None, None] > AT_BOUND] = 0.0
+    found = list[Bounded]()
+    for i, part in product(range(path.problem.mechanical), between_jumps(path)):
+        values, local = continuous(path, part, x.nodes, x.local[i]), impulses[i, part]
+        acting = local[:, :-1].ravel()
+        acting[m::m] += local[:-1, -1]
+        found.append(Bounded(i, values, path.sizes[i], values.node_times[1:-1], acting[1:]))
+    return found
 
 
 def bounded_constraints(path: ControlTrajectory) -> list[Bounded]:
@@ -112,27 +125,24 @@ def bounded_constraints(path: ControlTrajectory) -> list[Bounded]:
     if path.path_multipliers is None or not np.any(of_positions(function)):
         return []
     nodes = Galerkin(2 * path.method.degree).element.nodes
-    local = path.path_constraints(nodes)
-    ends = local[:, -1:, -1]
-    values = np.concatenate((local[:, :, :-1].reshape(len(local), -1), ends), axis=1)
+    local, impulses = path.path_constraints(nodes), constraint_impulses(path)
     sizes = np.min(path._changes_at_largest(*path._excess(sampling_parts(FINER * path.method.degree))), axis=1)
-    impulses = constraint_impulses(path).reshape(len(local), -1)
+    times = path.path_multipliers.times.reshape(len(path.t) - 1, -1)
+    known = np.flatnonzero(of_positions(function) & np.isfinite(local).all(axis=(1, 2))).tolist()
     return [
         Bounded(
-            len(path.x) + int(k),
-            PiecewisePolynomial(path.t, nodes, values[[k]]),
+            len(path.x) + k,
+            continuous(path, part, nodes, local[k]),
             sizes[k],
-            path.path_multipliers.times,
-            impulses[k],
+            times[part].ravel(),
+            impulses[k, part].ravel(),
         )
-        for k in np.flatnonzero(of_positions(function) & np.isfinite(values).all(axis=1))
+        for k, part in product(known, between_jumps(path))
     ]
 
 
 def touches(path: ControlTrajectory) -> list[Touch]:
     """All touches of bounds of positions, and of path constraints on positions."""
-    if path.polynomial.arrivals is not None:
-        return []
     of_bounds = bounded_positions(path) if np.isfinite(path.problem.position_bounds).any() else []
     found = list[Touch | None]()
     for bounded in of_bounds + bounded_constraints(path):
@@ -141,11 +151,11 @@ def touches(path: ControlTrajectory) -> list[Touch]:
         acting = np.flatnonzero(impulses > least)
         groups = np.split(acting, 1 + np.flatnonzero(np.diff(acting) > 1))
         main = [group[impulses[group] > LEAST_PART * np.max(impulses[group])] for group in groups if len(group)]
-        found += [_touch(bounded, group) for group in main if len(group) <= MOST_NODES]
+        found += [_touch(bounded, group, path.t) for group in main if len(group) <= MOST_NODES]
     return [touch for touch in found if touch is not None]
 
 
-def _touch(bounded: Bounded, group: np.ndarray) -> Touch | None:
+def _touch(bounded: Bounded, group: np.ndarray, joints: np.ndarray) -> Touch | None:
     """The touch of a bound where it acts at some neighboring times, if it is only touched there."""
     path, times = bounded.values, bounded.times[group]
     mesh, begin, end = path.mesh, float(path.mesh[0]), float(path.mesh[-1])
@@ -159,8 +169,9 @@ def _touch(bounded: Bounded, group: np.ndarray) -> Touch | None:
     beside = np.clip(e + step * np.array([-1.0, 1.0]), begin, end)
     if not np.all((path(beside)[0] - path(e)[0]) / curvature > PARABOLA * (beside - e) ** 2 / 2):
         return None
-    error, reach = abs(slope) / float(np.sqrt(2 * abs(curvature) * bounded.size)), abs(slope) / bounded.size
-    return Touch(bounded.number, (a - begin) / (end - begin), (e - begin) / (end - begin), error, reach * (end - begin))
+    error, duration = abs(slope) / float(np.sqrt(2 * abs(curvature) * bounded.size)), float(np.ptp(joints))
+    acts, extreme = (a - joints[0]) / duration, (e - joints[0]) / duration
+    return Touch(bounded.number, acts, extreme, error, duration * abs(slope) / bounded.size)
 
 
 def alike(touch: Touch, others: Sequence[Touch]) -> list[Touch]:
