@@ -11,13 +11,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import around
 from casadi_galerkin.calculus.roundoff import or_one
-from casadi_galerkin.control.hamiltonian import along, integrand
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
@@ -34,7 +32,7 @@ INTERPOLATED = 4  # values within the bounds from which the time is interpolated
 
 
 @np.errstate(invalid="ignore", divide="ignore")  # at an end, values may be infinite
-def minimizers(path: ControlTrajectory, function: ca.Function) -> tuple[np.ndarray, np.ndarray]:
+def minimizers(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
     """Controls that minimize I, the `integrand`, within their bounds, at `PARTS` of every interval.
 
     Each step is one of Newton's method for the controls that are not pushed against a bound, no longer than the bounds
@@ -45,10 +43,10 @@ def minimizers(path: ControlTrajectory, function: ca.Function) -> tuple[np.ndarr
     -------
     the minimizers, and whether I is convex in the single control there; (n, N K) each
     """
-    times, x, v, u, *others = along(path, PARTS)
+    times, x, v, u, *others = path._along(PARTS)
     low, high = (np.array(side)[:, None] for side in path.problem.control_bounds)
     best, share = np.clip(u, low, high), np.ones(len(times))
-    found = at_places(function, times, x, v, best, *others)
+    found = at_places(path._integrand, times, x, v, best, *others)
     curved = np.einsum("iik->ik", found[3].reshape(len(u), len(u), -1)) > 0
     for _ in range(STEPS):
         _, _, slope, columns = found
@@ -64,7 +62,7 @@ def minimizers(path: ControlTrajectory, function: ca.Function) -> tuple[np.ndarr
         steps = scale * np.einsum("kij,kj,klj,lk->ik", vectors, inverse, vectors, forces)
         longest = np.max(np.abs(steps) / (high - low), axis=0, initial=1.0)
         tried = np.clip(best + share / longest * steps, low, high)
-        there = at_places(function, times, x, v, tried, *others)
+        there = at_places(path._integrand, times, x, v, tried, *others)
         falls = there[0][0] <= found[0][0] + ROUNDED * np.abs(found[0][0])
         moved = np.abs(tried - best) > CONVERGED * np.abs(tried)
         found = [np.where(falls, new, old) for new, old in zip(there, found, strict=True)]
@@ -102,7 +100,7 @@ def bends(path: ControlTrajectory) -> list[Bend]:
     bounds, found = np.array(path.problem.control_bounds), list[Bend]()
     if path.problem.hold or not np.isfinite(bounds).any():
         return found
-    (best, curved), times = minimizers(path, integrand(path)), path.polynomial.sampled(PARTS)[0]
+    (best, curved), times = minimizers(path), path.polynomial.sampled(PARTS)[0]
     widths = np.ptp(bounds, axis=0)
     moving = np.ptp(best, axis=1) > LEAST_MOTION * np.where(np.isfinite(widths), widths, np.max(np.abs(best)))
     for i in np.flatnonzero(curved.all(axis=1) & moving).tolist():
@@ -133,12 +131,12 @@ def bend_errors(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
     bounds, steps = np.array(path.problem.control_bounds), np.diff(path.t)
     if path.problem.hold or not np.isfinite(bounds).any():
         return np.zeros((len(path.x), len(steps))), np.zeros(len(steps))
-    function, points = integrand(path), np.array(path.method.quadrature.points)
-    samples = path.control.at(points), minimizers(path, function)[0]
+    points = np.array(path.method.quadrature.points)
+    samples = path.control.at(points), minimizers(path)[0]
     at_points, best = (u.reshape(len(u), len(steps), -1) for u in samples)
     parts, u = np.append(points, PARTS), np.dstack((at_points, best)).reshape(len(best), -1)
-    times, x, v, _, *others = along(path, parts)
-    total = at_places(function, times, x, v, u, *others)[0].reshape(1, len(steps), -1)
+    times, x, v, _, *others = path._along(parts)
+    total = at_places(path._integrand, times, x, v, u, *others)[0].reshape(1, len(steps), -1)
     seen, values = np.split(np.vstack((path._motion(parts, u)[1], total)), [len(points)], axis=2)
     missed = values - seen @ lagrange_values(points, PARTS).T
     errors = np.where(np.isfinite(missed), missed, 0.0) @ WIDTHS * steps

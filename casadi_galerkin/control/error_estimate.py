@@ -46,20 +46,18 @@ from casadi_galerkin.calculus.mesh_adaptation import truncation_error
 from casadi_galerkin.calculus.piecewise_polynomial import around, extreme_values, sampling_parts, times_at
 from casadi_galerkin.calculus.roundoff import component_sizes
 from casadi_galerkin.control.bends import Bend, bend_errors, bends, carried
-from casadi_galerkin.control.jumps_in_time import jumps_in_time
 from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM
 from casadi_galerkin.control.switching import Switch, switches
 from casadi_galerkin.control.touches import (
     Touch,
+    bounds_touched,
     constraint_impulses,
-    of_positions,
     position_impulses,
     touch_error,
     touch_time,
     touches,
 )
 from casadi_galerkin.problems.bounds import bound_excess
-from casadi_galerkin.problems.dependence import CONTROLS
 from casadi_galerkin.solution.control_trajectory import FINER, ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 
@@ -69,7 +67,7 @@ HIDDEN = 1e-2  # difference of both paths over what the defect moves them below 
 TOUCHED_LATE = 2.0  # error of a free duration over how late a bound acts that is touched
 ROUNDOFF = 1e-15  # of positions and of impulses, relative to their sizes
 MET = 1e-4  # distance from a bound, over `_changes_at_largest`, up to which a point meets it
-UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
+UNSEEN_RATIO = 0.1  # relative difference of what two degrees miss, below which no quadrature point sees it
 
 
 def position_errors(path: ControlTrajectory, touched: Sequence[Touch]) -> np.ndarray:
@@ -84,7 +82,7 @@ def position_errors(path: ControlTrajectory, touched: Sequence[Touch]) -> np.nda
     at_nodes = np.max(bound_excess(x.local, *problem.position_bounds), axis=2) / path.sizes[:, None]
     excess = np.maximum(low - least, most - high) / path.sizes[:, None] - at_nodes
     powers = np.full(excess.shape, 0.5)
-    powers[[problem.mechanical + i for i in problem.rates.sparsity_jac(CONTROLS, 0).row()]] = 1.0
+    powers[problem.driven_positions] = 1.0
     for touch in (touch for touch in touched if touch.number < len(powers)):
         times = sorted((touch.acts, touch.extreme))
         first, last = np.searchsorted(path.t, path.t[0] + np.ptp(path.t) * np.array(times)) - 1
@@ -220,19 +218,19 @@ class HigherDegree:
         """Largest excess of path constraints on each interval in both degrees, over `_changes_at_largest`.
 
         This is about the part of its size by which the path has to change, at most one.  Where a constraint depends on
-        velocities or controls, which bend or jump, only the `unseen_excess` counts.
+        controls, or velocities that they change at once, which bend or jump, only the `unseen_excess` counts.
 
         Returns
         -------
         of every constraint, (k, N), and that of constraints whose bounds no quadrature point of the interval or of its
             neighbors meets
         """
-        path, (function, *bounds) = self.path, self.path.problem.path_constraint
+        path, bounds = self.path, self.path.problem.path_constraint[1:]
         parts = sampling_parts(FINER * path.method.degree)
         values, (excess, _) = zip(*(p._excess(parts) for p in (path, self.higher)), strict=True)
         extremes = [[bound_excess(side, *bounds) for side in extreme_values(one)] for one in values]
         both = np.min(np.max(np.nan_to_num(extremes, posinf=0.0), axis=1), axis=0)
-        common = np.where(of_positions(function)[:, None], both, np.max(unseen_excess(values, bounds), axis=2))
+        common = np.where(bounds_touched(path.problem)[:, None], both, np.max(unseen_excess(values, bounds), axis=2))
         changes = path._changes_at_largest(values[0], excess)
         at_points = path.path_constraints(path.method.element.points)
         distances = [np.min(np.abs(at_points - np.reshape(side, (-1, 1, 1))), axis=2) for side in bounds]
@@ -264,19 +262,30 @@ class HigherDegree:
 
     @cached_property
     def common_error(self) -> float:
-        """Error of the path that is common to both degrees: of switches and touches in time, and by `bound_errors`."""
+        """Error of the path that is common to both degrees: of switches, touches, bounds, and what steps in x."""
         late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.switches]
         late += self.touch_errors
         if self.path.problem.duration_bounds is not None:  # a free duration is longer or shorter by about as much
             late += [TOUCHED_LATE * abs(touch.extreme - touch.acts) for touch in self.touches[1]]
-        return float(max(*late, np.max(self.bound_errors), 0.0))
+        return float(max(*late, np.max(self.bound_errors), self.unseen_step))
+
+    @cached_property
+    def unseen_steps(self) -> np.ndarray:
+        """Steps of callables on each interval that no derivative shows in either degree, times duration over cost."""
+        least = np.minimum(self.path._unseen_steps, self.higher._unseen_steps)
+        return np.array([self.of_cost(step) for step in least])
+
+    @property
+    def unseen_step(self) -> float:
+        """The largest of all `unseen_steps`."""
+        return float(np.max(self.unseen_steps))
 
     @cached_property
     def jump_effects(self) -> np.ndarray:
         """Changes of the cost by jumps in time inside each interval, relative to the cost; (N,)."""
         if self.path.problem.autonomous:
             return np.zeros(len(self.path.t) - 1)
-        return np.array([self.of_cost(change) for change in jumps_in_time(self.path)])
+        return np.array([self.of_cost(change) for change in self.path._jumps.effects])
 
     @cached_property
     def excess_effects(self) -> np.ndarray:

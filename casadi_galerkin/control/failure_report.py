@@ -17,7 +17,7 @@ from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.dependence import controls_within
+from casadi_galerkin.problems.dependence import CONTROLS, entries_within
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 
@@ -72,7 +72,7 @@ def explained(
     else:
         state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
     if hint is OTHER_HINT:
-        kinks = (words for kind, words in KINK_HINTS.items() if controls_within(problem.running_cost, kind))
+        kinks = (words for kind, words in KINK_HINTS.items() if entries_within(problem.running_cost, CONTROLS, kind))
         hint = next(kinks, hint + UNBOUNDED if cost < 0 else hint)
     stopped = f"{solver} stopped with '{optimum.status}' after {optimum.iterations} iterations"
     return ConvergenceError(f"{stopped}; {state}. {hint}", Path(path), float(relative[worst] / EPS), optimum.iterations)

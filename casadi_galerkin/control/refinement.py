@@ -58,7 +58,7 @@ from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import check_types, map_times, mesh_for, section_times
 from casadi_galerkin.solution.control_path import ControlPath
-from casadi_galerkin.solution.control_trajectory import ControlTrajectory
+from casadi_galerkin.solution.control_trajectory import STEP, ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess, waves
 from casadi_galerkin.solution.limits import Limits
@@ -145,6 +145,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     cost_known = math.inf  # smallest error so far of the cost of the path that is being refined
     guess: Guess | None = None  # with which the refinement began
     left_open = False  # whether the solver has left an error that counts, and has to leave less
+    last_step = math.inf  # largest step that was not seen on the level before
     open_levels = 0  # levels in a row on which it has left the path open all the same
 
     def __init__(
@@ -239,6 +240,10 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         detail = estimate.detail
         if detail is not None:
             self.check_solver(detail)
+            missed = detail.unseen_step ** (2 if self.of_cost else 1)
+            if missed > max(self.tol, detail.change) and detail.unseen_step > self.last_step / 2:  # a kink would fall
+                raise self.stopped("no mesh takes away the error of a step", *self.best)
+            self.last_step = detail.unseen_step
         known = level if detail is None else detail.higher
         if detail is None or (self.fruitless > 0 and self.fruitless % PATIENCE == 0):
             mesh = halved(known.t)
@@ -267,16 +272,18 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
     def stopped(self, reason: str, level: ControlTrajectory, error: float, hint: str = HINT) -> LimitReached:
         """Report the error reached; where the cost alone is within `tol`, as with a singular arc, report that."""
-        if self.known is not None and self.known.jump_error > self.tol:
-            i, t = int(np.argmax(self.known.jump_effects)), self.known.path.t
+        known = self.known
+        if known is not None and max(known.unseen_step, known.jump_error) > self.tol:
+            stepping = known.unseen_step > self.tol
+            i, t = int(np.argmax(known.unseen_steps if stepping else known.jump_effects)), known.path.t
             when = f"t = {np.mean(t[i : i + 2]):.6g}"
             hint = f"A callable is not smooth in time near {when}, or changes there too fast for this mesh"
-            hint += ": name that time in the breakpoints"
+            hint = f"Near {when} {STEP}" if stepping else hint + ": name that time in the breakpoints"
         elif level.unseen_change > self.tol * level.cost_size:
             hint = UNITS
         if self.cost_known <= self.tol:
-            known = f"the cost is known to {self.cost_known:.0e}, which is all that cost_tol asks for"
-            reason += f" (only the path changes: {known})"
+            words = f"the cost is known to {self.cost_known:.0e}, which is all that cost_tol asks for"
+            reason += f" (only the path changes: {words})"
         return super().stopped(reason, level, error, hint)
 
     def run(self, mesh: np.ndarray, guess: Guess | None, starts: int) -> ControlTrajectory:
@@ -329,6 +336,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def refined(self, level: ControlTrajectory) -> ControlTrajectory:
         """Refine a path and return it with its errors."""
         self.known, self.cost_known, self.left_open, self.open_levels = None, math.inf, False, 0
+        self.last_step = math.inf
         path, _ = self.refine(level)
         assert self.known is not None, "a path is accepted by its error estimate"
         path = with_parted_phases(path, self.stated)

@@ -13,7 +13,6 @@ from itertools import pairwise
 import numpy as np
 
 from casadi_galerkin.control.bends import Bend
-from casadi_galerkin.control.hamiltonian import integrand
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
@@ -93,7 +92,7 @@ def zero(path: ControlTrajectory, i: int, first: float, last: float) -> float:
     """Time at which the switching function of control i changes its sign; NaN if it does not."""
     times = np.linspace(first, last, PARTS + 1)
     state = path(times), path(times, 1), path.control(times), path.costate(times)
-    values = at_places(integrand(path), times, *state, shared=(0.0, 0.0))[2][i]
+    values = at_places(path._integrand, times, *state, shared=(0.0, 0.0))[2][i]
     changes = np.flatnonzero(values[1:] * values[:-1] <= 0)
     if len(changes) == 0:
         return np.nan

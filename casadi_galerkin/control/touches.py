@@ -1,9 +1,10 @@
 """Times at which a bound is touched, where the next mesh is to have a joint.
 
-A bound acts at nodes or quadrature points.  On a path that touches it only once, its impulse should act when the
-bounded value is extreme.  Let it act at the time a, on the mean of the nodes beside the touch, and let the value then
-be extreme at the time e.  Paths with other nodes have other times a and e, and the touch is at the time where e(a) = a.
-Two paths give that time by the secant rule: to act at e in place of a alone may not converge.
+A bound is touched where no control can keep a path along it at once: that of a position, or of a velocity whose force
+follows a control late.  It acts at nodes or quadrature points.  On a path that touches it only once, its impulse should
+act when the bounded value is extreme.  Let it act at the time a, on the mean of the nodes beside the touch, and let the
+value then be extreme at the time e.  Paths with other nodes have other times a and e, and the touch is at the time
+where e(a) = a.  Two paths give that time by the secant rule: to act at e in place of a alone may not converge.
 """
 
 from __future__ import annotations
@@ -12,12 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 
-import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts
 from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.dependence import CONTROLS, VELOCITIES, rows_that_depend
 from casadi_galerkin.solution.control_trajectory import FINER, ControlTrajectory
 
@@ -82,10 +83,11 @@ def continuous(path: ControlTrajectory, part: slice, nodes: np.ndarray, local: n
     return PiecewisePolynomial(path.t[part.start : part.stop + 1], nodes, values[None])
 
 
-def of_positions(constraint: ca.Function) -> np.ndarray:
-    """Which path constraints depend on time and positions only, (k,)."""
-    others = [(kind, np.ones(constraint.size1_in(kind), dtype=bool)) for kind in (VELOCITIES, CONTROLS)]
-    return ~np.any([rows_that_depend(constraint, *every) for every in others], axis=0)
+def bounds_touched(problem: ControlProblem) -> np.ndarray:
+    """Which path constraints depend on no control, and on no velocity that a control changes at once, (k,)."""
+    constraint, every = problem.path_constraint[0], np.ones(problem.controls, dtype=bool)
+    others = (VELOCITIES, problem.driven_velocities), (CONTROLS, every)
+    return ~np.any([rows_that_depend(constraint, *chosen) for chosen in others], axis=0)
 
 
 def position_impulses(path: ControlTrajectory) -> np.ndarray:
@@ -106,12 +108,12 @@ def constraint_impulses(path: ControlTrajectory) -> np.ndarray:
 
 
 def bounded_positions(path: ControlTrajectory) -> list[Bounded]:
-    """The positions that have momenta, with the impulses of their bounds at all nodes but ends and jumps."""
+    """The positions no control changes at once, with the impulses of their bounds at all nodes but ends and jumps."""
     impulses, x, m = position_impulses(path), path.polynomial, path.method.degree
     low, high = (np.array(side)[:, None, None] for side in path.problem.position_bounds)
     impulses[np.minimum(x.local - low, high - x.local) / path.sizes[:, None, None] > AT_BOUND] = 0.0
     found = list[Bounded]()
-    for i, part in product(range(path.problem.mechanical), between_jumps(path)):
+    for i, part in product(np.flatnonzero(~path.problem.driven_positions).tolist(), between_jumps(path)):
         values, local = continuous(path, part, x.nodes, x.local[i]), impulses[i, part]
         acting = local[:, :-1].ravel()
         acting[m::m] += local[:-1, -1]
@@ -120,15 +122,15 @@ def bounded_positions(path: ControlTrajectory) -> list[Bounded]:
 
 
 def bounded_constraints(path: ControlTrajectory) -> list[Bounded]:
-    """The path constraints of positions, with their impulses at the quadrature points."""
-    function = path.problem.path_constraint[0]
-    if path.path_multipliers is None or not np.any(of_positions(function)):
+    """The path constraints that may be touched, with their impulses at the quadrature points."""
+    chosen = bounds_touched(path.problem)
+    if path.path_multipliers is None or not np.any(chosen):
         return []
     nodes = Galerkin(2 * path.method.degree).element.nodes
     local, impulses = path.path_constraints(nodes), constraint_impulses(path)
     sizes = np.min(path._changes_at_largest(*path._excess(sampling_parts(FINER * path.method.degree))), axis=1)
     times = path.path_multipliers.times.reshape(len(path.t) - 1, -1)
-    known = np.flatnonzero(of_positions(function) & np.isfinite(local).all(axis=(1, 2))).tolist()
+    known = np.flatnonzero(chosen & np.isfinite(local).all(axis=(1, 2))).tolist()
     return [
         Bounded(
             len(path.x) + k,
@@ -142,7 +144,7 @@ def bounded_constraints(path: ControlTrajectory) -> list[Bounded]:
 
 
 def touches(path: ControlTrajectory) -> list[Touch]:
-    """All touches of bounds of positions, and of path constraints on positions."""
+    """All touches of bounds of positions, and of path constraints."""
     of_bounds = bounded_positions(path) if np.isfinite(path.problem.position_bounds).any() else []
     found = list[Touch | None]()
     for bounded in of_bounds + bounded_constraints(path):

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.problems.bounds import Bounds
 
 VELOCITIES, CONTROLS = 2, 3  # their numbers among the arguments t, x, v, u of a callable
+STEPPING = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL)
 Used = tuple[str, ca.Function | None, Sequence[int]]  # name, Function, and which of its arguments are velocities
 
 
@@ -48,7 +49,7 @@ def check_controls(users: Iterable[ca.Function], count: int) -> None:
 def check_absolute_values(running_cost: ca.Function, bounds: Bounds) -> None:
     """Refuse |u| in the cost where u may change its sign, since a solver that takes derivatives stalls there."""
     low, high = bounds
-    for i in sorted(controls_within(running_cost, (ca.OP_FABS,))):
+    for i in sorted(entries_within(running_cost, CONTROLS, (ca.OP_FABS,))):
         if low[i] < 0 < high[i]:
             raise ValueError(
                 f"running_cost holds the absolute value of u[{i}], whose derivative jumps at zero: replace u[{i}] "
@@ -68,14 +69,14 @@ def check_parameters(users: Iterable[ca.Function | None], bounds: Bounds | None)
             raise ValueError(f"the free parameter p[{i}] occurs in no lagrangian, force, cost or constraint")
 
 
-def controls_within(function: ca.Function, operations: Collection[int]) -> set[int]:
-    """Which controls some operations in a traced Function are applied to, or to what depends on them."""
+def entries_within(function: ca.Function, argument: int, operations: Collection[int]) -> set[int]:
+    """Which entries of an argument some operations in a traced Function are applied to, or to what depends on them."""
     held: dict[int, set[int]] = {}
     found: set[int] = set()
     for k in range(function.n_instructions()):
         operation, inputs = function.instruction_id(k), function.instruction_input(k)
         if operation == ca.OP_INPUT:
-            entries = {inputs[1]} if inputs[0] == CONTROLS else set()
+            entries = {inputs[1]} if inputs[0] == argument else set()
         else:
             entries = set().union(*(held.get(i, set()) for i in inputs))
         if operation in operations:

@@ -22,6 +22,7 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.controlled_motion import equations_of_motion
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.export import by_component
+from casadi_galerkin.solution.hamiltonian import Jumps, integrand, jumps_along
 from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_path
 from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED, Trajectory
 
@@ -33,6 +34,11 @@ SMALL = 1e-6  # size over that of the largest component below which a component 
 REPORTED_COST_CHANGE = 1e-6
 REMAINDER_FACTOR = 10.0  # size over the error that the solver leaves up to which a component counts as zero
 CONTINUOUS = 1e-8  # jump of a control over the largest control up to which it is an error of the solver
+SHOWN_STEP = 1e-6  # size of an unseen step, times duration over cost, from which the summary shows it
+STEP = (
+    "a callable steps as x or v pass some value, or at a given time while durations or parameters are free, and no "
+    "derivative shows it: smooth the step, or state what is before and behind it as phases"
+)
 FINER = 4  # times as many samples as for the path, to see obstacles that are as narrow as a twentieth of an interval
 SHOWN_OVERSHOOT = 1e-3  # overshoot over the width of the bounds above which the summary shows it
 ALONG = np.linspace(0.0, 1.0, 40)  # fractions of an interval at which a line is drawn
@@ -442,7 +448,7 @@ class ControlTrajectory(Trajectory):
         errors = ", ".join(f"{error:.1e} {whose}" for error, whose in known if error is not None)
         if errors:
             return [f"  error       {errors}, estimated"]
-        return self._undetermined() or self._unresolved() or self._unbalanced()
+        return self._undetermined() or self._stepping() or self._unresolved() or self._unbalanced()
 
     def _not_optimal(self) -> bool:
         """Whether further Newton steps would change the cost by more than a solver should leave."""
@@ -470,6 +476,40 @@ class ControlTrajectory(Trajectory):
         share = self._hamiltonian_variation / max(abs(self.cost), self._cost_of_forces, TINY)
         words = f"the Hamiltonian, which should be constant, varies by {share:.0e} of the cost; take more intervals"
         return [f"  NOT RESOLVED: {words}"] if share > UNBALANCED else []
+
+    def _stepping(self) -> list[str]:
+        """A line on a step of a callable that the solver has not seen."""
+        steps = self._unseen_steps
+        if not np.max(steps) > SHOWN_STEP * self.cost_size:
+            return []
+        i = int(np.argmax(steps))
+        return [f"  NOT RESOLVED: near t = {np.mean(self.t[i : i + 2]):.4g} {STEP}"]
+
+    def _along(self, parts: np.ndarray) -> list[np.ndarray]:
+        """Times and z of the `integrand` at fractions (K,) of every interval; (N K,) and (rows, N K) each."""
+        costate = [a.reshape(len(a), -1) for a in self.costate.at_parts(parts)]
+        times, x, v = self.polynomial.sampled(parts)
+        multipliers = np.empty((0, len(times))) if self.path_multipliers is None else self.path_multipliers.at(parts)
+        return [times, x, v, self.control.at(parts), *costate, multipliers]
+
+    @cached_property
+    def _integrand(self) -> ca.Function:
+        """The integrand of the cost with its multipliers."""
+        return integrand(self.problem, self.parameters)
+
+    @cached_property
+    def _jumps(self) -> Jumps:
+        """Jumps of the integrand inside of the intervals."""
+        problem, rule, none = self.problem, self.method.quadrature, np.zeros(len(self.t) - 1)
+        if problem.autonomous and not problem.may_step:
+            return Jumps(none, none)
+        z = self._along(np.array(rule.points))[1:]
+        return jumps_along(self._integrand, self.polynomial, rule, z, problem.steps_move)
+
+    @property
+    def _unseen_steps(self) -> np.ndarray:
+        """Jumps of the integrand that no derivative shows, on each interval, times the duration; (N,)."""
+        return self._jumps.unseen * self.problem.may_step * np.ptp(self.t)
 
     @cached_property
     def _hamiltonian_variation(self) -> float:

@@ -7,7 +7,6 @@ import casadi_galerkin as cg
 from casadi_galerkin.control.bends import PARTS, bend_errors, bends, minimizers
 from casadi_galerkin.control.better_mesh import better_mesh
 from casadi_galerkin.control.error_estimate import HigherDegree
-from casadi_galerkin.control.hamiltonian import along, integrand
 from casadi_galerkin.functional.mapping import at_places
 
 STRENGTH = 1.6
@@ -187,7 +186,7 @@ def test_a_control_that_leaves_its_bound_like_a_cube_root_is_known():
 
     path = cg.solve(rated(lambda t, u: (u + 0.0001) ** 4 / 4 - u * ca.sin(3 * t + 1), (0.0, 0.8)), tol=1e-6)
     assert missed_by(path, rate, 1_000_000) <= path.error_estimate <= 1e-6
-    best, _ = minimizers(path, integrand(path))
+    best, _ = minimizers(path)
     np.testing.assert_allclose(best[0], rate(path.polynomial.sampled(PARTS)[0]), atol=1e-6)
 
 
@@ -205,9 +204,9 @@ def test_between_the_points_controls_that_act_together_minimize_the_cost(strengt
     bounds = {"control_bounds": (-strength, [50.0, strength])}
     problem = double_integrator(force=lambda t, x, v, u: 3 * u[0] + u[1], running_cost=coupled, controls=2, **bounds)
     path = cg.solve(problem, cg.Galerkin(6), 4)
-    best, convex = minimizers(path, integrand(path))
-    times, x, v, u, *others = along(path, PARTS)
-    slope, size = at_places(integrand(path), times, x, v, best, *others)[2], np.max(np.abs(best))
+    best, convex = minimizers(path)
+    times, x, v, u, *others = path._along(PARTS)
+    slope, size = at_places(path._integrand, times, x, v, best, *others)[2], np.max(np.abs(best))
     low, high = (np.array(side)[:, None] for side in problem.control_bounds)
     assert np.all((low <= best) & (best <= high) & convex)
     assert np.all(slope[best - low > 1e-9] < 1e-9 * size)

@@ -207,3 +207,52 @@ def test_a_path_that_jumps_touches_between_the_jumps(quadrature, ceiling, tol):
     exact = np.where(times < 0.5, before(times), after(times))
     assert np.max(np.abs(path(times)[0] - exact)) <= path.error_estimate * CEILING <= tol * CEILING
     assert len(path.t) <= 32
+
+
+def limited_speed(most, last):
+    """The speed of a mass that moves by 1, to a speed of `last`: quartics before and behind the touch of `most`."""
+
+    def coefficients(touch):
+        after = 1 - touch
+        powers = np.arange(2, 5)
+        early, late = touch**powers, after**powers
+        none = np.zeros(3)
+        equations = [
+            [*early, *none],  # it is `most` at the touch
+            [*(powers * early / touch), *none],  # and does not change there
+            [2, 6 * touch, 12 * touch**2, -2, 0, 0],  # its second derivative, the control, is continuous
+            [0, 0, 1, 0, 0, -1],  # the costate of the position is constant
+            [*none, *late],
+            [*(early * touch / (powers + 1)), *(late * after / (powers + 1))],
+        ]
+        return np.linalg.solve(equations, [most, 0, 0, 0, last - most, 1 - most * after])
+
+    def slope_at_end(touch):
+        return float(coefficients(touch)[3:] @ (np.arange(2, 5) * (1 - touch) ** np.arange(1, 4)))
+
+    touch = brentq(slope_at_end, 0.47, 0.53, xtol=1e-15)
+    early, late = np.split(coefficients(touch), 2)
+    return touch, np.poly1d([*early[::-1], 0, 0]), np.poly1d([*late[::-1], 0, most])
+
+
+@pytest.mark.parametrize("last", [1e-4, -3e-3])
+@pytest.mark.parametrize("tol", [1e-4, 1e-5])
+@pytest.mark.parametrize("method", [None, cg.Galerkin(4)], ids=str)
+def test_a_limit_of_a_velocity_whose_force_lags_is_touched(last, tol, method):
+    """Both degrees acted at the joint in the middle: errors were up to 60 times their estimates."""
+    touch, early, late = limited_speed(1.75, last)
+    lagging = double_integrator(
+        start=[0.0, 0.0],
+        end=[1.0, 0.0],
+        start_velocity=[0.0, None],
+        end_velocity=[last, None],
+        force=lambda t, x, v, u: x[1],
+        rates=lambda t, x, v, u: u,
+        path_constraint=(lambda t, x, v, u: v[0], -np.inf, 1.75),
+    )
+    path, times = cg.solve(lagging, method, tol=tol), np.linspace(0, 1, 2001)
+    before, after = np.minimum(times, touch), np.maximum(times - touch, 0.0)
+    places = early.integ()(before) + late.integ()(after)
+    forces = np.where(times < touch, early.deriv()(before), late.deriv()(after))
+    errors = np.abs(path(times) - [places, forces]) / np.max(np.abs([places, forces]), axis=1)[:, None]
+    assert np.max(errors) <= path.error_estimate <= tol

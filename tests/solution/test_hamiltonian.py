@@ -1,4 +1,4 @@
-"""Jumps in time that no breakpoint names are seen, and what is smooth in time is not taken for one."""
+"""Steps of callables that no breakpoint names are seen, and what is smooth is not taken for one."""
 
 import casadi as ca
 import numpy as np
@@ -6,7 +6,6 @@ import pytest
 from control_problems import double_integrator, varying_mass
 
 import casadi_galerkin as cg
-from casadi_galerkin.control.jumps_in_time import jumps_in_time
 
 WHEN = 0.749015  # no point of the first mesh lies between it and the joint at 0.75
 
@@ -36,7 +35,7 @@ def test_a_jump_that_is_not_named_is_met_to_the_tolerance(name, tol):
     path, named = (cg.solve(double_integrator(**JUMPING[name], breakpoints=b), tol=tol) for b in ((), (WHEN,)))
     assert abs(path.cost / named.cost - 1) <= path.cost_error <= tol
     assert len(named.t) <= 10
-    assert np.max(jumps_in_time(named)) < 1e-12 * named.cost
+    assert np.max(named._jumps.effects) < 1e-12 * named.cost
 
 
 def test_a_jump_that_no_mesh_meets_is_named():
@@ -71,4 +70,67 @@ SMOOTH = {
 def test_what_is_smooth_in_time_is_no_jump(name):
     """Controls that switch between the points are none either."""
     path = cg.solve(SMOOTH[name](), cg.Galerkin(5), intervals=8)
-    assert 0 < np.sum(jumps_in_time(path)) < 1e-11 * abs(path.cost)
+    assert 0 < np.sum(path._jumps.effects) < 1e-11 * abs(path.cost)
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_what_is_smooth_along_the_path_does_not_step(name):
+    smooth = SMOOTH[name]()
+    path = cg.solve(smooth, cg.Galerkin(5), intervals=8)
+    assert not smooth.may_step
+    assert np.max(path._jumps.unseen) < 1e-8 * abs(path.cost)
+
+
+def test_what_is_continuous_where_it_compares_does_not_step():
+    """Springs of a wall at 0.7, and a force that begins at 0.3, with kinks."""
+    path = cg.solve(
+        double_integrator(
+            force=lambda t, x, v, u: u - 20 * ca.if_else(x[0] < 0.7, 0, x[0] - 0.7) + ca.if_else(t < 0.3, 0, t - 0.3)
+        ),
+        tol=1e-5,
+    )
+    assert path.problem.may_step
+    assert np.max(path._unseen_steps) < 1e-5 * path.cost
+    assert "NOT RESOLVED" not in repr(path)
+
+
+STEPS = {  # on the path, in a velocity, and in time where the duration is free; costs that were wrong by 0.4 to 10 %
+    "cost": {"running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + ca.sin(t) + ca.if_else(x[0] < 0.5, 1, 5)},
+    "force": {
+        "running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + ca.sin(t),
+        "force": lambda t, x, v, u: u - ca.if_else(x[0] < 0.5, 0, 3),
+    },
+    "friction": {
+        "running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + ca.sin(t),
+        "start_velocity": [-1.0],
+        "force": lambda t, x, v, u: u - ca.sign(v),
+    },
+    "free duration": {
+        "running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + ca.if_else(t < 1, 1, 1.5),
+        "duration_bounds": (0.3, 5.0),
+    },
+    "free duration, named": {
+        "running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + ca.if_else(t < 1, 1, 1.5),
+        "duration_bounds": (0.3, 5.0),
+        "breakpoints": [1.0],
+    },
+    "free parameter": {
+        "lagrangian": lambda t, x, v, p: v[0] ** 2 / 2,
+        "running_cost": lambda t, x, v, u, p: u[0] ** 2 / 2 + (p[0] - 0.4) ** 2 / 10,
+        "force": lambda t, x, v, u, p: u + ca.if_else(t < p[0], 2, 0),
+        "parameters": [0.3],
+        "parameter_bounds": (0.05, 1.4),
+    },
+}
+
+
+@pytest.mark.parametrize("name", STEPS)
+@pytest.mark.parametrize("tol", [1e-3, 1e-6])
+def test_steps_that_no_derivative_sees_are_refused(name, tol):
+    with pytest.raises(cg.LimitReached, match="steps"):
+        cg.solve(double_integrator(t_span=(0.0, 1.5), **STEPS[name]), tol=tol, limits=cg.Limits(seconds=5))
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_on_a_fixed_mesh_such_steps_are_told(name):
+    assert "NOT RESOLVED" in repr(cg.solve(double_integrator(t_span=(0.0, 1.5), **STEPS[name]), cg.Galerkin(5), 20))
