@@ -5,7 +5,6 @@ They are kept for all Lagrangians with that sparsity.  Nothing in them is writte
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 
 import casadi as ca
@@ -212,21 +211,12 @@ class LinearSolver:
         return self._function("verification", inputs, outputs)
 
     @cached_property
-    def _softened(self) -> ca.Function:
-        """∇²S with regularized conditions and its whole diagonal, for LDLᵀ."""
+    def softened(self) -> ca.Function:
+        """∇²S with regularized conditions and its whole diagonal, for the inertia of LDLᵀ."""
         inputs = self.symbols("matrix")
         softened = self._regularized(inputs["matrix"])
         whole = softened.sparsity() + ca.Sparsity.diag(self.numbering.free)
         return self._function("softened", inputs, {"softened": ca.project(softened, whole)})
-
-    def negative_eigenvalues(self, matrix: ca.DM, keep: Callable[[str, Callable[[], ca.Linsol]], ca.Linsol]) -> int:
-        """Number of negative eigenvalues among the directions that keep the conditions, from the inertia of LDLᵀ.
-
-        The workspace of the factorization belongs to one solve, because a Linsol keeps what it factored last.
-        """
-        softened = self._softened(matrix)
-        factors = keep("inertia", lambda: factors_of(softened.sparsity()))
-        return negative_pivots(softened, factors) - self.numbering.multipliers
 
 
 def all_finite(*values: ca.MX) -> ca.MX:

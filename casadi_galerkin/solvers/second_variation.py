@@ -9,6 +9,7 @@ import numpy as np
 
 from casadi_galerkin.calculus.roundoff import EPS
 from casadi_galerkin.functional.numbering import Data
+from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 from casadi_galerkin.solvers.stationarity import Linearization, Stationarity, joined
 
 SINGULAR = 1e-12  # second variation over the sum of its terms below which the Hessian is called singular
@@ -80,4 +81,6 @@ def negative_eigenvalues(stationarity: Stationarity, unknowns: np.ndarray, data:
         at.relinearize(unknowns, data)
         if not np.isfinite(at.matrix).all():
             return None
-        return linear.negative_eigenvalues(ca.DM(linear.sparsity, at.matrix.tolist()), at.keep)
+        softened = linear.softened(ca.DM(linear.sparsity, at.matrix.tolist()))
+        factors = at.keep("inertia", lambda: factors_of(softened.sparsity()))  # a Linsol keeps what it factored last
+        return negative_pivots(softened, factors) - linear.numbering.multipliers  # each condition adds one
