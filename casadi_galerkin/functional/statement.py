@@ -41,10 +41,10 @@ from casadi_galerkin.problems.problem import END_MOTIONS
 
 def functional_of(problem: BoundaryProblem, method: Galerkin, intervals: int, mapping: PointMap) -> Functional:
     """Build the functional of a problem on a number of intervals."""
-    statement = _Statement(problem, method, intervals)
-    return Functional(
-        problem.lagrangian, statement.numbering, mapping, problem.force, statement.terms(), len(given_values(problem))
-    )
+    check_points(problem.constraint, method)
+    statement = _Statement(problem)
+    numbering, given = statement.numbering(method, intervals), len(given_values(problem))
+    return Functional(problem.lagrangian, numbering, mapping, problem.force, statement.terms(numbering), given)
 
 
 def given_values(problem: BoundaryProblem, plane: np.ndarray | None = None) -> np.ndarray:
@@ -55,15 +55,13 @@ def given_values(problem: BoundaryProblem, plane: np.ndarray | None = None) -> n
     return np.array(values + ([] if problem.energy is None else [problem.energy]))
 
 
-def rows_of_ends(
-    problem: BoundaryProblem, method: Galerkin, plane: np.ndarray | None
-) -> tuple[ca.Function, list[list[int]]]:
+def rows_of_ends(problem: BoundaryProblem, plane: np.ndarray | None) -> tuple[ca.Function, list[list[int]]]:
     """(x_0, x_N, η) -> derivatives (2d + k,) of the terms of the ends by (x_0, x_N, η), with all given values inserted.
 
     η (k,) are the multipliers and the unknown velocities.  Also returns the components at the start and at the end
     whose given positions are imposed by equations (see the module).
     """
-    statement, d, given = _Statement(problem, method, 1), problem.dimension, given_values(problem, plane)
+    statement, d, given = _Statement(problem), problem.dimension, given_values(problem, plane)
     x, imposed = [ca.SX.sym("x0", d), ca.SX.sym("x1", d)], statement.imposed
     if statement.at_ends is None:
         return ca.Function("rows", [*x, ca.SX(0, 1)], [ca.SX.zeros(2 * d)]), imposed
@@ -75,36 +73,27 @@ def rows_of_ends(
 
 
 class _Statement:
-    """The terms of a problem, and the numbering of the unknowns with their multipliers.
+    """The terms of a problem, on any mesh.
 
     Attributes
     ----------
+    fixed : components of the start and of the end whose positions are given
     velocities : EndVelocities at the start and at the end
     imposed : components at the start and at the end whose given positions are unknowns, fixed by equations of a term
-    constrained : numbers of the nodes at which the constraint is imposed
     constraints : number of constraints
     at_ends : Function of the term of the ends, and whether its jacobian is symmetric; None where there is no such term
-    numbering : Numbering
     """
 
-    def __init__(self, problem: BoundaryProblem, method: Galerkin, intervals: int) -> None:
-        self.problem, self.method, self.intervals = problem, method, intervals
-        check_points(problem.constraint, method)
-        start, end = (
+    def __init__(self, problem: BoundaryProblem) -> None:
+        self.problem = problem
+        self.fixed = [
             tuple(i for i, value in enumerate(side) if value is not None) for side in (problem.start, problem.end)
-        )
-        d, last = problem.dimension, intervals * method.degree
+        ]
         self.velocities = end_velocities(problem)
-        fixed = zip(self.velocities, (start, end), strict=True)
-        self.imposed = [[i for i in velocities.unknown if i in given] for velocities, given in fixed]
-        self.constrained = np.arange(len(start) == d, last + (not problem.periodic and len(end) < d))
+        ends = zip(self.velocities, self.fixed, strict=True)
+        self.imposed = [[i for i in velocities.unknown if i in fixed] for velocities, fixed in ends]
         self.constraints = 0 if problem.constraint is None else problem.constraint.size1_out(0)
         self.at_ends = self._ends()
-        multipliers = self.constraints * len(self.constrained)
-        multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d - sum(map(len, self.imposed))
-        stretched = problem.energy is not None
-        ends = start, end, tuple(self.imposed[0]), tuple(self.imposed[1])
-        self.numbering = Numbering(method, intervals, d, *ends, problem.periodic, multipliers, stretched)
 
     @cached_property
     def parameters(self) -> ca.SX:
@@ -116,23 +105,36 @@ class _Statement:
         """Symbols of `given_values`."""
         return ca.SX.sym("given", len(given_values(self.problem)))
 
-    def terms(self) -> tuple[LocalTerm, ...]:
+    def numbering(self, method: Galerkin, intervals: int) -> Numbering:
+        """The numbering of the unknowns on a number of intervals, with the multipliers of all terms."""
+        d, stretched = self.problem.dimension, self.problem.energy is not None
+        multipliers = self.constraints * len(self._constrained(intervals * method.degree))
+        multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d - sum(map(len, self.imposed))
+        ends = self.fixed[0], self.fixed[1], tuple(self.imposed[0]), tuple(self.imposed[1])
+        return Numbering(method, intervals, d, *ends, self.problem.periodic, multipliers, stretched)
+
+    def _constrained(self, last: int) -> np.ndarray:
+        """Numbers of the nodes, up to the last one, at which the constraint is imposed: all but given ends."""
+        d, (start, end) = self.problem.dimension, self.fixed
+        return np.arange(len(start) == d, last + (not self.problem.periodic and len(end) < d))
+
+    def terms(self, numbering: Numbering) -> tuple[LocalTerm, ...]:
         """All terms; their multipliers are numbered in the same order."""
-        numbering, terms = self.numbering, []
+        terms, last = list[LocalTerm](), numbering.intervals * numbering.method.degree
         multipliers = np.arange(numbering.positions, numbering.positions + numbering.multipliers)
-        count = len(self.constrained)
+        constrained = self._constrained(last)
+        count = len(constrained)
         if self.constraints and count:  # one interval of degree 1 between given ends has no free node
             of_constraints = multipliers[: self.constraints * count].reshape(count, self.constraints)
             multipliers = multipliers[self.constraints * count :]
-            entries = np.concatenate((numbering.of_nodes[self.constrained], of_constraints), axis=1).T
-            terms.append(LocalTerm(self._constraint(), entries, self._node_times(), True))
+            entries = np.concatenate((numbering.of_nodes[constrained], of_constraints), axis=1).T
+            terms.append(LocalTerm(self._constraint(), entries, _node_times(numbering, constrained), True))
         if self.at_ends is not None:
             function, symmetric = self.at_ends
             ends = zip(numbering.of_ends, self.imposed, strict=True)
             given = [numbering.free + numbers[imposed] for numbers, imposed in ends]
             entries = np.concatenate((*numbering.of_nodes[[0, -1]], multipliers, *given))[:, None]
-            times = ca.DM(ca.Sparsity.triplet(2, self.intervals + 1, [0, 1], [0, self.intervals]), 1.0)
-            terms.append(LocalTerm(function, entries, times, symmetric))
+            terms.append(LocalTerm(function, entries, _node_times(numbering, np.array([0, last])), symmetric))
         return tuple(terms)
 
     def _function(self, name: str, y: ca.SX, t: ca.SX, added: ca.SX, rows: ca.SX) -> ca.Function:
@@ -152,14 +154,6 @@ class _Statement:
         residual = self._called(self.problem.constraint, t, x)
         rows = ca.vertcat(ca.jtimes(residual, x, impulse, True), residual)
         return self._function("constraint", ca.vertcat(x, impulse), t, ca.SX(0), rows)
-
-    def _node_times(self) -> ca.DM:
-        """Matrix from the joints to the times of the constrained nodes."""
-        m, count = self.method.degree, len(self.constrained)
-        interval = np.minimum(self.constrained // m, self.intervals - 1)
-        part = self.method.element.nodes[self.constrained - m * interval]
-        index = [*range(count)] * 2, np.append(interval, interval + 1).tolist()
-        return ca.DM.triplet(*index, ca.DM(np.append(1 - part, part)), count, self.intervals + 1)
 
     def _ends(self) -> tuple[ca.Function, bool] | None:
         """The Function of the ends, and whether its jacobian is symmetric; None where no term states anything of them.
@@ -215,3 +209,12 @@ class _Statement:
             name: ca.vertcat(*(zero if value is None else next(given) for value in getattr(self.problem, name)))
             for name in END_MOTIONS
         }
+
+
+def _node_times(numbering: Numbering, nodes: np.ndarray) -> ca.DM:
+    """Matrix from the joints to the times of some nodes."""
+    m, count = numbering.method.degree, len(nodes)
+    interval = np.minimum(nodes // m, numbering.intervals - 1)
+    part = numbering.method.element.nodes[nodes - m * interval]
+    index = [*range(count)] * 2, np.append(interval, interval + 1).tolist()
+    return ca.sparsify(ca.DM.triplet(*index, ca.DM(np.append(1 - part, part)), count, numbering.intervals + 1))

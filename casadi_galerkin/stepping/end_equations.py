@@ -24,13 +24,12 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.statement import rows_of_ends
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 
 
-def end_equations(problem: BoundaryProblem, method: Galerkin, plane: np.ndarray | None) -> ca.Function:
+def end_equations(problem: BoundaryProblem, plane: np.ndarray | None) -> ca.Function:
     """(ends) -> as many equations between the ends as the start has entries, and their dense Jacobian.
 
     The ends are (x_0, p_0, η, x_N, p_N), (4d + k,), of which the start is (x_0, p_0, η); `plane` fixes the phase where
@@ -38,7 +37,7 @@ def end_equations(problem: BoundaryProblem, method: Galerkin, plane: np.ndarray 
     """
     d, times = problem.dimension, problem.t_span
     constraint = with_parameters(problem.constraint, problem.parameters)
-    rows, imposed = rows_of_ends(problem, method, plane)
+    rows, imposed = rows_of_ends(problem, plane)
     x, p = ([ca.SX.sym(f"{name}{k}", d) for k in (0, 1)] for name in "xp")
     own = [ca.SX.sym("own", rows.size1_in(2))]
     given = [

@@ -96,7 +96,7 @@ class Shooting:
             calculus = DiscreteCalculus(method, mesh)
             self.plane = phase_plane(calculus.emb(guess_values(guess, calculus, problem.dimension)))
         self.stepper = Stepper(problem, method, problem.energy is not None)
-        equations = end_equations(problem, method, self.plane)
+        equations = end_equations(problem, self.plane)
         self.unknowns, self._equations = equations.size1_out(0), Evaluator(equations)
 
     def velocity(self, roll: Roll) -> np.ndarray:
