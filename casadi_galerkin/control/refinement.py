@@ -39,7 +39,7 @@ import math
 import time
 from contextlib import suppress
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -128,12 +128,6 @@ def perturbed(path: ControlTrajectory, by: float) -> ControlTrajectory:
     )
 
 
-@lru_cache(8)  # a check of an option builds a solver
-def from_earlier_path(solver: Solver, **others: float) -> Solver:
-    """The solver for an earlier path as guess, with other options where it has none of its own."""
-    return solver.with_options(**{"mu_init": WARM_START_BARRIER, **others, **solver.options})
-
-
 class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     """One refinement of a trajectory optimization to a tolerance: of all errors, or `of_cost` alone; see `solve`."""
 
@@ -192,11 +186,12 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
 
     @property
     def warm_solver(self) -> Solver:
-        """The solver from an earlier path."""
-        if self.known is None or not self.known.switches:
-            return from_earlier_path(self.solver, **(SHARP if self.left_open else {}))
-        ratio = BARRIER_RATIO / self.tol**2 if not self.left_open else np.inf
-        return from_earlier_path(self.solver, barrier_tol_factor=float(np.clip(ratio, 10, LARGEST_BARRIER_RATIO)))
+        """The solver from an earlier path, with other options where it has none of its own."""
+        others = SHARP if self.left_open else {}
+        if self.known is not None and self.known.switches:
+            ratio = BARRIER_RATIO / self.tol**2 if not self.left_open else np.inf
+            others = {"barrier_tol_factor": float(np.clip(ratio, 10, LARGEST_BARRIER_RATIO))}
+        return replace(self.solver, options={"mu_init": WARM_START_BARRIER, **others, **self.solver.options})
 
     def solve_finer(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """The path on a mesh or, where none is found, on one twice as fine."""

@@ -66,7 +66,7 @@ def _fallback(solver: Solver, failure: ConvergenceError) -> Solver | None:
     feasible = failure.residual * EPS <= FEASIBLE
     others = LOOSELY_ACCEPTABLE if feasible else HIGH_BARRIER
     tried = others.keys() & solver.options.keys() or not (feasible or INFEASIBLE in str(failure))
-    return None if tried else solver.with_options(**others)
+    return None if tried else replace(solver, options={**solver.options, **others})
 
 
 def retry_from_other_guesses(
