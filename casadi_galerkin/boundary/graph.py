@@ -203,9 +203,9 @@ class BoundaryGraph:
         """Unknown velocities at the ends, from the momenta of the path there."""
         path, parameters, given = self.emb(unknowns, data), self.functional.parameters_of(data), data[-1]
         momenta, found = np.array(self.functional.function("summary")(unknowns, *data)[1]), []
-        for end in self._end_velocities:
-            t, v = path.mesh[end.joint], path(path.mesh[end.joint], 1)
+        for joint, end in zip((0, -1), self._end_velocities, strict=True):
+            t, v = path.mesh[joint], path(path.mesh[joint], 1)
             v[end.given], given = np.split(given, [len(end.given)])
             if end.unknown:
-                found.append(end.of_momentum(t, path.values[:, end.joint], v, momenta[:, end.joint], parameters))
+                found.append(end.of_momentum(t, path.values[:, joint], v, momenta[:, joint], parameters))
         return np.concatenate(found)

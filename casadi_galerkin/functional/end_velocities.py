@@ -26,7 +26,6 @@ class EndVelocities:
     ----------
     lagrangian : Function (t, x, v[, p]) -> scalar
     given : (d,), whether the velocity of each component is given
-    joint : number of the joint at the end, 0 or -1
 
     Attributes
     ----------
@@ -34,8 +33,8 @@ class EndVelocities:
     unknown : components whose velocity is not given, but on which the momentum of a given or unknown one depends
     """
 
-    def __init__(self, lagrangian: ca.Function, given: tuple[bool, ...], joint: int) -> None:
-        self._lagrangian, self.joint = lagrangian, joint
+    def __init__(self, lagrangian: ca.Function, given: tuple[bool, ...]) -> None:
+        self._lagrangian = lagrangian
         is_given = reached = np.array(given)
         if any(given):
             symbols = lagrangian.sx_in()
@@ -77,4 +76,4 @@ _kept = lru_cache(2 * CACHE_SIZE)(EndVelocities)
 def end_velocities(problem: BoundaryProblem) -> list[EndVelocities]:
     """The velocities at the start and at the end of a problem, cached."""
     stated = [tuple(value is not None for value in getattr(problem, f"{end}_velocity")) for end in ENDS]
-    return [_kept(problem.lagrangian, given, -k) for k, given in enumerate(stated)]
+    return [_kept(problem.lagrangian, given) for given in stated]
