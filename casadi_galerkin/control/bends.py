@@ -17,6 +17,7 @@ from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.piecewise_polynomial import around
 from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.functional.mapping import at_places
+from casadi_galerkin.problems.bounds import AT_BOUND
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 PARTS = np.union1d(around(np.array([0.0, 1.0])), np.linspace(0.0, 1.0, 33))  # where an interval is sampled
@@ -24,7 +25,6 @@ WIDTHS = np.convolve(np.diff(PARTS), [0.5, 0.5])  # weights of the trapezoidal r
 STEPS, CONVERGED = 40, 1e-9  # most steps to a minimizer, and the relative step that ends them
 ROUNDED = 1e-14  # relative change of I that may be rounding
 FLAT = 1e-8  # curvature of I over those of the single controls, up to which it is not convex
-AT_BOUND = 1e-6  # distance from a bound, over the size of the control, up to which a minimizer is there
 # change of a control over the distance of its bounds, or over the largest control, from which it is not an error of the
 # solver only: one that is off throughout is not
 LEAST_MOTION = 1e-7

@@ -21,11 +21,11 @@ from casadi_galerkin.control.graph import LEAST_COST, ControlGraph
 from casadi_galerkin.control.optimizer import NEGLIGIBLE_MOMENTUM, Optimum
 from casadi_galerkin.control.solver_error import distances, estimate_remaining_error
 from casadi_galerkin.functional.mapping import one_by_one
+from casadi_galerkin.problems.bounds import AT_BOUND
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.solution.control_trajectory import RemainingError
 from casadi_galerkin.solvers.linear_solver import factors_of, negative_pivots
 
-ACTIVE_TOLERANCE = 1e-6  # distance from a bound, over the size of the unknown, up to which the bound is active
 FLAT = 1e-6  # relative change of the cost that counts as none, as along a singular arc
 PENALTIES = 1e-7, 1e-9  # values of δ; where their counts differ, the counts depend on δ or on rounding
 
@@ -134,7 +134,7 @@ def _slopes(chain: Chain, mesh: np.ndarray) -> ca.DM:
 def _active(values: np.ndarray, bounds: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """Which values meet a bound."""
     inside = np.minimum(values - bounds[0], bounds[1] - values)
-    return inside <= ACTIVE_TOLERANCE * sizes
+    return inside <= AT_BOUND * sizes
 
 
 def _stiffness(values: np.ndarray, multipliers: np.ndarray, bounds: np.ndarray) -> ca.DM:

@@ -16,7 +16,7 @@ from casadi_galerkin.control.bends import Bend
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
-AT_BOUND = 0.05  # distance from a bound, over that of the bounds, below which a control is at the bound
+NEAR_BOUND = 0.05  # distance from a bound, over that of the bounds, below which a control is at the bound
 RESOLVED = 0.1  # distance of joints from two bends, over that of the bends, up to which these are joints
 PARTS = 32  # parts of a bracket on each of which the switching function is interpolated linearly
 
@@ -37,9 +37,9 @@ class Switch:
     due: float
 
 
-def sides(u: np.ndarray, low: float, high: float) -> np.ndarray:
+def held_sides(u: np.ndarray, low: float, high: float) -> np.ndarray:
     """1 or -1 where values of a control are at the upper or lower bound at two successive points or more, else 0."""
-    slack = AT_BOUND * (high - low)
+    slack = NEAR_BOUND * (high - low)
     side = np.where(u >= high - slack, 1, np.where(u <= low + slack, -1, 0))
     near = np.concatenate(([0], side, [0]))
     return np.where((side == near[2:]) | (side == near[:-2]), side, 0)
@@ -51,7 +51,7 @@ def switches(path: ControlTrajectory, bends: Sequence[Bend] = ()) -> list[Switch
     for i, (u, low, high) in enumerate(zip(path.control.values, *path.problem.control_bounds, strict=True)):
         if not 0 < high - low < np.inf:
             continue
-        side, passages = sides(u, low, high), passages_of(bends, i)
+        side, passages = held_sides(u, low, high), passages_of(bends, i)
         bound = np.flatnonzero(side)
         for a, b in pairwise(bound.tolist()):
             first, last = a // r, b // r

@@ -18,11 +18,11 @@ import numpy as np
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts
 from casadi_galerkin.control.chain import Chain
+from casadi_galerkin.problems.bounds import AT_BOUND
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.dependence import CONTROLS, VELOCITIES, rows_that_depend
 from casadi_galerkin.solution.control_trajectory import FINER, ControlTrajectory
 
-AT_BOUND = 1e-6  # distance from a bound, over the size of a value, up to which it is at the bound
 LEAST_SHARE = 1e-6  # impulse at a node over the largest one up to which no bound acts there
 LEAST_PART = 1e-3  # the same among neighbors, which the solver keeps a little off the bound
 LEAST_EFFECT = 1e-9  # cost, over its size, of moving the bound by the size of the value, up to which none acts

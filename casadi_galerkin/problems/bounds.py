@@ -18,6 +18,7 @@ Bounds: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
 Limited: TypeAlias = tuple[ca.Function, tuple[float, ...], tuple[float, ...]]  # g, lo, hi
 
 FEASIBLE = 1e-8  # accepted violation relative to the terms compared; IPOPT's optima were measured below 1e-10
+AT_BOUND = 1e-6  # distance from a bound, over the size of a value, up to which the value is at the bound
 ROUNDED = 4 * EPS  # relative excess of a given value over its bound that counts as rounding
 
 
