@@ -34,7 +34,6 @@ from casadi_galerkin.functional.embedding import (
     assembly,
     embedded,
     embedding,
-    hessian_pattern,
     integration,
     summation,
     variation,
@@ -118,17 +117,10 @@ class Functional:
         """The parameters among the data, if there are some."""
         return data[3 : 3 + len(self._parameters)]
 
-    @cached_property
+    @property
     def sparsity(self) -> ca.Sparsity:
         """Sparsity of ∇²S."""
-        sparsity = hessian_pattern(*self.pattern_key).sparsity
-        for term in self.terms:
-            sparsity = sparsity + term.sparsity(self.numbering)
-        if self.numbering.stretched:
-            last = ca.Sparsity.dense(self.numbering.free, 1)
-            before = ca.Sparsity(self.numbering.free, self.numbering.free - 1)
-            sparsity = sparsity + ca.horzcat(before, last) + ca.horzcat(before, last).T
-        return sparsity
+        return self.function("derivatives").sparsity_out("matrix")
 
     @cached_property
     def u(self) -> ca.MX:

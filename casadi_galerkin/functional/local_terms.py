@@ -65,20 +65,12 @@ class LocalTerm:
         """Rows (n, K) summed for every unknown."""
         return gathered(numbering, self.entries.ravel(order="F"), rows)
 
-    def _pattern(self, numbering: Numbering) -> tuple[ca.Sparsity, np.ndarray]:
-        """Sparsity of the term's part of ∇²S, and the positions of its nonzeros among those of all places."""
+    def matrix(self, numbering: Numbering, jacobian: ca.MX) -> ca.MX:
+        """The term's part of ∇²S, from the nonzeros of its jacobian at all places."""
         row, column = (np.array(index, dtype=int) for index in self.function.sparsity_out(2).get_triplet())
         rows, columns = self.entries[row].ravel(order="F"), self.entries[column].ravel(order="F")
         kept = np.flatnonzero((rows < numbering.free) & (columns < numbering.free))
         shape = numbering.free, numbering.free
         sparsity, order = ca.Sparsity.triplet(*shape, rows[kept].tolist(), columns[kept].tolist(), False)
-        return sparsity, kept[np.array(order, dtype=int)]
-
-    def sparsity(self, numbering: Numbering) -> ca.Sparsity:
-        """Sparsity of the term's part of ∇²S."""
-        return self._pattern(numbering)[0]
-
-    def matrix(self, numbering: Numbering, jacobian: ca.MX) -> ca.MX:
-        """The term's part of ∇²S, from the nonzeros of its jacobian at all places."""
-        sparsity, order = self._pattern(numbering)
-        return ca.MX(sparsity, ca.vec(ca.vec(jacobian).get_nz(False, order.tolist())))  # an empty one is a row
+        nonzeros = kept[np.array(order, dtype=int)].tolist()
+        return ca.MX(sparsity, ca.vec(ca.vec(jacobian).get_nz(False, nonzeros)))  # an empty one is a row
