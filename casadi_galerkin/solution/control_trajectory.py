@@ -10,11 +10,11 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
-from casadi_galerkin.calculus.nodes import lagrange_values
 from casadi_galerkin.calculus.numbers import counted, spanned
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, extrema, sampling_parts, times_at
 from casadi_galerkin.calculus.quadrature import Quadrature, gauss
 from casadi_galerkin.calculus.roundoff import TINY, component_sizes, or_one
+from casadi_galerkin.functional.interval import SlopeBasis
 from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.bounds import FEASIBLE, bound_excess
 from casadi_galerkin.problems.callables import with_parameters
@@ -220,12 +220,9 @@ class ControlTrajectory(Trajectory):
         with p̂ the joint's momentum plus the impulse ∫ (∂L/∂x + F) dt since then.  Where a component follows a rate, its
         value and its rate take the places of momentum and force.  Of order m.
         """
-        inner = gauss(len(self.method.quadrature) + 2)
-        s, steps = np.array(inner.points), np.diff(self.t)
-        momentum, rate = self._motion(s)
-        # ∫_0^{s_j} of the polynomial through the Gauss points, exact by the same rule scaled to [0, s_j]
-        primitive = np.stack([a * (np.array(inner.weights) @ lagrange_values(s, a * s)) for a in s])
-        impulse = np.einsum("din,jn,i->dij", rate, primitive, steps)
+        inner = SlopeBasis(len(self.method.quadrature) + 2)
+        momentum, rate = self._motion(inner.points)
+        impulse = np.einsum("din,jn,i->dij", rate, inner.values(inner.points), np.diff(self.t))
         at_joints = self._momenta
         defect = np.abs(momentum - at_joints[:, :-1, None] - impulse).max(axis=2)
         size = np.abs(at_joints).max(axis=1) + np.abs(impulse).max(axis=(1, 2))
