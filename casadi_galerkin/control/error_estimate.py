@@ -144,21 +144,26 @@ class HigherDegree:
         return bends(self.higher)
 
     @cached_property
-    def touches(self) -> list[list[Touch]]:
-        """Touches of bounds by the path of higher degree, and by the other."""
-        return [touches(p) for p in (self.higher, self.path)]
+    def touches(self) -> list[Touch]:
+        """Touches of bounds by the path."""
+        return touches(self.path)
+
+    @cached_property
+    def touches_of_higher(self) -> list[Touch]:
+        """Touches of bounds by the path of higher degree."""
+        return touches(self.higher)
 
     @cached_property
     def touch_errors(self) -> list[float]:
         """Errors of the path because bounds that it touches act at wrong times."""
-        return [touch_error(touch, self.touches[0]) for touch in self.touches[1]]
+        return [touch_error(touch, self.touches_of_higher) for touch in self.touches]
 
     @cached_property
     def touch_times(self) -> tuple[list[float], list[float]]:
         """Times at which the path of higher degree should touch the bounds of positions, and path constraints."""
-        (own, others), t, times = self.touches, self.higher.t, (list[float](), list[float]())
-        for touch in own:
-            part = touch_time(touch, [*others, *self.touched_before])
+        t, times = self.higher.t, (list[float](), list[float]())
+        for touch in self.touches_of_higher:
+            part = touch_time(touch, [*self.touches, *self.touched_before])
             times[touch.number >= len(self.path.x)].append(float(t[0] + np.ptp(t) * part))
         return times
 
@@ -197,7 +202,7 @@ class HigherDegree:
     def bound_errors(self) -> np.ndarray:
         """Errors of the path on each interval because bounds hold at nodes or points only, (N,); see the module."""
         of_controls = unseen_control_excess(self.path, self.higher)
-        of_positions = position_errors(self.path, self.touches[1])
+        of_positions = position_errors(self.path, self.touches)
         errors = [of_positions, of_controls, self.shared_defect, *self.constraint_excess[0]]
         return np.max(errors, axis=0)
 
@@ -266,7 +271,7 @@ class HigherDegree:
         late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.switches]
         late += self.touch_errors
         if self.path.problem.duration_bounds is not None:  # a free duration is longer or shorter by about as much
-            late += [TOUCHED_LATE * abs(touch.extreme - touch.acts) for touch in self.touches[1]]
+            late += [TOUCHED_LATE * abs(touch.extreme - touch.acts) for touch in self.touches]
         return float(max(*late, np.max(self.bound_errors), self.unseen_step))
 
     @cached_property

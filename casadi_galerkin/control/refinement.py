@@ -212,7 +212,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         except ConvergenceError:
             self.check_time()
             return Estimate(np.inf, False, f"no answer of degree {method.degree}", None)
-        before = [] if self.known is None else [touch for one in self.known.touches for touch in one]
+        before = [] if self.known is None else [*self.known.touches_of_higher, *self.known.touches]
         detail = HigherDegree(level, higher, before)
         cost, path = detail.errors if detail.cost_error <= self.tol else (detail.cost_error, detail.error)
         self.known, self.cost_known = detail, min(self.cost_known, cost)
