@@ -14,7 +14,7 @@ from casadi_galerkin.boundary.refinement import BoundaryRefinement, first_discre
 from casadi_galerkin.boundary.sensitivity import boundary_function
 from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.numbers import check_verbose
+from casadi_galerkin.calculus.numbers import check_verbose, whole
 from casadi_galerkin.control.control_function import control_function
 from casadi_galerkin.control.refinement import ControlRefinement, first_control_discretization
 from casadi_galerkin.control.several_starts import best_of
@@ -133,7 +133,7 @@ def solve(
     """
     check_kind(problem, BoundaryProblem, InitialProblem, ControlProblem)
     check_verbose(verbose)
-    if not isinstance(problem, ControlProblem) and starts != 1:
+    if not isinstance(problem, ControlProblem) and whole(starts) != 1:
         several = "`paths` finds several paths of a BoundaryProblem"
         raise ValueError(f"starts is for a ControlProblem, got {starts!r}; {several}")
     tolerance = _tolerance(problem, tol, cost_tol)

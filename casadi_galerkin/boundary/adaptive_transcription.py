@@ -25,6 +25,7 @@ from casadi_galerkin.boundary.transcription import check_given
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.functional.mapping import by_rows
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.problem import map_times, section_times
@@ -86,6 +87,7 @@ class AdaptiveTranscription:
         built_from = self.problem, self.tol, self.method, None, self._coarse, self.limits
         return type(self), built_from, {"first": self.first}
 
+    @interrupts_raised()
     def solve(
         self,
         start: Sequence[float | None] | None = None,

@@ -20,6 +20,7 @@ from casadi_galerkin.boundary.transcription import Transcription, transcribed
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import numbers
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
+from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.functional.mass import check_mass
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
@@ -51,6 +52,7 @@ LOST = 0.01  # truncation error above which folds were seen to be those of the m
 POINTS = 1000  # most points of a branch
 
 
+@interrupts_raised()
 def continuation(
     problem: BoundaryProblem,
     target: Sequence[float],

@@ -125,6 +125,8 @@ class BoundaryGraph:
             path = self.emb(failure.unknowns, data)
             error = explained(problem, self.stationarity, failure, path, data)
             raise error from error.__cause__
+        if not isinstance(solution, Solution):
+            raise TypeError(f"solver must return a Solution, {solver!r} has returned {solution!r}; take cg.newton")
         path = self.emb(solution.unknowns, solution.data)
         return CriticalPoint(solution, problem, path)
 

@@ -31,6 +31,7 @@ from casadi_galerkin.calculus.discrete_calculus import DiscreteCalculus
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import checked_index, counted, real_array, whole_number
 from casadi_galerkin.calculus.roundoff import component_sizes
+from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.orbit_phase import refuse_free_phase
 from casadi_galerkin.solution.errors import ConjugatePointError, ConvergenceError
@@ -135,6 +136,7 @@ class Paths(Pictured):
         return "\n".join(lines)
 
 
+@interrupts_raised()
 def paths(
     problem: BoundaryProblem,
     method: Galerkin,

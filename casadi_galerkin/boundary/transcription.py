@@ -19,6 +19,7 @@ from casadi_galerkin.calculus.mesh_adaptation import higher_degree_method
 from casadi_galerkin.calculus.numbers import check_verbose, counted
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
+from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.functional.mass import check_mass
 from casadi_galerkin.functional.numbering import Data
@@ -93,6 +94,7 @@ class Transcription(BoundaryGraph):
         """∇²S by the unknowns, sparse, of the same inputs."""
         return self.functional.function("hessian")
 
+    @interrupts_raised()
     def solve(
         self,
         start: Sequence[float | None] | None = None,

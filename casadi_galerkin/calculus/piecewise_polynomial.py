@@ -176,16 +176,16 @@ class PiecewisePolynomial:
 
         Beside the extreme samples a step of Newton's method leads to where the slope vanishes.
         """
-        sampled, steps, each = self.values_at_parts(parts), np.diff(self.mesh), np.arange(len(self.values))
+        sampled, local, slope = self.values_at_parts(parts), self.local, differentiation_matrix(self.nodes)
 
         def own(at: np.ndarray, nu: int = 0) -> np.ndarray:
-            """Of every component the value or derivative at its own fractions of the intervals, (d, N)."""
-            times = self.mesh[:-1] + steps * at
-            return self(times.ravel(), nu).reshape(len(each), *times.shape)[each, each]
+            """Of every component the value, or derivative, at its own fractions of the intervals, (d, N)."""
+            basis = lagrange_values(self.nodes, at.ravel()) @ np.linalg.matrix_power(slope, nu)
+            return np.sum(local * basis.reshape(local.shape), axis=2)
 
         def beside(k: np.ndarray) -> np.ndarray:
             slopes, bends = own(parts[k], 1), own(parts[k], 2)
-            away = np.divide(slopes, bends, out=np.zeros(k.shape), where=bends != 0) / steps
+            away = np.divide(slopes, bends, out=np.zeros(k.shape), where=bends != 0)
             return own(np.clip(parts[k] - away, parts[np.maximum(k - 1, 0)], parts[np.minimum(k + 1, len(parts) - 1)]))
 
         least, largest = (beside(number(sampled, axis=2)) for number in (np.argmin, np.argmax))

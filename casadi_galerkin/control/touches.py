@@ -146,10 +146,10 @@ def bounded_constraints(path: ControlTrajectory) -> list[Bounded]:
 def touches(path: ControlTrajectory) -> list[Touch]:
     """All touches of bounds of positions, and of path constraints."""
     of_bounds = bounded_positions(path) if np.isfinite(path.problem.position_bounds).any() else []
-    found = list[Touch | None]()
+    found, size = list[Touch | None](), min(path.cost_size, path._cost_of_forces)  # a constant cost moves nothing
     for bounded in of_bounds + bounded_constraints(path):
         impulses = bounded.impulses
-        least = max(LEAST_SHARE * np.max(impulses), LEAST_EFFECT * path.cost_size / bounded.size)
+        least = max(LEAST_SHARE * np.max(impulses), LEAST_EFFECT * size / bounded.size)
         acting = np.flatnonzero(impulses > least)
         groups = np.split(acting, 1 + np.flatnonzero(np.diff(acting) > 1))
         main = [group[impulses[group] > LEAST_PART * np.max(impulses[group])] for group in groups if len(group)]

@@ -30,7 +30,7 @@ from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optim
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages
 from casadi_galerkin.control.retries import retry_from_other_guesses, with_fallbacks
 from casadi_galerkin.control.second_variation import CostVariation
-from casadi_galerkin.functional.buffers import Evaluator, ObjectPool
+from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, interrupts_raised
 from casadi_galerkin.functional.mapping import PointMap, by_rows
 from casadi_galerkin.functional.mass import check_mass
 from casadi_galerkin.functional.threads import fork_waits
@@ -118,6 +118,7 @@ class ControlTranscription:
         """Pickled without its Functions, which are built again from the problem."""
         return type(self), (self.problem, self.method, self.mesh)
 
+    @interrupts_raised()
     def solve(
         self,
         start: Sequence[float | None] | None = None,

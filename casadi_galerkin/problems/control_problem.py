@@ -303,12 +303,14 @@ class ControlProblem:
         )
 
     @property
-    def steps_move(self) -> bool:
-        """Whether a callable may step at other times than those it names: by free durations, or free parameters."""
+    def moving_phases(self) -> np.ndarray:
+        """Whether times in each phase, or those at which a callable steps there, move with what is free; (phases,)."""
+        free = np.zeros(len(self.breakpoints) + 1, dtype=bool)
+        if self.duration_bounds is not None:
+            free = np.cumsum(np.less(*self.duration_bounds)) > 0
         if self.parameter_bounds is None:
-            return self.duration_bounds is not None
-        compared = any(entries_within(f, f.n_in() - 1, STEPPING) for f in (*self._along, self.lagrangian))
-        return self.duration_bounds is not None or compared
+            return free
+        return free | any(entries_within(f, f.n_in() - 1, STEPPING) for f in (*self._along, self.lagrangian))
 
     def found(
         self, t_span: tuple[float, float], parameters: tuple[float, ...] | None, breakpoints: tuple[float, ...]

@@ -81,7 +81,7 @@ class ControlPath:
         return self.mesh[1:-1] + (SAME_TIME * np.max(np.abs(self.mesh)) if before else 0.0)
 
     def expression(self, t: ca.SX) -> ca.SX:
-        """The same as a CasADi expression of a scalar t, (n,), in Lagrange form with values that switch at joints."""
+        """The same as a casadi.SX of a scalar t, (n,), in Lagrange form with values that switch at joints."""
         changes = self._changes.tolist()
 
         def switched(values: np.ndarray) -> ca.SX:

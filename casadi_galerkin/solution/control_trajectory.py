@@ -36,7 +36,7 @@ REMAINDER_FACTOR = 10.0  # size over the error that the solver leaves up to whic
 CONTINUOUS = 1e-8  # jump of a control over the largest control up to which it is an error of the solver
 SHOWN_STEP = 1e-6  # size of an unseen step, times duration over cost, from which the summary shows it
 STEP = (
-    "a callable steps as x or v pass some value, or at a given time while durations or parameters are free, and no "
+    "a callable steps, as x or v pass some value or at a given time while durations or parameters are free, and no "
     "derivative shows it: smooth the step, or state what is before and behind it as phases"
 )
 FINER = 4  # times as many samples as for the path, to see obstacles that are as narrow as a twentieth of an interval
@@ -501,7 +501,8 @@ class ControlTrajectory(Trajectory):
         if problem.autonomous and not problem.may_step:
             return Jumps(none, none)
         z = self._along(np.array(rule.points))[1:]
-        return jumps_along(self._integrand, self.polynomial, rule, z, problem.steps_move)
+        moving = problem.moving_phases[np.searchsorted(problem.breakpoints, self.t[:-1], side="right")]
+        return jumps_along(self._integrand, self.polynomial, rule, z, moving)
 
     @property
     def _unseen_steps(self) -> np.ndarray:

@@ -62,7 +62,7 @@ class Jumps:
 
 
 def jumps_along(
-    function: ca.Function, path: PiecewisePolynomial, rule: Quadrature, z: Sequence[np.ndarray], steps_move: bool
+    function: ca.Function, path: PiecewisePolynomial, rule: Quadrature, z: Sequence[np.ndarray], moving: np.ndarray
 ) -> Jumps:
     """The jumps of an `integrand` along a path.
 
@@ -72,34 +72,34 @@ def jumps_along(
     path : x
     rule : of quadrature, whose points have the shares
     z : values at the points, (rows, N r) each
-    steps_move : whether jumps in time move with what is optimized, so that the solver does not see them either
+    moving : (N,), where times, or jumps in time, move with what is optimized: the solver does not see these either
     """
-    detector, moving = JumpDetector(path.mesh, rule), _moving(function)
+    detector, followed = JumpDetector(path.mesh, rule), _followed(function)
     x, v, *fixed = (np.repeat(a, len(detector.parts) // len(rule), axis=1) for a in z)
     values, rates, *_ = at_places(function, detector.times, x, v, *fixed)
     state = [path(detector.times, nu) for nu in range(3)]
-    along = at_places(moving, detector.times, *state, *fixed)
+    along = at_places(followed, detector.times, *state, *fixed)
     in_time, everywhere = (np.abs(detector.jumps(f[0], df[0])) for f, df in ((values, rates), along))
-    unseen = np.max(_unseen(in_time, everywhere, steps_move), axis=1)
+    unseen = np.max(_unseen(in_time, everywhere, moving[:, None]), axis=1)
     joints, steps = path.mesh[1:-1], np.diff(path.mesh)
     near = MARGIN * np.minimum(steps[:-1], steps[1:])
     held = path(joints), path(joints, 1), 0 * path(joints), *(a[:, len(rule) :: len(rule)] for a in z[2:])
     sides = [(when, path(when)) for when in (joints - near, joints + near)]
-    early, late = (at_places(moving, when, *held)[0][0] for when, _ in sides)
-    before, after = (at_places(moving, when, place, *held[1:]) for when, place in sides)
+    early, late = (at_places(followed, when, *held)[0][0] for when, _ in sides)
+    before, after = (at_places(followed, when, place, *held[1:]) for when, place in sides)
     step = np.abs(after[0] - before[0] - near * (after[1] + before[1]))[0]
-    unseen[1:] = np.maximum(unseen[1:], _unseen(np.abs(late - early), step, steps_move))
+    unseen[1:] = np.maximum(unseen[1:], _unseen(np.abs(late - early), step, moving[:-1]))
     return Jumps(detector.jump_effects(values[0], rates[0]), unseen)
 
 
-def _unseen(in_time: np.ndarray, along: np.ndarray, steps_move: bool) -> np.ndarray:
+def _unseen(in_time: np.ndarray, along: np.ndarray, moving: np.ndarray) -> np.ndarray:
     """Jumps along a path that are not those in time, or all where these move."""
-    return along if steps_move else np.where(in_time > along / 2, 0.0, along)
+    return np.where(moving | (in_time <= along / 2), along, 0.0)
 
 
-def _moving(function: ca.Function) -> ca.Function:
+def _followed(function: ca.Function) -> ca.Function:
     """(t, x, v, dv/dt, others of z) -> I, and its derivative along the path with these others fixed."""
     t, x, v, *fixed = function.sx_in()
     acceleration, value = ca.SX.sym("acceleration", x.numel()), function(t, x, v, *fixed)[0]
     rate = ca.jtimes(value, ca.vertcat(t, x, v), ca.vertcat(1, v, acceleration))
-    return ca.Function("moving", [t, x, v, acceleration, *fixed], [value, ca.densify(rate)])
+    return ca.Function("followed", [t, x, v, acceleration, *fixed], [value, ca.densify(rate)])

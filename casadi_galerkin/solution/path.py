@@ -95,7 +95,7 @@ class Path(Table, Pictured):
         given = [whole(i) for i in np.ravel(np.asarray(components, dtype=object))]
         if len(given) != 2 or any(i is None or not 0 <= i < len(self.x) for i in given):
             raise ValueError(f"components must be two numbers from 0 to {len(self.x) - 1}, got {components!r}")
-        chosen = list(components)
+        chosen = np.array(given, dtype=int)
         names = [f"x[{i}]" for i in chosen] if labels is None else labels
         return plot_plane(self._line()[1][chosen], self.x[chosen], axes, names)
 

@@ -137,6 +137,8 @@ def check_option(name: str, value: object, plugin: str = "ipopt") -> None:
     x, quiet = ca.MX.sym("x"), {"print_level": 0} | ({"sb": "yes"} if plugin == "ipopt" else {})
     called = "IPOPT" if plugin == "ipopt" else plugin
     refusal = ValueError(f"{called} has no option {name} that takes {value!r}")
+    if value != value:  # NaN, which it would take
+        raise refusal
     try:
         asked = ca.nlpsol("asked", plugin, {"x": x, "f": x**2}, {"print_time": False, plugin: {**quiet, name: value}})
         if name == "print_level":

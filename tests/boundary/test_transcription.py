@@ -23,6 +23,7 @@ METHOD = cg.Galerkin(2)
         ({"mesh": [0, 0.6, 0.5, 0.7, 1]}, ValueError, "the joints of a mesh must increase"),
         ({"solver": "ipopt"}, TypeError, r"solver must be cg.newton, .* or cg.minimizer, got 'ipopt'"),
         ({"solver": None}, TypeError, "solver must be cg.newton, .* got None"),
+        ({"solver": lambda *_: 1}, TypeError, "solver must return a Solution, .* has returned 1; take cg.newton"),
         ({"finish": [1.0]}, TypeError, "solve takes start_velocity, .* or energy beside its own arguments, got finish"),
     ],
 )

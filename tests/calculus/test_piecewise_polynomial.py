@@ -105,3 +105,11 @@ def test_values_may_be_lists_and_must_fit_the_mesh():
     for values in ([[1.0, 2.0, 3.0]], [1.0, 2.0]):
         with pytest.raises(ValueError, match=r"values at the nodes must have the shape \(d, 2\), got \("):
             PiecewisePolynomial(np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.array(values))
+
+
+def test_extremes_before_a_jump_are_those_of_the_interval_before_it():
+    mesh, nodes = np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0])
+    jumping = PiecewisePolynomial(mesh, nodes, np.array([[0.0, 5.0, 6.0]]), np.array([[1.0, 6.0]]))
+    least, largest = jumping.extremes(np.linspace(0, 1, 5))
+    assert least.tolist() == [[0.0, 5.0]]
+    assert largest.tolist() == [[1.0, 6.0]]

@@ -134,3 +134,18 @@ def test_steps_that_no_derivative_sees_are_refused(name, tol):
 @pytest.mark.parametrize("name", STEPS)
 def test_on_a_fixed_mesh_such_steps_are_told(name):
     assert "NOT RESOLVED" in repr(cg.solve(double_integrator(t_span=(0.0, 1.5), **STEPS[name]), cg.Galerkin(5), 20))
+
+
+def test_a_step_at_a_given_time_with_a_free_duration_is_stated_by_two_phases():
+    """The first lasts until the step, and with it the least of 6/T³ + 1 + 1.5 (T - 1) is found."""
+    path = cg.solve(
+        double_integrator(
+            t_span=(0.0, 1.5),
+            running_cost=lambda t, x, v, u: u[0] ** 2 / 2 + ca.if_else(t < 1, 1, 1.5),
+            breakpoints=[1.0],
+            duration_bounds=([1.0, 0.1], [1.0, 5.0]),
+        ),
+        tol=1e-8,
+    )
+    assert path.t[-1] == pytest.approx(12**0.25, rel=1e-8)
+    assert path.cost == pytest.approx(6 / 12**0.75 + 1.5 * 12**0.25 - 0.5, rel=1e-8)
