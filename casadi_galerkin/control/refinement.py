@@ -37,6 +37,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -79,6 +80,7 @@ OPEN_SHARE = 0.1
 SHARP = {"barrier_tol_factor": LARGEST_BARRIER_RATIO, "compl_inf_tol": 1e-16, "acceptable_iter": 6}
 OPEN_LEVELS = 3  # levels in a row that are left open after which the refinement ends: a finer mesh may help
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
+ALIKE = 1.25  # ratio of the steps of three levels in a row up to which they are one
 KNOWN_ROUGHLY = 1e-2  # error from which alternating meshes are only refined; before, layers are looked for
 PATIENCE = 4  # every interval is halved after so many levels in a row without a smaller error, as meshes may alternate
 LEFT_OPEN = (
@@ -140,7 +142,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     cost_known = math.inf  # smallest error so far of the cost of the path that is being refined
     guess: Guess | None = None  # with which the refinement began
     left_open = False  # whether the solver has left an error that counts, and has to leave less
-    last_step = math.inf  # largest step that was not seen on the level before
+    steps: Sequence[float] = ()  # the largest that were not seen on the last three levels
     open_levels = 0  # levels in a row on which it has left the path open all the same
 
     def __init__(
@@ -236,10 +238,11 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         detail = estimate.detail
         if detail is not None:
             self.check_solver(detail)
+            self.steps = [*self.steps[-2:], detail.unseen_step]
             missed = detail.unseen_step ** (2 if self.of_cost else 1)
-            if missed > max(self.tol, detail.change) and detail.unseen_step > self.last_step / 2:  # a kink would fall
+            alike = len(self.steps) == 3 and max(self.steps) < ALIKE * min(self.steps)  # those of a kink would fall
+            if alike and missed > max(self.tol, detail.change):
                 raise self.stopped("no mesh takes away the error of a step", *self.best)
-            self.last_step = detail.unseen_step
         known = level if detail is None else detail.higher
         if detail is None or (self.fruitless > 0 and self.fruitless % PATIENCE == 0):
             mesh = halved(known.t)
@@ -333,7 +336,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def refined(self, level: ControlTrajectory) -> ControlTrajectory:
         """Refine a path and return it with its errors."""
         self.known, self.cost_known, self.left_open, self.open_levels = None, math.inf, False, 0
-        self.last_step = math.inf
+        self.steps = ()
         path, _ = self.refine(level)
         assert self.known is not None, "a path is accepted by its error estimate"
         path = with_parted_phases(path, self.stated)
