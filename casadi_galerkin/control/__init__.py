@@ -8,6 +8,6 @@ nonlinear program with its derivatives, and `program_bounds` its bounds; `optimi
 `failure_report` reports failures.  `transcription` combines all this and starts from a guess, which `initial_guess`
 reads; after a failure `retries` tries other guesses.  `control_function` is the same as one CasADi Function, and
 `several_starts` also starts from random guesses.  `refinement` meets a tolerance, by `error_estimate`, `better_mesh`,
-`phases`, what the `hamiltonian` tells of `switching`, `bends` and `jumps_in_time`, and `touches` of bounds.
+`phases`, where controls switch or bend (`switching`, `bends`), and `touches` of bounds.
 This folder imports all that stand before `boundary`, but neither `boundary` nor `stepping`.
 """

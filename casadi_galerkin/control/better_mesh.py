@@ -81,7 +81,6 @@ def wanted_parts(found: HigherDegree, bent: Sequence[float], tol: float, cost_to
     smooth = parts_wanted(error, degree + 1, tol)
     parts = np.where(kinked & (smooth > 1), parts_wanted(error, KINK_ORDER, tol), smooth)
     parts = np.maximum(parts, parts_wanted(np.maximum(found.bound_errors, found.control_misfit), 1, tol))
-    parts = np.maximum(parts, parts_wanted(found.unseen_steps, KINK_ORDER, tol))  # if it is a kink
     for errors, allowed in zip(found.bend_errors, (tol, cost_tol), strict=True):
         parts = np.maximum(parts, parts_wanted(errors, KINK_ORDER, allowed))
     parts = np.maximum(parts, parts_wanted(np.maximum(found.jump_effects, found.excess_effects), 1, cost_tol))

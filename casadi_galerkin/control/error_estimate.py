@@ -24,7 +24,8 @@ Some errors are common to both degrees, so that the difference does not show the
   first order: see `HigherDegree.excess_effects`.
 - The Hamiltonian, which is constant where nothing depends on time.  Its variation, times duration over cost, was
   measured to be of the order of D where both degrees switch at the same wrong time.
-- Jumps in time (`jumps_in_time`): the errors of cost and path are estimated to be at least their effect.
+- Jumps in time (`solution.hamiltonian`): the errors of cost and path are estimated to be at least their effect.
+- Steps as x or v move, or at given times while durations or parameters are free: no mesh takes their errors away.
 - Controls that leave or meet a bound inside an interval (`bends`), where the quadrature does not see this.
 - The error that the solver leaves (`solver_error`).
 - Controls as functions of time, which the equations see at the points only (`ControlTrajectory.control_misfit`).

@@ -29,7 +29,7 @@ Gauss rule.  The other has a singular arc, where controls differ from mesh to me
 cost is then small long before that of the path.  The error raised says so, and a tolerance of the cost alone is mostly
 met.
 
-Jumps in time that are not among the breakpoints are detected (`jumps_in_time`), and the mesh is refined beside them.
+Jumps in time that are not among the breakpoints are detected, and the mesh is refined beside them.
 At tight tolerances the error raised names the time to add.  Where a path constraint steps, the estimate is too small.
 """
 
@@ -37,7 +37,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -80,7 +79,6 @@ OPEN_SHARE = 0.1
 SHARP = {"barrier_tol_factor": LARGEST_BARRIER_RATIO, "compl_inf_tol": 1e-16, "acceptable_iter": 6}
 OPEN_LEVELS = 3  # levels in a row that are left open after which the refinement ends: a finer mesh may help
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
-ALIKE = 1.25  # ratio of the steps of three levels in a row up to which they are one
 KNOWN_ROUGHLY = 1e-2  # error from which alternating meshes are only refined; before, layers are looked for
 PATIENCE = 4  # every interval is halved after so many levels in a row without a smaller error, as meshes may alternate
 LEFT_OPEN = (
@@ -142,7 +140,6 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     cost_known = math.inf  # smallest error so far of the cost of the path that is being refined
     guess: Guess | None = None  # with which the refinement began
     left_open = False  # whether the solver has left an error that counts, and has to leave less
-    steps: Sequence[float] = ()  # the largest that were not seen on the last three levels
     open_levels = 0  # levels in a row on which it has left the path open all the same
 
     def __init__(
@@ -238,10 +235,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         detail = estimate.detail
         if detail is not None:
             self.check_solver(detail)
-            self.steps = [*self.steps[-2:], detail.unseen_step]
-            missed = detail.unseen_step ** (2 if self.of_cost else 1)
-            alike = len(self.steps) == 3 and max(self.steps) < ALIKE * min(self.steps)  # those of a kink would fall
-            if alike and missed > max(self.tol, detail.change):
+            if detail.unseen_step ** (2 if self.of_cost else 1) > max(self.tol, detail.change):
                 raise self.stopped("no mesh takes away the error of a step", *self.best)
         known = level if detail is None else detail.higher
         if detail is None or (self.fruitless > 0 and self.fruitless % PATIENCE == 0):
@@ -336,7 +330,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def refined(self, level: ControlTrajectory) -> ControlTrajectory:
         """Refine a path and return it with its errors."""
         self.known, self.cost_known, self.left_open, self.open_levels = None, math.inf, False, 0
-        self.steps = ()
+
         path, _ = self.refine(level)
         assert self.known is not None, "a path is accepted by its error estimate"
         path = with_parted_phases(path, self.stated)

@@ -12,8 +12,8 @@ the point, I fulfils
     I(b, z) - I(a, z) = ∫ ∂I/∂t dt
 
 where it is smooth in time, however fast controls change.  The difference of both sides is a jump in time, which may
-change the cost as much as ∫ I dt.  A finer mesh finds its time.  It does not find that of a jump as x and v move along
-the path, with the controls and multipliers fixed, because no derivative tells the solver of it.
+change the cost as much as ∫ I dt.  A finer mesh finds its time.  Steps of I as x and v move along the path, with the
+controls and multipliers fixed, are another matter: no derivative tells the solver of them.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.controlled_motion import equations_of_motion
 from casadi_galerkin.solution.jump_detection import MARGIN, JumpDetector
+
+HALVINGS = 26  # of a share of time, which leave 1e-8 of it
 
 
 def integrand(problem: ControlProblem, parameters: tuple[float, ...] | None) -> ca.Function:
@@ -74,27 +76,48 @@ def jumps_along(
     z : values at the points, (rows, N r) each
     moving : (N,), where times, or jumps in time, move with what is optimized: the solver does not see these either
     """
-    detector, followed = JumpDetector(path.mesh, rule), _followed(function)
-    x, v, *fixed = (np.repeat(a, len(detector.parts) // len(rule), axis=1) for a in z)
-    values, rates, *_ = at_places(function, detector.times, x, v, *fixed)
-    state = [path(detector.times, nu) for nu in range(3)]
-    along = at_places(followed, detector.times, *state, *fixed)
-    in_time, everywhere = (np.abs(detector.jumps(f[0], df[0])) for f, df in ((values, rates), along))
-    unseen = np.max(_unseen(in_time, everywhere, moving[:, None]), axis=1)
+    detector, r = JumpDetector(path.mesh, rule), len(rule)
+    times = detector.times.reshape(len(path.mesh) - 1, r, -1)
+    values, rates, *_ = at_places(function, detector.times, *(np.repeat(a, times.shape[2], axis=1) for a in z))
     joints, steps = path.mesh[1:-1], np.diff(path.mesh)
     near = MARGIN * np.minimum(steps[:-1], steps[1:])
-    held = path(joints), path(joints, 1), 0 * path(joints), *(a[:, len(rule) :: len(rule)] for a in z[2:])
-    sides = [(when, path(when)) for when in (joints - near, joints + near)]
-    early, late = (at_places(followed, when, *held)[0][0] for when, _ in sides)
-    before, after = (at_places(followed, when, place, *held[1:]) for when, place in sides)
-    step = np.abs(after[0] - before[0] - near * (after[1] + before[1]))[0]
-    unseen[1:] = np.maximum(unseen[1:], _unseen(np.abs(late - early), step, moving[:-1]))
+    early, late = np.append(times[:, :, 0], joints - near), np.append(times[:, :, -1], joints + near)
+    fixed = [np.hstack((a, a[:, r::r])) for a in z[2:]]
+    along, in_time = _steps(_followed(function), path, early, late, fixed)
+    moves = np.append(np.repeat(moving, r), moving[:-1])
+    inside, at_joints = np.split(np.where(moves | (in_time <= along / 2), along, 0.0), [len(steps) * r])
+    unseen = np.max(inside.reshape(-1, r), axis=1)
+    unseen[1:] = np.maximum(unseen[1:], at_joints)
     return Jumps(detector.jump_effects(values[0], rates[0]), unseen)
 
 
-def _unseen(in_time: np.ndarray, along: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Jumps along a path that are not those in time, or all where these move."""
-    return np.where(moving | (in_time <= along / 2), along, 0.0)
+def _steps(
+    followed: ca.Function, path: PiecewisePolynomial, early: np.ndarray, late: np.ndarray, fixed: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Steps of I as x and v move between two times, and those in time alone at the same place, (K,) each.
+
+    Bisection leads to where I changes most beside its derivatives.  There a step stays, whereas a kink vanishes.  The
+    last times are those on both sides of the joints.
+    """
+    joints, count = path.mesh[1:-1], len(early)
+
+    def at(times: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Times, I and dI/dt with the positions and velocities of some places, (3, K)."""
+        state = [path(places, nu) for nu in range(3)]
+        state[1][:, count - len(joints) :], state[2][:, count - len(joints) :] = path(joints, 1), 0.0  # they jump there
+        return np.vstack((times, *at_places(followed, times, *state, *fixed)))
+
+    def beside(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        change = other - one
+        return np.abs(np.nan_to_num(change[1] - change[0] * (one[2] + other[2]) / 2))
+
+    first, last = at(early, early), at(late, late)
+    for _ in range(HALVINGS):
+        when = (first[0] + last[0]) / 2
+        middle = at(when, when)
+        before = beside(first, middle) >= beside(middle, last)
+        first, last = np.where(before, first, middle), np.where(before, middle, last)
+    return beside(first, last), np.abs(np.nan_to_num(at(last[0], first[0])[1] - first[1]))
 
 
 def _followed(function: ca.Function) -> ca.Function:
