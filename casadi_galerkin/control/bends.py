@@ -1,10 +1,11 @@
 """Controls that leave or meet a bound inside intervals: when, and an error indicator.
 
-An optimal control minimizes the integrand I of the cost (`solution.hamiltonian`) within its bounds.  Where I is convex in u,
-Newton's method leads from `control(t)` to this minimizer.  If it is at a bound on a part of an interval only, it bends
-there, and the quadrature sees this at its points alone.  Where a bend is nearer to a joint than the first point, or in
-the middle of an interval, both degrees make the same error.  So the errors are estimated by how much the integrals of
-all forces, and of I, along the minimizers differ from their quadratures.  With a joint at the bend there is no error.
+An optimal control minimizes the integrand I of the cost (see `solution.hamiltonian`) within its bounds.  Where I is
+convex in u, Newton's method leads from `control(t)` to this minimizer.  If it is at a bound on a part of an interval
+only, it bends there, and the quadrature sees this at its points alone.  Where a bend is nearer to a joint than the
+first point, or in the middle of an interval, both degrees make the same error.  So the errors are estimated by how much
+the integrals of all forces, and of I, along the minimizers differ from their quadratures.  With a joint at the bend
+there is no error.
 """
 
 from __future__ import annotations

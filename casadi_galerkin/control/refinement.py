@@ -267,12 +267,13 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def stopped(self, reason: str, level: ControlTrajectory, error: float, hint: str = HINT) -> LimitReached:
         """Report the error reached; where the cost alone is within `tol`, as with a singular arc, report that."""
         known = self.known
-        if known is not None and max(known.unseen_step, known.jump_error) > self.tol:
-            stepping = known.unseen_step > self.tol
-            i, t = int(np.argmax(known.unseen_steps if stepping else known.jump_effects)), known.path.t
+        if known is not None and known.unseen_step > self.tol:
+            hint = f"At t = {known.path._jumps.times[np.argmax(known.unseen_steps)]:.6g} {STEP}"
+        elif known is not None and known.jump_error > self.tol:
+            i, t = int(np.argmax(known.jump_effects)), known.path.t
             when = f"t = {np.mean(t[i : i + 2]):.6g}"
             hint = f"A callable is not smooth in time near {when}, or changes there too fast for this mesh"
-            hint = f"Near {when} {STEP}" if stepping else hint + ": name that time in the breakpoints"
+            hint += ": name that time in the breakpoints"
         elif level.unseen_change > self.tol * level.cost_size:
             hint = UNITS
         if self.cost_known <= self.tol:

@@ -480,7 +480,7 @@ class ControlTrajectory(Trajectory):
         if not np.max(steps) > SHOWN_STEP * self.cost_size:
             return []
         i = int(np.argmax(steps))
-        return [f"  NOT RESOLVED: near t = {np.mean(self.t[i : i + 2]):.4g} {STEP}"]
+        return [f"  NOT RESOLVED: at t = {self._jumps.times[i]:.6g} {STEP}"]
 
     def _along(self, parts: np.ndarray) -> list[np.ndarray]:
         """Times and z of the `integrand` at fractions (K,) of every interval; (N K,) and (rows, N K) each."""
@@ -499,7 +499,7 @@ class ControlTrajectory(Trajectory):
         """Jumps of the integrand inside of the intervals."""
         problem, rule, none = self.problem, self.method.quadrature, np.zeros(len(self.t) - 1)
         if problem.autonomous and not problem.may_step:
-            return Jumps(none, none)
+            return Jumps(none, none, self.t[:-1])
         z = self._along(np.array(rule.points))[1:]
         moving = problem.moving_phases[np.searchsorted(problem.breakpoints, self.t[:-1], side="right")]
         return jumps_along(self._integrand, self.polynomial, rule, z, moving)

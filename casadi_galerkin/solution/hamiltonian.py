@@ -56,11 +56,12 @@ class Jumps:
     Attributes
     ----------
     effects : largest change of the cost by jumps in time
-    unseen : largest jump of I that the solver does not see, as x and v move
+    unseen, times : largest jump of I that the solver does not see, as x and v move, and its time
     """
 
     effects: np.ndarray
     unseen: np.ndarray
+    times: np.ndarray
 
 
 def jumps_along(
@@ -83,18 +84,20 @@ def jumps_along(
     near = MARGIN * np.minimum(steps[:-1], steps[1:])
     early, late = np.append(times[:, :, 0], joints - near), np.append(times[:, :, -1], joints + near)
     fixed = [np.hstack((a, a[:, r::r])) for a in z[2:]]
-    along, in_time = _steps(_followed(function), path, early, late, fixed)
+    along, in_time, when = _steps(_followed(function), path, early, late, fixed)
     moves = np.append(np.repeat(moving, r), moving[:-1])
     inside, at_joints = np.split(np.where(moves | (in_time <= along / 2), along, 0.0), [len(steps) * r])
-    unseen = np.max(inside.reshape(-1, r), axis=1)
+    largest = np.arange(0, len(inside), r) + np.argmax(inside.reshape(-1, r), axis=1)
+    unseen, instants = inside[largest], when[largest]
+    instants[1:] = np.where(at_joints > unseen[1:], joints, instants[1:])
     unseen[1:] = np.maximum(unseen[1:], at_joints)
-    return Jumps(detector.jump_effects(values[0], rates[0]), unseen)
+    return Jumps(detector.jump_effects(values[0], rates[0]), unseen, instants)
 
 
 def _steps(
     followed: ca.Function, path: PiecewisePolynomial, early: np.ndarray, late: np.ndarray, fixed: Sequence[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Steps of I as x and v move between two times, and those in time alone at the same place, (K,) each.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Steps of I as x and v move between two times, those in time alone at the same place, and when, (K,) each.
 
     Bisection leads to where I changes most beside its derivatives.  There a step stays, whereas a kink vanishes.  The
     last times are those on both sides of the joints.
@@ -117,7 +120,7 @@ def _steps(
         middle = at(when, when)
         before = beside(first, middle) >= beside(middle, last)
         first, last = np.where(before, first, middle), np.where(before, middle, last)
-    return beside(first, last), np.abs(np.nan_to_num(at(last[0], first[0])[1] - first[1]))
+    return beside(first, last), np.abs(np.nan_to_num(at(last[0], first[0])[1] - first[1])), last[0]
 
 
 def _followed(function: ca.Function) -> ca.Function:

@@ -131,6 +131,15 @@ def test_steps_that_no_derivative_sees_are_refused(name, tol):
         cg.solve(double_integrator(t_span=(0.0, 1.5), **STEPS[name]), tol=tol, limits=cg.Limits(seconds=5))
 
 
+def test_the_time_of_a_step_is_named():
+    """The solver, blind to it, takes the way 3 s² - 2 s³ with s = t / 1.5."""
+    with pytest.raises(cg.LimitReached, match=r"At t = 0\.75 a callable steps"):
+        cg.solve(double_integrator(t_span=(0.0, 1.5), **STEPS["cost"]), tol=1e-3)
+    lower = {**STEPS["cost"], "running_cost": lambda t, x, v, u: u[0] ** 2 / 2 + ca.if_else(x[0] < 0.104, 1, 5)}
+    with pytest.raises(cg.LimitReached, match=r"At t = 0\.3 a callable steps"):  # at s = 1/5
+        cg.solve(double_integrator(t_span=(0.0, 1.5), **lower), tol=1e-3)
+
+
 @pytest.mark.parametrize("name", STEPS)
 def test_on_a_fixed_mesh_such_steps_are_told(name):
     assert "NOT RESOLVED" in repr(cg.solve(double_integrator(t_span=(0.0, 1.5), **STEPS[name]), cg.Galerkin(5), 20))
