@@ -278,8 +278,8 @@ class HigherDegree:
     @cached_property
     def unseen_steps(self) -> np.ndarray:
         """Steps of callables on each interval that no derivative shows in either degree, times duration over cost."""
-        least = np.minimum(self.path._unseen_steps, self.higher._unseen_steps)
-        return np.array([self.of_cost(step) for step in least])
+        least = np.minimum(self.path._steps.sizes, self.higher._steps.sizes)
+        return np.array([self.of_cost(step * np.ptp(self.path.t)) for step in least])
 
     @property
     def unseen_step(self) -> float:
@@ -289,9 +289,7 @@ class HigherDegree:
     @cached_property
     def jump_effects(self) -> np.ndarray:
         """Changes of the cost by jumps in time inside each interval, relative to the cost; (N,)."""
-        if self.path.problem.autonomous:
-            return np.zeros(len(self.path.t) - 1)
-        return np.array([self.of_cost(change) for change in self.path._jumps.effects])
+        return np.array([self.of_cost(change) for change in self.path._jump_effects])
 
     @cached_property
     def excess_effects(self) -> np.ndarray:

@@ -22,7 +22,7 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.controlled_motion import equations_of_motion
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.export import by_component
-from casadi_galerkin.solution.hamiltonian import Jumps, integrand, jumps_along
+from casadi_galerkin.solution.hamiltonian import Steps, integrand, jumps_in_time, unseen_steps
 from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_path
 from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED, Trajectory
 
@@ -476,11 +476,10 @@ class ControlTrajectory(Trajectory):
 
     def _stepping(self) -> list[str]:
         """A line on a step of a callable that the solver has not seen."""
-        steps = self._unseen_steps
-        if not np.max(steps) > SHOWN_STEP * self.cost_size:
+        sizes, times = self._steps.sizes, self._steps.times
+        if not np.max(sizes) * np.ptp(self.t) > SHOWN_STEP * self.cost_size:
             return []
-        i = int(np.argmax(steps))
-        return [f"  NOT RESOLVED: at t = {self._jumps.times[i]:.6g} {STEP}"]
+        return [f"  NOT RESOLVED: at t = {times[np.argmax(sizes)]:.6g} {STEP}"]
 
     def _along(self, parts: np.ndarray) -> list[np.ndarray]:
         """Times and z of the `integrand` at fractions (K,) of every interval; (N K,) and (rows, N K) each."""
@@ -495,19 +494,22 @@ class ControlTrajectory(Trajectory):
         return integrand(self.problem, self.parameters)
 
     @cached_property
-    def _jumps(self) -> Jumps:
-        """Jumps of the integrand inside of the intervals."""
-        problem, rule, none = self.problem, self.method.quadrature, np.zeros(len(self.t) - 1)
-        if problem.autonomous and not problem.may_step:
-            return Jumps(none, none, self.t[:-1])
-        z = self._along(np.array(rule.points))[1:]
-        moving = problem.moving_phases[np.searchsorted(problem.breakpoints, self.t[:-1], side="right")]
-        return jumps_along(self._integrand, self.polynomial, rule, z, moving)
+    def _jump_effects(self) -> np.ndarray:
+        """Largest changes of the cost by jumps of callables in time, inside of each interval; (N,)."""
+        if self.problem.autonomous:
+            return np.zeros(len(self.t) - 1)
+        rule = self.method.quadrature
+        return jumps_in_time(self._integrand, self.t, rule, self._along(np.array(rule.points))[1:])
 
-    @property
-    def _unseen_steps(self) -> np.ndarray:
-        """Jumps of the integrand that no derivative shows, on each interval, times the duration; (N,)."""
-        return self._jumps.unseen * self.problem.may_step * np.ptp(self.t)
+    @cached_property
+    def _steps(self) -> Steps:
+        """Steps of callables that no derivative shows, on each interval."""
+        problem, rule = self.problem, self.method.quadrature
+        if not problem.may_step:
+            return Steps(np.zeros(len(self.t) - 1), self.t[:-1])
+        moving = problem.moving_phases[np.searchsorted(problem.breakpoints, self.t[:-1], side="right")]
+        z = self._along(np.array(rule.points))[1:]
+        return unseen_steps(self._integrand, self.polynomial, rule, z, moving)
 
     @cached_property
     def _hamiltonian_variation(self) -> float:

@@ -49,49 +49,59 @@ def integrand(problem: ControlProblem, parameters: tuple[float, ...] | None) -> 
     return ca.Function("integrand", [*point, costate, rate, multipliers], [*map(ca.densify, found)])
 
 
-@dataclass(frozen=True)
-class Jumps:
-    """Jumps of the integrand I inside of the intervals, (N,) each.
-
-    Attributes
-    ----------
-    effects : largest change of the cost by jumps in time
-    unseen, times : largest jump of I that the solver does not see, as x and v move, and its time
-    """
-
-    effects: np.ndarray
-    unseen: np.ndarray
-    times: np.ndarray
-
-
-def jumps_along(
-    function: ca.Function, path: PiecewisePolynomial, rule: Quadrature, z: Sequence[np.ndarray], moving: np.ndarray
-) -> Jumps:
-    """The jumps of an `integrand` along a path.
+def jumps_in_time(function: ca.Function, mesh: np.ndarray, rule: Quadrature, z: Sequence[np.ndarray]) -> np.ndarray:
+    """Largest change of the cost by jumps of an `integrand` in time inside of each interval, (N,).
 
     Parameters
     ----------
     function : (t, z) -> I, ∂I/∂t and others
-    path : x
+    mesh : (N + 1,)
     rule : of quadrature, whose points have the shares
     z : values at the points, (rows, N r) each
-    moving : (N,), where times, or jumps in time, move with what is optimized: the solver does not see these either
     """
-    detector, r = JumpDetector(path.mesh, rule), len(rule)
-    times = detector.times.reshape(len(path.mesh) - 1, r, -1)
-    values, rates, *_ = at_places(function, detector.times, *(np.repeat(a, times.shape[2], axis=1) for a in z))
-    joints, steps = path.mesh[1:-1], np.diff(path.mesh)
+    detector = JumpDetector(mesh, rule)
+    given = [np.repeat(a, len(detector.parts) // len(rule), axis=1) for a in z]
+    values, rates, *_ = at_places(function, detector.times, *given)
+    return detector.jump_effects(values[0], rates[0])
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Largest steps that the solver does not see, on every interval; (N,) each.
+
+    Attributes
+    ----------
+    sizes, times : of I, and when
+    """
+
+    sizes: np.ndarray
+    times: np.ndarray
+
+
+def unseen_steps(
+    function: ca.Function, path: PiecewisePolynomial, rule: Quadrature, z: Sequence[np.ndarray], moving: np.ndarray
+) -> Steps:
+    """Steps of an `integrand` as x and v move along a path, and of those in time the ones that move with it.
+
+    Parameters
+    ----------
+    function, rule, z : as for `jumps_in_time`
+    path : x
+    moving : (N,), where times, or steps in time, move with what is optimized
+    """
+    r, joints, steps = len(rule), path.mesh[1:-1], np.diff(path.mesh)
+    times = JumpDetector(path.mesh, rule).times.reshape(len(steps), r, -1)
     near = MARGIN * np.minimum(steps[:-1], steps[1:])
     early, late = np.append(times[:, :, 0], joints - near), np.append(times[:, :, -1], joints + near)
-    fixed = [np.hstack((a, a[:, r::r])) for a in z[2:]]
-    along, in_time, when = _steps(_followed(function), path, early, late, fixed)
+    along, in_time, when = _steps(_followed(function), path, early, late, [np.hstack((a, a[:, r::r])) for a in z[2:]])
     moves = np.append(np.repeat(moving, r), moving[:-1])
     inside, at_joints = np.split(np.where(moves | (in_time <= along / 2), along, 0.0), [len(steps) * r])
+    at_joints[path.jumps - 1] = 0.0
     largest = np.arange(0, len(inside), r) + np.argmax(inside.reshape(-1, r), axis=1)
-    unseen, instants = inside[largest], when[largest]
-    instants[1:] = np.where(at_joints > unseen[1:], joints, instants[1:])
-    unseen[1:] = np.maximum(unseen[1:], at_joints)
-    return Jumps(detector.jump_effects(values[0], rates[0]), unseen, instants)
+    sizes, instants = inside[largest], when[largest]
+    instants[1:] = np.where(at_joints > sizes[1:], joints, instants[1:])
+    sizes[1:] = np.maximum(sizes[1:], at_joints)
+    return Steps(sizes, instants)
 
 
 def _steps(

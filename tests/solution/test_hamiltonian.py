@@ -6,6 +6,7 @@ import pytest
 from control_problems import double_integrator, varying_mass
 
 import casadi_galerkin as cg
+from casadi_galerkin.solution.hamiltonian import unseen_steps
 
 WHEN = 0.749015  # no point of the first mesh lies between it and the joint at 0.75
 
@@ -35,7 +36,7 @@ def test_a_jump_that_is_not_named_is_met_to_the_tolerance(name, tol):
     path, named = (cg.solve(double_integrator(**JUMPING[name], breakpoints=b), tol=tol) for b in ((), (WHEN,)))
     assert abs(path.cost / named.cost - 1) <= path.cost_error <= tol
     assert len(named.t) <= 10
-    assert np.max(named._jumps.effects) < 1e-12 * named.cost
+    assert np.max(named._jump_effects) < 1e-12 * named.cost
 
 
 def test_a_jump_that_no_mesh_meets_is_named():
@@ -70,7 +71,7 @@ SMOOTH = {
 def test_what_is_smooth_in_time_is_no_jump(name):
     """Controls that switch between the points are none either."""
     path = cg.solve(SMOOTH[name](), cg.Galerkin(5), intervals=8)
-    assert 0 < np.sum(path._jumps.effects) < 1e-11 * abs(path.cost)
+    assert 0 < np.sum(path._jump_effects) < 1e-11 * abs(path.cost)
 
 
 @pytest.mark.parametrize("name", SMOOTH)
@@ -78,7 +79,10 @@ def test_what_is_smooth_along_the_path_does_not_step(name):
     smooth = SMOOTH[name]()
     path = cg.solve(smooth, cg.Galerkin(5), intervals=8)
     assert not smooth.may_step
-    assert np.max(path._jumps.unseen) < 1e-8 * abs(path.cost)
+    moving = np.zeros(8, dtype=bool)
+    z = path._along(np.array(path.method.quadrature.points))[1:]
+    steps = unseen_steps(path._integrand, path.polynomial, path.method.quadrature, z, moving)
+    assert np.max(steps.sizes) < 1e-8 * abs(path.cost)
 
 
 def test_what_is_continuous_where_it_compares_does_not_step():
@@ -90,7 +94,7 @@ def test_what_is_continuous_where_it_compares_does_not_step():
         tol=1e-5,
     )
     assert path.problem.may_step
-    assert np.max(path._unseen_steps) < 1e-5 * path.cost
+    assert np.max(path._steps.sizes) < 1e-6 * path.cost
     assert "NOT RESOLVED" not in repr(path)
 
 
@@ -158,3 +162,20 @@ def test_a_step_at_a_given_time_with_a_free_duration_is_stated_by_two_phases():
     )
     assert path.t[-1] == pytest.approx(12**0.25, rel=1e-8)
     assert path.cost == pytest.approx(6 / 12**0.75 + 1.5 * 12**0.25 - 0.5, rel=1e-8)
+
+
+def test_where_the_path_jumps_the_callables_do_not_step():
+    """A bounce from a wall, before which a spring acts: the velocity jumps, and with it a component that counts."""
+    bounce = double_integrator(
+        start=[0.5, 0.0],
+        end=[0.3, None],
+        start_velocity=[-1.0, None],
+        end_velocity=[0.0, None],
+        rates=lambda t, x, v, u: 0 * u,
+        force=lambda t, x, v, u: u + 5 * ca.if_else(x[0] < 0.2, 0.2 - x[0], 0) * (1 + x[1]),
+        waypoints=[(0.5, [0.0, None])],
+        jumps=[(0.5, lambda x, v: ([x[0], x[1] + 1], -0.8 * v))],
+    )
+    path = cg.solve(bounce, tol=1e-5)
+    assert path.problem.may_step
+    assert np.max(path._steps.sizes) < 1e-6 * path.cost
