@@ -68,7 +68,7 @@ HIDDEN = 1e-2  # difference of both paths over what the defect moves them below 
 TOUCHED_LATE = 2.0  # error of a free duration over how late a bound acts that is touched
 ROUNDOFF = 1e-15  # of positions and of impulses, relative to their sizes
 MET = 1e-4  # distance from a bound, over `_changes_at_largest`, up to which a point meets it
-UNSEEN_RATIO = 0.1  # relative difference of what two degrees miss, below which no quadrature point sees it
+UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
 
 
 def position_errors(path: ControlTrajectory, touched: Sequence[Touch]) -> np.ndarray:

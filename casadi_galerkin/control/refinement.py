@@ -79,7 +79,7 @@ OPEN_SHARE = 0.1
 SHARP = {"barrier_tol_factor": LARGEST_BARRIER_RATIO, "compl_inf_tol": 1e-16, "acceptable_iter": 6}
 OPEN_LEVELS = 3  # levels in a row that are left open after which the refinement ends: a finer mesh may help
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
-KNOWN_ROUGHLY = 1e-2  # error from which alternating meshes are only refined; before, layers are looked for
+KNOWN_ROUGHLY = 1e-2  # smallest error so far, up to which meshes that alternate are only refined
 PATIENCE = 4  # every interval is halved after so many levels in a row without a smaller error, as meshes may alternate
 LEFT_OPEN = (
     "Multiply the cost by 100: the solver's tolerances are absolute. If that changes nothing, the cost hardly depends "
@@ -241,7 +241,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         if detail is None or (self.fruitless > 0 and self.fruitless % PATIENCE == 0):
             mesh = halved(known.t)
         else:
-            alternating = self.fruitless > 1 and self.best[1] < KNOWN_ROUGHLY  # merged intervals may be missed
+            alternating = self.fruitless > 1 and self.best[1] < KNOWN_ROUGHLY  # what was merged may be missed
             mesh = better_mesh(detail, self.path_tol(detail), self.tol, alternating)
         if len(mesh) - 1 > self.limits.intervals:
             raise self.stopped(f"the mesh would need {len(mesh) - 1} intervals", *self.best)
@@ -331,7 +331,6 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     def refined(self, level: ControlTrajectory) -> ControlTrajectory:
         """Refine a path and return it with its errors."""
         self.known, self.cost_known, self.left_open, self.open_levels = None, math.inf, False, 0
-
         path, _ = self.refine(level)
         assert self.known is not None, "a path is accepted by its error estimate"
         path = with_parted_phases(path, self.stated)

@@ -48,20 +48,6 @@ class JumpDetector:
         early, late = (np.repeat(side, len(self.parts)) for side in inside)
         return np.clip(times_at(self._mesh, self.parts), early, late)
 
-    def _by_shares(self, values: np.ndarray) -> np.ndarray:
-        """Values at the times, sorted by intervals, points and times within their shares, (..., N, r, K)."""
-        return values.reshape(*values.shape[:-1], len(self._mesh) - 1, len(self._edges) - 1, -1)
-
-    @cached_property
-    def _lasting(self) -> np.ndarray:
-        """Durations of the shares, (N, r)."""
-        return np.diff(self._mesh)[:, None] * np.diff(self._edges)
-
-    def jumps(self, values: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """Jumps within the shares, (..., N, r); arguments as for `jump_effects`."""
-        f, slopes = self._by_shares(values), self._by_shares(rates)[..., 1:-1]
-        return f[..., -1] - f[..., 0] - self._lasting * (slopes @ np.array(INNER.weights))
-
     def jump_effects(self, values: np.ndarray, rates: np.ndarray, rounded: ArrayLike = 0.0) -> np.ndarray:
         """Largest change of the integral over each interval by jumps, (..., N), beyond the roundoff of f.
 
@@ -70,6 +56,11 @@ class JumpDetector:
         values, rates : f and df/dt; (..., N r K) each
         rounded : the roundoff of f, which broadcasts to these
         """
-        least = self._by_shares(np.broadcast_to(rounded, values.shape))
-        beyond = np.maximum(np.abs(self.jumps(values, rates)) - least[..., -1] - least[..., 0], 0.0)
-        return np.nansum(beyond * self._lasting, axis=-1)
+        lasting = np.diff(self._mesh)[:, None] * np.diff(self._edges)
+        f, slopes, least = (
+            a.reshape(*a.shape[:-1], *lasting.shape, -1)
+            for a in (values, rates, np.broadcast_to(rounded, values.shape))
+        )
+        missing = np.abs(f[..., -1] - f[..., 0] - lasting * (slopes[..., 1:-1] @ np.array(INNER.weights)))
+        beyond = np.maximum(missing - least[..., -1] - least[..., 0], 0.0)
+        return np.nansum(beyond * lasting, axis=-1)
