@@ -53,6 +53,7 @@ from casadi_galerkin.control.touches import (
     Touch,
     bounds_touched,
     constraint_impulses,
+    driven_positions,
     position_impulses,
     touch_error,
     touch_time,
@@ -83,7 +84,7 @@ def position_errors(path: ControlTrajectory, touched: Sequence[Touch]) -> np.nda
     at_nodes = np.max(bound_excess(x.local, *problem.position_bounds), axis=2) / path.sizes[:, None]
     excess = np.maximum(low - least, most - high) / path.sizes[:, None] - at_nodes
     powers = np.full(excess.shape, 0.5)
-    powers[problem.driven_positions] = 1.0
+    powers[driven_positions(problem)] = 1.0
     for touch in (touch for touch in touched if touch.number < len(powers)):
         times = sorted((touch.acts, touch.extreme))
         first, last = np.searchsorted(path.t, path.t[0] + np.ptp(path.t) * np.array(times)) - 1

@@ -21,6 +21,7 @@ from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.problems.bounds import AT_BOUND
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.dependence import CONTROLS, VELOCITIES, rows_that_depend
+from casadi_galerkin.problems.legendre_transform import coupled_by_mass
 from casadi_galerkin.solution.control_trajectory import FINER, ControlTrajectory
 
 LEAST_SHARE = 1e-6  # impulse at a node over the largest one up to which no bound acts there
@@ -83,10 +84,26 @@ def continuous(path: ControlTrajectory, part: slice, nodes: np.ndarray, local: n
     return PiecewisePolynomial(path.t[part.start : part.stop + 1], nodes, values[None])
 
 
+def driven_positions(problem: ControlProblem) -> np.ndarray:
+    """Which components have a rate that depends on a control, (d,)."""
+    rated = rows_that_depend(problem.rates, CONTROLS, np.ones(problem.controls, dtype=bool))
+    return np.append(np.zeros(problem.mechanical, dtype=bool), rated)
+
+
+def driven_velocities(problem: ControlProblem) -> np.ndarray:
+    """Which velocities are rates, or have a time derivative that may depend on a control, (d,)."""
+    forced = rows_that_depend(problem.force, CONTROLS, np.ones(problem.controls, dtype=bool))
+    rates = np.arange(problem.dimension) >= problem.mechanical
+    forced = np.append(forced, np.zeros(np.count_nonzero(rates), dtype=bool))
+    return rates | coupled_by_mass(problem.lagrangian, forced)
+
+
 def bounds_touched(problem: ControlProblem) -> np.ndarray:
     """Which path constraints depend on no control, and on no velocity that a control changes at once, (k,)."""
     constraint, every = problem.path_constraint[0], np.ones(problem.controls, dtype=bool)
-    others = (VELOCITIES, problem.driven_velocities), (CONTROLS, every)
+    if not constraint.numel_out(0):
+        return np.zeros(0, dtype=bool)
+    others = (VELOCITIES, driven_velocities(problem)), (CONTROLS, every)
     return ~np.any([rows_that_depend(constraint, *chosen) for chosen in others], axis=0)
 
 
@@ -113,7 +130,7 @@ def bounded_positions(path: ControlTrajectory) -> list[Bounded]:
     low, high = (np.array(side)[:, None, None] for side in path.problem.position_bounds)
     impulses[np.minimum(x.local - low, high - x.local) / path.sizes[:, None, None] > AT_BOUND] = 0.0
     found = list[Bounded]()
-    for i, part in product(np.flatnonzero(~path.problem.driven_positions).tolist(), between_jumps(path)):
+    for i, part in product(np.flatnonzero(~driven_positions(path.problem)).tolist(), between_jumps(path)):
         values, local = continuous(path, part, x.nodes, x.local[i]), impulses[i, part]
         acting = local[:, :-1].ravel()
         acting[m::m] += local[:-1, -1]

@@ -15,7 +15,7 @@ import numpy as np
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.functional.numbering import CACHE_SIZE
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
-from casadi_galerkin.problems.legendre_transform import legendre_transform, velocities
+from casadi_galerkin.problems.legendre_transform import coupled_by_mass, legendre_transform, velocities
 from casadi_galerkin.problems.problem import ENDS
 
 
@@ -35,13 +35,8 @@ class EndVelocities:
 
     def __init__(self, lagrangian: ca.Function, given: tuple[bool, ...]) -> None:
         self._lagrangian = lagrangian
-        is_given = reached = np.array(given)
-        if any(given):
-            symbols = lagrangian.sx_in()
-            mass = ca.hessian(lagrangian(*symbols), symbols[2])[0]
-            coupled = np.array(ca.DM(mass.sparsity(), 1.0).full(), dtype=bool)
-            for _ in given:
-                reached = reached | coupled[reached].any(axis=0)
+        is_given = np.array(given)
+        reached = coupled_by_mass(lagrangian, is_given) if any(given) else is_given
         self.given, self.unknown = (np.flatnonzero(which).tolist() for which in (is_given, reached & ~is_given))
 
     @cached_property

@@ -45,13 +45,10 @@ from casadi_galerkin.problems.callables import (
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
 from casadi_galerkin.problems.crossings import Crossing, Pairs, Waypoint, is_limited, jumps_of, waypoints_of
 from casadi_galerkin.problems.dependence import (
-    CONTROLS,
-    STEPPING,
     check_absolute_values,
     check_controls,
     check_parameters,
     check_rates,
-    entries_within,
     rows_that_depend,
 )
 from casadi_galerkin.problems.problem import ENDS, section_times, with_changes, with_values
@@ -275,42 +272,6 @@ class ControlProblem:
     def autonomous(self) -> bool:
         """Whether nothing along the path depends on time, so that the Hamiltonian is constant between breakpoints."""
         return not depends_on_time(*self._along, self.lagrangian, self.constraint)
-
-    @property
-    def driven_velocities(self) -> np.ndarray:
-        """Which velocities have a time derivative that may depend on a control at once, or are rates; (d,)."""
-        forced, moving = rows_that_depend(self.force, CONTROLS, np.ones(self.controls, dtype=bool)), self.mechanical
-        t, x, v, *p = self.lagrangian.sx_in()
-        mass = ca.hessian(self.lagrangian(t, x, v, *p), v)[0].sparsity()
-        coupled = np.array(ca.DM(mass, 1))[:moving, :moving] != 0
-        for _ in range(moving):
-            forced = forced | np.any(coupled[:, forced], axis=1)
-        return np.append(forced, np.ones(self.dimension - moving, dtype=bool))
-
-    @property
-    def driven_positions(self) -> np.ndarray:
-        """Which components have a time derivative that depends on a control at once; (d,)."""
-        rated = rows_that_depend(self.rates, CONTROLS, np.ones(self.controls, dtype=bool))
-        return np.append(np.zeros(self.mechanical, dtype=bool), rated)
-
-    @property
-    def may_step(self) -> bool:
-        """Whether a callable compares or rounds values, or calls a Function: else none steps."""
-        return any(
-            f.instruction_id(k) in (*STEPPING, ca.OP_CALL)
-            for f in (*self._along, self.lagrangian)
-            for k in range(f.n_instructions())
-        )
-
-    @property
-    def moving_phases(self) -> np.ndarray:
-        """Whether times in each phase, or those at which a callable steps there, move with what is free; (phases,)."""
-        free = np.zeros(len(self.breakpoints) + 1, dtype=bool)
-        if self.duration_bounds is not None:
-            free = np.cumsum(np.less(*self.duration_bounds)) > 0
-        if self.parameter_bounds is None:
-            return free
-        return free | any(entries_within(f, f.n_in() - 1, STEPPING) for f in (*self._along, self.lagrangian))
 
     def found(
         self, t_span: tuple[float, float], parameters: tuple[float, ...] | None, breakpoints: tuple[float, ...]

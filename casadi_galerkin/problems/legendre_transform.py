@@ -23,6 +23,16 @@ def legendre_transform(lagrangian: ca.Function) -> ca.Function:
     return ca.Function("legendre", symbols, [ca.densify(momentum), ca.densify(mass)])
 
 
+def coupled_by_mass(lagrangian: ca.Function, chosen: np.ndarray) -> np.ndarray:
+    """Which components are among the chosen ones, (d,), or coupled to one by the mass matrix, at once or by others."""
+    symbols = lagrangian.sx_in()
+    mass = ca.hessian(lagrangian(*symbols), symbols[2])[0]
+    coupled, reached = np.array(ca.DM(mass.sparsity(), 1.0).full(), dtype=bool), chosen
+    for _ in chosen:
+        reached = reached | coupled[reached].any(axis=0)
+    return reached
+
+
 def momentum_at(lagrangian: ca.Function, t: ca.SX, x: ca.SX, v: ca.SX, *parameters: ca.SX) -> ca.SX:
     """∂L/∂v at expressions of the arguments of L, (d,)."""
     symbol = ca.SX.sym("v", v.numel())

@@ -22,7 +22,7 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.controlled_motion import equations_of_motion
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.export import by_component
-from casadi_galerkin.solution.hamiltonian import Steps, integrand, jumps_in_time, unseen_steps
+from casadi_galerkin.solution.hamiltonian import Steps, integrand, jumps_in_time, may_step, moving_phases, unseen_steps
 from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_path
 from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED, Trajectory
 
@@ -505,9 +505,9 @@ class ControlTrajectory(Trajectory):
     def _steps(self) -> Steps:
         """Steps of callables that no derivative shows, on each interval."""
         problem, rule = self.problem, self.method.quadrature
-        if not problem.may_step:
+        if not may_step(problem):
             return Steps(np.zeros(len(self.t) - 1), self.t[:-1])
-        moving = problem.moving_phases[np.searchsorted(problem.breakpoints, self.t[:-1], side="right")]
+        moving = moving_phases(problem)[np.searchsorted(problem.breakpoints, self.t[:-1], side="right")]
         z = self._along(np.array(rule.points))[1:]
         return unseen_steps(self._integrand, self.polynomial, rule, z, moving)
 

@@ -30,6 +30,7 @@ from casadi_galerkin.functional.mapping import at_places
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.controlled_motion import equations_of_motion
+from casadi_galerkin.problems.dependence import STEPPING, entries_within
 from casadi_galerkin.solution.jump_detection import MARGIN, JumpDetector
 
 HALVINGS = 26  # of a share of time, which leave 1e-8 of it
@@ -63,6 +64,27 @@ def jumps_in_time(function: ca.Function, mesh: np.ndarray, rule: Quadrature, z: 
     given = [np.repeat(a, len(detector.parts) // len(rule), axis=1) for a in z]
     values, rates, *_ = at_places(function, detector.times, *given)
     return detector.jump_effects(values[0], rates[0])
+
+
+def _callables(problem: ControlProblem) -> list[ca.Function]:
+    """The Functions along the path; the parameters are the last argument of each."""
+    return [problem.lagrangian, problem.force, problem.rates, problem.running_cost, problem.path_constraint[0]]
+
+
+def may_step(problem: ControlProblem) -> bool:
+    """Whether a callable compares or rounds values, or calls a Function: else none steps."""
+    stepping = {*STEPPING, ca.OP_CALL}
+    return any(f.instruction_id(k) in stepping for f in _callables(problem) for k in range(f.n_instructions()))
+
+
+def moving_phases(problem: ControlProblem) -> np.ndarray:
+    """Whether times in each phase, or those at which a callable steps there, move with what is free; (phases,)."""
+    free = np.zeros(len(problem.breakpoints) + 1, dtype=bool)
+    if problem.duration_bounds is not None:
+        free = np.cumsum(np.less(*problem.duration_bounds)) > 0
+    if problem.parameter_bounds is None:
+        return free
+    return free | any(entries_within(f, f.n_in() - 1, STEPPING) for f in _callables(problem))
 
 
 @dataclass(frozen=True)
@@ -112,12 +134,13 @@ def _steps(
     Bisection leads to where I changes most beside its derivatives.  There a step stays, whereas a kink vanishes.  The
     last times are those on both sides of the joints.
     """
-    joints, count = path.mesh[1:-1], len(early)
+    inside = len(early) - (len(path.mesh) - 2)
+    at_joints = path(path.mesh[1:-1], 1)
 
     def at(times: np.ndarray, places: np.ndarray) -> np.ndarray:
         """Times, I and dI/dt with the positions and velocities of some places, (3, K)."""
         state = [path(places, nu) for nu in range(3)]
-        state[1][:, count - len(joints) :], state[2][:, count - len(joints) :] = path(joints, 1), 0.0  # they jump there
+        state[1][:, inside:], state[2][:, inside:] = at_joints, 0.0  # velocities jump there
         return np.vstack((times, *at_places(followed, times, *state, *fixed)))
 
     def beside(one: np.ndarray, other: np.ndarray) -> np.ndarray:

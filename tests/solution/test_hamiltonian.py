@@ -6,7 +6,7 @@ import pytest
 from control_problems import double_integrator, varying_mass
 
 import casadi_galerkin as cg
-from casadi_galerkin.solution.hamiltonian import unseen_steps
+from casadi_galerkin.solution.hamiltonian import may_step, unseen_steps
 
 WHEN = 0.749015  # no point of the first mesh lies between it and the joint at 0.75
 
@@ -78,7 +78,7 @@ def test_what_is_smooth_in_time_is_no_jump(name):
 def test_what_is_smooth_along_the_path_does_not_step(name):
     smooth = SMOOTH[name]()
     path = cg.solve(smooth, cg.Galerkin(5), intervals=8)
-    assert not smooth.may_step
+    assert not may_step(smooth)
     moving = np.zeros(8, dtype=bool)
     z = path._along(np.array(path.method.quadrature.points))[1:]
     steps = unseen_steps(path._integrand, path.polynomial, path.method.quadrature, z, moving)
@@ -93,7 +93,7 @@ def test_what_is_continuous_where_it_compares_does_not_step():
         ),
         tol=1e-5,
     )
-    assert path.problem.may_step
+    assert may_step(path.problem)
     assert np.max(path._steps.sizes) < 1e-6 * path.cost
     assert "NOT RESOLVED" not in repr(path)
 
@@ -177,5 +177,5 @@ def test_where_the_path_jumps_the_callables_do_not_step():
         jumps=[(0.5, lambda x, v: ([x[0], x[1] + 1], -0.8 * v))],
     )
     path = cg.solve(bounce, tol=1e-5)
-    assert path.problem.may_step
+    assert may_step(path.problem)
     assert np.max(path._steps.sizes) < 1e-6 * path.cost
