@@ -24,6 +24,11 @@ def double_integrator(**changes):
     return cg.ControlProblem(**(fields | changes))
 
 
+def speed_limited(limit):
+    """The same in two units of time, no faster than a limit."""
+    return double_integrator(t_span=(0.0, 2.0), path_constraint=(lambda t, x, v, u: v, -np.inf, limit))
+
+
 def first_order(**changes):
     """One component whose rate is the control, from 0 to 1 in unit time, least ∫u²/2."""
     fields = {

@@ -44,10 +44,11 @@ def minimizers(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
     -------
     the minimizers, and whether I is convex in the single control there; (n, N K) each
     """
-    times, x, v, u, *others = path._along(PARTS)
+    between = path.between_points
+    times, x, v, u, *others = between.along(PARTS)
     low, high = (np.array(side)[:, None] for side in path.problem.control_bounds)
     best, share = np.clip(u, low, high), np.ones(len(times))
-    found = at_places(path._integrand, times, x, v, best, *others)
+    found = at_places(between.integrand, times, x, v, best, *others)
     curved = np.einsum("iik->ik", found[3].reshape(len(u), len(u), -1)) > 0
     for _ in range(STEPS):
         _, _, slope, columns = found
@@ -63,7 +64,7 @@ def minimizers(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
         steps = scale * np.einsum("kij,kj,klj,lk->ik", vectors, inverse, vectors, forces)
         longest = np.max(np.abs(steps) / (high - low), axis=0, initial=1.0)
         tried = np.clip(best + share / longest * steps, low, high)
-        there = at_places(path._integrand, times, x, v, tried, *others)
+        there = at_places(between.integrand, times, x, v, tried, *others)
         falls = there[0][0] <= found[0][0] + ROUNDED * np.abs(found[0][0])
         moved = np.abs(tried - best) > CONVERGED * np.abs(tried)
         found = [np.where(falls, new, old) for new, old in zip(there, found, strict=True)]
@@ -136,9 +137,10 @@ def bend_errors(path: ControlTrajectory) -> tuple[np.ndarray, np.ndarray]:
     samples = path.control.at(points), minimizers(path)[0]
     at_points, best = (u.reshape(len(u), len(steps), -1) for u in samples)
     parts, u = np.append(points, PARTS), np.dstack((at_points, best)).reshape(len(best), -1)
-    times, x, v, _, *others = path._along(parts)
-    total = at_places(path._integrand, times, x, v, u, *others)[0].reshape(1, len(steps), -1)
-    seen, values = np.split(np.vstack((path._motion(parts, u)[1], total)), [len(points)], axis=2)
+    between = path.between_points
+    times, x, v, _, *others = between.along(parts)
+    total = at_places(between.integrand, times, x, v, u, *others)[0].reshape(1, len(steps), -1)
+    seen, values = np.split(np.vstack((between.motion(parts, u)[1], total)), [len(points)], axis=2)
     missed = values - seen @ lagrange_values(points, PARTS).T
     errors = np.where(np.isfinite(missed), missed, 0.0) @ WIDTHS * steps
     side = sides(best.reshape(len(best), -1), *bounds[:, :, None]).reshape(best.shape)
@@ -152,7 +154,7 @@ def carried(path: ControlTrajectory, impulses: np.ndarray) -> np.ndarray:
     It is that of a free motion, by p over v as mass.
     """
     d, pushed = path.problem.mechanical, np.cumsum(impulses, axis=1)
-    speeds, momenta = (np.max(np.abs(values[:d]), axis=1) for values in (path(path.t, 1), path._momenta))
+    speeds, momenta = (np.max(np.abs(values[:d]), axis=1) for values in (path(path.t, 1), path.between_points.momenta))
     moved, during = pushed.copy(), (pushed - impulses / 2)[:d] * np.diff(path.t)
     moved[:d] = np.cumsum(during, axis=1) * (speeds / or_one(momenta))[:, None]
     return np.max(np.abs(moved) / path.sizes[:, None], axis=0)

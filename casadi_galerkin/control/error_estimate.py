@@ -60,7 +60,8 @@ from casadi_galerkin.control.touches import (
     touches,
 )
 from casadi_galerkin.problems.bounds import bound_excess
-from casadi_galerkin.solution.control_trajectory import FINER, ControlTrajectory
+from casadi_galerkin.solution.between_points import FINER
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import FAR_FROM_GUESS
 
 SLOWEST = 2 / 3  # largest q, which is also assumed where switches or path constraints slow down convergence
@@ -68,7 +69,7 @@ SHARED_DEFECT = 0.5  # ratio of the defects of both degrees above which a higher
 HIDDEN = 1e-2  # difference of both paths over what the defect moves them below which it does not show the defect
 TOUCHED_LATE = 2.0  # error of a free duration over how late a bound acts that is touched
 ROUNDOFF = 1e-15  # of positions and of impulses, relative to their sizes
-MET = 1e-4  # distance from a bound, over `_changes_at_largest`, up to which a point meets it
+MET = 1e-4  # distance from a bound, over `constraint_changes`, up to which a point meets it
 UNSEEN_RATIO = 0.1  # relative difference of two degrees' excess over a bound, below which no quadrature point sees it
 
 
@@ -172,7 +173,7 @@ class HigherDegree:
     def of_cost(self, change: float) -> float:
         """A change of the cost relative to its size; zero where the cost cannot be told from zero."""
         both = self.path, self.higher
-        if max(abs(p.cost) for p in both) <= NEGLIGIBLE_MOMENTUM * max(p._cost_of_forces for p in both):
+        if max(abs(p.cost) for p in both) <= NEGLIGIBLE_MOMENTUM * max(p.between_points.cost_of_forces for p in both):
             return 0.0
         return change / max(p.cost_size for p in both)
 
@@ -222,7 +223,7 @@ class HigherDegree:
 
     @cached_property
     def constraint_excess(self) -> tuple[np.ndarray, np.ndarray]:
-        """Largest excess of path constraints on each interval in both degrees, over `_changes_at_largest`.
+        """Largest excess of path constraints on each interval in both degrees, over `constraint_changes`.
 
         This is about the part of its size by which the path has to change, at most one.  Where a constraint depends on
         controls, or velocities that they change at once, which bend or jump, only the `unseen_excess` counts.
@@ -234,11 +235,11 @@ class HigherDegree:
         """
         path, bounds = self.path, self.path.problem.path_constraint[1:]
         parts = sampling_parts(FINER * path.method.degree)
-        values, (excess, _) = zip(*(p._excess(parts) for p in (path, self.higher)), strict=True)
+        values = [p.path_constraints(parts) for p in (path, self.higher)]
         extremes = [[bound_excess(side, *bounds) for side in extreme_values(one)] for one in values]
         both = np.min(np.max(np.nan_to_num(extremes, posinf=0.0), axis=1), axis=0)
         common = np.where(bounds_touched(path.problem)[:, None], both, np.max(unseen_excess(values, bounds), axis=2))
-        changes = path._changes_at_largest(values[0], excess)
+        changes = path.between_points.constraint_changes
         at_points = path.path_constraints(path.method.element.points)
         distances = [np.min(np.abs(at_points - np.reshape(side, (-1, 1, 1))), axis=2) for side in bounds]
         met = np.pad(np.min(distances, axis=0) <= MET * changes, ((0, 0), (1, 1)))
@@ -263,7 +264,7 @@ class HigherDegree:
         """
         (missed, of_cost), (of_higher, _) = bend_errors(self.path), bend_errors(self.higher)
         shared = np.where(missed * of_higher > 0, np.sign(missed) * np.minimum(np.abs(missed), np.abs(of_higher)), 0.0)
-        shares = np.max(np.abs(shared) / self.path._impulse_sizes[:, None], axis=0)
+        shares = np.max(np.abs(shared) / self.path.between_points.impulse_sizes[:, None], axis=0)
         of_path = np.max(carried(self.path, shared)) * shares / max(np.sum(shares), 1e-300)
         return of_path, np.array([self.of_cost(change) for change in of_cost])
 
@@ -279,7 +280,7 @@ class HigherDegree:
     @cached_property
     def unseen_steps(self) -> np.ndarray:
         """Steps of callables on each interval that no derivative shows in either degree, times duration over cost."""
-        least = np.minimum(self.path._steps.sizes, self.higher._steps.sizes)
+        least = np.minimum(self.path.between_points.unseen_steps.sizes, self.higher.between_points.unseen_steps.sizes)
         return np.array([self.of_cost(step * np.ptp(self.path.t)) for step in least])
 
     @property
@@ -290,7 +291,7 @@ class HigherDegree:
     @cached_property
     def jump_effects(self) -> np.ndarray:
         """Changes of the cost by jumps in time inside each interval, relative to the cost; (N,)."""
-        return np.array([self.of_cost(change) for change in self.path._jump_effects])
+        return np.array([self.of_cost(change) for change in self.path.between_points.jump_effects])
 
     @cached_property
     def excess_effects(self) -> np.ndarray:
@@ -305,7 +306,7 @@ class HigherDegree:
         excesses = [[bound_excess(p.polynomial.values_at_parts(parts), *problem.position_bounds) for p in both]]
         if path.path_multipliers is not None:
             parts = around(path.method.element.points)
-            excesses.append([p._excess(parts)[1] for p in both])
+            excesses.append([p.between_points.path_excess(parts)[1] for p in both])
             impulses.append(np.sum(constraint_impulses(path), axis=2))
         common = np.vstack([np.min(np.max(excess, axis=3), axis=0) for excess in excesses])
         return np.array([self.of_cost(change) for change in np.sum(common * np.vstack(impulses), axis=0)])
@@ -339,7 +340,7 @@ class HigherDegree:
         """
         distance = self.change if self.change > FAR_FROM_GUESS else 0.0
         change, common = self.cost_change / (1 - SLOWEST), self.common_error
-        variation = self.of_cost(self.path._hamiltonian_variation)
+        variation = self.of_cost(self.path.hamiltonian_variation)
         unmet = float(np.max(self.constraint_excess[1], initial=0.0))
         effects = self.jump_error + float(np.sum(self.excess_effects) + np.sum(self.bend_errors[1]))
         return max(change, common**2, variation**2, distance, unmet, effects)

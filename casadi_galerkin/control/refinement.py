@@ -268,7 +268,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         """Report the error reached; where the cost alone is within `tol`, as with a singular arc, report that."""
         known = self.known
         if known is not None and known.unseen_step > self.tol:
-            hint = f"At t = {known.path._steps.times[np.argmax(known.unseen_steps)]:.6g} {STEP}"
+            hint = f"At t = {known.path.between_points.unseen_steps.times[np.argmax(known.unseen_steps)]:.6g} {STEP}"
         elif known is not None and known.jump_error > self.tol:
             i, t = int(np.argmax(known.jump_effects)), known.path.t
             when = f"t = {np.mean(t[i : i + 2]):.6g}"

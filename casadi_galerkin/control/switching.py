@@ -92,7 +92,7 @@ def zero(path: ControlTrajectory, i: int, first: float, last: float) -> float:
     """Time at which the switching function of control i changes its sign; NaN if it does not."""
     times = np.linspace(first, last, PARTS + 1)
     state = path(times), path(times, 1), path.control(times), path.costate(times)
-    values = at_places(path._integrand, times, *state, shared=(0.0, 0.0))[2][i]
+    values = at_places(path.between_points.integrand, times, *state, shared=(0.0, 0.0))[2][i]
     changes = np.flatnonzero(values[1:] * values[:-1] <= 0)
     if len(changes) == 0:
         return np.nan

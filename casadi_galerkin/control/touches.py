@@ -16,13 +16,13 @@ from itertools import pairwise, product
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, sampling_parts
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.problems.bounds import AT_BOUND
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.dependence import CONTROLS, VELOCITIES, rows_that_depend
 from casadi_galerkin.problems.legendre_transform import coupled_by_mass
-from casadi_galerkin.solution.control_trajectory import FINER, ControlTrajectory
+from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 LEAST_SHARE = 1e-6  # impulse at a node over the largest one up to which no bound acts there
 LEAST_PART = 1e-3  # the same among neighbors, which the solver keeps a little off the bound
@@ -145,7 +145,7 @@ def bounded_constraints(path: ControlTrajectory) -> list[Bounded]:
         return []
     nodes = Galerkin(2 * path.method.degree).element.nodes
     local, impulses = path.path_constraints(nodes), constraint_impulses(path)
-    sizes = np.min(path._changes_at_largest(*path._excess(sampling_parts(FINER * path.method.degree))), axis=1)
+    sizes = np.min(path.between_points.constraint_changes, axis=1)
     times = path.path_multipliers.times.reshape(len(path.t) - 1, -1)
     known = np.flatnonzero(chosen & np.isfinite(local).all(axis=(1, 2))).tolist()
     return [
@@ -163,7 +163,8 @@ def bounded_constraints(path: ControlTrajectory) -> list[Bounded]:
 def touches(path: ControlTrajectory) -> list[Touch]:
     """All touches of bounds of positions, and of path constraints."""
     of_bounds = bounded_positions(path) if np.isfinite(path.problem.position_bounds).any() else []
-    found, size = list[Touch | None](), min(path.cost_size, path._cost_of_forces)  # a constant cost moves nothing
+    size = min(path.cost_size, path.between_points.cost_of_forces)  # a constant cost moves nothing
+    found = list[Touch | None]()
     for bounded in of_bounds + bounded_constraints(path):
         impulses = bounded.impulses
         least = max(LEAST_SHARE * np.max(impulses), LEAST_EFFECT * size / bounded.size)

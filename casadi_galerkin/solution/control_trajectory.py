@@ -11,18 +11,13 @@ import numpy as np
 
 from casadi_galerkin.calculus.cached_property import cached_property
 from casadi_galerkin.calculus.numbers import counted, spanned
-from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, extrema, sampling_parts, times_at
-from casadi_galerkin.calculus.quadrature import Quadrature, gauss
-from casadi_galerkin.calculus.roundoff import TINY, component_sizes, or_one
-from casadi_galerkin.functional.interval import SlopeBasis
-from casadi_galerkin.functional.mapping import at_places
-from casadi_galerkin.problems.bounds import FEASIBLE, bound_excess
-from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, times_at
+from casadi_galerkin.calculus.roundoff import TINY, component_sizes
+from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.controlled_motion import equations_of_motion
+from casadi_galerkin.solution.between_points import BetweenPoints
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.export import by_component
-from casadi_galerkin.solution.hamiltonian import Steps, integrand, jumps_in_time, may_step, moving_phases, unseen_steps
 from casadi_galerkin.solution.plotting import SIZE, draw_bounds, draw_multipliers, panels, plot_path
 from casadi_galerkin.solution.trajectory import UNBALANCED, UNRESOLVED, Trajectory
 
@@ -39,7 +34,6 @@ STEP = (
     "a callable steps, as x or v pass some value or at a given time while durations or parameters are free, and no "
     "derivative shows it: smooth the step, or state what is before and behind it as phases"
 )
-FINER = 4  # times as many samples as for the path, to see obstacles that are as narrow as a twentieth of an interval
 SHOWN_OVERSHOOT = 1e-3  # overshoot over the width of the bounds above which the summary shows it
 ALONG = np.linspace(0.0, 1.0, 40)  # fractions of an interval at which a line is drawn
 DOT = 3.0  # size of the dots of quadrature points, which are many
@@ -213,6 +207,11 @@ class ControlTrajectory(Trajectory):
             )
 
     @cached_property
+    def between_points(self) -> BetweenPoints:
+        """What equations and bounds miss between the quadrature points, where the solver does not see it."""
+        return BetweenPoints(self, self.problem, self.control, self.costate, self.path_multipliers)
+
+    @property
     def dynamics_defect(self) -> np.ndarray:
         """Largest relative residual of the equations of motion between the points, for each interval; (N,).
 
@@ -220,15 +219,9 @@ class ControlTrajectory(Trajectory):
         with p̂ the joint's momentum plus the impulse ∫ (∂L/∂x + F) dt since then.  Where a component follows a rate, its
         value and its rate take the places of momentum and force.  Of order m.
         """
-        inner = SlopeBasis(len(self.method.quadrature) + 2)
-        momentum, rate = self._motion(inner.points)
-        impulse = np.einsum("din,jn,i->dij", rate, inner.values(inner.points), np.diff(self.t))
-        at_joints = self._momenta
-        defect = np.abs(momentum - at_joints[:, :-1, None] - impulse).max(axis=2)
-        size = np.abs(at_joints).max(axis=1) + np.abs(impulse).max(axis=(1, 2))
-        return (defect / or_one(size)[:, None]).max(axis=0)
+        return self.between_points.dynamics_defect
 
-    @cached_property
+    @property
     def control_misfit(self) -> np.ndarray:
         """Error of the impulse over each interval if the controls are taken as functions of time; (N,).
 
@@ -238,76 +231,29 @@ class ControlTrajectory(Trajectory):
         sum of all intervals, times the growth of an error along it.  It is of the order of the method, but large where
         controls turn over between the points, as an angle does that is limited to one turn.
         """
-        missed = self._impulses(gauss(len(self.method.quadrature) + 2)) - self._impulses(self.method.quadrature)
-        return (np.abs(missed) / self._impulse_sizes[:, None]).max(axis=0)
+        return self.between_points.control_misfit
 
-    @cached_property
+    @property
     def control_overshoot(self) -> np.ndarray:
         """Largest excess of the controls over their bounds between the points, over the bounds' width; (N,).
 
         It is large where a control jumps inside an interval (bang-bang), where a joint at the jump would help; the
         summary then shows it.
         """
-        low, high = np.array(self.problem.control_bounds)
-        width = np.where(np.isfinite(high - low) & (high > low), high - low, 1.0)
-        u = self.control.at(sampling_parts(len(self.method.quadrature)))
-        excess = bound_excess(u, low, high) / width[:, None]
-        return excess.max(axis=0).reshape(len(self.t) - 1, -1).max(axis=1)
+        return self.between_points.control_overshoot
 
     def path_constraints(self, parts: np.ndarray) -> np.ndarray:
         """Values of the path constraints at fractions (K,) of every interval, joints included; (k, N, K)."""
-        constraint = with_parameters(self.problem.path_constraint[0], self.parameters)
-        times, x, v = self.polynomial.sampled(parts)
-        (values,) = at_places(constraint, times, x, v, self.control.at(parts))
-        return values.reshape(len(values), len(self.t) - 1, len(parts))
+        return self.between_points.path_constraints(parts)
 
-    @cached_property
+    @property
     def constraint_excess(self) -> np.ndarray:
         """Largest excess of path constraints and positions over their bounds between the points; (N,).
 
         That of positions is relative to their sizes, that of a path constraint to its change where the path changes by
         its size.  So both are about the part of its size by which the path is off, at most one.
         """
-        parts = sampling_parts(FINER * self.method.degree)
-        values, excess = self._excess(parts)
-        outside = bound_excess(self.polynomial.values_at_parts(parts), *self.problem.position_bounds)
-        changes = self._changes_at_largest(values, excess)
-        relative = np.vstack((np.max(excess, axis=2) / changes, np.max(outside, axis=2) / self.sizes[:, None]))
-        return np.minimum(np.max(relative, axis=0), 1.0)
-
-    def _excess(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values of the path constraints, and their excess over their bounds, zero where a value is not finite."""
-        values = self.path_constraints(parts)  # 0/0 is a ratio of two positions that vanish at an end
-        return values, np.where(np.isfinite(values), bound_excess(values, *self.problem.path_constraint[1:]), 0.0)
-
-    def _changes_at_largest(self, values: np.ndarray, excess: np.ndarray) -> np.ndarray:
-        """Changes of path constraints g if x, v and u change by their sizes, Σ |∂g/∂z| |z|, at their largest excess.
-
-        An excess over this change is about the part of its size by which the path has to change.  The largest value of
-        a constraint is no measure: the square of the distance to an obstacle is as large as that of the path, and is
-        exceeded by the square of the size of the obstacle alone.  Nor are the derivatives away from the largest excess,
-        where it changes along the path: to move along it does not help.
-
-        Parameters
-        ----------
-        values, excess : at equidistant fractions of every interval, (k, N, K)
-
-        Returns
-        -------
-        (k, N), at least `TINY`, and infinite where it is not finite
-        """
-        if not len(values):
-            return np.empty(values.shape[:2])
-        t, *z = self.problem.path_constraint[0].sx_in()[:4]
-        constraint = with_parameters(self.problem.path_constraint[0], self.parameters)
-        derivative = ca.jacobian(constraint(t, *z), ca.vertcat(*z))
-        sizes = np.concatenate((self.sizes, component_sizes(self(self.t, 1)), component_sizes(self.control.values)))
-        times = self.t[:-1] + np.diff(self.t) * extrema(values, np.argmax(excess, axis=2)) / (values.shape[2] - 1)
-        terms = ca.Function("terms", [t, *z], [ca.densify(ca.mtimes(ca.fabs(derivative), sizes))])
-        flat, each = times.ravel(), np.arange(len(times))
-        (found,) = at_places(terms, flat, self(flat), self(flat, 1), self.control(flat))
-        changes = found.reshape(len(times), *times.shape)[each, each]
-        return np.where(np.isfinite(changes), np.maximum(changes, TINY), np.inf)
+        return self.between_points.constraint_excess
 
     def plot(
         self,
@@ -389,34 +335,6 @@ class ControlTrajectory(Trajectory):
         draw_multipliers(drawn, times, self.path_multipliers.values)
         return drawn
 
-    @property
-    def _momenta(self) -> np.ndarray:
-        """Momenta at the joints, and of components that follow rates their values; (d, N + 1)."""
-        mechanical = self.problem.mechanical
-        return np.vstack((self.momentum[:mechanical], self.x[mechanical:]))
-
-    def _motion(self, parts: np.ndarray, controls: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """∂L/∂v and ∂L/∂x + F at fractions (K,) of every interval, (d, N, K) each, with its controls or others.
-
-        Where a component follows a rate, its value and its rate take their places.
-        """
-        times, x, v = self.polynomial.sampled(parts)
-        pushes = np.empty((0, len(times))) if self.problem.constraint is None else self.multipliers(times)
-        u = self.control.at(parts) if controls is None else controls
-        momentum, rate = at_places(equations_of_motion(self.problem), times, x, v, u, pushes)
-        shape = len(x), -1, len(parts)
-        return momentum.reshape(shape), rate.reshape(shape)
-
-    def _impulses(self, rule: Quadrature) -> np.ndarray:
-        """Integrals ∫ (∂L/∂x + F) dt over every interval by a rule; (d, N)."""
-        return self._motion(np.array(rule.points))[1] @ np.array(rule.weights) * np.diff(self.t)
-
-    @cached_property
-    def _impulse_sizes(self) -> np.ndarray:
-        """Largest momentum plus the sum of all impulses, of every component; one where that is zero; (d,)."""
-        impulses = np.abs(self._impulses(self.method.quadrature))
-        return or_one(np.abs(self._momenta).max(axis=1) + impulses.sum(axis=1))
-
     def _broken(self, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Times (K,) and values (n, K) of lines (n, N, ...) at `ALONG`, broken at the joints, where they may jump."""
         times = times_at(self.t, ALONG).reshape(-1, len(ALONG))
@@ -470,59 +388,24 @@ class ControlTrajectory(Trajectory):
 
     def _unbalanced(self) -> list[str]:
         """A line on a Hamiltonian that varies where it should not, as where the cost jumps at a value of a control."""
-        share = self._hamiltonian_variation / max(abs(self.cost), self._cost_of_forces, TINY)
+        share = self.hamiltonian_variation / max(abs(self.cost), self.between_points.cost_of_forces, TINY)
         words = f"the Hamiltonian, which should be constant, varies by {share:.0e} of the cost; take more intervals"
         return [f"  NOT RESOLVED: {words}"] if share > UNBALANCED else []
 
     def _stepping(self) -> list[str]:
         """A line on a step of a callable that the solver has not seen."""
-        sizes, times = self._steps.sizes, self._steps.times
+        sizes, times = self.between_points.unseen_steps.sizes, self.between_points.unseen_steps.times
         if not np.max(sizes) * np.ptp(self.t) > SHOWN_STEP * self.cost_size:
             return []
         return [f"  NOT RESOLVED: at t = {times[np.argmax(sizes)]:.6g} {STEP}"]
 
-    def _along(self, parts: np.ndarray) -> list[np.ndarray]:
-        """Times and z of the `integrand` at fractions (K,) of every interval; (N K,) and (rows, N K) each."""
-        costate = [a.reshape(len(a), -1) for a in self.costate.at_parts(parts)]
-        times, x, v = self.polynomial.sampled(parts)
-        multipliers = np.empty((0, len(times))) if self.path_multipliers is None else self.path_multipliers.at(parts)
-        return [times, x, v, self.control.at(parts), *costate, multipliers]
-
     @cached_property
-    def _integrand(self) -> ca.Function:
-        """The integrand of the cost with its multipliers."""
-        return integrand(self.problem, self.parameters)
-
-    @cached_property
-    def _jump_effects(self) -> np.ndarray:
-        """Largest changes of the cost by jumps of callables in time, inside of each interval; (N,)."""
-        if self.problem.autonomous:
-            return np.zeros(len(self.t) - 1)
-        rule = self.method.quadrature
-        return jumps_in_time(self._integrand, self.t, rule, self._along(np.array(rule.points))[1:])
-
-    @cached_property
-    def _steps(self) -> Steps:
-        """Steps of callables that no derivative shows, on each interval."""
-        problem, rule = self.problem, self.method.quadrature
-        if not may_step(problem):
-            return Steps(np.zeros(len(self.t) - 1), self.t[:-1])
-        moving = moving_phases(problem)[np.searchsorted(problem.breakpoints, self.t[:-1], side="right")]
-        z = self._along(np.array(rule.points))[1:]
-        return unseen_steps(self._integrand, self.polynomial, rule, z, moving)
-
-    @cached_property
-    def _hamiltonian_variation(self) -> float:
+    def hamiltonian_variation(self) -> float:
         """Variation of the Hamiltonian, where it should be constant between breakpoints, times the duration."""
         if self.problem.hold or not self.problem.autonomous:  # held controls are optimal in the mean only
             return 0.0
         parts = np.split(self.hamiltonian, np.searchsorted(self.t, self.problem.breakpoints))
         return float(max(np.ptp(part) for part in parts) * np.ptp(self.t))
-
-    @cached_property
-    def _cost_of_forces(self) -> float:
-        """Cost of forces and rates that would change momenta and first-order components by their sizes."""
-        return float(np.max(np.abs(self.costate.values), axis=1) @ np.max(np.abs(self._momenta), axis=1))
 
     @property
     def _truncation_error(self) -> np.ndarray:

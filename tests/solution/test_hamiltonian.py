@@ -36,7 +36,7 @@ def test_a_jump_that_is_not_named_is_met_to_the_tolerance(name, tol):
     path, named = (cg.solve(double_integrator(**JUMPING[name], breakpoints=b), tol=tol) for b in ((), (WHEN,)))
     assert abs(path.cost / named.cost - 1) <= path.cost_error <= tol
     assert len(named.t) <= 10
-    assert np.max(named._jump_effects) < 1e-12 * named.cost
+    assert np.max(named.between_points.jump_effects) < 1e-12 * named.cost
 
 
 def test_a_jump_that_no_mesh_meets_is_named():
@@ -71,7 +71,7 @@ SMOOTH = {
 def test_what_is_smooth_in_time_is_no_jump(name):
     """Controls that switch between the points are none either."""
     path = cg.solve(SMOOTH[name](), cg.Galerkin(5), intervals=8)
-    assert 0 < np.sum(path._jump_effects) < 1e-11 * abs(path.cost)
+    assert 0 < np.sum(path.between_points.jump_effects) < 1e-11 * abs(path.cost)
 
 
 @pytest.mark.parametrize("name", SMOOTH)
@@ -80,8 +80,8 @@ def test_what_is_smooth_along_the_path_does_not_step(name):
     path = cg.solve(smooth, cg.Galerkin(5), intervals=8)
     assert not may_step(smooth)
     moving = np.zeros(8, dtype=bool)
-    z = path._along(np.array(path.method.quadrature.points))[1:]
-    steps = unseen_steps(path._integrand, path.polynomial, path.method.quadrature, z, moving)
+    z = path.between_points.along(np.array(path.method.quadrature.points))[1:]
+    steps = unseen_steps(path.between_points.integrand, path.polynomial, path.method.quadrature, z, moving)
     assert np.max(steps.sizes) < 1e-8 * abs(path.cost)
 
 
@@ -94,7 +94,7 @@ def test_what_is_continuous_where_it_compares_does_not_step():
         tol=1e-5,
     )
     assert may_step(path.problem)
-    assert np.max(path._steps.sizes) < 1e-6 * path.cost
+    assert np.max(path.between_points.unseen_steps.sizes) < 1e-6 * path.cost
     assert "NOT RESOLVED" not in repr(path)
 
 
@@ -178,4 +178,4 @@ def test_where_the_path_jumps_the_callables_do_not_step():
     )
     path = cg.solve(bounce, tol=1e-5)
     assert may_step(path.problem)
-    assert np.max(path._steps.sizes) < 1e-6 * path.cost
+    assert np.max(path.between_points.unseen_steps.sizes) < 1e-6 * path.cost

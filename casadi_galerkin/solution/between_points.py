@@ -1,0 +1,187 @@
+"""An optimized path as a function of time: what the equations, bounds and callables miss between the points.
+
+The solver imposes the equations of motion, the rates and the bounds at the quadrature points and nodes alone.  Whoever
+flies the path uses all of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casadi_galerkin.calculus.cached_property import cached_property
+from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, extrema, sampling_parts
+from casadi_galerkin.calculus.quadrature import Quadrature, gauss
+from casadi_galerkin.calculus.roundoff import TINY, component_sizes, or_one
+from casadi_galerkin.functional.interval import SlopeBasis
+from casadi_galerkin.functional.mapping import at_places
+from casadi_galerkin.problems.bounds import bound_excess
+from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.control_problem import ControlProblem
+from casadi_galerkin.problems.controlled_motion import equations_of_motion
+from casadi_galerkin.solution.control_path import ControlPath
+from casadi_galerkin.solution.hamiltonian import Steps, integrand, jumps_in_time, may_step, moving_phases, unseen_steps
+from casadi_galerkin.solution.trajectory import Trajectory
+
+FINER = 4  # times as many samples as for the path, to see obstacles that are as narrow as a twentieth of an interval
+
+
+@dataclass(frozen=True, eq=False)
+class BetweenPoints:
+    """What an optimized path misses between the quadrature points of its intervals.
+
+    Where a component follows a rate, its value and its rate take the places of momentum ∂L/∂v and force ∂L/∂x + F.
+
+    Attributes
+    ----------
+    path : Trajectory, without its controls
+    problem, control, costate, path_multipliers : as in `ControlTrajectory`
+    """
+
+    path: Trajectory
+    problem: ControlProblem
+    control: ControlPath
+    costate: PiecewisePolynomial
+    path_multipliers: ControlPath | None
+
+    @property
+    def momenta(self) -> np.ndarray:
+        """Momenta at the joints, (d, N + 1)."""
+        mechanical = self.problem.mechanical
+        return np.vstack((self.path.momentum[:mechanical], self.path.x[mechanical:]))
+
+    def motion(self, parts: np.ndarray, controls: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Momenta and forces at fractions (K,) of every interval, (d, N, K) each, with its controls or others."""
+        times, x, v = self.path.polynomial.sampled(parts)
+        pushes = np.empty((0, len(times))) if self.problem.constraint is None else self.path.multipliers(times)
+        u = self.control.at(parts) if controls is None else controls
+        momentum, rate = at_places(equations_of_motion(self.problem), times, x, v, u, pushes)
+        shape = len(x), -1, len(parts)
+        return momentum.reshape(shape), rate.reshape(shape)
+
+    def _impulses(self, rule: Quadrature) -> np.ndarray:
+        """Integrals of the forces over every interval by a rule; (d, N)."""
+        return self.motion(np.array(rule.points))[1] @ np.array(rule.weights) * np.diff(self.path.t)
+
+    @cached_property
+    def impulse_sizes(self) -> np.ndarray:
+        """Largest momentum plus the sum of all impulses, of every component; one where that is zero; (d,)."""
+        impulses = np.abs(self._impulses(self.path.method.quadrature))
+        return or_one(np.abs(self.momenta).max(axis=1) + impulses.sum(axis=1))
+
+    @cached_property
+    def cost_of_forces(self) -> float:
+        """Cost of forces and rates that would change momenta and first-order components by their sizes."""
+        return float(np.max(np.abs(self.costate.values), axis=1) @ np.max(np.abs(self.momenta), axis=1))
+
+    @cached_property
+    def dynamics_defect(self) -> np.ndarray:
+        """As in `ControlTrajectory`: p̂ is the joint's momentum plus the impulse since then."""
+        inner = SlopeBasis(len(self.path.method.quadrature) + 2)
+        momentum, rate = self.motion(inner.points)
+        impulse = np.einsum("din,jn,i->dij", rate, inner.values(inner.points), np.diff(self.path.t))
+        at_joints = self.momenta
+        defect = np.abs(momentum - at_joints[:, :-1, None] - impulse).max(axis=2)
+        size = np.abs(at_joints).max(axis=1) + np.abs(impulse).max(axis=(1, 2))
+        return (defect / or_one(size)[:, None]).max(axis=0)
+
+    @cached_property
+    def control_misfit(self) -> np.ndarray:
+        """As in `ControlTrajectory`."""
+        rule = self.path.method.quadrature
+        missed = self._impulses(gauss(len(rule) + 2)) - self._impulses(rule)
+        return (np.abs(missed) / self.impulse_sizes[:, None]).max(axis=0)
+
+    @cached_property
+    def control_overshoot(self) -> np.ndarray:
+        """As in `ControlTrajectory`."""
+        low, high = np.array(self.problem.control_bounds)
+        width = np.where(np.isfinite(high - low) & (high > low), high - low, 1.0)
+        u = self.control.at(sampling_parts(len(self.path.method.quadrature)))
+        excess = bound_excess(u, low, high) / width[:, None]
+        return excess.max(axis=0).reshape(len(self.path.t) - 1, -1).max(axis=1)
+
+    @cached_property
+    def constraint_excess(self) -> np.ndarray:
+        """As in `ControlTrajectory`."""
+        excess = self.path_excess(self._samples)[1]
+        outside = bound_excess(self.path.polynomial.values_at_parts(self._samples), *self.problem.position_bounds)
+        of_positions = np.max(outside, axis=2) / self.path.sizes[:, None]
+        relative = np.vstack((np.max(excess, axis=2) / self.constraint_changes, of_positions))
+        return np.minimum(np.max(relative, axis=0), 1.0)
+
+    @property
+    def _samples(self) -> np.ndarray:
+        """Fractions of an interval at which constraints are sampled."""
+        return sampling_parts(FINER * self.path.method.degree)
+
+    def path_constraints(self, parts: np.ndarray) -> np.ndarray:
+        """As in `ControlTrajectory`."""
+        constraint = with_parameters(self.problem.path_constraint[0], self.path.parameters)
+        times, x, v = self.path.polynomial.sampled(parts)
+        (values,) = at_places(constraint, times, x, v, self.control.at(parts))
+        return values.reshape(len(values), len(self.path.t) - 1, len(parts))
+
+    def path_excess(self, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values of the path constraints, and their excess over their bounds, zero where a value is not finite."""
+        values = self.path_constraints(parts)  # 0/0 is a ratio of two positions that vanish at an end
+        return values, np.where(np.isfinite(values), bound_excess(values, *self.problem.path_constraint[1:]), 0.0)
+
+    @cached_property
+    def constraint_changes(self) -> np.ndarray:
+        """Changes of path constraints g if x, v and u change by their sizes, Σ |∂g/∂z| |z|, at their largest excess.
+
+        An excess over this change is about the part of its size by which the path has to change.  The largest value of
+        a constraint is no measure: the square of the distance to an obstacle is as large as that of the path, and is
+        exceeded by the square of the size of the obstacle alone.  Nor are the derivatives away from the largest excess,
+        where it changes along the path: to move along it does not help.
+
+        Returns
+        -------
+        (k, N), at least `TINY`, and infinite where it is not finite
+        """
+        values, excess = self.path_excess(self._samples)
+        if not len(values):
+            return np.empty(values.shape[:2])
+        t, *z = self.problem.path_constraint[0].sx_in()[:4]
+        constraint = with_parameters(self.problem.path_constraint[0], self.path.parameters)
+        derivative, path, joints = ca.jacobian(constraint(t, *z), ca.vertcat(*z)), self.path, self.path.t
+        sizes = np.concatenate((path.sizes, component_sizes(path(joints, 1)), component_sizes(self.control.values)))
+        times = joints[:-1] + np.diff(joints) * extrema(values, np.argmax(excess, axis=2)) / (values.shape[2] - 1)
+        terms = ca.Function("terms", [t, *z], [ca.densify(ca.mtimes(ca.fabs(derivative), sizes))])
+        flat, each = times.ravel(), np.arange(len(times))
+        (found,) = at_places(terms, flat, path(flat), path(flat, 1), self.control(flat))
+        changes = found.reshape(len(times), *times.shape)[each, each]
+        return np.where(np.isfinite(changes), np.maximum(changes, TINY), np.inf)
+
+    def along(self, parts: np.ndarray) -> list[np.ndarray]:
+        """Times and z of the `integrand` at fractions (K,) of every interval; (N K,) and (rows, N K) each."""
+        costate = [a.reshape(len(a), -1) for a in self.costate.at_parts(parts)]
+        times, x, v = self.path.polynomial.sampled(parts)
+        multipliers = np.empty((0, len(times))) if self.path_multipliers is None else self.path_multipliers.at(parts)
+        return [times, x, v, self.control.at(parts), *costate, multipliers]
+
+    @cached_property
+    def integrand(self) -> ca.Function:
+        """The integrand of the cost with its multipliers."""
+        return integrand(self.problem, self.path.parameters)
+
+    @cached_property
+    def jump_effects(self) -> np.ndarray:
+        """Largest changes of the cost by jumps of callables in time, inside of each interval; (N,)."""
+        joints, rule = self.path.t, self.path.method.quadrature
+        if self.problem.autonomous:
+            return np.zeros(len(joints) - 1)
+        return jumps_in_time(self.integrand, joints, rule, self.along(np.array(rule.points))[1:])
+
+    @cached_property
+    def unseen_steps(self) -> Steps:
+        """Largest steps of the integrand that no derivative shows, on each interval."""
+        problem, joints, rule = self.problem, self.path.t, self.path.method.quadrature
+        if not may_step(problem):
+            return Steps(np.zeros(len(joints) - 1), joints[:-1])
+        moving = moving_phases(problem)[np.searchsorted(problem.breakpoints, joints[:-1], side="right")]
+        z = self.along(np.array(rule.points))[1:]
+        return unseen_steps(self.integrand, self.path.polynomial, rule, z, moving)
