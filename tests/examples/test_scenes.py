@@ -115,6 +115,17 @@ def orders_of_the_methods(module, measured):
     assert newton[high, 20] < 1e-4 * newton[low, 20]
 
 
+def known_orders(module, answer):
+    measured, paths, same = answer
+    orders = {name: measured.order(method) for name, method in module.METHODS.items()}
+    known = dict(zip(module.METHODS, (1, 2, 2, 3, 4, 4, 6), strict=True))
+    assert orders == pytest.approx(known, abs=0.25)
+    for path in paths.values():  # no drift: the errors of the second half are as large as those of the first
+        early, late = np.array_split(np.abs(path.energy - path.energy[0]), 2)
+        assert late.max() == pytest.approx(early.max(), rel=0.2)
+    assert np.ptp([path(np.linspace(0, 3, 100)) for path in same], axis=0).max() < ROUNDOFF
+
+
 def one_path_in_every_way(module, measured):
     """But for the lowest degree, with which shooting finds another path on a coarse mesh."""
     newton = {(row.method, row.intervals): row.error for row in measured.rows if row.way == "newton"}
@@ -593,8 +604,8 @@ def loads_at_rest(module, answer):
 
 
 def crane_in_balance(module, paths):
-    """The force found, applied to the crane in its own coordinates, and the rope's force from the load's motion."""
-    path, angle = paths
+    """The forces found, applied to the crane in its own coordinates, and the rope's force from the load's motion."""
+    path, angle, held = paths
     assert path.cost == pytest.approx(angle.cost, rel=1e-8)
     assert np.max(np.abs(np.hypot(path.x[1] - path.x[0], path.x[2]) - module.ROPE)) <= 1e-12
 
@@ -605,7 +616,10 @@ def crane_in_balance(module, paths):
         load = [1000 * u[0] + module.LOAD * module.ROPE * np.sin(swing) * spin**2, -module.GRAVITY * np.sin(swing)]
         return np.concatenate((y[2:], np.linalg.solve(mass, load)))
 
-    np.testing.assert_allclose(flown(rates, path, [0, 0, 0, 0]), [module.WAY, 0, 0, 0], rtol=0, atol=1e-4)
+    for one in (path, held):
+        np.testing.assert_allclose(flown(rates, one, [0, 0, 0, 0]), [module.WAY, 0, 0, 0], rtol=0, atol=1e-4)
+    assert held.cost == pytest.approx(np.sum(held.control.values**2) * module.DURATION / 24, rel=1e-12)
+    assert 1.001 * path.cost < held.cost < 1.02 * path.cost
     swing, spin = angle.x[1], angle.velocity[1]
     force = 1000 * np.append(angle.control(angle.t[:-1])[0], angle.control.at(np.ones(1))[0, -1])
     across = (force + module.LOAD * np.sin(swing) * (module.ROPE * spin**2 + module.GRAVITY * np.cos(swing))) / (
@@ -746,6 +760,7 @@ TABLE = [
     ("brachistochrone", time_of_the_cycloid, "the brachistochrone takes the time of the cycloid"),
     ("calculus", functional_by_hand, "the functional by hand is that of the graph"),
     ("mass_quadrature", one_mass_is_helped, "a point more helps one mass and not the other"),
+    ("classical_rules", known_orders, "known integrators have their orders, and no drift of the energy"),
     ("work_precision", one_path_in_every_way, "work against precision finds one path in every way"),
     ("work_precision", orders_of_the_methods, "work against precision has the orders of its methods"),
     ("fit_pendulum", uncertainty_of_the_fit, "the fit recovers length and damping within its own uncertainty"),
