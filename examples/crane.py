@@ -75,6 +75,7 @@ def draw(answer):
 
 if __name__ == "__main__":
     answer = path, angle, held = main()
+    path.estimate_error()
     print(path)
     print(f"  in angles   cost {angle.cost:.9f} kN² s, with the constraint {path.cost:.9f}")
     print(f"  held        {held.cost:.9f} kN² s, {100 * (held.cost / path.cost - 1):.1f} % more")

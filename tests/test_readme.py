@@ -8,7 +8,7 @@ from paths import EXAMPLES, ROOT
 README = ROOT / "README.md"
 GUIDES = sorted((EXAMPLES / "guides").glob("*.md"))
 DOCUMENTS = [README, *GUIDES]
-NUMBER = r"-?\d+\.\d+(?:e[+-]?\d+)?"
+NUMBER = r"-?\d+(?:\.\d+(?:e[+-]?\d+)?|e[+-]?\d+)"
 SHORTEST, LONGEST = 60, 150  # lines of a guide
 
 

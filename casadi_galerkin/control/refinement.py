@@ -1,12 +1,10 @@
 """From a tolerance to a degree and a mesh, for trajectory optimization.
 
-Every mesh is solved twice: with degree m, and with degree m + 2 from a perturbed copy of the first path
-(`error_estimate` describes how the two give an error, and `better_mesh` a new mesh).  The perturbation is √`tol` of
-the size of the path.  Without it, the solver would stop at the first path wherever a change of the path hardly changes
-the cost, and the two would not differ.  From the perturbed path it returns to an isolated optimum, but not where many
-paths cost the same.  Estimated are the relative errors of cost and duration, and the largest error of x at the joints
-and between them, relative to the size of its component.  The error of the control is not estimated, but the path that
-it leads to between the quadrature points is; nor is it known whether the optimum is the global one.
+Every mesh is solved twice: with degree m, and with degree m + 2 from a copy of the first path that is perturbed by
+√`tol` (`higher_degree`).  `error_estimate` describes how the two give an error, and `better_mesh` a new mesh.
+Estimated are the relative errors of cost and duration, and the largest error of x at the joints and between them,
+relative to the size of its component.  The error of the control is not estimated, but the path that it leads to between
+the quadrature points is; nor is it known whether the optimum is the global one.
 
 Where the solver finds no path, it tries again with every interval halved, and then from the guess with which all began
 in place of the coarser path.  Where it finds none of degree m + 2, there is no error estimate, and the next mesh has
@@ -47,27 +45,25 @@ from numpy.typing import ArrayLike
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.mesh_adaptation import resized_mesh
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
-from casadi_galerkin.calculus.quadrature import gauss, lobatto
 from casadi_galerkin.control.better_mesh import better_mesh
 from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.failure_report import UNITS
+from casadi_galerkin.control.higher_degree import WARM_START_BARRIER, perturbed, raised
 from casadi_galerkin.control.phases import with_joined_phases, with_parted_phases
 from casadi_galerkin.control.several_starts import distinct_optima, optima_of
 from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.problem import check_types, map_times, mesh_for, section_times
-from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import STEP, ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
-from casadi_galerkin.solution.guess import Guess, waves
+from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits
 from casadi_galerkin.solution.refinement import HINT, Estimate, Refinement
 from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
-WARM_START_BARRIER = 1e-4  # first barrier from an earlier path: with 1e-2 a robot arm left its path, and found none
 # Ratio of IPOPT's tolerance to its last barrier where a control switches, times tol², and the largest such ratio.  The
 # barrier keeps values off bounds to which little pushes them, such as controls on the short intervals beside a switch.
 # With IPOPT's own ratio of 10, the mass of a rocket was accurate to 3e-7 only.
@@ -86,18 +82,11 @@ LEFT_OPEN = (
     "on the path: give a cost_tol in place of tol, add a small cost of the control, or leave out a waypoint at a free "
     "time that asks for nothing"
 )
-HIGHER = 2  # degrees added for the error estimate; one adds nothing to a path of the other parity
 
 
 def control_method_for(tol: float) -> Galerkin:
     """The default method for a tolerance; with its degree, smooth problems need 8 to 20 intervals."""
     return Galerkin(int(np.clip(np.ceil(1 - np.log10(tol)), 4, 10)))
-
-
-def raised(method: Galerkin) -> Galerkin:
-    """The method with `HIGHER` more degrees and quadrature points: Lobatto's where this has one at 0, else Gauss's."""
-    rule = lobatto if method.quadrature.points[0] == 0 else gauss
-    return Galerkin(method.degree + HIGHER, quadrature=rule(len(method.quadrature) + HIGHER))
 
 
 def halved(mesh: np.ndarray) -> np.ndarray:
@@ -109,24 +98,6 @@ def fits_any_mesh(guess: Guess | None) -> bool:
     """Whether a guess is None, a function of time, or values with their times; arrays fit one mesh only."""
     parts = guess if isinstance(guess, tuple) else (guess,)
     return all(part is None or callable(part) or isinstance(part, tuple) for part in parts)
-
-
-def perturbed(path: ControlTrajectory, by: float) -> ControlTrajectory:
-    """A path plus a random smooth function of this part of its size; a free duration is longer by the same part."""
-    before, problem, ends = path.polynomial, path.problem, path.t[[0, -1]]
-    longer = ends + np.array([0.0, 0.0 if problem.duration_bounds is None else by]) * np.ptp(ends)
-    mesh, times = (map_times(own, ends, longer) for own in (path.t, np.array(section_times(problem))))
-    sizes = by * np.max(np.abs(before.values), axis=1)
-    parts = (before.node_times - ends[0]) / np.ptp(ends)
-    change = waves(np.random.default_rng(0), sizes)(parts)
-    arrivals = None if before.arrivals is None else before.arrivals + change[:, before.degree :: before.degree]
-    first, *breakpoints, last = times.tolist()
-    return replace(
-        path,
-        polynomial=PiecewisePolynomial(mesh, before.nodes, before.values + change, arrivals),
-        control=ControlPath(mesh, path.control.points, path.control.values, path.control.rule),
-        problem=problem.found((first, last), path.parameters, tuple(breakpoints)),
-    )
 
 
 class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
@@ -349,7 +320,7 @@ def first_control_discretization(
 ) -> tuple[Galerkin, np.ndarray]:
     """Method and joints with which a refinement begins; refuses what does not fit, see `solve` for the arguments.
 
-    Without intervals and mesh the joints are those of a guess that was refined itself to more intervals.
+    Without intervals and mesh the joints are those of a guess whose error is known, if they are more.
     """
     method = control_method_for(tol) if method is None else method
     check_types(problem, method, ControlProblem)

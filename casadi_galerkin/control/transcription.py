@@ -10,7 +10,9 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -23,15 +25,17 @@ from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.control.constraint_violation import violations
 from casadi_galerkin.control.continuous_controls import continuous_controls
+from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives, refuse_values
 from casadi_galerkin.control.graph import ControlGraph
+from casadi_galerkin.control.higher_degree import WARM_START_BARRIER, perturbed, raised
 from casadi_galerkin.control.initial_guess import first_values, near_answer
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages
 from casadi_galerkin.control.retries import retry_from_other_guesses, with_fallbacks
 from casadi_galerkin.control.second_variation import CostVariation
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, interrupts_raised
-from casadi_galerkin.functional.mapping import PointMap, by_rows
+from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
 from casadi_galerkin.functional.mass import check_mass
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.bounds import FEASIBLE
@@ -49,6 +53,7 @@ from casadi_galerkin.solvers.solver import Solver, fatrop, ipopt
 WILD = 10.0  # largest ratio of terms along a guess to those on the straight line; only noise has more
 UNMOVED = 1e-5  # part of the largest terms on the straight line below which those of a component do not count
 SHORTEST = 1e-10  # interval over the duration; at 1e-9 to 1e-12 IPOPT was seen to fail, and at 1e-13 to be wrong
+PERTURBATIONS = 1e-3, 0.0  # with which a path of higher degree is begun, where no tolerance tells one
 NAMES = {ipopt.name: "IPOPT", fatrop.name: "fatrop"}
 
 
@@ -252,6 +257,7 @@ class ControlTranscription:
             problem=found,
             find_index=variation.negative,
             find_remaining_error=variation.remaining_error,
+            find_errors=partial(estimated_errors, solver),
             cost=report.cost,
             cost_size=report.cost_size,
             control=self._over_time(joints, chain.control_times, values["controls"]),
@@ -387,3 +393,13 @@ def transcribed_control(
     check_types(problem, method, ControlProblem)
     check_mass(problem)
     return ControlTranscription(problem, method, mesh_for(problem, intervals, mesh), mapping)
+
+
+def estimated_errors(solver: Solver, path: ControlTrajectory) -> tuple[float, float]:
+    """Errors of the cost and of a path, from a path of higher degree on its mesh; infinite where there is none."""
+    transcription = transcribed_control(path.problem, raised(path.method), None, path.t, one_by_one)
+    near = replace(solver, options={"mu_init": WARM_START_BARRIER, **solver.options})
+    for size in PERTURBATIONS:
+        with suppress(ConvergenceError):
+            return HigherDegree(path, transcription.solve(guess=perturbed(path, size), solver=near)).errors
+    return math.inf, math.inf

@@ -65,7 +65,8 @@ class ControlTrajectory(Trajectory):
     cost : value of the discrete cost; stationary, and a minimum among paths near by where `morse_index` is 0
     cost_size : what errors of the cost are relative to: its size or, where that is smaller, 1e-6 of half of
         ∫ |δ|ᵀ|∇²ℓ||δ| dt with the distances δ of (x, v, u) from their means, as where a path follows a curve exactly
-    cost_error : estimated relative error of the cost, zero where the cost is only roundoff; None without a tolerance
+    cost_error : estimated relative error of the cost, zero where the cost is only roundoff; None before
+        `estimate_error`
     control : callable, ``control(t)`` -> (number of controls,) + t.shape
     costate : multipliers λ of the equations of motion, and of the rates, as a path: ``costate(t)`` -> (d,) + t.shape.
         The cost of a small extra force (or rate) δF(t) is ∫ λ·δF dt to first order
@@ -124,12 +125,27 @@ class ControlTrajectory(Trajectory):
     end_velocity: np.ndarray
     arrival_velocity: np.ndarray
     find_remaining_error: Callable[[], RemainingError]
+    find_errors: Callable[[ControlTrajectory], tuple[float, float]]  # of the cost and of x, relative
     cost_error: float | None = None
 
     @cached_property
     def _remaining_error(self) -> RemainingError:
         """The errors that the solver has left."""
         return self.find_remaining_error()
+
+    def estimate_error(self) -> float:
+        """Estimate the relative error of x, and that of the cost; kept as `error_estimate` and `cost_error`.
+
+        The path is compared with the optimum of a higher degree on the same mesh.  To this come the errors that both
+        degrees may share, as where a control switches inside an interval, and what the solver leaves.  Both errors are
+        infinite where the higher degree has no optimum.  With `hold` they are those of the motion under controls that
+        are held on these intervals.
+        """
+        if self.error_estimate is None:
+            cost, path = self.find_errors(self)
+            self.__dict__.update(cost_error=cost, error_estimate=path)  # the class is frozen
+        assert self.error_estimate is not None
+        return self.error_estimate
 
     @property
     def unseen_change(self) -> float:

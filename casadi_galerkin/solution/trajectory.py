@@ -101,17 +101,10 @@ class Trajectory(Path):
         misfit of L between points.  For a path between two ends it is also at least the relative difference of the
         responses to forces in the two degrees, where this shows that the mesh does not resolve variations.  It is
         infinite where the higher degree has no solution.
-
-        Raises
-        ------
-        TypeError
-            for a ControlTrajectory that was not solved to a tolerance; its error is estimated only during such a solve
         """
         if self.error_estimate is not None:
             return self.error_estimate
-        if self.find_difference is None:
-            kind = type(self).__name__
-            raise TypeError(f"the error of a {kind} is estimated where it is solved to a tolerance: give tol")
+        assert self.find_difference is not None
         error = max(self.find_difference(), *(float(np.max(indicator)) for indicator in self._indicators))
         self.__dict__["error_estimate"] = error  # the class is frozen
         return error

@@ -16,14 +16,13 @@ from control_problems import (
     pendulum,
     plane,
     resolved,
-    staged,
     true_error,
 )
 from paths import script
 from scipy.optimize import fsolve, minimize_scalar
 
 import casadi_galerkin as cg
-from casadi_galerkin.control.refinement import ControlRefinement, fits_any_mesh, perturbed
+from casadi_galerkin.control.refinement import ControlRefinement, fits_any_mesh
 
 
 def late_start(velocity=-0.3):
@@ -544,15 +543,6 @@ def test_where_a_coarse_path_leads_nowhere_the_first_guess_is_tried(monkeypatch)
     path = cg.solve(cart_pole(), cg.Galerkin(3), tol=1e-4)
     assert refused[1] == 2 * refused[0]
     assert path.cost == pytest.approx(58.8077, rel=1e-4)
-
-
-def test_a_perturbed_path_jumps_where_the_path_does():
-    """It jumped at every joint by the part of its size by which it is perturbed."""
-    path = cg.solve(staged(), cg.Galerkin(3), 10)
-    away = perturbed(path, 1e-3).polynomial
-    assert len(path.polynomial.jumps) == 1
-    np.testing.assert_array_equal(away.jumps, path.polynomial.jumps)
-    assert 1e-5 < np.max(np.abs(away.local - path.polynomial.local)) < 1e-2
 
 
 def test_two_controls_may_switch_at_the_same_time():

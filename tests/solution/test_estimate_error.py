@@ -5,7 +5,6 @@ import pickle
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import double_integrator
 from motions import kepler
 from scenes import BY_NAME, pendulum
 
@@ -128,8 +127,3 @@ def test_the_balance_of_energy_is_printed_also_where_the_energy_changes():
     path = cg.solve(driven, cg.Galerkin(8), 10)
     assert np.ptp(path.energy) > 0.1
     assert "its balance kept to rounding" in str(path)
-
-
-def test_an_optimal_path_refers_to_its_tolerance():
-    with pytest.raises(TypeError, match="give tol"):
-        cg.solve(double_integrator(), cg.Galerkin(3), 4).estimate_error()
