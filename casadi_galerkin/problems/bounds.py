@@ -49,6 +49,17 @@ def bounds(name: str, value: Any, size: int) -> Bounds:
     return tuple(low.tolist()), tuple(high.tolist())
 
 
+def bounds_with_room(name: str, value: Any, size: int) -> Bounds:
+    """The same, of values that are not all fixed, as by a pair for each of two components in place of (lo, hi)."""
+    low, high = bounds(name, value, size)
+    if size > 1 and low == high:
+        raise ValueError(
+            f"{name} must be (lo, hi), each a number or {size} numbers, not a pair for each component: "
+            f"{value!r} leaves nothing free"
+        )
+    return low, high
+
+
 def bound_excess(values: np.ndarray, low: ArrayLike, high: ArrayLike) -> np.ndarray:
     """By how much values (n, ...) leave their bounds (n,); zero within."""
     least, most = (np.reshape(side, (-1, *[1] * (values.ndim - 1))) for side in (low, high))
@@ -88,7 +99,7 @@ def parameter_bounds_of(given: tuple[Limit, Limit] | None, parameters: tuple[flo
 def limited_values(name: str, given: tuple[Traceable, Limit, Limit] | None, sizes: Mapping[str, int]) -> Limited:
     """Check (g, lo, hi): trace the function g, and check the bounds of its values; without values where it is None."""
     if given is not None and (not isinstance(given, (tuple, list)) or len(given) != 3):
-        raise TypeError(f"{name} must be (g, lo, hi), got {given!r}")
+        raise TypeError(f"{name} must be (g, lo, hi), a callable g and the bounds of its values, got {given!r}")
     if given is None or is_of_nothing(given[0]):
         return of_nothing(name, sizes), (), ()
     traced = trace(name, given[0], sizes, "any")

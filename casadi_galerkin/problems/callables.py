@@ -20,7 +20,10 @@ Traceable: TypeAlias = Callable[..., Any]  # a casadi Function is one
 Rows: TypeAlias = Literal["scalar", "any"]
 
 TRUTH_VALUES = frozenset({ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR})
-ADVICE = "Write it with CasADi's functions, such as casadi.cos and casadi.if_else, not with math or NumPy ones"
+ADVICE = (
+    "Write it with CasADi's functions of SX, such as casadi.cos, casadi.if_else and casadi.dot(v, v), not with math or "
+    "NumPy ones, nor with MX symbols"
+)
 
 
 def trace(name: str, function: Traceable, sizes: Mapping[str, int], rows: int | Rows) -> ca.Function:

@@ -26,7 +26,7 @@ from casadi_galerkin.problems.bounds import (
     Bounds,
     Limit,
     Limited,
-    bounds,
+    bounds_with_room,
     duration_bounds_of,
     limited_values,
     parameter_bounds_of,
@@ -174,7 +174,7 @@ class ControlProblem:
             size = counted(d, "component")
             raise ValueError(f"rates must be those of at most all {size}, got {d - mechanical} values")
         _check_mechanics(mechanical, lagrangian, force)
-        within = bounds("position_bounds", position_bounds, d)
+        within = bounds_with_room("position_bounds", position_bounds, d)
         passed, laws = waypoints_of(waypoints, here, within), jumps_of(jumps, here, mechanical)
         span = time_span(t_span)
         named = {*times_inside("breakpoints", breakpoints, span), *dict(passed), *dict(laws)}
@@ -187,7 +187,7 @@ class ControlProblem:
             "running_cost": trace("running_cost", running_cost, sizes, "scalar"),
             "controls": count,
             "terminal_cost": trace_if("terminal_cost", terminal_cost, moving, "scalar"),
-            "control_bounds": bounds("control_bounds", control_bounds, count),
+            "control_bounds": bounds_with_room("control_bounds", control_bounds, count),
             "position_bounds": within,
             "path_constraint": limited_values("path_constraint", path_constraint, sizes),
             "duration_bounds": duration_bounds_of(duration_bounds, len(inner) + 1),

@@ -334,6 +334,7 @@ def _failed(linear: Linearization, at: Iterate, data: Data, iteration: int, reas
     if np.any(going) and not np.all(going) and at.norm < SHORT:
         rest = ", ".join(f"x[{i}], of size {sizes[i]:.1e}" for i in np.flatnonzero(going))
         reason += f", though all has converged but {rest}: rounding of the others may be all that moves it"
+        reason += ", and where an end of it is meant to be zero, give exactly 0"
     return SolveFailure(reason, at.unknowns, iteration)
 
 

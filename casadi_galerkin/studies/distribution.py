@@ -1,9 +1,9 @@
 """Variations solved in this process, or by an executor in others; failures are kept beside the answers.
 
-A CasADi Function must not be shared between threads.  So what goes to an executor is pickled: the problem once, and
-chunks of variations; each worker process unpickles the problem and builds its graph once, whatever the number of its
-chunks.  Nothing here knows whose executor it is: a process pool's, Dask's ``client.get_executor()``, mpi4py's
-``MPIPoolExecutor``.
+The solves of one process run one after the other, so threads would gain nothing.  What goes to an executor is pickled:
+the problem once, and chunks of variations; each worker process unpickles the problem and builds its graph once,
+whatever the number of its chunks.  Nothing here knows whose executor it is: a process pool's, Dask's
+``client.get_executor()``, mpi4py's ``MPIPoolExecutor``.
 
 What ends a worker ends the whole of a process pool.  Chunks that were lost are solved again, one variation after the
 other, by a process of their own, which is started again where it fails; so only what ends its worker stays without an

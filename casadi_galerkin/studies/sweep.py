@@ -209,7 +209,7 @@ def sweep(
         variation with a `t_span`, the guess of its duration, starts from the straight line.  Variations of a control
         problem are refined one by one, each from its own guess
     executor : any Executor of processes in the sense of `concurrent.futures`; default none, one after the other.
-        Not of threads: CasADi Functions are not thread-safe
+        Not of threads: the solves of one process run one after the other
 
     Returns
     -------
@@ -234,8 +234,8 @@ def sweep(
         raise TypeError(f"variations must be a sequence of dicts, got {variations!r}")
     if executor is not None and (isinstance(executor, ThreadPoolExecutor) or not isinstance(executor, Executor)):
         raise TypeError(
-            "executor must be a concurrent.futures.Executor of processes, such as ProcessPoolExecutor(), as CasADi "
-            f"Functions are not thread-safe, got {executor!r}"
+            "executor must be a concurrent.futures.Executor of processes, such as ProcessPoolExecutor(), as the solves "
+            f"of one process run one after the other, got {executor!r}"
         )
     given = [_checked(problem, i, variation) for i, variation in enumerate(variations)]
     checked, problems = [variation for variation, _ in given], tuple(other for _, other in given)

@@ -6,9 +6,10 @@ Peers, each at its own best discretization for each error:
 * hand-written CasADi: Gauss collocation of the first-order system y = (x, v) with all stage values as unknowns, as a
   skilled user writes it: a pointwise map, or its expansion to scalars; sparse exact Jacobian; Newton's rootfinder with
   a sparse linear solver, stopped at a tenth of the error asked for.  The best of its variants counts;
-* SciPy's `solve_bvp` with vectorized right-hand side and analytic Jacobian, at its loosest tolerance that does.
+* SciPy's `solve_bvp` with vectorized right-hand side and analytic Jacobian, at its loosest tolerance that does, from
+  several numbers of joints and from the mesh that it has found itself.  The best of these counts.
 
-All start from the same guess, and the first two from the same family of meshes.  An error is the largest of x between
+All start from the same guess, and from the same family of meshes.  An error is the largest of x between
 and at the joints (the collocation's from its polynomials), relative to the largest component, against a closed form or
 a solution that is finer by several digits.  Times are medians of warm solves, in turns.  Building is not counted.
 
@@ -21,6 +22,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import date
+from functools import partial
 from statistics import median
 
 import casadi as ca
@@ -40,6 +42,7 @@ CANDIDATES = 3  # discretizations with the fewest unknowns that are timed
 FEW, TRIALS, REPEATS = 3, 31, 15  # runs of every discretization, of those that may be the best, and of the best
 NEAR = 1.5  # times the least time that may be the least in truth
 LINEAR_SOLVERS = "csparse", "qr"
+JOINTS = 20, 50, 100  # of first meshes of `solve_bvp`
 
 
 @dataclass(frozen=True)
@@ -316,7 +319,7 @@ def numpy_function(name, function):
 
 
 def scipy_solver(case):
-    """A callable of a tolerance that solves by `solve_bvp` and gives its result."""
+    """A callable of a tolerance and joints that solves by `solve_bvp` and gives its result."""
     d = len(case.start)
     y = ca.SX.sym("y", 2 * d)
     rate = ca.vertcat(y[d:], case.acceleration(y[:d], y[d:]))
@@ -336,16 +339,15 @@ def scipy_solver(case):
 
     left, zero, one = np.eye(d, 2 * d), np.zeros((d, 2 * d)), np.eye(d, 2 * d)
     ends = np.vstack((left, zero)), np.vstack((zero, one))
-    first = case.mesh(20)
-    h = 1e-6 * (first[-1] - first[0])
-    ahead, behind = np.minimum(first + h, first[-1]), np.maximum(first - h, first[0])
-    guess = np.vstack((case.guess(first), (case.guess(ahead) - case.guess(behind)) / (ahead - behind)))
 
-    def run(tol):
+    def run(tol, joints):
+        h = 1e-6 * (joints[-1] - joints[0])
+        ahead, behind = np.minimum(joints + h, joints[-1]), np.maximum(joints - h, joints[0])
+        guess = np.vstack((case.guess(joints), (case.guess(ahead) - case.guess(behind)) / (ahead - behind)))
         return solve_bvp(
             right,
             lambda a, b: np.concatenate((a[:d] - case.start, b[:d] - case.end)),
-            first,
+            joints,
             guess,
             fun_jac=right_jacobian,
             bc_jac=lambda a, b: ends,
@@ -354,6 +356,22 @@ def scipy_solver(case):
         )
 
     return run
+
+
+def by_scipy(case, exact, error):
+    """Callables that solve to an error by `solve_bvp`, by their tolerance and number of joints."""
+    run, times, found = scipy_solver(case), np.linspace(*case.t_span, 401)[1:-1], {}
+    for count in JOINTS:
+        for tol in 10.0 ** -np.arange(3.0, 13.5, 0.5):
+            result = run(tol, case.mesh(count - 1))
+            if not (result.success and relative(result.sol(times)[: len(case.start)], exact(times)) <= error):
+                continue
+            found[tol, count] = partial(run, tol, case.mesh(count - 1))
+            again = run(tol, result.x)  # the mesh found beforehand, as the others have theirs
+            if again.success and relative(again.sol(times)[: len(case.start)], exact(times)) <= error:
+                found[tol, len(result.x)] = partial(run, tol, result.x)
+            break
+    return found
 
 
 def smallest(case, exact):
@@ -394,23 +412,17 @@ def best(case, exact, error, cells):
                 if success and relative(x, exact(inside(case.mesh(cell[1])))) <= error:
                     theirs[cell, "scalars" if expand else "map", linear_solver] = run
     peer = list(theirs)[fastest(list(theirs.values()))] if theirs else None
-    run, times = scipy_solver(case), np.linspace(*case.t_span, 401)[1:-1]
-    tolerance = None
-    for exponent in np.arange(3.0, 13.5, 0.5):
-        result = run(10.0**-exponent)
-        if result.success and relative(result.sol(times)[: len(case.start)], exact(times)) <= error:
-            tolerance = 10.0**-exponent
-            break
-    calls = [mine[chosen]] + ([theirs[peer]] if theirs else []) + ([lambda: run(tolerance)] if tolerance else [])
-    final = timed(calls)
-    row = [final[0], final[1] if theirs else np.nan, final[-1] if tolerance else np.nan]
-    return [1e3 * value for value in row], (cells[chosen], peer, tolerance)
+    scipys = by_scipy(case, exact, error)
+    way = list(scipys)[fastest(list(scipys.values()))] if scipys else None
+    final = timed([mine[chosen]] + ([theirs[peer]] if theirs else []) + ([scipys[way]] if scipys else []))
+    row = [final[0], final[1] if theirs else np.nan, final[-1] if scipys else np.nan]
+    return [1e3 * value for value in row], (cells[chosen], peer, way)
 
 
-def described(mine, peer, tolerance):
-    """Discretizations in words: degree and intervals, the variant by hand, SciPy's tolerance."""
+def described(mine, peer, way):
+    """Discretizations in words: degree and intervals, the variant by hand, SciPy's tolerance and first joints."""
     hand = "by hand fails" if peer is None else f"by hand {peer[0][0]} x {peer[0][1]}, {peer[1]}, {peer[2]}"
-    return f"{mine[0]} x {mine[1]}; {hand}; " + ("SciPy fails" if tolerance is None else f"tol {tolerance:.0e}")
+    return f"{mine[0]} x {mine[1]}; {hand}; " + ("SciPy fails" if way is None else "tol {:.0e}, {} joints".format(*way))
 
 
 def main():

@@ -26,7 +26,12 @@ import casadi_galerkin as cg
         (lambda t, x, v: v[0] ** 2 + x[1], ValueError, r"ignores v\[1\]: without a velocity"),
         (lambda t, x, v: ca.sum1(x), ValueError, r"ignores v\[0\], v\[1\]"),
         (lambda t, x, v: v[0] ** 2 + v[1] + math.cos(x[0]), TypeError, "not with math or NumPy ones"),
-        (lambda t, x, v: v[0] ** 2 + v[1] + np.linalg.norm(x), (TypeError, ValueError), "not with math or NumPy ones"),
+        (
+            lambda t, x, v: v[0] ** 2 + v[1] + np.linalg.norm(x),
+            (TypeError, ValueError),
+            "not with math or NumPy ones",
+        ),
+        (lambda t, x, v: v[0] ** 2 + v[1] ** 2 + ca.MX.sym("k"), TypeError, "of SX, .* nor with MX symbols"),
         (lambda t, x, v: v[0] ** 2 + v[1] if x[0] > 0 else 0, ValueError, "failed when called with CasADi.*if_else"),
         (lambda t, x, v: sum(v**2), (TypeError, ValueError), r"failed [^\n]*[^.]\. Write it with"),
         (lambda t, x: x[0], TypeError, r"lagrangian is called as lagrangian\(t, x, v\):"),

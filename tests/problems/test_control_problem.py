@@ -33,6 +33,11 @@ BADLY_STATED = {
         ValueError,
         "control_bounds must have lo <= hi, got 1.0 and -1.0$",
     ),
+    "a pair for each control": (
+        {"controls": 2, "control_bounds": [(-1, 1), (-1, 1)], "force": lambda t, x, v, u: u[0]},
+        ValueError,
+        r"control_bounds must be \(lo, hi\), .* not a pair for each component: .* leaves nothing free",
+    ),
     "bounds of a wrong length": ({"control_bounds": ([0, 0], 1)}, ValueError, "lo of control_bounds .* 1 number"),
     "bounds that are no pair": ({"control_bounds": 3}, TypeError, "must be a pair"),
     "bounds that are no numbers": ({"control_bounds": ("a", 1)}, TypeError, "lo of control_bounds"),
@@ -112,7 +117,7 @@ BADLY_STATED = {
     "condition alone": (
         {"end_conditions": lambda x0, v0, x1, v1: x1},
         TypeError,
-        r"end_conditions must be \(g, lo, hi\), got",
+        r"end_conditions must be \(g, lo, hi\), a callable g and .* its values, got",
     ),
     "condition of two arguments": (
         {"end_conditions": (lambda x0, x1: x1 - x0, 0, 0)},

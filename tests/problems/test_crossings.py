@@ -56,12 +56,12 @@ BADLY_STATED = {
     "a waypoint without bounds": (
         {"waypoints": [(0.5, lambda x, v: v)]},
         TypeError,
-        r"waypoint must be \(g, lo, hi\), got <function",
+        r"waypoint must be \(g, lo, hi\), a callable g and .*, got <function",
     ),
     "a waypoint with one bound": (
         {"waypoints": [(0.5, (lambda x, v: v, 1.0))]},
         TypeError,
-        r"waypoint must be \(g, lo, hi\), got \(<function",
+        r"waypoint must be \(g, lo, hi\), a callable g and .*, got \(<function",
     ),
     "a waypoint that contradicts": (
         {"waypoints": [(0.5, (lambda x, v: v, 1.0, 0.0))]},
