@@ -113,9 +113,9 @@ class BoundaryRefinement(Refinement[CriticalPoint, np.ndarray]):
         """Iterations of the solver in all levels."""
         return self.graphs.iterations
 
-    def solved(self, level: CriticalPoint) -> tuple[PiecewisePolynomial, int, float]:
-        """The path of one level, the solver's iterations, and the residual that they left."""
-        return level.polynomial, level.solution.iterations, level.solution.residual
+    def solved(self, level: CriticalPoint) -> tuple[PiecewisePolynomial, float]:
+        """The path of one level, and the residual that the solver has left."""
+        return level.polynomial, level.solution.residual
 
     def path(self, level: CriticalPoint, error: float) -> Path:
         """The critical path on the mesh of a level, with its error; a Path where nothing more can be said of it."""

@@ -127,9 +127,9 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         self.stated, self.problem = problem, with_joined_phases(problem)
         self.of_cost, self.method, self.solver = of_cost, method, solver
 
-    def solved(self, level: ControlTrajectory) -> tuple[PiecewisePolynomial, int, float]:
-        """The path of one level, the solver's iterations, and the violation that they left."""
-        return level.polynomial, level.iterations, level.residual
+    def solved(self, level: ControlTrajectory) -> tuple[PiecewisePolynomial, float]:
+        """The path of one level, and the violation that the solver has left."""
+        return level.polynomial, level.residual
 
     def path(self, level: ControlTrajectory, error: float) -> ControlTrajectory:
         """The optimum on the mesh of a level, with its error."""

@@ -65,6 +65,7 @@ class Refinement(ABC, Generic[Level, Detail]):
     persistence = math.inf
     best: tuple[Level, float]
     fruitless: int
+    reported = 0  # iterations that have been printed
 
     def __init__(self, tol: float, limits: Limits, verbose: int) -> None:
         self.tol, self.limits, self.verbose = tol, limits, verbose
@@ -89,8 +90,8 @@ class Refinement(ABC, Generic[Level, Detail]):
         """The path of a level, to be attached to the error where the refinement is stopped."""
 
     @abstractmethod
-    def solved(self, level: Level) -> tuple[PiecewisePolynomial, int, float]:
-        """The path of one level, the solver's iterations, and the residual that they left."""
+    def solved(self, level: Level) -> tuple[PiecewisePolynomial, float]:
+        """The path of one level, and the residual that the solver has left."""
 
     def out_of_time(self) -> bool:
         """Whether the time is up."""
@@ -152,7 +153,7 @@ class Refinement(ABC, Generic[Level, Detail]):
             f"tolerance {self.tol:g} was not reached: {reason}. The best path has {len(path.t) - 1} intervals "
             f"and {known}; it is attached to this error as `path`. {hint}",
             path,
-            self.solved(level)[2],
+            self.solved(level)[1],
             self.iterations,
         )
 
@@ -162,12 +163,13 @@ class Refinement(ABC, Generic[Level, Detail]):
         return LimitReached(words, failure.path, failure.residual, self.iterations)
 
     def _report(self, number: int, level: Level, estimate: Estimate[Detail]) -> None:
-        """Print one line per level."""
+        """Print one line per level, with the iterations since the last one."""
         if not self.verbose:
             return
         if number == 0:
             print(f"{'Level':>7}{'Degree':>8}{'Intervals':>11}{'Iterations':>12}{'Max error':>12}  Estimated from")
-        polynomial, iterations, _ = self.solved(level)
+        polynomial, iterations = self.solved(level)[0], self.iterations - self.reported
+        self.reported = self.iterations
         print(
             f"{number:7d}{polynomial.degree:8d}{len(polynomial.mesh) - 1:11d}{iterations:12d}"
             f"{estimate.error:12.2e}  {estimate.source}"

@@ -353,8 +353,9 @@ def test_a_cost_too_small_for_the_solver_ends_a_refinement_soon(capsys):
 
 
 def test_lines_of_the_levels(capsys):
-    cg.solve(cart_pole(), tol=1e-4, verbose=1)
+    path = cg.solve(cart_pole(), tol=1e-4, verbose=1)
     lines = capsys.readouterr().out.splitlines()
+    assert sum(int(line.split()[3]) for line in lines if line.split()[0].isdigit()) == path.iterations
     assert lines[0].split()[:3] == ["Level", "Degree", "Intervals"]
     assert lines[1].split()[:3] == ["0", "5", "8"]
     assert any(line.startswith("ControlTrajectory") for line in lines)
