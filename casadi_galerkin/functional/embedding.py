@@ -1,8 +1,8 @@
-"""E, Eᵀ and Eᵀ blockdiag(·) E as CasADi Functions of the `Numbering` alone: embed, integrate, assemble.
+"""E, Eᵀ and Eᵀ blockdiag(·) E as CasADi expressions of the `Numbering` alone: embed, integrate, assemble.
 
 They use E as the product of two factors: the selection of each interval's node values, and the dense matrices of the
 reference `Element`.  Because the step is an input of the pulled-back Lagrangian, they do not depend on the mesh, and
-they are cached for other Lagrangians.
+Functions of the longer ones are cached for other Lagrangians.
 
 Slopes are computed from differences to the first value of the interval, and the gradient by that value from the sum of
 the others (the l_j sum to one, the l_j' to zero).  Roundoff then stays near 1e-14 at 1e5 intervals instead of growing
@@ -112,7 +112,7 @@ def _coefficients(numbering: Numbering) -> list[ca.MX]:
     return [ca.MX.sym(name, numbering.dimension, numbering.points) for name in ("fx", "fv")]
 
 
-def _integrated(numbering: Numbering, fx: ca.MX, fv: ca.MX) -> ca.MX:
+def integrated(numbering: Numbering, fx: ca.MX, fv: ca.MX) -> ca.MX:
     """Eᵀ times the coefficients (d, N r) of δx and δx', summed for every unknown."""
     element = numbering.method.element
     w, r = element.weights[:, None], len(element.points)
@@ -122,19 +122,9 @@ def _integrated(numbering: Numbering, fx: ca.MX, fv: ca.MX) -> ca.MX:
     return gathered(numbering, numbering.local.ravel(), ca.horzcat(first, others))
 
 
-@lru_cache(CACHE_SIZE)
-def integration(numbering: Numbering) -> ca.Function:
-    """Eᵀ: coefficients fx, fv (d, N r) of δx and δx' -> their sums for every unknown."""
-    coefficients = _coefficients(numbering)
-    return ca.Function("integration", coefficients, [_integrated(numbering, *coefficients)], ["fx", "fv"], ["gradient"])
-
-
-@lru_cache(CACHE_SIZE)
-def summation(numbering: Numbering) -> ca.Function:
-    """∫ f Δ_w t on the reference interval, summed: values (1, N r), step included -> scalar."""
-    f = ca.MX.sym("f", 1, numbering.points)
-    total = ca.sum1(_times(_side_by_side(numbering, f), numbering.method.element.weights[:, None]))
-    return ca.Function("summation", [f], [total], ["f"], ["action"])
+def summed(numbering: Numbering, f: ca.MX) -> ca.MX:
+    """∫ f Δ_w t on the reference interval, summed, from values (1, N r), step included; scalar."""
+    return ca.sum1(_times(_side_by_side(numbering, f), numbering.method.element.weights[:, None]))
 
 
 @lru_cache(CACHE_SIZE)
@@ -150,7 +140,7 @@ def variation(numbering: Numbering) -> ca.Function:
     first, last = ca.horzsplit(_times(both, basis[:, [0, -1]]))
     momenta = ca.horzcat(-first[:d], ca.reshape(last, d, numbering.intervals))
     terms = gathered(numbering, numbering.local.ravel(), _times(ca.fabs(both), np.abs(basis)))
-    outputs = [summation(numbering)(f), momenta, _integrated(numbering, fx, fv), terms]
+    outputs = [summed(numbering, f), momenta, integrated(numbering, fx, fv), terms]
     return ca.Function(
         "variation", [f, fx, fv], outputs, ["f", "fx", "fv"], ["action", "momentum", "gradient", "terms"]
     )
@@ -189,7 +179,7 @@ def assembly(
         where = places.tolist()
         values.nz[where] = values.nz[where] + entries.nz[positions.tolist()]
     matrix, coefficients = ca.MX(pattern.sparsity, values), _coefficients(numbering)
-    outputs = [matrix, _integrated(numbering, *coefficients)]
+    outputs = [matrix, integrated(numbering, *coefficients)]
     names = ["fx", "fv", *(f"block{i}{j}" for i, j in blocks)]
     return ca.Function("assembly", [*coefficients, *inputs], outputs, names, ["matrix", "gradient"])
 

@@ -34,8 +34,8 @@ from casadi_galerkin.functional.embedding import (
     assembly,
     embedded,
     embedding,
-    integration,
-    summation,
+    integrated,
+    summed,
     variation,
 )
 from casadi_galerkin.functional.local_terms import LocalTerm
@@ -165,9 +165,9 @@ class Functional:
     def _stretch(self) -> tuple[ca.MX, ca.MX]:
         """The equation of the duration, ∂S/∂τ + E T with τ = log T, and the derivatives of all equations by τ."""
         by_stretch = ca.MX(ca.Sparsity.unit(self.numbering.free, self.numbering.free - 1))
-        action, energy = summation(self.numbering)(self._first[0]), self._given[0][-1]
+        action, energy = summed(self.numbering, self._first[0]), self._given[0][-1]
         row = ca.jtimes(action, self.symbols["unknowns"], by_stretch) + energy * self._embedded.duration
-        rows = integration(self.numbering)(*self._first[1:])[: self.numbering.free - 1, :]
+        rows = integrated(self.numbering, *self._first[1:])[: self.numbering.free - 1, :]
         return row, ca.densify(ca.jtimes(ca.vertcat(rows, row), self.symbols["unknowns"], by_stretch))
 
     @cached_property
@@ -175,7 +175,7 @@ class Functional:
         """Sum of the sizes of the terms of the equation of the duration, which are -L̂, ∂L̂/∂x'_i x'_i and E T."""
         lagrangian, _, momenta = self._first[:3]
         at_points = ca.fabs(lagrangian) + ca.sum1(ca.fabs(momenta * self._embedded.points[-1]))
-        return summation(self.numbering)(at_points) + ca.fabs(self._given[0][-1]) * self._embedded.duration
+        return summed(self.numbering, at_points) + ca.fabs(self._given[0][-1]) * self._embedded.duration
 
     def _with_terms(self, total: ca.MX) -> ca.MX:
         """All equations, from those of the integral."""
@@ -188,12 +188,12 @@ class Functional:
     @cached_property
     def action(self) -> ca.MX:
         """S̄ without the terms of multipliers and of the energy; scalar."""
-        return sum((ca.sum1(ca.sum2(added)) for added, _, _ in self._terms), summation(self.numbering)(self._first[0]))
+        return sum((ca.sum1(ca.sum2(added)) for added, _, _ in self._terms), summed(self.numbering, self._first[0]))
 
     @cached_property
     def gradient(self) -> ca.MX:
         """∇S with respect to the free values ξ."""
-        return self._with_terms(integration(self.numbering)(*self._first[1:]))
+        return self._with_terms(integrated(self.numbering, *self._first[1:]))
 
     @cached_property
     def first_variation(self) -> dict[str, ca.MX]:
@@ -272,7 +272,7 @@ class Functional:
         fixed, embed = ca.MX.zeros(self.numbering.size - self.numbering.free, 1), embedding(self.numbering)
         changes = [ca.vertcat(*embed.call([ca.vertcat(way, fixed)])) for way in ways.values()]
         mapped = one_by_one(self.pointwise.curvature, self.numbering.points, self._shared)
-        signed, positive = map(summation(self.numbering), mapped.call([*self._at, *changes]))
+        signed, positive = (summed(self.numbering, values) for values in mapped.call([*self._at, *changes]))
         if self._further is not None:
             signed += ca.bilin(self._further, *ways.values())
             positive += ca.bilin(ca.fabs(self._further), *map(ca.fabs, ways.values()))

@@ -87,8 +87,6 @@ def forget():
         embedding.embedding,
         embedding.embedded,
         embedding.variation,
-        embedding.integration,
-        embedding.summation,
         embedding.assembly,
         embedding.hessian_pattern,
         linear_solver.of_pattern,
