@@ -75,6 +75,7 @@ class Numbering:
         """Component of the path to which every entry of u belongs, 0 for those that are no values of it; (size,)."""
         component = np.zeros(self.size, dtype=np.int64)
         component[self.of_nodes] = np.arange(self.dimension)
+        component[self.free :] = self.fixed_start + self.fixed_end  # no node has those that are unknowns nevertheless
         return component
 
     @cached_property
@@ -102,6 +103,10 @@ class Numbering:
     def size(self) -> int:
         """Length of u."""
         return self.free + len(self.fixed_start) + len(self.fixed_end)
+
+    def parted(self, u: np.ndarray) -> list[np.ndarray]:
+        """Views of the unknowns ξ, the start and the end in a vector u."""
+        return np.split(u, [self.free, self.free + len(self.fixed_start)])
 
     @property
     def local(self) -> np.ndarray:

@@ -19,7 +19,7 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY, largest_of
 from casadi_galerkin.functional.numbering import Data, Numbering
 from casadi_galerkin.solvers.deadline import seconds_left
 from casadi_galerkin.solvers.second_variation import SINGULAR, softest
-from casadi_galerkin.solvers.stationarity import ACCEPTED, Iterate, Linearization, Stationarity
+from casadi_galerkin.solvers.stationarity import ACCEPTED, Iterate, Linearization, Stationarity, joined
 
 NEWTON = "Newton"  # its report
 NEARLY_CONVERGED = 1e-6  # relative step from which the next iterate can be at roundoff
@@ -186,10 +186,8 @@ def _with_zero_components(
 
 def _resting(numbering: Numbering, data: Data) -> np.ndarray:
     """Which components have given ends that are exactly zero, if any; (d,)."""
-    sizes = np.zeros(numbering.dimension)
-    for those, end in zip((numbering.fixed_start, numbering.fixed_end), data[:2], strict=True):
-        sizes[list(those)] += np.abs(end)
-    return sizes == 0
+    ends = np.abs(np.concatenate(data[:2]))
+    return largest_of(ends, numbering.component[numbering.free :], numbering.dimension) == 0
 
 
 def _zero_components(
@@ -199,26 +197,23 @@ def _zero_components(
 
     Given ends count as zero where they are not larger than what rounding of the equations does to the component.
     """
-    numbering, chosen = linear.stationarity.functional.numbering, candidates.copy()
-    component, fixed = numbering.component[: numbering.positions], (numbering.fixed_start, numbering.fixed_end)
+    numbering, chosen, u = linear.stationarity.functional.numbering, candidates.copy(), joined(x, data)
+    component, free = numbering.component, numbering.free
     while np.any(chosen):
-        nothing = np.zeros(len(x), dtype=bool)
-        nothing[: len(component)] = chosen[component]
-        ends = [np.where(chosen[list(those)], 0.0, end) for those, end in zip(fixed, data[:2], strict=True)]
+        nothing = chosen[component]
+        nothing[numbering.positions : free] = False
+        unknowns, *ends = numbering.parted(np.where(nothing, 0.0, u))
         zeroed = (*ends, *data[2:])
-        gradient, _, least = _rounding_floors(linear, np.where(nothing, 0.0, x), zeroed, resting)
+        gradient, _, least = _rounding_floors(linear, unknowns, zeroed, resting)
         effects = np.abs(linear.rounding_effects(least)).max(axis=0)
-        missed = component[(np.abs(gradient) > ACCEPTED * least)[: len(component)]]
-        large = effects[: len(component)] > math.sqrt(EPS)  # of a number of size one: by what steps at zero, as a kink
-        missed = np.append(missed, component[resting[component] & large])
-        if any(np.any(end != kept) for end, kept in zip(ends, data[:2], strict=True)):
-            blurred = ACCEPTED * _of_components(numbering, effects)
-            for those, end in zip(fixed, data[:2], strict=True):
-                missed = np.append(missed, np.array(those, dtype=int)[np.abs(end) > blurred[list(those)]])
-        if not np.any(chosen[missed]):
-            return nothing, zeroed
-        chosen[missed] = False
-    return np.zeros(len(x), dtype=bool), data
+        large = effects > math.sqrt(EPS)  # of a number of size one: by what steps at zero, as a kink
+        missed = (np.abs(gradient) > ACCEPTED * least) | (resting[component[:free]] & large)
+        blurred = ACCEPTED * _of_components(numbering, effects)
+        failed = nothing & np.append(missed, np.abs(u[free:]) > blurred[component[free:]])
+        if not np.any(failed):
+            return nothing[:free], zeroed
+        chosen[component[failed]] = False
+    return np.zeros(free, dtype=bool), data
 
 
 def _rounding_floors(

@@ -147,8 +147,8 @@ class Linearization:
         self.stationarity = stationarity
         self.methods: tuple[str, ...] = METHODS
         numbering = stationarity.functional.numbering
-        u, free, end = np.zeros(numbering.size), numbering.free, numbering.size - len(numbering.fixed_end)
-        self._arrays: dict[str, np.ndarray] = {"u": u, "unknowns": u[:free], "start": u[free:end], "end": u[end:]}
+        u = np.zeros(numbering.size)
+        self._arrays = dict(zip(("u", "unknowns", "start", "end"), (u, *numbering.parted(u)), strict=True))
         self._evaluators: dict[tuple[str, ...], Evaluator] = {}
         self._inputs = list(stationarity.functional.symbols)[1:]
         self._kept: dict[str, Any] = {}
@@ -315,20 +315,15 @@ class Linearization:
         They show the rounding of terms that cancel within the derivatives of L, whose sizes are not known.  Components
         that are `resting`, (d,), have no size of their own: zeros of them are moved together by `RESTING`.
         """
-        numbering, further = self.stationarity.functional.numbering, data[2:]
-        shifts = [np.zeros(len(a)) for a in (unknowns, *data[:2])]
+        numbering, u = self.stationarity.functional.numbering, joined(unknowns, data)
+        shifts = np.zeros(len(u))
         if resting is not None:
-            shifts[0][: numbering.positions] = RESTING * resting[numbering.component[: numbering.positions]]
-            shifts[1][:], shifts[2][:] = (
-                RESTING * resting[list(i)] for i in (numbering.fixed_start, numbering.fixed_end)
-            )
+            shifts[resting[numbering.component] & (u == 0)] = RESTING
+            shifts[numbering.positions : numbering.free] = 0.0
         signs, gradients = np.random.default_rng(len(unknowns)), np.empty((SIGN_SAMPLES, len(unknowns)))
         for gradient in gradients:
-            x, *ends = (
-                a * (1 + signs.choice((-EPS, EPS), len(a))) + np.where(a == 0, shift, 0.0)
-                for a, shift in zip((unknowns, *data[:2]), shifts, strict=True)
-            )
-            self.terms(x, (*ends, *further))
+            x, *ends = numbering.parted(u * (1 + signs.choice((-EPS, EPS), len(u))) + shifts)
+            self.terms(x, (*ends, *data[2:]))
             gradient[:] = self.gradient
         self.terms(unknowns, data)
         return gradients - self.gradient
