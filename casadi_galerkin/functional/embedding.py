@@ -33,12 +33,13 @@ def _times(left: ca.MX, right: np.ndarray | ca.DM) -> ca.MX:
 
 def _contributions(target: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Split a sum into rounds in which no target occurs twice: (positions, sorted targets) of each round."""
-    order = np.argsort(target, kind="stable")
-    ordered = target[order]
-    group = np.flatnonzero(np.append(True, ordered[1:] != ordered[:-1]))
-    rank = np.arange(len(target)) - np.repeat(group, np.diff(np.append(group, len(target))))
-    for turn in range(int(rank.max(initial=0)) + 1):
-        yield order[rank == turn], ordered[rank == turn]
+    left = np.arange(len(target))
+    while True:
+        targets, chosen = np.unique(target[left], return_index=True)
+        yield left[chosen], targets
+        left = np.delete(left, chosen)
+        if not len(left):
+            return
 
 
 @lru_cache(CACHE_SIZE)
