@@ -27,6 +27,7 @@ from casadi_galerkin.calculus.discrete_calculus import mesh_of
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.roundoff import or_one
 from casadi_galerkin.control.refinement import first_control_discretization
+from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.control_problem import ControlProblem
@@ -126,9 +127,8 @@ def _answers(solver: Solve, variations: Sequence[Variation], known: Sequence[Kno
     for variation in variations:
         answer: Answer
         try:
-            answer = solver(variation, paths)
-        except SystemError as error:  # what an interrupt becomes that meets CasADi's own code
-            raise error.__cause__ or error from None
+            with interrupts_raised():
+                answer = solver(variation, paths)
         except SystemExit as error:
             answer = CutShort(f"a callable of this variation raised SystemExit({error.code!r})")
         except Exception as error:
