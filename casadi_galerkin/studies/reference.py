@@ -124,10 +124,9 @@ class ReferenceSolution:
 
     def _duration_error(self, path: Trajectory) -> float:
         """Largest difference of the times since the start at the end, and at the breakpoints, over the duration."""
-        own, marks = np.array(_marks(path.problem)), np.array(self._marks)
-        if len(own) != len(marks):
-            own, marks = own[[0, -1]], marks[[0, -1]]
-        return float(np.max(np.abs((own - own[0]) - (marks - marks[0]))) / np.ptp(marks))
+        own = np.array(_marks(path.problem))
+        matching = self._matching(path, own)
+        return float(np.max(np.abs((own - own[0]) - (matching - matching[0]))) / np.ptp(matching))
 
     def _terms(self, path: Path, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """L and p·v along a path, (K,) each."""
