@@ -126,14 +126,11 @@ class Interval:
         ]
         inputs, start = [ca.reshape(column, *shape), x, p, t, h], ca.vertcat(x, p)
         (residual, by_s), ends = self.system(*inputs), ca.vertcat(*self.end(*inputs)[:2])
-        direction = ca.SX.sym("direction", count, 2 * d)
-        parts = [by_s, ca.jacobian(residual, start), ca.jacobian(ends, start)]
+        parts = [by_s, ca.jacobian(residual, start), ca.jacobian(ends, start), ca.jacobian(ends, column)]
         partial = ca.Function("partial", symbols, [ca.densify(part) for part in parts])
-        along = ca.Function("along", [*symbols, direction], [ca.jtimes(ends, column, direction)])
         at = self.system.mx_in()
-        by_s, by_start, direct = partial(ca.vec(at[0]), *at[1:])
-        response = -_solved(by_s, by_start, shape, d)
-        return ca.Function("step_jacobian", at, [direct + along(ca.vec(at[0]), *at[1:], response)])
+        by_s, by_start, direct, along = partial(ca.vec(at[0]), *at[1:])
+        return ca.Function("step_jacobian", at, [direct - ca.mtimes(along, _solved(by_s, by_start, shape, d))])
 
     def stretched(self) -> Interval:
         """The same equations with the stretch λ as last component of x (see the module); its slopes are zero."""
