@@ -228,9 +228,7 @@ def _hessian_entries(
     nodes, count = numbering.method.degree + 1, len(row)
     row_in, column_in = np.array(row), np.repeat(np.arange(len(colind) - 1), np.diff(colind))
     transposed = np.lexsort((column_in, row_in))  # position of the transposed entry
-    b, a, entry = (index.ravel() for index in np.indices((nodes, nodes, len(row_in))))
-    order = np.lexsort((row_in[entry], a, column_in[entry], b))  # column-major, so that the final sort is fast
-    a, b, entry = a[order], b[order], entry[order]
+    b, a, entry = (index.ravel() for index in np.indices((nodes, nodes, count)))
     low, high = np.minimum(a, b), np.maximum(a, b)
     pair = high * (high + 1) // 2 + low if symmetric else nodes * a + b
     in_cell = np.where(a >= b, entry, transposed[entry]) if symmetric else entry
