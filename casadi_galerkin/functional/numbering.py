@@ -75,7 +75,7 @@ class Numbering:
         """Component of the path to which every entry of u belongs, 0 for those that are no values of it; (size,)."""
         component = np.zeros(self.size, dtype=np.int64)
         component[self.of_nodes] = np.arange(self.dimension)
-        component[self.free :] = self.fixed_start + self.fixed_end  # no node has those that are unknowns nevertheless
+        component[self.free :] = self.fixed_start + self.fixed_end  # also of given ends that no node has
         return component
 
     @cached_property
