@@ -6,7 +6,7 @@ import pytest
 from constrained import of_rods, rods, two_masses
 
 import casadi_galerkin as cg
-from casadi_galerkin.solvers.linear_solver import METHODS
+from casadi_galerkin.solvers.linear_solver import METHODS, factors_of, negative_pivots
 
 SAME = 1e-6  # of two steps: what is left of the softening after one refinement, measured at 1e-8 at most
 
@@ -68,3 +68,10 @@ def test_the_residual_of_what_is_not_a_number_is_not_one():
         unknowns[0] = np.nan
         residual = at.verification(unknowns, data)[2]
     assert np.isnan(residual)
+
+
+@pytest.mark.parametrize(("matrix", "negative"), [([[0, 1], [1, 0]], 1), ([[0, 2, 1], [2, 0, 1], [1, 1, -1]], 2)])
+def test_negative_eigenvalues_are_counted_where_a_pivot_is_zero(matrix, negative):
+    dense = ca.densify(ca.DM(matrix))
+    assert np.count_nonzero(np.linalg.eigvalsh(matrix) < 0) == negative
+    assert negative_pivots(dense, factors_of(dense.sparsity())) == negative
