@@ -153,13 +153,16 @@ def with_switches(found: HigherDegree, mesh: np.ndarray, tol: float) -> np.ndarr
     switching function only to the distance of two quadrature points.  Where the ends do not determine it, all controls
     may stay at their bounds on both sides of a joint, and the switching function is more accurate.  So where the two
     estimates differ, both become joints.  A switch whose distance to a breakpoint is below the error of the path is
-    taken to be at the breakpoint, because a joint beside it would be too near.
+    taken to be at the breakpoint, because a joint beside it would be too near.  Where a rate jumps that changes its
+    component in a short part of the duration, all distances are as much shorter.
     """
     switched: dict[float, float] = {}  # time of a switch -> distance of the joints on either side
     duration, breakpoints = np.ptp(mesh), found.higher.problem.breakpoints
     closest, known = least_distance(found.higher, tol), max(found.change, TARGET * tol) * duration
     estimates = [(s, s.when) for s in found.switches]
-    estimates += [(s, s.due) for s in found.switches if abs(s.due - s.when) > DIFFERING_ESTIMATES * duration]
+    shares = {s: 1 / max(1.0, found.rate_change(s) * duration) for s in found.switches}
+    differing = DIFFERING_ESTIMATES * duration
+    estimates += [(s, s.due) for s, share in shares.items() if abs(s.due - s.when) > share * differing]
     for s, when in estimates:
         when = next((b for b in breakpoints if abs(b - when) < known), when)
         if any(abs(when - other) < SAME_SWITCH * duration for other in switched):
@@ -169,7 +172,8 @@ def with_switches(found: HigherDegree, mesh: np.ndarray, tol: float) -> np.ndarr
         stays = mesh[near] in (mesh[0], *breakpoints, mesh[-1])
         if not stays and abs(mesh[near] - when) < REMOVAL_DISTANCE * (mesh[k + 1] - mesh[k]):
             mesh = np.delete(mesh, near)
-        switched[when] = max(closest, SWITCH_MARGIN * abs(s.when - s.joint), SWITCH_MARGIN * abs(s.due - s.joint))
+        uncertain = max(abs(s.when - s.joint), abs(s.due - s.joint))
+        switched[when] = max(shares[s] * closest, SWITCH_MARGIN * uncertain)
     joints = np.unique(np.concatenate((mesh, list(switched))))
     for when, distance in switched.items():
         k = int(np.searchsorted(joints, when))

@@ -12,7 +12,8 @@ Some errors are common to both degrees, so that the difference does not show the
 
 - Switches from bound to bound.  A control should switch where the switching function ∂(ℓ + λ·(F, ρ))/∂u, with forces F
   and rates ρ, is zero.  If the nearest joint lies elsewhere, there may be no quadrature point between the two, and then
-  neither path shows the difference.
+  neither path shows the difference.  A component whose rate jumps there is off by the jump times the delay, which
+  may be large for a short burn of an engine.
 - Bounds of positions, which hold at nodes only.  Where a path exceeds one by ε between nodes, the error of the path is
   about √ε; about ε for a component whose rate is controlled, which can follow its bound.  Where it only touches its
   bound, `touches` tells how late or early, also where rounding hides the excess.
@@ -268,11 +269,21 @@ class HigherDegree:
         of_path = np.max(carried(self.path, shared)) * shares / max(np.sum(shares), 1e-300)
         return of_path, np.array([self.of_cost(change) for change in of_cost])
 
+    def rate_change(self, switch: Switch) -> float:
+        """Largest change of a rate at a switch, over the size of its component; zero where no rate jumps."""
+        path, first = self.higher, self.path.problem.mechanical
+        changes = path.between_points.force_change(switch.due, switch.control, switch.before, switch.after)
+        return float(np.max(np.nan_to_num(np.abs(changes[first:]) / path.sizes[first:]), initial=0.0))
+
+    @property
+    def rate_error(self) -> float:
+        """Error of the components whose rates jump at switches, by those that are late; common to both degrees."""
+        return max((self.rate_change(s) * abs(s.due - s.joint) for s in self.switches), default=0.0)
+
     @cached_property
     def common_error(self) -> float:
         """Error of the path that is common to both degrees: of switches, touches, bounds, and what steps in x."""
-        late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.switches]
-        late += self.touch_errors
+        late = [abs(s.due - s.joint) / np.ptp(self.higher.t) for s in self.switches] + self.touch_errors
         if self.path.problem.duration_bounds is not None:  # a free duration is longer or shorter by about as much
             late += [TOUCHED_LATE * abs(touch.extreme - touch.acts) for touch in self.touches]
         return float(max(*late, np.max(self.bound_errors), self.unseen_step))
@@ -330,7 +341,7 @@ class HigherDegree:
     def error(self) -> float:
         """Relative error of cost, duration and positions."""
         missed = np.maximum(self.control_misfit, self.bend_errors[0])
-        return max(self.change, self.common_error, self.cost_error, float(np.sum(missed)))
+        return max(self.change, self.common_error, self.rate_error, self.cost_error, float(np.sum(missed)))
 
     @property
     def cost_error(self) -> float:

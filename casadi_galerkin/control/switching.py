@@ -30,11 +30,15 @@ class Switch:
     when : its time, from the impulse ∫ u dt over the intervals around it
     joint : time of the nearest joint
     due : time of the zero of the switching function, or the middle of a passage; `when` if there is neither nearby
+    control, before, after : index of the control, and its bounds on both sides
     """
 
     when: float
     joint: float
     due: float
+    control: int
+    before: float
+    after: float
 
 
 def held_sides(u: np.ndarray, low: float, high: float) -> np.ndarray:
@@ -85,7 +89,8 @@ def switch(path: ControlTrajectory, i: int, first: int, last: int, before: float
     local = path.control.values[i].reshape(-1, r)[first : last + 1]
     means = local @ np.array(path.method.quadrature.weights)
     when = float(path.t[first] + steps @ (means - after) / (before - after))
-    return Switch(when, float(path.t[np.argmin(np.abs(path.t - when))]), due if np.isfinite(due) else when)
+    joint = float(path.t[np.argmin(np.abs(path.t - when))])
+    return Switch(when, joint, due if np.isfinite(due) else when, i, before, after)
 
 
 def zero(path: ControlTrajectory, i: int, first: float, last: float) -> float:
