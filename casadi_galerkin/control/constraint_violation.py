@@ -12,6 +12,9 @@ from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.problems.bounds import bound_excess
 
 ZERO_TERMS = 1e-20  # terms below which a component counts as zero; the solvers' tolerances are absolute
+# Least size of the terms of a rate, so that a residual of some roundings of one is accepted.  The solver leaves as much
+# where a control is zero but for its tolerance, as where nothing is spent of what a component counts.
+LEAST_RATE = 1e-7
 VANISHED = 1e-13  # terms of a component over those along the guess below which they are roundoff
 
 
@@ -24,8 +27,10 @@ def equation_scales(chain: Chain, bounds: ProgramBounds, report: Report, before:
     """
     sizes = np.where(report.sizes <= VANISHED * before, before, report.sizes)
     stated = largest_of(_bound_sizes(bounds.equations), chain.kinds)
-    sizes = np.fmax(np.where(sizes > ZERO_TERMS, sizes, 0.0), stated)
-    return or_one(sizes)[chain.kinds]
+    sizes = or_one(np.fmax(np.where(sizes > ZERO_TERMS, sizes, 0.0), stated))
+    rates = np.unique(chain.kinds[chain.rows["rates"]])
+    sizes[rates] = np.maximum(sizes[rates], LEAST_RATE)
+    return sizes[chain.kinds]
 
 
 def violations(chain: Chain, optimum: Optimum, report: Report, before: np.ndarray) -> np.ndarray:
