@@ -28,6 +28,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.calculus.quadrature import gauss
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.dependence import VELOCITIES, rows_that_depend
+from casadi_galerkin.problems.end_limits import conditions_at_ends
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ class Chain:
     intervals : N
     dimension, mechanical : numbers of all components, and of the components with an equation of motion
     controls, parameters, constraints, path_constraints, conditions : numbers of controls, parameters, holonomic
-        constraints, path constraints and end conditions
+        constraints, path constraints and end conditions, with path constraints that limit the end
     terminal_cost : whether there is a terminal cost
     free : which of "durations" and "parameters" are unknowns, in this order
     breaks : numbers of the joints at the breakpoints
@@ -151,7 +152,9 @@ class Chain:
         self.method, self.intervals, self.dimension = method, len(mesh) - 1, problem.dimension
         self.mechanical, self.controls, self.constraints = problem.mechanical, problem.controls, problem.constraints
         self.parameters, self.terminal_cost = len(problem.parameters or ()), problem.terminal_cost is not None
-        self.path_constraints, self.conditions = len(problem.path_constraint[1]), len(problem.end_conditions[1])
+        self.path_constraints = len(problem.path_constraint[1])
+        self.conditions, stated = len(conditions_at_ends(problem)[1]), len(problem.end_conditions[1])
+        self._words_of_ends = "end condition {}" + ", of path constraints at the end," * (self.conditions > stated)
         bounded = {"durations": problem.duration_bounds, "parameters": problem.parameter_bounds}
         self.free = tuple(name for name, bounds in bounded.items() if bounds is not None)
         self.breaks, crossings = np.searchsorted(mesh, problem.breakpoints), problem.crossings
@@ -223,7 +226,7 @@ class Chain:
             Field("constraint", *constraint, element.nodes[1:]),
         ]
         at_start = [Field("start", *motion), Field("start_constraint", *constraint), Field("start_tangent", *tangent)]
-        ends = Field("ends", "end condition {}", "ends", range(self.conditions))
+        ends = Field("ends", self._words_of_ends, "ends", range(self.conditions))
         at_end = [Field("end", *motion), Field("end_tangent", *tangent), ends]
         named = [(f"waypoint {k}", range(count)) for k, count in enumerate(self.conditions_there)]
         waypoints = [Field(name, "condition {}", name, conditions, 1.0) for name, conditions in named]

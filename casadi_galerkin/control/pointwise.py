@@ -27,6 +27,7 @@ from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.pointwise import pulled_back
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import Crossing
+from casadi_galerkin.problems.end_limits import conditions_at_ends
 from casadi_galerkin.problems.legendre_transform import momentum_at
 
 Terms = dict[str, ca.SX]  # the rows, and the cost and the action where there are any
@@ -175,7 +176,7 @@ def _at_either_end(problem: ControlProblem, *inputs: Any) -> Terms:
 def _at_both_ends(problem: ControlProblem, *inputs: Any) -> Terms:
     x0, v0, x1, v1, p, t = inputs
     last = x1, _filled(v1, x1)
-    rows = problem.end_conditions[0](x0, _filled(v0, x0), *last, *p)
+    rows = conditions_at_ends(problem)[0](x0, _filled(v0, x0), *last, *p)
     cost = {} if problem.terminal_cost is None else {"cost": problem.terminal_cost(t, *last, *p)}
     return {"rows": rows, **cost}
 

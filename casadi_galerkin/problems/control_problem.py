@@ -45,6 +45,8 @@ from casadi_galerkin.problems.callables import (
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
 from casadi_galerkin.problems.crossings import Crossing, Pairs, Waypoint, is_limited, jumps_of, waypoints_of
 from casadi_galerkin.problems.dependence import (
+    CONTROLS,
+    VELOCITIES,
     check_absolute_values,
     check_controls,
     check_parameters,
@@ -71,7 +73,8 @@ class ControlProblem:
     control_bounds : (lo, hi), each a scalar or one number per control; held at the quadrature points
     position_bounds : (lo, hi), each a scalar or one number per component; held at the joints and the
         control points between them.  An end beyond them by rounding is put on them
-    path_constraint : (g, lo, hi) with g(t, x, v, u) -> scalar or vector; held at the quadrature points
+    path_constraint : (g, lo, hi) with g(t, x, v, u) -> scalar or vector; held at the quadrature points;
+        inequalities of x and v alone limit an end that is not given, too
     duration_bounds : (lo, hi) with 0 < lo, each a scalar or one number per phase; frees the duration of every phase
     constraint : callable (t, x) -> k values that are zero all along the path (holonomic), as for `BoundaryProblem`; for
         problems without rates, jumps and waypoints that are functions
@@ -344,15 +347,18 @@ class ControlProblem:
     def _check_end_state(self, end: int, name: str) -> None:
         """Refuse a given state at an end that violates a path constraint without controls, or is not tangent."""
         t, x, v = self.t_span[end], getattr(self, name), getattr(self, f"{name}_velocity")
-        if None in (*x, *v):
-            return
-        check_tangent(self, f"{name}_velocity", t, x, v, self.determined_constraints(end))
+        if None not in (*x, *v):
+            check_tangent(self, f"{name}_velocity", t, x, v, self.determined_constraints(end))
         if self.duration_bounds is not None or self.parameter_bounds is not None:
             return
         g, low, high = self.path_constraint
+        state = [np.array(values, dtype=float) for values in (x, v)]  # NaN for None
+        free = [np.isnan(values) for values in state]
+        depends = rows_that_depend(g, 1, free[0]) | rows_that_depend(g, VELOCITIES, free[1])
+        depends |= rows_that_depend(g, CONTROLS, np.ones(self.controls, dtype=bool))
         given = [] if self.parameters is None else [self.parameters]
-        values = np.array(g(t, x, v, np.zeros(self.controls), *given)).ravel()
-        for i in set(range(len(low))) - set(g.sparsity_jac(3, 0).row()):
+        values = np.array(g(t, *map(np.nan_to_num, state), np.zeros(self.controls), *given)).ravel()
+        for i in np.flatnonzero(~depends & np.isfinite(values)):  # a ratio may be 0/0 at an end
             if not low[i] <= within_rounding(values[i], low[i], high[i]) <= high[i]:
                 raise ValueError(
                     f"path constraint {i} is {values[i]} at the {name} whatever the controls, outside its bounds "

@@ -71,7 +71,8 @@ class ControlTrajectory(Trajectory):
     costate : multipliers λ of the equations of motion, and of the rates, as a path: ``costate(t)`` -> (d,) + t.shape.
         The cost of a small extra force (or rate) δF(t) is ∫ λ·δF dt to first order
     path_multipliers : callable like `control`, of the path constraints, or None where there is none: positive where an
-        upper bound acts, negative where a lower one does.  Raising the bounds by δ(t) changes the cost by -∫ μ·δ dt
+        upper bound acts, negative where a lower one does.  Raising the bounds by δ(t), but not at a free end, changes
+        the cost by -∫ μ·δ dt
     duals : (equations,) and (unknowns,), Lagrange multipliers of the discrete equations and of the bounds: with this
         trajectory as its guess, a solve with the same method on the same intervals starts warm.  A solve to a tolerance
         leaves out breakpoints with a free time and neither a waypoint nor a jump; where it has left some out, its

@@ -123,9 +123,10 @@ def test_a_feasible_path_that_noise_keeps_from_the_usual_accuracy_is_accepted_wi
         duration_bounds=(0.05, 1),
         path_constraint=(lambda t, x, v, u: v[0], -np.inf, 0.1),
     )
-    path = cg.solve(rocket, cg.Galerkin(4), 100)
-    assert path.cost == pytest.approx(-0.6337169, abs=2e-7)
-    assert re.match(r"IPOPT \(Solved To Acceptable Level\), after IPOPT stopped with '(?!Infeasible)", path.solver)
+    paths = [cg.solve(rocket, cg.Galerkin(4), intervals) for intervals in (100, 110, 120)]  # on most there is noise
+    assert [path.cost for path in paths] == pytest.approx([-0.6337169] * 3, abs=2e-7)
+    words = r"IPOPT \(Solved To Acceptable Level\), after IPOPT stopped with '(?!Infeasible)"
+    assert any(re.match(words, path.solver) for path in paths)
 
 
 @pytest.mark.parametrize("kinked", [lambda u: ca.fmax(0, u), lambda u: ca.if_else(u > 0, u, 0)])
