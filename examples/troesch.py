@@ -1,4 +1,4 @@
-"""Troesch's problem, x'' = λ sinh(λx), whose layer at t = 1 defeats SciPy's `solve_bvp` from λ = 20 on.
+"""Troesch's problem, x'' = λ sinh(λx), whose layer at t = 1 defeats `solve_bvp` on equal intervals from λ = 20 on.
 
 From the straight line, with nothing but a tolerance.  By the conserved energy x'²/2 - cosh(λx) the slopes at both ends
 belong together, x'(1)² = x'(0)² + 4 sinh²(λ/2).  The one at the start falls like e^-λ, and from λ = 20 on it is below

@@ -63,13 +63,12 @@ class BetweenPoints:
 
     def force_change(self, when: float, control: int, before: float, after: float) -> np.ndarray:
         """Change of the forces at a time as a control changes from one value to another; (d,)."""
-        time = np.array([when])
-        pushes = np.empty((0, 1)) if self.problem.constraint is None else self.path.multipliers(time)
-        sides = np.repeat(self.control(time), 2, axis=1)
+        times = np.full(2, when)
+        pushes = np.empty((0, 2)) if self.problem.constraint is None else self.path.multipliers(times)
+        sides = self.control(times)
         sides[control] = before, after
-        given = time, self.path(time), self.path(time, 1), sides, pushes
-        rates = at_places(equations_of_motion(self.problem), *(np.repeat(a, 2 // a.shape[-1], axis=-1) for a in given))
-        return np.diff(rates[1])[:, 0]
+        given = times, self.path(times), self.path(times, 1), sides, pushes
+        return np.diff(at_places(equations_of_motion(self.problem), *given)[1])[:, 0]
 
     def _impulses(self, rule: Quadrature) -> np.ndarray:
         """Integrals of the forces over every interval by a rule; (d, N)."""
