@@ -17,7 +17,7 @@ from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.dependence import CONTROLS, entries_within
+from casadi_galerkin.problems.dependence import CONTROLS, VELOCITIES, entries_within
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 
@@ -49,6 +49,8 @@ KINK_HINTS = {  # by operations on controls in the running cost
     ),
 }
 
+BENT = ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_LT, ca.OP_LE  # operations on positions and velocities
+
 
 def explained(
     problem: ControlProblem,
@@ -72,10 +74,23 @@ def explained(
     else:
         state = f"the worst violated constraint is {what} at t = {when:.6g}, by {relative[worst]:.1e} of its terms"
     if hint is OTHER_HINT:
-        kinks = (words for kind, words in KINK_HINTS.items() if entries_within(problem.running_cost, CONTROLS, kind))
-        hint = next(kinks, hint + UNBOUNDED if cost < 0 else hint)
+        hint = kink_hint(problem) or (hint + UNBOUNDED if cost < 0 else hint)
     stopped = f"{solver} stopped with '{optimum.status}' after {optimum.iterations} iterations"
     return ConvergenceError(f"{stopped}; {state}. {hint}", Path(path), float(relative[worst] / EPS), optimum.iterations)
+
+
+def kink_hint(problem: ControlProblem) -> str | None:
+    """What to do about a cost whose derivative may jump, if it may."""
+    for kind, words in KINK_HINTS.items():
+        if entries_within(problem.running_cost, CONTROLS, kind):
+            return words
+    for name, cost in (("running cost", problem.running_cost), ("terminal cost", problem.terminal_cost)):
+        if cost is not None and any(entries_within(cost, argument, BENT) for argument in (1, VELOCITIES)):
+            return (
+                f"The {name} holds fabs, fmax, fmin or a comparison of positions or velocities, and its derivative may "
+                "jump there: smooth it, as sqrt(z**2 + 1e-6) does fabs(z)"
+            )
+    return None
 
 
 def refuse_values(problem: ControlProblem, embedding: ChainEmbedding, values: dict[str, np.ndarray]) -> None:

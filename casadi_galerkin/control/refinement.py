@@ -59,6 +59,7 @@ from casadi_galerkin.solution.control_trajectory import STEP, ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
 from casadi_galerkin.solution.guess import Guess
 from casadi_galerkin.solution.limits import Limits
+from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.refinement import HINT, Estimate, Refinement
 from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import Solver
@@ -150,6 +151,11 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         except ConvergenceError as failure:
             self.iterations += failure.iterations
             raise
+        except ValueError as error:
+            if self.known is None:
+                raise
+            words = f"from the path on the last mesh, {error}"  # which is where a callable overflows
+            raise ConvergenceError(words, Path(self.known.path.polynomial)) from error
         finally:
             self.build_seconds += transcription.build_seconds
         self.iterations += path.iterations

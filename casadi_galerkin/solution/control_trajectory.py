@@ -69,7 +69,7 @@ class ControlTrajectory(Trajectory):
         `estimate_error`
     control : callable, ``control(t)`` -> (number of controls,) + t.shape
     costate : multipliers λ of the equations of motion, and of the rates, as a path: ``costate(t)`` -> (d,) + t.shape.
-        The cost of a small extra force (or rate) δF(t) is ∫ λ·δF dt to first order
+        The cost of a small extra force δF(t), or rate, which keeps the momenta, is ∫ λ·δF dt to first order
     path_multipliers : callable like `control`, of the path constraints, or None where there is none: positive where an
         upper bound acts, negative where a lower one does.  Raising the bounds by δ(t), but not at a free end, changes
         the cost by -∫ μ·δ dt

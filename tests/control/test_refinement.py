@@ -23,6 +23,7 @@ from scipy.optimize import fsolve, minimize_scalar
 
 import casadi_galerkin as cg
 from casadi_galerkin.control.refinement import ControlRefinement, fits_any_mesh
+from casadi_galerkin.control.transcription import ControlTranscription
 
 
 def late_start(velocity=-0.3):
@@ -437,6 +438,21 @@ def test_a_flight_of_many_switches_is_resolved():
     )
     path = cg.solve(flight, tol=1e-3)
     assert path.cost == pytest.approx(2.78837, abs=1e-5)
+
+
+def test_a_callable_that_overflows_on_a_later_mesh_is_a_limit(monkeypatch):
+    """It was refused as if it were bad input, after minutes."""
+    solve = ControlTranscription.solve
+
+    def overflowing(self, **given):
+        if len(self.mesh) > 9:
+            raise ValueError("running_cost is not finite at the guess, got inf")
+        return solve(self, **given)
+
+    monkeypatch.setattr(ControlTranscription, "solve", overflowing)
+    with pytest.raises(cg.LimitReached, match="from the path on the last mesh, running_cost is not finite") as caught:
+        cg.solve(cart_pole(), tol=1e-8)
+    assert caught.value.path.cost > 0
 
 
 def test_best_path_is_not_always_the_last(monkeypatch):

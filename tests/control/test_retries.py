@@ -129,6 +129,20 @@ def test_a_feasible_path_that_noise_keeps_from_the_usual_accuracy_is_accepted_wi
     assert any(re.match(words, path.solver) for path in paths)
 
 
+@pytest.mark.parametrize(
+    ("costs", "which"),
+    [
+        ({"running_cost": lambda t, x, v, u: ca.fabs(x[0] - 0.1) + u[0] ** 2 / 2}, "running"),
+        ({"terminal_cost": lambda t, x, v: 3 * ca.fmax(x[0] - 0.5, 0.5 - x[0])}, "terminal"),
+    ],
+)
+def test_a_cost_with_a_kink_of_the_position_that_stops_the_solver_is_named(costs, which):
+    gliding = {"t_span": (0.0, 3.0), "start": [1.0], "end": [None], "rates": lambda t, x, v, u: u}
+    problem = first_order(**({"running_cost": lambda t, x, v, u: u[0] ** 2 / 2} | gliding | costs))
+    with pytest.raises(cg.ConvergenceError, match=rf"The {which} cost holds fabs, fmax, .* sqrt\(z\*\*2 \+ 1e-6\)"):
+        cg.solve(problem, cg.Galerkin(4), 8)
+
+
 @pytest.mark.parametrize("kinked", [lambda u: ca.fmax(0, u), lambda u: ca.if_else(u > 0, u, 0)])
 def test_a_cost_with_a_kink_that_stops_the_solver_is_named(kinked):
     problem = double_integrator(running_cost=lambda t, x, v, u: kinked(u[0]) + u[0] ** 2, control_bounds=(-20.0, 20.0))
