@@ -153,8 +153,8 @@ class Chain:
         self.mechanical, self.controls, self.constraints = problem.mechanical, problem.controls, problem.constraints
         self.parameters, self.terminal_cost = len(problem.parameters or ()), problem.terminal_cost is not None
         self.path_constraints = len(problem.path_constraint[1])
-        self.conditions, stated = len(conditions_at_ends(problem)[1]), len(problem.end_conditions[1])
-        self._words_of_ends = "end condition {}" + ", of path constraints at the end," * (self.conditions > stated)
+        self.conditions = len(conditions_at_ends(problem)[1])
+        self._words_of_ends = "end condition {}" if problem.end_conditions[1] else "limit {} by path constraints"
         bounded = {"durations": problem.duration_bounds, "parameters": problem.parameter_bounds}
         self.free = tuple(name for name, bounds in bounded.items() if bounds is not None)
         self.breaks, crossings = np.searchsorted(mesh, problem.breakpoints), problem.crossings

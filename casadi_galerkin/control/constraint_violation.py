@@ -10,15 +10,18 @@ from casadi_galerkin.control.graph import Report
 from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.control.program_bounds import ProgramBounds
 from casadi_galerkin.problems.bounds import bound_excess
+from casadi_galerkin.problems.control_problem import ControlProblem
 
 ZERO_TERMS = 1e-20  # terms below which a component counts as zero; the solvers' tolerances are absolute
-# Least size of the terms of a rate, so that a residual of some roundings of one is accepted.  The solver leaves as much
-# where a control is zero but for its tolerance, as where nothing is spent of what a component counts.
+# Least size of the terms of a rate, where its component is given as one or not at all: residuals of some roundings are
+# accepted.  The solver leaves as much where a control is zero but for its tolerance, as where nothing is spent.
 LEAST_RATE = 1e-7
 VANISHED = 1e-13  # terms of a component over those along the guess below which they are roundoff
 
 
-def equation_scales(chain: Chain, bounds: ProgramBounds, report: Report, before: np.ndarray) -> np.ndarray:
+def equation_scales(
+    problem: ControlProblem, chain: Chain, bounds: ProgramBounds, report: Report, before: np.ndarray
+) -> np.ndarray:
     """Sizes relative to which the residuals of the equations are measured.
 
     For the equations of motion of a component it is the largest sum of the sizes of the terms of one of them along the
@@ -29,11 +32,19 @@ def equation_scales(chain: Chain, bounds: ProgramBounds, report: Report, before:
     stated = largest_of(_bound_sizes(bounds.equations), chain.kinds)
     sizes = or_one(np.fmax(np.where(sizes > ZERO_TERMS, sizes, 0.0), stated))
     rates = np.unique(chain.kinds[chain.rows["rates"]])
-    sizes[rates] = np.maximum(sizes[rates], LEAST_RATE)
+    sizes[rates] = np.maximum(sizes[rates], LEAST_RATE * np.minimum(or_one(given_sizes(problem)), 1.0))
     return sizes[chain.kinds]
 
 
-def violations(chain: Chain, optimum: Optimum, report: Report, before: np.ndarray) -> np.ndarray:
+def given_sizes(problem: ControlProblem) -> np.ndarray:
+    """Largest given end and finite bound of every component that follows a rate; zero where there is none."""
+    given = np.nan_to_num(np.vstack((problem.given_positions, np.array(problem.position_bounds))), posinf=0, neginf=0)
+    return np.max(np.abs(given), axis=0)[problem.mechanical :]
+
+
+def violations(
+    problem: ControlProblem, chain: Chain, optimum: Optimum, report: Report, before: np.ndarray
+) -> np.ndarray:
     """Violation of every equation, then of every unknown's bounds, relative to what is compared.
 
     A value outside its bounds is compared with the largest of its kind, not with itself: where an equation and a bound
@@ -46,7 +57,7 @@ def violations(chain: Chain, optimum: Optimum, report: Report, before: np.ndarra
     kinds = chain.unknown_kinds
     sizes, stated = largest_of(np.abs(unknowns), kinds), largest_of(_bound_sizes(bounds.unknowns), kinds)
     sizes = np.where(sizes > ZERO_TERMS, sizes, stated)[kinds]
-    return np.concatenate((excess / equation_scales(chain, bounds, report, before), outside / or_one(sizes)))
+    return np.concatenate((excess / equation_scales(problem, chain, bounds, report, before), outside / or_one(sizes)))
 
 
 def _bound_sizes(sides: np.ndarray) -> np.ndarray:

@@ -37,7 +37,7 @@ def control_function(
     chain, bounds = transcription.chain, transcription.bounds
     start = transcription.starting_point(problem, transcription.calculus, path)
     known = chain.pack(start.values)
-    sizes = equation_scales(chain, bounds, transcription.graph.report(*known), start.sizes)
+    sizes = equation_scales(problem, chain, bounds, transcription.graph.report(*known), start.sizes)
     first, data = (ca.MX(ca.DM(part)) for part in known)
     checked_by = bounds_of(problem, chain, implied=True)  # ends that are data may violate a constraint
     programmed = bounds.narrowed(BOUND_RELAXATION[solver.name])

@@ -228,7 +228,7 @@ class ControlTranscription:
             values["controls"] = continuous_controls(problem, chain, path, values)
             optimum.unknowns[chain.fields["controls"]] = values["controls"]
         report = self.graph.report(optimum.unknowns, data, optimum.multipliers)
-        relative = violations(chain, optimum, report, start.sizes)
+        relative = violations(problem, chain, optimum, report, start.sizes)
         violation = float(np.max(relative))
         if not (optimum.success and np.isfinite(report.cost) and violation <= FEASIBLE):
             raise explained(problem, NAMES[solver.name], chain, optimum, report.cost, relative, path)

@@ -15,41 +15,43 @@ from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.dependence import CONTROLS, VELOCITIES, rows_that_depend
 
 TIME, POSITIONS = 0, 1  # numbers of further arguments t, x of a path constraint
+END = 2, 3  # those of x1, v1 of end conditions
 
 
-def limited_at_end(problem: ControlProblem) -> np.ndarray:
-    """Indices of path constraints that limit the end: those that depend on what is not given there.
+def limited_at_end(problem: ControlProblem) -> tuple[list[int], list[int]]:
+    """Indices of path constraints that limit the end, and of equations of positions that limit its velocity.
 
-    Equations that are as many as the controls are left out, because at the points they leave nothing free.  So are
-    constraints of the time, and of the velocity of a component that follows a rate, no argument of an end condition.
+    They depend on what is not given there.  Equations that are as many as the controls are left out, because at the
+    points they leave nothing free.  So are constraints of the time, and of the velocity of a component that follows a
+    rate, which is no argument of an end condition.  Where end conditions already say something of the end, nothing is
+    added: the same twice has no multipliers, and what they fix may be where a constraint has no derivative.
     """
     g, low, high = problem.path_constraint
+    conditions, everything = problem.end_conditions[0], np.ones(problem.dimension, dtype=bool)
+    if any(rows_that_depend(conditions, k, everything).any() for k in END):
+        return [], []
     fixed = np.arange(problem.dimension) >= problem.mechanical
     excluded = rows_that_depend(g, TIME, [True]) | rows_that_depend(g, CONTROLS, np.ones(problem.controls, dtype=bool))
     equal = np.equal(low, high)
     excluded |= rows_that_depend(g, VELOCITIES, fixed) | (equal & (np.count_nonzero(equal) >= problem.controls))
-    free = [np.array([value is None for value in values]) for values in (problem.end, problem.end_velocity)]
-    depends = rows_that_depend(g, POSITIONS, free[0]) | rows_that_depend(g, VELOCITIES, free[1] & ~fixed)
-    return np.flatnonzero(depends & ~excluded)
+    free_x, free_v = (np.array([value is None for value in values]) for values in (problem.end, problem.end_velocity))
+    free_v &= ~fixed
+    limited = rows_that_depend(g, POSITIONS, free_x) | rows_that_depend(g, VELOCITIES, free_v)
+    moving = rows_that_depend(g, VELOCITIES, everything) | rows_that_depend(g, POSITIONS, fixed)
+    held = equal & ~moving & rows_that_depend(g, POSITIONS, free_v)
+    return np.flatnonzero(limited & ~excluded).tolist(), np.flatnonzero(held & ~excluded).tolist()
 
 
 def conditions_at_ends(problem: ControlProblem) -> Limited:
-    """The end conditions of a problem, and behind them its path constraints that limit the end.
-
-    To an equation of positions alone belongs that of their velocities.
-    """
+    """The end conditions of a problem, and behind them its path constraints that limit the end."""
     conditions, low, high = problem.end_conditions
-    rows = limited_at_end(problem)
-    if not len(rows):
+    rows, held = limited_at_end(problem)
+    if not rows + held:
         return problem.end_conditions
     inputs, (g, *sides) = conditions.sx_in(), problem.path_constraint
-    least, most = np.array(sides)[:, rows]
     _, _, x, v, *p = inputs
-    values, first = g(0.0, x, v, ca.SX.zeros(problem.controls), *p), problem.mechanical
-    moving = rows_that_depend(g, VELOCITIES, np.ones(problem.dimension, dtype=bool))
-    moving |= rows_that_depend(g, POSITIONS, np.arange(problem.dimension) >= first)
-    held = rows[(least == most) & ~moving[rows]].tolist()
+    values = g(0.0, x, v, ca.SX.zeros(problem.controls), *p)
     rates = [ca.jtimes(values[i], x, v) for i in held]
-    stated = ca.densify(ca.vertcat(conditions(*inputs), values[rows.tolist()], *rates))
-    limits = [(*given, *side, *[0.0] * len(held)) for given, side in ((low, least.tolist()), (high, most.tolist()))]
-    return ca.Function("end_conditions", inputs, [stated]), limits[0], limits[1]
+    stated = ca.densify(ca.vertcat(conditions(*inputs), *(values[i] for i in rows), *rates))
+    lows, highs = ([side[i] for i in rows] + [0.0] * len(held) for side in sides)
+    return ca.Function("end_conditions", inputs, [stated]), (*low, *lows), (*high, *highs)

@@ -5,7 +5,7 @@ import re
 import casadi as ca
 import numpy as np
 import pytest
-from control_problems import double_integrator, plane
+from control_problems import double_integrator, first_order, plane
 
 import casadi_galerkin as cg
 
@@ -138,3 +138,39 @@ def test_forces_of_units_far_too_small_are_compared_with_their_bounds(stated):
     )
     with pytest.raises(cg.ConvergenceError, match="take units"):
         cg.solve(moved, cg.Galerkin(3), intervals=8)
+
+
+@pytest.mark.parametrize("count", [lambda t, x, v, u: u[0] ** 2 / 2, lambda t, x, v, u: u[0] * v[0]])
+def test_what_is_spent_of_nothing_is_zero(count):
+    """A pendulum that swings by itself: its control is zero but for the solver's tolerance, and so is the effort."""
+    swinging = cg.ControlProblem(
+        lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]),
+        (0.0, 1.0),
+        [1.0, 0.0],
+        [None, None],
+        [0.0, None],
+        [None, None],
+        force=lambda t, x, v, u: u,
+        rates=count,
+        running_cost=lambda t, x, v, u: u[0] ** 2 / 2,
+        controls=1,
+        position_bounds=([-2, -np.inf], [2, np.inf]),
+    )
+    path = cg.solve(swinging, tol=1e-6)
+    assert path.cost < 1e-20
+    assert np.max(np.abs(path.x[1])) < 1e-9
+
+
+@pytest.mark.parametrize("size", [1e-13, 1e-15])
+@pytest.mark.parametrize("options", [{"method": cg.Galerkin(4), "intervals": 50}, {"cost_tol": 1e-6}])
+def test_a_component_too_small_for_the_solver_is_not_taken_for_zero(size, options):
+    """It is to go from zero to its size, at a cost of 1/2; the solver takes zero for an answer."""
+    far = first_order(
+        start=[0.0],
+        end=[size],
+        rates=lambda t, x, v, u: size * u,
+        running_cost=lambda t, x, v, u: u[0] ** 2 / 2,
+        t_span=(0.0, 1.0),
+    )
+    with pytest.raises(cg.ConvergenceError, match="take units"):
+        cg.solve(far, **options)
