@@ -159,11 +159,11 @@ def with_switches(found: HigherDegree, mesh: np.ndarray, tol: float) -> np.ndarr
     switched: dict[float, float] = {}  # time of a switch -> distance of the joints on either side
     duration, breakpoints = np.ptp(mesh), found.higher.problem.breakpoints
     closest, known = least_distance(found.higher, tol), max(found.change, TARGET * tol) * duration
-    estimates = [(s, s.when) for s in found.switches]
-    shares = {s: 1 / max(1.0, found.rate_change(s) * duration) for s in found.switches}
+    shares = [1 / max(1.0, change * duration) for change in found.rate_changes]
+    estimates = [(s, share, s.when) for s, share in zip(found.switches, shares, strict=True)]
     differing = DIFFERING_ESTIMATES * duration
-    estimates += [(s, s.due) for s, share in shares.items() if abs(s.due - s.when) > share * differing]
-    for s, when in estimates:
+    estimates += [(s, share, s.due) for s, share, when in estimates if abs(s.due - when) > share * differing]
+    for s, share, when in estimates:
         when = next((b for b in breakpoints if abs(b - when) < known), when)
         if any(abs(when - other) < SAME_SWITCH * duration for other in switched):
             continue
@@ -173,7 +173,7 @@ def with_switches(found: HigherDegree, mesh: np.ndarray, tol: float) -> np.ndarr
         if not stays and abs(mesh[near] - when) < REMOVAL_DISTANCE * (mesh[k + 1] - mesh[k]):
             mesh = np.delete(mesh, near)
         uncertain = max(abs(s.when - s.joint), abs(s.due - s.joint))
-        switched[when] = max(shares[s] * closest, SWITCH_MARGIN * uncertain)
+        switched[when] = max(share * closest, SWITCH_MARGIN * uncertain)
     joints = np.unique(np.concatenate((mesh, list(switched))))
     for when, distance in switched.items():
         k = int(np.searchsorted(joints, when))

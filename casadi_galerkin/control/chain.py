@@ -142,7 +142,8 @@ class Chain:
     departures : (N + 1, mechanical), equations of the momenta at the starts of the intervals, and of the last momentum
     kinds : (equations,), equal for equations whose terms are the same quantity
     unknown_kinds : (unknowns,), equal for unknowns that are values of the same quantity
-    motions : slice of the kinds that are equations of motion
+    motions, rated : those kinds that are equations of motion, a slice, and those that are rates, indices
+    end_conditions : (g, lo, hi), those of the problem and what path constraints ask of the end
     stages : for every stage the numbers of its states, of its other unknowns, and of its equations that do not
         determine the next state
     control_times : fractions of an interval at which its controls are given; held controls have one value, at 1/2
@@ -153,7 +154,8 @@ class Chain:
         self.mechanical, self.controls, self.constraints = problem.mechanical, problem.controls, problem.constraints
         self.parameters, self.terminal_cost = len(problem.parameters or ()), problem.terminal_cost is not None
         self.path_constraints = len(problem.path_constraint[1])
-        self.conditions = len(conditions_at_ends(problem)[1])
+        self.end_conditions = conditions_at_ends(problem)
+        self.conditions = len(self.end_conditions[1])
         self._words_of_ends = "end condition {}" if problem.end_conditions[1] else "limit {} by path constraints"
         bounded = {"durations": problem.duration_bounds, "parameters": problem.parameter_bounds}
         self.free = tuple(name for name, bounds in bounded.items() if bounds is not None)
@@ -244,7 +246,7 @@ class Chain:
         self.equations = sum(map(length, self.equation_stages))
         self.stages = [(*width, length(other)) for width, other in zip(self._widths, further, strict=True)]
         self.kinds = kinds_of(self.equation_stages, self.rows)
-        self.motions = slice(d, d + self.mechanical)
+        self.motions, self.rated = slice(d, d + self.mechanical), np.unique(self.kinds[self.rows["rates"]])
 
     def pack(self, values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Unknowns and data from one array per field; zero where a field has none."""

@@ -31,8 +31,9 @@ def equation_scales(
     sizes = np.where(report.sizes <= VANISHED * before, before, report.sizes)
     stated = largest_of(_bound_sizes(bounds.equations), chain.kinds)
     sizes = or_one(np.fmax(np.where(sizes > ZERO_TERMS, sizes, 0.0), stated))
-    rates = np.unique(chain.kinds[chain.rows["rates"]])
-    sizes[rates] = np.maximum(sizes[rates], LEAST_RATE * np.minimum(or_one(given_sizes(problem)), 1.0))
+    if len(chain.rated):
+        least = LEAST_RATE * np.minimum(or_one(given_sizes(problem)), 1.0)
+        sizes[chain.rated] = np.maximum(sizes[chain.rated], least)
     return sizes[chain.kinds]
 
 

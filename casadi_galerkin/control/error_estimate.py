@@ -39,6 +39,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import mul
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -269,16 +270,21 @@ class HigherDegree:
         of_path = np.max(carried(self.path, shared)) * shares / max(np.sum(shares), 1e-300)
         return of_path, np.array([self.of_cost(change) for change in of_cost])
 
-    def rate_change(self, switch: Switch) -> float:
-        """Largest change of a rate at a switch, over the size of its component; zero where no rate jumps."""
-        path, first = self.higher, self.path.problem.mechanical
-        changes = path.between_points.force_change(switch.due, switch.control, switch.before, switch.after)
-        return float(np.max(np.nan_to_num(np.abs(changes[first:]) / path.sizes[first:]), initial=0.0))
+    @cached_property
+    def rate_changes(self) -> list[float]:
+        """Largest change of a rate at every switch, over the size of its component; zero where there are no rates."""
+        first = self.path.problem.mechanical
+        if first == len(self.path.x):
+            return [0.0] * len(self.switches)
+        between, sizes = self.higher.between_points, self.higher.sizes[first:]
+        changes = [between.force_change(s.due, s.control, s.before, s.after)[first:] for s in self.switches]
+        return [float(np.max(np.nan_to_num(np.abs(change) / sizes))) for change in changes]
 
     @property
     def rate_error(self) -> float:
         """Error of the components whose rates jump at switches, by those that are late; common to both degrees."""
-        return max((self.rate_change(s) * abs(s.due - s.joint) for s in self.switches), default=0.0)
+        late = (abs(s.due - s.joint) for s in self.switches)
+        return max(map(mul, self.rate_changes, late), default=0.0)
 
     @cached_property
     def common_error(self) -> float:

@@ -17,7 +17,7 @@ from casadi_galerkin.control.optimizer import Optimum
 from casadi_galerkin.functional.buffers import interrupts_raised
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.dependence import CONTROLS, VELOCITIES, entries_within
+from casadi_galerkin.problems.dependence import CONTROLS, POSITIONS, VELOCITIES, entries_within
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.path import Path
 
@@ -85,7 +85,7 @@ def kink_hint(problem: ControlProblem) -> str | None:
         if entries_within(problem.running_cost, CONTROLS, kind):
             return words
     for name, cost in (("running cost", problem.running_cost), ("terminal cost", problem.terminal_cost)):
-        if cost is not None and any(entries_within(cost, argument, BENT) for argument in (1, VELOCITIES)):
+        if cost is not None and any(entries_within(cost, argument, BENT) for argument in (POSITIONS, VELOCITIES)):
             return (
                 f"The {name} holds fabs, fmax, fmin or a comparison of positions or velocities, and its derivative may "
                 "jump there: smooth it, as sqrt(z**2 + 1e-6) does fabs(z)"

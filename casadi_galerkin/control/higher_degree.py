@@ -18,6 +18,7 @@ from casadi_galerkin.problems.problem import map_times, section_times
 from casadi_galerkin.solution.control_path import ControlPath
 from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 from casadi_galerkin.solution.guess import waves
+from casadi_galerkin.solvers.solver import Solver
 
 HIGHER = 2  # degrees added for the error estimate; one adds nothing to a path of the other parity
 WARM_START_BARRIER = 1e-4  # first barrier from an earlier path: with 1e-2 a robot arm left its path, and found none
@@ -27,6 +28,11 @@ def raised(method: Galerkin) -> Galerkin:
     """The method with `HIGHER` more degrees and quadrature points: Lobatto's where this has one at 0, else Gauss's."""
     rule = lobatto if method.quadrature.points[0] == 0 else gauss
     return Galerkin(method.degree + HIGHER, quadrature=rule(len(method.quadrature) + HIGHER))
+
+
+def from_near(solver: Solver, **others: float) -> Solver:
+    """The solver from an earlier path, with other options where it has none of its own."""
+    return replace(solver, options={"mu_init": WARM_START_BARRIER, **others, **solver.options})
 
 
 def perturbed(path: ControlTrajectory, by: float) -> ControlTrajectory:

@@ -27,7 +27,6 @@ from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.pointwise import pulled_back
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import Crossing
-from casadi_galerkin.problems.end_limits import conditions_at_ends
 from casadi_galerkin.problems.legendre_transform import momentum_at
 
 Terms = dict[str, ca.SX]  # the rows, and the cost and the action where there are any
@@ -133,7 +132,7 @@ def pointwise_terms(problem: ControlProblem, embedding: ChainEmbedding, mapping:
     make: dict[PlaceLayout, Callable[..., Terms]] = {
         embedding.points: _at_points,
         embedding.either_end: _at_either_end,
-        embedding.both_ends: _at_both_ends,
+        embedding.both_ends: partial(_at_both_ends, conditions=embedding.chain.end_conditions[0]),
         embedding.nodes: _at_nodes,
         **{
             place: partial(_at_crossing, crossing=crossing)
@@ -173,10 +172,10 @@ def _at_either_end(problem: ControlProblem, *inputs: Any) -> Terms:
     return {"rows": ca.vertcat(*rows)}
 
 
-def _at_both_ends(problem: ControlProblem, *inputs: Any) -> Terms:
+def _at_both_ends(problem: ControlProblem, *inputs: Any, conditions: ca.Function) -> Terms:
     x0, v0, x1, v1, p, t = inputs
     last = x1, _filled(v1, x1)
-    rows = conditions_at_ends(problem)[0](x0, _filled(v0, x0), *last, *p)
+    rows = conditions(x0, _filled(v0, x0), *last, *p)
     cost = {} if problem.terminal_cost is None else {"cost": problem.terminal_cost(t, *last, *p)}
     return {"rows": rows, **cost}
 

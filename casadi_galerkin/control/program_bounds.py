@@ -11,7 +11,6 @@ from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import is_limited
-from casadi_galerkin.problems.end_limits import conditions_at_ends
 from casadi_galerkin.problems.problem import ENDS
 
 
@@ -60,7 +59,7 @@ def bounds_of(problem: ControlProblem, chain: Chain, implied: bool = False) -> P
             _limit(sides, index, (np.maximum(sides[0, index], low), np.minimum(sides[1, index], high)))
     equations = np.zeros((2, chain.equations))
     conditions = [(f"waypoint {i}", crossing.condition) for i, crossing in enumerate(problem.crossings)]
-    for name, limited in (("path", problem.path_constraint), ("ends", conditions_at_ends(problem)), *conditions):
+    for name, limited in (("path", problem.path_constraint), ("ends", chain.end_conditions), *conditions):
         if limited is not None:
             _limit(equations, chain.rows[name], limited[1:])
     for index, values in given_at_ends(problem, chain).values():

@@ -48,7 +48,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.control.better_mesh import better_mesh
 from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.failure_report import UNITS
-from casadi_galerkin.control.higher_degree import WARM_START_BARRIER, perturbed, raised
+from casadi_galerkin.control.higher_degree import from_near, perturbed, raised
 from casadi_galerkin.control.phases import with_joined_phases, with_parted_phases
 from casadi_galerkin.control.several_starts import distinct_optima, optima_of
 from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
@@ -168,7 +168,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         if self.known is not None and self.known.switches:
             ratio = BARRIER_RATIO / self.tol**2 if not self.left_open else np.inf
             others = {"barrier_tol_factor": float(np.clip(ratio, 10, LARGEST_BARRIER_RATIO))}
-        return replace(self.solver, options={"mu_init": WARM_START_BARRIER, **others, **self.solver.options})
+        return from_near(self.solver, **others)
 
     def solve_finer(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """The path on a mesh or, where none is found, on one twice as fine."""

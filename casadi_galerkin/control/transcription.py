@@ -11,7 +11,7 @@ import math
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import casadi as ca
@@ -28,7 +28,7 @@ from casadi_galerkin.control.continuous_controls import continuous_controls
 from casadi_galerkin.control.error_estimate import HigherDegree
 from casadi_galerkin.control.failure_report import INVALID, explained, refuse_derivatives, refuse_values
 from casadi_galerkin.control.graph import ControlGraph
-from casadi_galerkin.control.higher_degree import WARM_START_BARRIER, perturbed, raised
+from casadi_galerkin.control.higher_degree import from_near, perturbed, raised
 from casadi_galerkin.control.initial_guess import first_values, near_answer
 from casadi_galerkin.control.optimizer import BOUND_RELAXATION, TOLERANCE, optimize, with_fatrop, with_ipopt
 from casadi_galerkin.control.program_bounds import bounds_of, check_count, check_stages
@@ -398,8 +398,7 @@ def transcribed_control(
 def estimated_errors(solver: Solver, path: ControlTrajectory) -> tuple[float, float]:
     """Errors of the cost and of a path, from a path of higher degree on its mesh; infinite where there is none."""
     transcription = transcribed_control(path.problem, raised(path.method), None, path.t, one_by_one)
-    near = replace(solver, options={"mu_init": WARM_START_BARRIER, **solver.options})
     for size in PERTURBATIONS:
         with suppress(ConvergenceError):
-            return HigherDegree(path, transcription.solve(guess=perturbed(path, size), solver=near)).errors
+            return HigherDegree(path, transcription.solve(guess=perturbed(path, size), solver=from_near(solver))).errors
     return math.inf, math.inf

@@ -46,6 +46,7 @@ from casadi_galerkin.problems.constrained_motion import check_constraint, check_
 from casadi_galerkin.problems.crossings import Crossing, Pairs, Waypoint, is_limited, jumps_of, waypoints_of
 from casadi_galerkin.problems.dependence import (
     CONTROLS,
+    POSITIONS,
     VELOCITIES,
     check_absolute_values,
     check_controls,
@@ -349,12 +350,12 @@ class ControlProblem:
         t, x, v = self.t_span[end], getattr(self, name), getattr(self, f"{name}_velocity")
         if None not in (*x, *v):
             check_tangent(self, f"{name}_velocity", t, x, v, self.determined_constraints(end))
-        if self.duration_bounds is not None or self.parameter_bounds is not None:
-            return
         g, low, high = self.path_constraint
+        if not low or self.duration_bounds is not None or self.parameter_bounds is not None:
+            return
         state = [np.array(values, dtype=float) for values in (x, v)]  # NaN for None
         free = [np.isnan(values) for values in state]
-        depends = rows_that_depend(g, 1, free[0]) | rows_that_depend(g, VELOCITIES, free[1])
+        depends = rows_that_depend(g, POSITIONS, free[0]) | rows_that_depend(g, VELOCITIES, free[1])
         depends |= rows_that_depend(g, CONTROLS, np.ones(self.controls, dtype=bool))
         given = [] if self.parameters is None else [self.parameters]
         values = np.array(g(t, *map(np.nan_to_num, state), np.zeros(self.controls), *given)).ravel()

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from casadi_galerkin.problems.bounds import Bounds
 
-VELOCITIES, CONTROLS = 2, 3  # their numbers among the arguments t, x, v, u of a callable
+TIME, POSITIONS, VELOCITIES, CONTROLS = range(4)  # the arguments t, x, v, u of a callable
 STEPPING = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD)
 Used = tuple[str, ca.Function | None, Sequence[int]]  # name, Function, and which of its arguments are velocities
 

@@ -12,10 +12,9 @@ import numpy as np
 
 from casadi_galerkin.problems.bounds import Limited
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.dependence import CONTROLS, VELOCITIES, rows_that_depend
+from casadi_galerkin.problems.dependence import CONTROLS, POSITIONS, TIME, VELOCITIES, rows_that_depend
 
-TIME, POSITIONS = 0, 1  # numbers of further arguments t, x of a path constraint
-END = 2, 3  # those of x1, v1 of end conditions
+END = 2, 3  # numbers of the arguments x1, v1 of end conditions
 
 
 def limited_at_end(problem: ControlProblem) -> tuple[list[int], list[int]]:

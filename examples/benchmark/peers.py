@@ -361,14 +361,18 @@ def scipy_solver(case):
 def by_scipy(case, exact, error):
     """Callables that solve to an error by `solve_bvp`, by their tolerance and number of joints."""
     run, times, found = scipy_solver(case), np.linspace(*case.t_span, 401)[1:-1], {}
+
+    def reached(result):
+        return result.success and relative(result.sol(times)[: len(case.start)], exact(times)) <= error
+
     for count in JOINTS:
         for tol in 10.0 ** -np.arange(3.0, 13.5, 0.5):
             result = run(tol, case.mesh(count - 1))
-            if not (result.success and relative(result.sol(times)[: len(case.start)], exact(times)) <= error):
+            if not reached(result):
                 continue
             found[tol, count] = partial(run, tol, case.mesh(count - 1))
             again = run(tol, result.x)  # the mesh found beforehand, as the others have theirs
-            if again.success and relative(again.sol(times)[: len(case.start)], exact(times)) <= error:
+            if reached(again):
                 found[tol, len(result.x)] = partial(run, tol, result.x)
             break
     return found
