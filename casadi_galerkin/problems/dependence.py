@@ -15,7 +15,7 @@ STEPPING = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_SIGN, ca.OP_FLOOR, ca.
 Used = tuple[str, ca.Function | None, Sequence[int]]  # name, Function, and which of its arguments are velocities
 
 
-def _entries(function: ca.Function, argument: int) -> set[int]:
+def entries_of(function: ca.Function, argument: int) -> set[int]:
     """Which entries of an argument the values of a Function depend on."""
     return {i for k in range(function.n_out()) for i in function.sparsity_jac(argument, k).get_col()}
 
@@ -33,7 +33,7 @@ def rows_that_depend(function: ca.Function | None, argument: int, chosen: ArrayL
 def check_rates(users: Iterable[Used], own: range) -> None:
     """Refuse what depends on the velocity of a component that follows a rate, which is that rate."""
     for name, function, velocities in users:
-        used = {i for k in velocities if function is not None for i in _entries(function, k) if i in own}
+        used = {i for k in velocities if function is not None for i in entries_of(function, k) if i in own}
         if used:
             i = min(used)
             raise ValueError(f"{name} must not depend on v[{i}], the rate of x[{i}]: write that rate instead")
@@ -41,7 +41,7 @@ def check_rates(users: Iterable[Used], own: range) -> None:
 
 def check_controls(users: Iterable[ca.Function], count: int) -> None:
     """Refuse a control that nothing depends on: its value would be arbitrary."""
-    unused = set(range(count)).difference(*(_entries(function, CONTROLS) for function in users))
+    unused = set(range(count)).difference(*(entries_of(function, CONTROLS) for function in users))
     if unused:
         raise ValueError(f"the control u[{min(unused)}] occurs in no force, cost or constraint")
 
@@ -63,7 +63,7 @@ def check_parameters(users: Iterable[ca.Function | None], bounds: Bounds | None)
     if bounds is None:
         return
     given = [function for function in users if function is not None]
-    used = set().union(*(_entries(function, function.n_in() - 1) for function in given))
+    used = set().union(*(entries_of(function, function.n_in() - 1) for function in given))
     for i, (low, high) in enumerate(zip(*bounds, strict=True)):
         if low < high and i not in used:
             raise ValueError(f"the free parameter p[{i}] occurs in no lagrangian, force, cost or constraint")

@@ -12,7 +12,7 @@ import numpy as np
 
 from casadi_galerkin.problems.bounds import Limited
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.dependence import CONTROLS, POSITIONS, TIME, VELOCITIES, rows_that_depend
+from casadi_galerkin.problems.dependence import CONTROLS, POSITIONS, TIME, VELOCITIES, entries_of, rows_that_depend
 
 END = 2, 3  # numbers of the arguments x1, v1 of end conditions
 
@@ -22,22 +22,22 @@ def limited_at_end(problem: ControlProblem) -> tuple[list[int], list[int]]:
 
     They depend on what is not given there.  Equations that are as many as the controls are left out, because at the
     points they leave nothing free.  So are constraints of the time, and of the velocity of a component that follows a
-    rate, which is no argument of an end condition.  Where end conditions already say something of the end, nothing is
-    added: the same twice has no multipliers, and what they fix may be where a constraint has no derivative.
+    rate, which is no argument of an end condition.  Nothing is added of what end conditions speak of at the end: the
+    same twice has no multipliers, and what they fix may be where a constraint has no derivative.
     """
     g, low, high = problem.path_constraint
     conditions, everything = problem.end_conditions[0], np.ones(problem.dimension, dtype=bool)
-    if any(rows_that_depend(conditions, k, everything).any() for k in END):
-        return [], []
+    stated_x, stated_v = (np.isin(np.arange(problem.dimension), list(entries_of(conditions, k))) for k in END)
     fixed = np.arange(problem.dimension) >= problem.mechanical
     excluded = rows_that_depend(g, TIME, [True]) | rows_that_depend(g, CONTROLS, np.ones(problem.controls, dtype=bool))
+    excluded |= rows_that_depend(g, POSITIONS, stated_x) | rows_that_depend(g, VELOCITIES, stated_v)
     equal = np.equal(low, high)
     excluded |= rows_that_depend(g, VELOCITIES, fixed) | (equal & (np.count_nonzero(equal) >= problem.controls))
     free_x, free_v = (np.array([value is None for value in values]) for values in (problem.end, problem.end_velocity))
     free_v &= ~fixed
     limited = rows_that_depend(g, POSITIONS, free_x) | rows_that_depend(g, VELOCITIES, free_v)
     moving = rows_that_depend(g, VELOCITIES, everything) | rows_that_depend(g, POSITIONS, fixed)
-    held = equal & ~moving & rows_that_depend(g, POSITIONS, free_v)
+    held = equal & ~(moving | stated_v.any()) & rows_that_depend(g, POSITIONS, free_v)
     return np.flatnonzero(limited & ~excluded).tolist(), np.flatnonzero(held & ~excluded).tolist()
 
 

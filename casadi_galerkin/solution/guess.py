@@ -144,6 +144,8 @@ def _values(guess: Guess, calculus: DiscreteCalculus, dimension: int) -> np.ndar
         return path(times if same else old[0] + calculus.node_parts * (old[-1] - old[0]))
     if callable(guess):
         return guessed(guess, times, d)
+    if isinstance(guess, list) and any(map(callable, guess)):
+        raise TypeError("a pair as guess, such as (path, controls), must be a tuple, got a list")
     array = real_array("the guess", guess)
     if array.shape == (d, len(times)):
         return array

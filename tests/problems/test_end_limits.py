@@ -143,3 +143,12 @@ def test_where_end_conditions_speak_of_the_end_nothing_is_added():
         end=[None], end_velocity=[None], end_conditions=rest, path_constraint=(root_at_rest, -np.inf, 3.0)
     )
     assert cg.solve(slow, cg.Galerkin(4), 8).cost == pytest.approx(6, rel=1e-8)
+
+
+@pytest.mark.parametrize("options", [{"tol": 1e-6}, {"method": cg.Galerkin(3), "intervals": 5}])
+def test_what_end_conditions_do_not_speak_of_keeps_to_its_limit(options):
+    """They give the place, in a strip; the speed is rewarded there, and limited."""
+    strip = (lambda x0, v0, x1, v1: x1, 0.2, 0.9)
+    path = cg.solve(rewarded(end_conditions=strip), **options)
+    assert path.cost == pytest.approx(-1.62, rel=1e-7)
+    assert path.x[0, -1] == pytest.approx(0.3, rel=1e-7)  # by a constant force

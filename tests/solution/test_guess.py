@@ -49,6 +49,7 @@ sine = ca.Function("sine", [TIME], [ca.sin(TIME)])
             r"its times are no mesh: .* must increase by more than roundoff, got t\[0\] = 1.0 and t\[1\] = 0.0",
         ),
         ((lambda t: [t], lambda t: [t]), TypeError, r"a pair as guess is \(times, values\), and its times are no mesh"),
+        ([lambda t: [t], lambda t: [t]], TypeError, r"such as \(path, controls\), must be a tuple, got a list"),
         (([0, 1], [[0, np.nan]]), ValueError, "the guess must be finite"),
         ([[0, 0, 0, 0, True]], TypeError, r"the guess must be real numbers, got True at \[0, 4\]"),
         (np.ma.array([range(5)], mask=[[0, 0, 0, 1, 0]]), ValueError, r"no masked values, got one at \[0, 3\]"),
