@@ -32,7 +32,7 @@ from casadi_galerkin.solution.path import Path
 from casadi_galerkin.solution.progress import progress
 from casadi_galerkin.solution.trajectory import Trajectory
 from casadi_galerkin.solvers.arc_length import CORRECTOR_ITERATIONS, STEP_GROWTH, STEP_REDUCTION, Curve
-from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton, verified
+from casadi_galerkin.solvers.newton import Solution, SolveFailure, damped_newton
 from casadi_galerkin.solvers.second_variation import negative_eigenvalues
 
 # arc lengths, in which the path is relative to how far the branch has led
@@ -137,8 +137,10 @@ class Point:
         return turned == ((self.negative - other.negative) % 2 == 1)
 
 
-class BranchFollower(Curve[Solution]):
+class BranchFollower(Curve):
     """The state of a continuation along a branch."""
+
+    tolerance = CONVERGED_STEP
 
     def __init__(self, transcription: Transcription, target: np.ndarray) -> None:
         self.transcription, self.stationarity = transcription, transcription.stationarity
@@ -170,21 +172,12 @@ class BranchFollower(Curve[Solution]):
             newton, follow = at.solve(at.relinearize(unknowns, data), rate)
         return newton, follow
 
-    def accepted(self, z: np.ndarray, length: float, iteration: int) -> Solution | None:
-        """A point as a solution, if its residuals are at their roundoff floors."""
-        if length >= CONVERGED_STEP:
-            return None
-        unknowns, data = z[:-1], self.data(z)
-        with self.stationarity.linearization() as at:
-            at.newton_step(unknowns, data)
-            solution = verified(at, unknowns, data, iteration, "continuation")
-        # a component may be zero up to rounding: Newton's method makes it zero
-        if solution is None and iteration == CORRECTOR_ITERATIONS:
-            with suppress(SolveFailure):
-                solution = damped_newton(self.stationarity, unknowns, data, max_iter=CORRECTOR_ITERATIONS)
-                moved = np.append(solution.unknowns - unknowns, 0.0)
-                return solution if self.length(moved) < CONVERGED_STEP else None
-        return solution
+    def solution(self, z: np.ndarray) -> Solution | None:
+        """The path of a point z of the curve, verified; None where that moves it."""
+        with suppress(SolveFailure):
+            found = damped_newton(self.stationarity, z[:-1], self.data(z), max_iter=CORRECTOR_ITERATIONS)
+            return found if self.length(np.append(found.unknowns - z[:-1], 0.0)) < CONVERGED_STEP else None
+        return None
 
     def begin(self, z: np.ndarray, follow: np.ndarray) -> None:
         """Expect changes of the path up to the target from those a little way ahead, but at most its sizes.
@@ -197,7 +190,7 @@ class BranchFollower(Curve[Solution]):
         self.weigh(z)
         found = self.corrected(np.append(z[:-1], FIRST_STEP), np.append(0 * follow, 1.0), np.inf)
         if found is not None:
-            ahead = np.abs(found[0][:-1] - z[:-1]) / FIRST_STEP
+            ahead = np.abs(found[:-1] - z[:-1]) / FIRST_STEP
             self._expected = np.where(size > ROUNDED * ahead, np.minimum(ahead, size), ahead)
 
     def weigh(self, z: np.ndarray) -> None:
@@ -281,9 +274,10 @@ class BranchFollower(Curve[Solution]):
                 share = (end - point.z[-1]) / tangent[-1]
                 predicted, normal = point.z + share * tangent, np.append(np.zeros(len(point.z) - 1), 1.0)
                 predicted[-1] = end
-            answer = self.corrected(predicted, normal, LONGEST_STEP)
-            if answer is not None and 0 <= answer[0][-1] <= 1:
-                z, solution = np.append(answer[1].unknowns, answer[0][-1]), answer[1]
+            z = self.corrected(predicted, normal, LONGEST_STEP)
+            solution = None if z is None or not 0 <= z[-1] <= 1 else self.solution(z)
+            if z is not None and solution is not None:
+                z = np.append(solution.unknowns, z[-1])
                 chord = self.unit(z - point.z)
                 following = self.tangent(z, chord)
                 bends = np.array([self.cosine(chord, tangent), self.cosine(chord, following)])
@@ -315,11 +309,11 @@ class BranchFollower(Curve[Solution]):
             if min(map(abs, rates)) < level:
                 break
             share = 0.5 if iteration % 3 == 2 else rates[0] / (rates[0] - rates[1])
-            answer = self.corrected(ends[0] + share * (ends[1] - ends[0]), tangent, LONGEST_STEP)
-            if answer is None:
+            z = self.corrected(ends[0] + share * (ends[1] - ends[0]), tangent, LONGEST_STEP)
+            if z is None:
                 continue
-            rate = self.tangent(answer[0], tangent)[-1]
+            rate = self.tangent(z, tangent)[-1]
             side = int(rate * rates[0] <= 0)
-            ends[side], rates[side] = answer[0], rate
+            ends[side], rates[side] = z, rate
         z = ends[int(abs(rates[1]) < abs(rates[0]))]
         return Fold(self.parameters(z), Path(self.path(z)), count)

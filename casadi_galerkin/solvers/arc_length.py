@@ -12,33 +12,28 @@ together is not.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Generic, TypeVar
 
 import numpy as np
-
-Accepted = TypeVar("Accepted")
 
 CORRECTOR_ITERATIONS = 10  # most iterations of Newton's method in one correction
 STEP_GROWTH, STEP_REDUCTION = 1.5, 0.5  # factors on the step after a correction, and after one that failed
 
 
-class Curve(ABC, Generic[Accepted]):
+class Curve(ABC):
     """A curve of points z = (ξ, s).
 
     Attributes
     ----------
     weights : (n + 1,), of the scalar product in which arc length is measured
+    tolerance : arc length of the last step of a correction
     """
 
     weights: np.ndarray
+    tolerance: float
 
     @abstractmethod
     def directions(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The Newton step of ξ at fixed s, and the derivative dξ/ds along the curve."""
-
-    @abstractmethod
-    def accepted(self, z: np.ndarray, length: float, iteration: int) -> Accepted | None:
-        """What a point that has converged is kept as, after a last step of this length; None if it has not."""
 
     def length(self, step: np.ndarray) -> float:
         """Arc length of a step."""
@@ -60,10 +55,10 @@ class Curve(ABC, Generic[Accepted]):
         with np.errstate(invalid="ignore"):  # it is not finite where the matrix is singular
             return self.unit(np.copysign(1.0, (direction * forward) @ self.weights) * direction)
 
-    def corrected(self, z: np.ndarray, normal: np.ndarray, longest: float) -> tuple[np.ndarray, Accepted] | None:
+    def corrected(self, z: np.ndarray, normal: np.ndarray, longest: float) -> np.ndarray | None:
         """Correct z within the plane through it with this normal; None if that fails, or a step exceeds `longest`."""
         start, normal = z, normal * self.weights
-        for iteration in range(1, CORRECTOR_ITERATIONS + 1):
+        for _ in range(CORRECTOR_ITERATIONS):
             newton, follow = self.directions(z)
             with np.errstate(divide="ignore", invalid="ignore"):  # where the curve runs along the plane
                 ds = -(normal[:-1] @ newton + normal @ (z - start)) / (normal[:-1] @ follow + normal[-1])
@@ -71,7 +66,6 @@ class Curve(ABC, Generic[Accepted]):
             z, length = z + step, self.length(step)
             if not length <= longest:
                 return None
-            accepted = self.accepted(z, length, iteration)
-            if accepted is not None:
-                return z, accepted
+            if length < self.tolerance:
+                return z
         return None

@@ -33,7 +33,7 @@ POLISHING = 20  # most iterations of Newton's method from where the load is zero
 CURVE_TOLERANCE = 0.02  # last Newton step over the arc step: points of the curve itself need no more accuracy
 
 
-class LoadedCurve(Curve[bool]):
+class LoadedCurve(Curve):
     """The curve of loaded paths through one path.
 
     Parameters
@@ -74,32 +74,29 @@ class LoadedCurve(Curve[bool]):
         newton, follow = self.at.solve(residual, -self.load)
         return newton, follow
 
-    def accepted(self, z: np.ndarray, length: float, iteration: int) -> bool | None:  # noqa: ARG002
-        """Whether the last step was short."""
-        return length < CURVE_TOLERANCE * self.step or None
-
     def unloaded_points(self, side: float) -> Iterator[np.ndarray]:
         """Approximate paths without load, in the order in which they are met; `side` is the load's first sign."""
-        z, self.step = self.start, FIRST_STEP
+        z, step = self.start, FIRST_STEP
         tangent = self.tangent(z, np.append(np.zeros(len(z) - 1), side))
         for _ in range(POINTS):
             if seconds_left() < 0:
                 return
-            found = self.corrected(z + self.step * tangent, tangent, self.step)
-            following = tangent if found is None else self.tangent(found[0], tangent)
+            self.tolerance = CURVE_TOLERANCE * step
+            found = self.corrected(z + step * tangent, tangent, step)
+            following = tangent if found is None else self.tangent(found, tangent)
             if found is None or not self.cosine(following, tangent) > LEAST_COSINE:
-                self.step *= STEP_REDUCTION
-                if self.step < SMALLEST_STEP:
+                step *= STEP_REDUCTION
+                if step < SMALLEST_STEP:
                     return
                 continue
-            before, z = z, found[0]
+            before, z = z, found
             tangent = following
             if before[-1] * z[-1] < 0:
                 share = before[-1] / (before[-1] - z[-1])
                 yield before[:-1] + share * (z - before)[:-1]
             if self.length(z - self.start) > FARTHEST:
                 return
-            self.step *= STEP_GROWTH
+            step *= STEP_GROWTH
 
     def stationary_paths(self, side: float, report: str) -> Iterator[Solution]:
         """The stationary paths that Newton's method leads to from where the load is zero."""
