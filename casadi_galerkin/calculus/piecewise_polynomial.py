@@ -132,14 +132,6 @@ class PiecewisePolynomial:
         ends = values[:, m::m] if self.arrivals is None else self.arrivals
         return np.concatenate((values[:, :-1].reshape(len(values), -1, m), ends[:, :, None]), axis=2)
 
-    def _local(self, i: np.ndarray) -> np.ndarray:
-        """Values at the nodes of intervals given by their numbers (K,); (d, K, m + 1)."""
-        m = self.degree
-        local = self.values[:, i[:, None] * m + np.arange(m + 1)]
-        if self.arrivals is not None:
-            local[:, :, -1] = self.arrivals[:, i]
-        return local
-
     @property
     def jumps(self) -> np.ndarray:
         """Numbers of the joints at which the path jumps; (K,)."""
@@ -229,7 +221,7 @@ class PiecewisePolynomial:
         if order:
             slopes = np.linalg.matrix_power(differentiation_matrix(self.nodes), order)
             basis = basis @ slopes / steps[i, None] ** order
-        local = self._local(i)
+        local = self.local[:, i]
         if order:  # a derivative does not see a constant; without it the roundoff is that of the differences
             local = local - local[:, :, :1]
         return np.einsum("dkj,kj->dk", local, basis).reshape((len(self.values), *times.shape))

@@ -50,11 +50,10 @@ class ControlPath:
         """Controls at times t within the mesh; shape (n,) + t.shape."""
         times = times_within(self.mesh, t)
         flat = times.ravel()
-        r, steps = len(self.points), np.diff(self.mesh)
+        steps = np.diff(self.mesh)
         i = np.searchsorted(self._changes, flat, side="right")
         basis = lagrange_values(self.points, np.clip((flat - self.mesh[i]) / steps[i], 0.0, 1.0))
-        local = self.values[:, i[:, None] * r + np.arange(r)]
-        return np.einsum("nkj,kj->nk", local, basis).reshape((len(self.values), *times.shape))
+        return np.einsum("nkj,kj->nk", self._local[:, i], basis).reshape((len(self.values), *times.shape))
 
     def __repr__(self) -> str:
         """State the numbers of components, points and intervals."""
@@ -71,8 +70,12 @@ class ControlPath:
 
     def at(self, s: np.ndarray) -> np.ndarray:
         """Controls at fractions s (K,) of every interval, by its own polynomial, joints included; (n, N K)."""
-        local = self.values.reshape(len(self.values), -1, len(self.points))
-        return (local @ lagrange_values(self.points, s).T).reshape(len(self.values), -1)
+        return (self._local @ lagrange_values(self.points, s).T).reshape(len(self.values), -1)
+
+    @property
+    def _local(self) -> np.ndarray:
+        """Values at the points of every interval, (n, N, k)."""
+        return self.values.reshape(len(self.values), -1, len(self.points))
 
     @property
     def _changes(self) -> np.ndarray:
@@ -91,5 +94,4 @@ class ControlPath:
         gaps = [s - point for point in self.points.tolist()]
         before, after = (list(accumulate(some, initial=ca.SX(1), func=mul)) for some in (gaps[:-1], gaps[:0:-1]))
         basis = barycentric_weights(self.points) * ca.vertcat(*map(mul, before, reversed(after)))
-        local = self.values.reshape(len(self.values), -1, len(gaps))
-        return ca.vertcat(*(ca.dot(ca.vertcat(*map(switched, rows.T)), basis) for rows in local)) / ca.sum1(basis)
+        return ca.vertcat(*(ca.dot(ca.vertcat(*map(switched, rows.T)), basis) for rows in self._local)) / ca.sum1(basis)

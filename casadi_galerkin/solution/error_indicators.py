@@ -128,17 +128,13 @@ def _jumps_of_force(
     """
     if problem.force is None:
         return np.zeros(len(path.mesh) - 1)
-    detector, slopes = JumpDetector(path.mesh, gauss(path.degree)), differentiation_matrix(path.nodes)
-    local, steps = path.local, np.diff(path.mesh)
-    bends = lagrange_values(path.nodes, detector.parts) @ slopes @ slopes
-    accelerations = (local - local[:, :, :1]) @ bends.T / steps[:, None] ** 2
-    _, x, v = path.sampled(detector.parts)
-    blurred = _rounding(tuple(path.nodes.tolist())) * np.max(np.abs(local), axis=2) / steps
-    given = x, v, accelerations.reshape(x.shape), np.repeat(blurred, len(detector.parts), axis=1)
+    detector, steps = JumpDetector(path.mesh, gauss(path.degree)), np.diff(path.mesh)
+    blurred = _rounding(tuple(path.nodes.tolist())) * np.max(np.abs(path.local), axis=2) / steps
+    given = *(path(detector.times, nu) for nu in range(3)), np.repeat(blurred, len(detector.parts), axis=1)
     along = _at_places(problem, _force_along(problem.force), detector.times, *given)
     forces, rates, rounded = (a.T for a in along)
     sizes = np.where(np.isfinite(forces), np.abs(forces), 0.0)
-    means = sizes.reshape(len(local), len(steps), -1).mean(axis=2)
+    means = sizes.reshape(len(sizes), len(steps), -1).mean(axis=2)
     whole = np.max(np.abs(momentum), axis=1) + means @ steps + moving + TINY
     effects = detector.jump_effects(forces, rates, ROUNDING_FACTOR * EPS * rounded)
     return np.max(effects / whole[:, None], axis=0)
