@@ -111,10 +111,10 @@ def first_path_strategies(
     """Strategies to find a first path, in the order in which they are tried.
 
     First Newton's method on the coarse mesh; with a guess also from the smoothed guess, and on a mesh that resolves the
-    guess.  Then its rescues on the coarse mesh; without a guess, Newton's method on a finer one; a homotopy in the
-    force, if there is one, whose paths `intermediate_path` finds; a descent of the action with moving joints; and
-    finally, without a guess, the search for `several_paths` on the finer mesh, otherwise `solver` itself.  With a
-    guess, a path near it is preferred to one that is far from it.
+    guess.  Then its rescues on the coarse mesh; a homotopy in the force, if there is one, whose paths
+    `intermediate_path` finds; a descent of the action with moving joints; and finally, without a guess, the search for
+    `several_paths` on a finer mesh, otherwise `solver` itself.  With a guess, a path near it is preferred to one that
+    is far from it.
     """
     problem = graphs.problem
     given = guess_on_resolving_mesh(graphs, method, guess, mesh, COARSE_RESOLUTION)
@@ -142,11 +142,9 @@ def first_path_strategies(
         yield name, find if guess is None else partial(_near, given, find)
     fine = finer().mesh
     fine = resized_mesh(fine, max(MORE * (len(given.mesh) - 1), len(fine) - 1), problem.breakpoints)
-    start = cache(lambda: graphs.transcription(method, fine).guess_on_mesh(guess, fine))
-    if guess is None:
-        yield "Newton's method on a finer mesh", partial(solved, start(), brief)
     if problem.force is not None:
-        yield "Newton's method under a growing force", partial(path_by_homotopy, graphs, start(), intermediate_path)
+        start = graphs.transcription(method, fine).guess_on_mesh(guess, fine)
+        yield "Newton's method under a growing force", partial(path_by_homotopy, graphs, start, intermediate_path)
     if stationarity.variational and not stationarity.functional.numbering.multipliers:
         joints = resized_mesh(fine, max(DESCENT_INTERVALS, len(fine) - 1), problem.breakpoints)
         yield "descent of the action", partial(_by_descent, graphs, method, joints, guess, brief)
