@@ -45,9 +45,6 @@ from casadi_galerkin.problems.callables import (
 from casadi_galerkin.problems.constrained_motion import check_constraint, check_tangent
 from casadi_galerkin.problems.crossings import Crossing, Pairs, Waypoint, is_limited, jumps_of, waypoints_of
 from casadi_galerkin.problems.dependence import (
-    CONTROLS,
-    POSITIONS,
-    VELOCITIES,
     check_absolute_values,
     check_controls,
     check_parameters,
@@ -343,46 +340,30 @@ class ControlProblem:
         check_constraint(self, {name: self.determined_constraints(k) for k, name in enumerate(ENDS)})
         for k, name in enumerate(ENDS):
             self._check_end_state(k, name)
-        self._check_end_conditions()
+        ends_given = self.start, self.start_velocity, self.end, self.end_velocity
+        self._check_values("end condition {} is {} with the ends given", self.end_conditions, ends_given)
 
     def _check_end_state(self, end: int, name: str) -> None:
         """Refuse a given state at an end that violates a path constraint without controls, or is not tangent."""
         t, x, v = self.t_span[end], getattr(self, name), getattr(self, f"{name}_velocity")
         if None not in (*x, *v):
             check_tangent(self, f"{name}_velocity", t, x, v, self.determined_constraints(end))
-        g, low, high = self.path_constraint
-        if not low or self.duration_bounds is not None or self.parameter_bounds is not None:
-            return
-        state = [np.array(values, dtype=float) for values in (x, v)]  # NaN for None
-        free = [np.isnan(values) for values in state]
-        depends = rows_that_depend(g, POSITIONS, free[0]) | rows_that_depend(g, VELOCITIES, free[1])
-        depends |= rows_that_depend(g, CONTROLS, np.ones(self.controls, dtype=bool))
-        given = [] if self.parameters is None else [self.parameters]
-        values = np.array(g(t, *map(np.nan_to_num, state), np.zeros(self.controls), *given)).ravel()
-        for i in np.flatnonzero(~depends & np.isfinite(values)):  # a ratio may be 0/0 at an end
-            if not low[i] <= within_rounding(values[i], low[i], high[i]) <= high[i]:
-                raise ValueError(
-                    f"path constraint {i} is {values[i]} at the {name} whatever the controls, outside its bounds "
-                    f"[{low[i]}, {high[i]}]"
-                )
+        when = np.nan if end and self.duration_bounds is not None else t
+        words = f"path constraint {{}} is {{}} at the {name} whatever the controls"
+        self._check_values(words, self.path_constraint, (when, x, v, (np.nan,) * self.controls))
 
-    def _check_end_conditions(self) -> None:
-        """Refuse an end condition that the given ends violate."""
-        g, low, high = self.end_conditions
-        names = ("start", "start_velocity", "end", "end_velocity")
-        given = [np.array(getattr(self, name), dtype=float) for name in names]  # NaN for None
-        given += [] if self.parameters is None else [np.array(self.parameters)]
-        free = [np.isnan(values) for values in given]
-        if self.parameter_bounds is not None:
-            free[-1] = np.less(*self.parameter_bounds)
-        depends = np.any([rows_that_depend(g, k, which) for k, which in enumerate(free)], axis=0)
-        values = np.array(g(*map(np.nan_to_num, given))).ravel()
+    def _check_values(self, words: str, limited: Limited, given: Sequence[Any]) -> None:
+        """Refuse values of a function outside their bounds where they depend on nothing free, which is NaN or None."""
+        (g, low, high), arrays = limited, [np.array(values, dtype=float).ravel() for values in given]
+        if self.parameters is not None:
+            free = self.parameter_bounds is not None and np.less(*self.parameter_bounds)
+            arrays.append(np.where(free, np.nan, self.parameters))
+        free_rows = np.any([rows_that_depend(g, k, np.isnan(values)) for k, values in enumerate(arrays)], axis=0)
+        values = np.array(g(*map(np.nan_to_num, arrays))).ravel()
         accepted = FEASIBLE * np.fmax(1.0, np.abs(values))
-        for i in np.flatnonzero(~depends):
+        for i in np.flatnonzero(~free_rows & np.isfinite(values)):  # a ratio may be 0/0 at an end
             if not low[i] - accepted[i] <= values[i] <= high[i] + accepted[i]:
-                raise ValueError(
-                    f"end condition {i} is {values[i]} with the ends given, outside its bounds [{low[i]}, {high[i]}]"
-                )
+                raise ValueError(f"{words.format(i, values[i])}, outside its bounds [{low[i]}, {high[i]}]")
 
     def _check_guesses(self) -> None:
         if self.duration_bounds is not None:

@@ -323,9 +323,14 @@ def test_ends_that_leave_their_bounds_by_rounding_are_put_on_them(unit):
         between(0.0, 0.3, end=[0.2 * unit], start_velocity=[-1e-14 * unit])
 
 
-def test_an_end_meets_a_path_constraint_up_to_rounding():
+def test_an_end_meets_a_path_constraint_as_a_solve_leaves_it():
     limited = (lambda t, x, v, u: x[0], 0, 0.3)
-    beyond = double_integrator(start=[-3e-17], end=[0.1 * 3], path_constraint=limited)
-    assert (beyond.start, beyond.end) == ((-3e-17,), (0.1 * 3,))
-    with pytest.raises(ValueError, match="path constraint 0 is"):
-        double_integrator(start=[-1e-14], end=[0.3], path_constraint=limited)
+    beyond = double_integrator(start=[-1e-9], end=[0.1 * 3], path_constraint=limited)
+    assert (beyond.start, beyond.end) == ((-1e-9,), (0.1 * 3,))
+    for free in ({}, {"duration_bounds": (0.5, 2)}):
+        with pytest.raises(ValueError, match="path constraint 0 is -1e-06 at the start whatever the controls"):
+            double_integrator(start=[-1e-6], end=[0.3], path_constraint=limited, **free)
+    in_time = (lambda t, x, v, u: x[0] - t, -1.0, 0.0)
+    with pytest.raises(ValueError, match=r"path constraint 0 is 1\.0 at the end whatever the controls"):
+        double_integrator(end=[2.0], path_constraint=in_time)
+    assert double_integrator(end=[2.0], path_constraint=in_time, duration_bounds=(0.5, 3)).end == (2.0,)
