@@ -75,7 +75,7 @@ def wanted_parts(found: HigherDegree, bent: Sequence[float], tol: float, cost_to
     """Parts into which every interval is to be split, where there will be joints at some bends; (N,)."""
     path, higher, degree = found.path, found.higher, found.path.method.degree
     error = beyond_degree(higher, degree)
-    error *= max(found.change - found.jump_error, 0.0) / max(np.max(error), 1e-300)
+    error *= found.change / max(np.max(error), 1e-300)
     coarse, fine = (truncation_error(p.polynomial, path.sizes) for p in (path, higher))
     kinked = fine > UNSMOOTH_RATIO * coarse
     smooth = parts_wanted(error, degree + 1, tol)
