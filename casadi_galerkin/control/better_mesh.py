@@ -41,14 +41,10 @@ DIFFERING_ESTIMATES = 1e-4
 SAME_SWITCH = 1e-8
 
 
-def better_mesh(found: HigherDegree, tol: float, cost_tol: float, finer: bool) -> np.ndarray:
-    """Joints, in the time of the path of higher degree, with which both errors should be below their tolerances.
-
-    If it is to be `finer`, no intervals are merged.
-    """
+def better_mesh(found: HigherDegree, tol: float, cost_tol: float) -> np.ndarray:
+    """Joints, in the time of the path of higher degree, with which both errors should be below their tolerances."""
     bent = bend_times(found, tol)
     mesh, parts = without_narrow(found, wanted_parts(found, bent, tol, cost_tol))
-    parts = np.maximum(parts, 1.0) if finer else parts
     parts = np.where(holds(mesh, bent, AT_JOINT), np.minimum(parts, 1.0), parts)
     joints = tuple(sorted((*found.higher.problem.breakpoints, *bent)))
     mesh = equidistributed(mesh, parts, MOST_PARTS, breakpoints=joints)

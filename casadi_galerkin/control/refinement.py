@@ -8,9 +8,9 @@ the quadrature points is; nor is it known whether the optimum is the global one.
 
 Where the solver finds no path, it tries again with every interval halved, and then from the guess with which all began
 in place of the coarser path.  Where it finds none of degree m + 2, there is no error estimate, and the next mesh has
-every interval halved.  Meshes may alternate, where controls switch often.  So where two in a row did not reduce the
-error of a path that is known roughly, no intervals are merged, and after four every interval is halved.  IPOPT's own
-tolerance does not follow `tol`: a looser one was hardly faster, and sometimes failed.
+every interval halved.  Meshes may alternate, where controls switch often.  So where four in a row did not reduce the
+error, every interval is halved.  IPOPT's own tolerance does not follow `tol`: a looser one was hardly faster, and
+sometimes failed.
 
 On smooth paths the estimate is near the true error, and some ten times the error where a position meets its bound.
 Where controls switch, or reach their bounds or those of a path constraint, both degrees may share a wrong time of this:
@@ -76,7 +76,6 @@ OPEN_SHARE = 0.1
 SHARP = {"barrier_tol_factor": LARGEST_BARRIER_RATIO, "compl_inf_tol": 1e-16, "acceptable_iter": 6}
 OPEN_LEVELS = 3  # levels in a row that are left open after which the refinement ends: a finer mesh may help
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
-KNOWN_ROUGHLY = 1e-2  # smallest error so far, up to which meshes that alternate are only refined
 PATIENCE = 4  # every interval is halved after so many levels in a row without a smaller error, as meshes may alternate
 LEFT_OPEN = (
     "Multiply the cost by 100: the solver's tolerances are absolute. If that changes nothing, the cost hardly depends "
@@ -218,8 +217,7 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         if detail is None or (self.fruitless > 0 and self.fruitless % PATIENCE == 0):
             mesh = halved(known.t)
         else:
-            alternating = self.fruitless > 1 and self.best[1] < KNOWN_ROUGHLY  # what was merged may be missed
-            mesh = better_mesh(detail, self.path_tol(detail), self.tol, alternating)
+            mesh = better_mesh(detail, self.path_tol(detail), self.tol)
         if len(mesh) - 1 > self.limits.intervals:
             raise self.stopped(f"the mesh would need {len(mesh) - 1} intervals", *self.best)
         joints = self.scaled(mesh, known)

@@ -86,7 +86,7 @@ def test_what_a_bend_beside_a_joint_hides_is_found_where_it_is():
     (of_impulse,), of_cost = np.abs(bend_errors(path)[0]), bend_errors(path)[1]
     assert np.min(of_impulse[[1, 3]]) > 1e-6 > np.max(of_impulse[[0, 2, 4]])
     assert np.min(of_cost[[1, 3]]) > 0 == np.max(of_cost[[0, 2, 4]])
-    better = better_mesh(HigherDegree(path, higher), tol=1e-3, cost_tol=1e-8, finer=False)
+    better = better_mesh(HigherDegree(path, higher), tol=1e-3, cost_tol=1e-8)
     for when in (begin, 2 - begin):
         assert np.min(np.abs(better - when)) < 1e-3 < np.min(np.abs(mesh - when))
 
