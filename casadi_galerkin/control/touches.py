@@ -26,7 +26,6 @@ from casadi_galerkin.solution.control_trajectory import ControlTrajectory
 
 LEAST_SHARE = 1e-6  # impulse at a node over the largest one up to which no bound acts there
 LEAST_PART = 1e-3  # the same among neighbors, which the solver keeps a little off the bound
-LEAST_EFFECT = 1e-9  # cost, over its size, of moving the bound by the size of the value, up to which none acts
 MOST_NODES = 4  # on more nodes than these a path does not touch a bound, but moves along it
 PARABOLA = 0.25  # distance from the bound an interval beside a touch, over that of a parabola, which is seen at least
 DIFFERENT = 0.3  # difference of two times a over e - a from which they give a secant
@@ -163,12 +162,10 @@ def bounded_constraints(path: ControlTrajectory) -> list[Bounded]:
 def touches(path: ControlTrajectory) -> list[Touch]:
     """All touches of bounds of positions, and of path constraints."""
     of_bounds = bounded_positions(path) if np.isfinite(path.problem.position_bounds).any() else []
-    size = min(path.cost_size, path.between_points.cost_of_forces)  # a constant cost moves nothing
     found = list[Touch | None]()
     for bounded in of_bounds + bounded_constraints(path):
         impulses = bounded.impulses
-        least = max(LEAST_SHARE * np.max(impulses), LEAST_EFFECT * size / bounded.size)
-        acting = np.flatnonzero(impulses > least)
+        acting = np.flatnonzero(impulses > LEAST_SHARE * np.max(impulses))
         groups = np.split(acting, 1 + np.flatnonzero(np.diff(acting) > 1))
         main = [group[impulses[group] > LEAST_PART * np.max(impulses[group])] for group in groups if len(group)]
         found += [_touch(bounded, group, path.t) for group in main if len(group) <= MOST_NODES]
