@@ -65,15 +65,15 @@ from casadi_galerkin.solvers.deadline import until
 from casadi_galerkin.solvers.solver import Solver
 
 FIRST_INTERVALS = 8
-# Ratio of IPOPT's tolerance to its last barrier where a control switches, times tol², and the largest such ratio.  The
-# barrier keeps values off bounds to which little pushes them, such as controls on the short intervals beside a switch.
-# With IPOPT's own ratio of 10, the mass of a rocket was accurate to 3e-7 only.
-BARRIER_RATIO, LARGEST_BARRIER_RATIO = 3e-11, 1e4
+# Ratio of IPOPT's tolerance to its last barrier where a control switches.  The barrier keeps values off bounds to which
+# little pushes them, such as controls on the short intervals beside a switch.  With IPOPT's own ratio of 10, the mass
+# of a rocket was accurate to 3e-7 only.
+BARRIER_RATIO = 1e4
 # Options with which IPOPT leaves less where no control switches, from where it has left more than this share of the
 # tolerance.  It else ends where no multiplier times the distance to its bound exceeds 1e-12, with controls 1e-4 off the
 # bounds that they leave or meet.  These come second, because where arcs are singular IPOPT may lose its way with them.
 OPEN_SHARE = 0.1
-SHARP = {"barrier_tol_factor": LARGEST_BARRIER_RATIO, "compl_inf_tol": 1e-16, "acceptable_iter": 6}
+SHARP = {"barrier_tol_factor": BARRIER_RATIO, "compl_inf_tol": 1e-16, "acceptable_iter": 6}
 OPEN_LEVELS = 3  # levels in a row that are left open after which the refinement ends: a finer mesh may help
 STARTS_TIME_SHARE = 0.5  # part of the time limit after which no further start begins
 PATIENCE = 4  # every interval is halved after so many levels in a row without a smaller error, as meshes may alternate
@@ -163,11 +163,9 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
     @property
     def warm_solver(self) -> Solver:
         """The solver from an earlier path, with other options where it has none of its own."""
-        others = SHARP if self.left_open else {}
         if self.known is not None and self.known.switches:
-            ratio = BARRIER_RATIO / self.tol**2 if not self.left_open else np.inf
-            others = {"barrier_tol_factor": float(np.clip(ratio, 10, LARGEST_BARRIER_RATIO))}
-        return from_near(self.solver, **others)
+            return from_near(self.solver, barrier_tol_factor=BARRIER_RATIO)
+        return from_near(self.solver, **(SHARP if self.left_open else {}))
 
     def solve_finer(self, mesh: np.ndarray, guess: Guess | None) -> ControlTrajectory:
         """The path on a mesh or, where none is found, on one twice as fine."""
