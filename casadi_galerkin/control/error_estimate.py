@@ -273,12 +273,10 @@ class HigherDegree:
     @cached_property
     def rate_changes(self) -> list[float]:
         """Largest change of a rate at every switch, over the size of its component; zero where there are no rates."""
-        first = self.path.problem.mechanical
-        if first == len(self.path.x):
-            return [0.0] * len(self.switches)
-        between, sizes = self.higher.between_points, self.higher.sizes[first:]
+        first, between = self.path.problem.mechanical, self.higher.between_points
+        sizes = self.higher.sizes[first:]
         changes = [between.force_change(s.due, s.control, s.before, s.after)[first:] for s in self.switches]
-        return [float(np.max(np.nan_to_num(np.abs(change) / sizes))) for change in changes]
+        return [float(np.max(np.nan_to_num(np.abs(change) / sizes), initial=0.0)) for change in changes]
 
     @property
     def rate_error(self) -> float:

@@ -23,8 +23,6 @@ class ProgramBounds:
 
     def narrowed(self, relaxed: float) -> ProgramBounds:
         """Bounds that become these after a solver relaxes every bound b by this part of max(1, |b|)."""
-        if relaxed == 0:
-            return self
         return ProgramBounds(_narrowed(self.unknowns, relaxed), _narrowed(self.equations, relaxed))
 
 

@@ -204,9 +204,7 @@ class ControlProblem:
         }
         self.__dict__.update(values)  # the class is frozen
         self._check_dependence()
-        self._meet_bounds()
-        self._check_ends()
-        self._check_guesses()
+        self._check_given()
 
     def __repr__(self) -> str:
         """State the problem without its callables."""
@@ -286,9 +284,7 @@ class ControlProblem:
         """Copy with other ends, velocities or parameters, by name, and other times; see `BoundaryProblem.varied`."""
         other = with_changes(self, changes, t_span)
         if other is not self:
-            other._meet_bounds()
-            other._check_ends()
-            other._check_guesses()
+            other._check_given()
         return other
 
     def _check_dependence(self) -> None:
@@ -315,12 +311,14 @@ class ControlProblem:
         functions = [function for _, function, _ in of_velocities]
         check_parameters([*self._along, *functions, self.lagrangian, self.constraint], self.parameter_bounds)
 
-    def _meet_bounds(self) -> None:
-        """Move given ends that are outside their bounds by rounding, of either end, to the bounds."""
+    def _check_given(self) -> None:
+        """Refuse given values that contradict others; move ends that leave their bounds by rounding to the bounds."""
         ends = self.given_positions
         met = within_rounding(ends, *self.position_bounds, ends[::-1])
         for name, values in zip(("start", "end"), met, strict=True):
             self.__dict__[name] = tuple(None if np.isnan(x) else x for x in values.tolist())
+        self._check_ends()
+        self._check_guesses()
 
     def _check_ends(self) -> None:
         low, high = self.position_bounds
