@@ -182,3 +182,19 @@ def test_the_minimizer_refuses_a_force():
 def test_a_force_that_does_not_fit_is_refused(force, kind, message):
     with pytest.raises(kind, match=message):
         oscillator_problem(force=force)
+
+
+@pytest.mark.parametrize("options", [{"tol": 1e-6}, {"method": cg.Galerkin(8), "intervals": 8}], ids=str)
+@pytest.mark.parametrize("coupling", [1e-6, 1e-14, 1e-17, 1e-20])
+def test_a_component_that_is_driven_alone_is_accurate_however_small_it_is(coupling, options):
+    """x₀'' = -4x₀ and x₁'' = -x₁ + ε x₀, whose own component is of size ε."""
+    driven = cg.BoundaryProblem(
+        lambda t, x, v: (v[0] ** 2 - 4 * x[0] ** 2 + v[1] ** 2 - x[1] ** 2) / 2,
+        (0.0, 1.0),
+        [0.0, 0.0],
+        [1.0, 0.0],
+        force=lambda t, x, v: [0, coupling * x[0]],
+    )
+    t = np.linspace(0, 1, 9)
+    exact = (np.sin(2) / np.sin(1) * np.sin(t) - np.sin(2 * t)) / (3 * np.sin(2))
+    np.testing.assert_allclose(cg.solve(driven, **options)(t)[1] / coupling, exact, rtol=0, atol=1e-8)
