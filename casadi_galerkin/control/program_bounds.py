@@ -11,6 +11,7 @@ from casadi_galerkin.calculus.numbers import counted
 from casadi_galerkin.control.chain import Chain
 from casadi_galerkin.problems.control_problem import ControlProblem
 from casadi_galerkin.problems.crossings import is_limited
+from casadi_galerkin.problems.dependence import POSITIONS, rows_that_depend
 from casadi_galerkin.problems.problem import ENDS
 
 
@@ -88,14 +89,15 @@ def _limit(sides: np.ndarray, index: np.ndarray, bounds: ArrayLike) -> None:
 def _constraint_at_ends(problem: ControlProblem, chain: Chain) -> list[tuple[np.ndarray, np.ndarray]]:
     """Rows of a constraint and of its time derivative at both ends, and whether what is given satisfies them already.
 
-    A given position does, and then a given velocity, where the constraint depends on no free time or parameter; and
-    rest does wherever the constraint does not depend on time.
+    What is given of a position does, and then a given velocity, where the constraint depends on nothing free; and rest
+    does wherever the constraint does not depend on time.
     """
     rows, ends, at_rest = chain.rows, list[tuple[np.ndarray, np.ndarray]](), ~problem.moving_constraints
     of_constraint = rows["start_constraint"], rows["constraint"][-1, -1]
     for k, (name, constraint) in enumerate(zip(ENDS, of_constraint, strict=True)):
         x, v = getattr(problem, name), getattr(problem, f"{name}_velocity")
-        satisfied = problem.determined_constraints(k) & (None not in x)
+        free = rows_that_depend(problem.constraint, POSITIONS, [value is None for value in x])
+        satisfied = problem.determined_constraints(k) & ~free
         tangent = (satisfied & (None not in v)) | (at_rest & all(rate == 0 for rate in v))
         ends += [(constraint, satisfied), (rows[f"{name}_tangent"], tangent)]
     return ends

@@ -3,7 +3,8 @@
 The terms are
 
     φ(x_0, x_N) + p_0·x_0 - p_N·x_N + μ·ψ(x_0, x_N)      end action, given momenta p_0 and p_N, end conditions
-    Λ_a·g(t_a, x_a)                                      a constraint, at every node whose position is not given
+    Λ_a·g(t_a, x_a)                                      a constraint, at every node, but not where all that it
+                                                         depends on is given
 
 with multipliers μ and Λ_a.  Λ_a is an impulse, the multiplier λ of the continuous problem times a share of time.  The
 phase of a periodic path of given energy is fixed by the end condition n·(x_0 - c) = 0, that x_0 is in the plane through
@@ -34,6 +35,7 @@ from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Numbering
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem, is_given
 from casadi_galerkin.problems.constrained_motion import check_points
+from casadi_galerkin.problems.dependence import rows_that_depend
 from casadi_galerkin.problems.legendre_transform import momentum_at
 from casadi_galerkin.problems.orbit_phase import has_phase
 from casadi_galerkin.problems.problem import END_MOTIONS
@@ -80,7 +82,6 @@ class _Statement:
     fixed : components of the start and of the end whose positions are given
     velocities : EndVelocities at the start and at the end
     imposed : components at the start and at the end whose given positions are unknowns, fixed by equations of a term
-    constraints : number of constraints
     at_ends : Function of the term of the ends, and whether its jacobian is symmetric; None where there is no such term
     """
 
@@ -92,7 +93,6 @@ class _Statement:
         self.velocities = end_velocities(problem)
         ends = zip(self.velocities, self.fixed, strict=True)
         self.imposed = [[i for i in velocities.unknown if i in fixed] for velocities, fixed in ends]
-        self.constraints = 0 if problem.constraint is None else problem.constraint.size1_out(0)
         self.at_ends = self._ends()
 
     @cached_property
@@ -108,27 +108,38 @@ class _Statement:
     def numbering(self, method: Galerkin, intervals: int) -> Numbering:
         """The numbering of the unknowns on a number of intervals, with the multipliers of all terms."""
         d, stretched = self.problem.dimension, self.problem.energy is not None
-        multipliers = self.constraints * len(self._constrained(intervals * method.degree))
+        constrained = self._constrained(intervals * method.degree).items()
+        multipliers = sum(len(rows) * len(nodes) for rows, nodes in constrained)
         multipliers += 0 if self.at_ends is None else self.at_ends[0].size1_in(0) - 2 * d - sum(map(len, self.imposed))
         ends = self.fixed[0], self.fixed[1], tuple(self.imposed[0]), tuple(self.imposed[1])
         return Numbering(method, intervals, d, *ends, self.problem.periodic, multipliers, stretched)
 
-    def _constrained(self, last: int) -> np.ndarray:
-        """Numbers of the nodes, up to the last one, at which the constraint is imposed: all but given ends."""
-        d, (start, end) = self.problem.dimension, self.fixed
-        return np.arange(len(start) == d, last + (not self.problem.periodic and len(end) < d))
+    def _constrained(self, last: int) -> dict[tuple[int, ...], list[int]]:
+        """Constraints, and the numbers of the nodes, up to the last one, at which they are imposed, in groups.
+
+        An end has those that depend on a component that is not given there.
+        """
+        if self.problem.constraint is None:
+            return {}
+        every = tuple(range(self.problem.constraint.size1_out(0)))
+        if self.problem.periodic:
+            return {every: list(range(last))}
+        groups = {every: list(range(1, last))}
+        for node, fixed in zip((0, last), self.fixed, strict=True):
+            free = ~np.isin(np.arange(self.problem.dimension), fixed)
+            depend = np.flatnonzero(rows_that_depend(self.problem.constraint, 1, free))
+            groups.setdefault(tuple(depend.tolist()), []).append(node)
+        return {rows: nodes for rows, nodes in groups.items() if rows and nodes}
 
     def terms(self, numbering: Numbering) -> tuple[LocalTerm, ...]:
         """All terms; their multipliers are numbered in the same order."""
         terms, last = list[LocalTerm](), numbering.intervals * numbering.method.degree
         multipliers = np.arange(numbering.positions, numbering.positions + numbering.multipliers)
-        constrained = self._constrained(last)
-        count = len(constrained)
-        if self.constraints and count:  # one interval of degree 1 between given ends has no free node
-            of_constraints = multipliers[: self.constraints * count].reshape(count, self.constraints)
-            multipliers = multipliers[self.constraints * count :]
-            entries = np.concatenate((numbering.of_nodes[constrained], of_constraints), axis=1).T
-            terms.append(LocalTerm(self._constraint(), entries, _node_times(numbering, constrained), True))
+        for rows, nodes in self._constrained(last).items():
+            count, at = len(rows) * len(nodes), np.array(nodes)
+            of_constraints, multipliers = multipliers[:count].reshape(-1, len(rows)), multipliers[count:]
+            entries = np.concatenate((numbering.of_nodes[at], of_constraints), axis=1).T
+            terms.append(LocalTerm(self._constraint(rows), entries, _node_times(numbering, at), True))
         if self.at_ends is not None:
             function, symmetric = self.at_ends
             ends = zip(numbering.of_ends, self.imposed, strict=True)
@@ -148,10 +159,10 @@ class _Statement:
         """A callable of the problem at these arguments and, where there are some, the parameters."""
         return function(*arguments, *([] if self.problem.parameters is None else [self.parameters]))
 
-    def _constraint(self) -> ca.Function:
-        t, x, impulse = ca.SX.sym("t"), ca.SX.sym("x", self.problem.dimension), ca.SX.sym("impulse", self.constraints)
+    def _constraint(self, chosen: tuple[int, ...]) -> ca.Function:
+        t, x, impulse = ca.SX.sym("t"), ca.SX.sym("x", self.problem.dimension), ca.SX.sym("impulse", len(chosen))
         assert self.problem.constraint is not None
-        residual = self._called(self.problem.constraint, t, x)
+        residual = self._called(self.problem.constraint, t, x)[list(chosen)]
         rows = ca.vertcat(ca.jtimes(residual, x, impulse, True), residual)
         return self._function("constraint", ca.vertcat(x, impulse), t, ca.SX(0), rows)
 

@@ -24,6 +24,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, s
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes, or_one
 from casadi_galerkin.problems.callables import depends_on_time, with_parameters
 from casadi_galerkin.problems.cancellation import sizes_of_terms
+from casadi_galerkin.problems.dependence import rows_that_depend
 from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.problems.problem import Problem
 
@@ -183,8 +184,8 @@ def work_of_constraint(problem: Problem, t: np.ndarray, x: np.ndarray, v: np.nda
 def check_constraint(problem: Problem, known: Mapping[str, np.ndarray] | None = None) -> None:
     """Refuse too many constraints, and given positions that violate them or where they are redundant.
 
-    Only positions with all of their components given are looked at.  `known` says by name which constraints depend on
-    nothing free there, (k,); by default all do.
+    Of a position that is given in part, those that depend on given components alone are looked at.  `known` says by
+    name which constraints depend on nothing else that is free there, (k,); by default all do.
     """
     if problem.constraint is None:
         return
@@ -201,25 +202,38 @@ def check_constraint(problem: Problem, known: Mapping[str, np.ndarray] | None = 
         )
     first, last = problem.t_span
     for name, when in (("start", first), ("position", first), ("end", last)):
-        where: Any = getattr(problem, name, (None,))
-        if None in where:
+        where: Any = getattr(problem, name, None)
+        if where is None:
             continue
-        looked_at = np.ones(k, dtype=bool) if known is None else known[name]
-        symbols = function.sx_in()
-        values, missed, slopes = (np.array(a) for a in relative_residuals(function(*symbols), symbols)(when, where))
-        if not np.all(missed[looked_at] <= 1):
-            i = int(np.argmax(np.where(looked_at, missed[:, 0], -1.0)))
+        place = np.array(where, dtype=float)  # NaN for None
+        free = rows_that_depend(function, 1, np.isnan(place))
+        conditions, unknowns = (int(np.count_nonzero(some)) for some in (free, np.isnan(place)))
+        if conditions > unknowns:
             raise ValueError(
-                f"the constraint must be zero at the given {name}, x = {list(where)}: constraint[{i}] is "
-                f"{values[i, 0]:g}, and only rounding, up to {abs(values[i, 0]) / missed[i, 0]:.0e}, is accepted"
+                f"{name} = {list(where)} leaves {counted(unknowns, 'component')} free, on which "
+                f"{counted(conditions, 'value')} of the constraint depend: give the whole position, or less of it"
             )
-        slope = slopes[:, 1:]
-        rows = or_one(np.linalg.norm(slope, axis=1))
-        if looked_at.all() and np.linalg.matrix_rank(slope / rows[:, None], tol=1e3 * EPS) < k:
-            raise ValueError(
-                f"the constraints are redundant at the given {name}, x = {list(where)}: their gradients, the rows of "
-                f"{slope.tolist()}, are linearly dependent"
-            )
+        looked_at = ~free if known is None else known[name] & ~free
+        _check_place(function, name, when, where, looked_at)
+
+
+def _check_place(function: ca.Function, name: str, when: float, where: Sequence[Any], looked_at: np.ndarray) -> None:
+    """Refuse a given position that violates one of the constraints looked at, or where all are but are redundant."""
+    symbols, place = function.sx_in(), [0.0 if value is None else value for value in where]
+    values, missed, slopes = (np.array(a) for a in relative_residuals(function(*symbols), symbols)(when, place))
+    if not np.all(missed[looked_at] <= 1):
+        i = int(np.argmax(np.where(looked_at, missed[:, 0], -1.0)))
+        raise ValueError(
+            f"the constraint must be zero at the given {name}, x = {list(where)}: constraint[{i}] is "
+            f"{values[i, 0]:g}, and only rounding, up to {abs(values[i, 0]) / missed[i, 0]:.0e}, is accepted"
+        )
+    slope = slopes[:, 1:]
+    rows = or_one(np.linalg.norm(slope, axis=1))
+    if looked_at.all() and np.linalg.matrix_rank(slope / rows[:, None], tol=1e3 * EPS) < len(looked_at):
+        raise ValueError(
+            f"the constraints are redundant at the given {name}, x = {list(where)}: their gradients, the rows of "
+            f"{slope.tolist()}, are linearly dependent"
+        )
 
 
 def check_points(constraint: ca.Function | None, method: Galerkin) -> None:

@@ -9,10 +9,11 @@ velocities:
     further    rows of η = 0
 
 Under a constraint g = 0 with G = ∂g/∂x, the equations of momenta hold up to an impulse Gᵀμ, where μ is another part of
-η.  A start that is not given as a whole must lie on the constraint, g(t_0, x_0) = 0.  The steps do not depend on the
-normal part of p_0, so that it is set to zero, G p_0 = 0.  They stay on the constraint by themselves, so that the
-equations of a given end, too, hold up to Gᵀμ.  There μ is zero at the end asked for, and G is not differentiated: the
-steps of Newton's method then lead away from other points whose offset is normal, such as the antipode on a sphere.
+η.  A start that is not given as a whole must lie on the constraint, g(t_0, x_0) = 0, as far as that depends on what is
+free.  The steps do not depend on the normal part of p_0, so that it is set to zero, G p_0 = 0.  They stay on the
+constraint by themselves, so that the equations of given positions at the end, too, hold up to Gᵀμ, as far as g depends
+on these alone.  There μ is zero at the end asked for, and G is not differentiated: the steps of Newton's method then
+lead away from other points whose offset is normal, such as the antipode on a sphere.
 
 A given energy E adds λ T̄ E to the functional, with λ the stretch of the steps (`functional.interval`) and T̄ the
 duration that the mesh has.  It is an action of the end, and λ a component with both ends free: p_λ,0 = 0 and
@@ -27,6 +28,7 @@ import numpy as np
 from casadi_galerkin.functional.statement import rows_of_ends
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
+from casadi_galerkin.problems.dependence import rows_that_depend
 
 
 def end_equations(problem: BoundaryProblem, plane: np.ndarray | None) -> ca.Function:
@@ -52,16 +54,17 @@ def end_equations(problem: BoundaryProblem, plane: np.ndarray | None) -> ca.Func
     if constraint is not None:
         further = ca.vertcat(further, ca.jtimes(constraint(times[0], x[0]), x[0], p[0]))
     for k, values in enumerate(given):
-        free = [i for i, value in enumerate(values) if value is None]
+        free = np.array([value is None for value in values])
+        bound = rows_that_depend(constraint, 1, free)
         pushes = ca.SX(d, 1)
-        if constraint is not None and (free or k == 1):
-            own.append(ca.SX.sym("impulse", constraint.size1_out(0)))
-            place = x[k] if free else held
-            pushes = ca.jtimes(constraint(times[k], place), place, own[-1], True)
-            further = ca.vertcat(further, constraint(times[k], x[k])) if k == 0 else further
+        for chosen, place, pushed in ((bound, x[k], free), (~bound & (k == 1), held, ~free)):
+            if constraint is not None and chosen.any():
+                own.append(ca.SX.sym("impulse", np.count_nonzero(chosen)))
+                acting = constraint(times[k], place)[np.flatnonzero(chosen).tolist()]
+                pushes += ca.DM(pushed) * ca.jtimes(acting, place, own[-1], True)
+                further = ca.vertcat(further, acting) if k == 0 else further
         for i, value in enumerate(values):
-            unpushed = x[k][i] - value if value is not None else p[k][i] - momenta[k][i]
-            equations.append(unpushed + pushes[i] if i in (free or range(d)) else unpushed)
+            equations.append((x[k][i] - value if value is not None else p[k][i] - momenta[k][i]) + pushes[i])
     if problem.energy is not None:
         x, p = ([ca.vertcat(a, ca.SX.sym("stretch")) for a in ends] for ends in (x, p))
         equations += [p[0][d], p[1][d] + problem.energy * (times[1] - times[0])]

@@ -21,6 +21,10 @@ ENDS = {  # duration, angles at both ends
 }
 
 
+def spatial_free(t, x, v):
+    return ca.sumsqr(v) / 2
+
+
 @cache
 def angles_of(name):
     duration, first, last = ENDS[name]
@@ -208,6 +212,35 @@ def test_a_free_end_of_a_constrained_path_has_no_momentum_along_the_constraint()
     angle = cg.solve(cg.BoundaryProblem(pendulum, (0, 1), [1.2], [None]), METHOD, intervals=6)
     np.testing.assert_allclose(path.x, on_circle(angle.x[0]), rtol=0, atol=JOINTS)
     np.testing.assert_allclose(path.momentum[:, -1], 0, rtol=0, atol=HELD)
+
+
+def on_cylinder(t, x):
+    return x[0] ** 2 + x[1] ** 2 - 1
+
+
+@pytest.mark.parametrize("solver", [cg.newton, cg.rootfinder, cg.ipopt, cg.minimizer], ids=repr)
+@pytest.mark.parametrize(("start", "end"), [([1, 0, 0.2], [0, 1, None]), ([1, 0, None], [0, 1, 0.2])])
+def test_an_end_may_be_free_along_a_cylinder(start, end, solver):
+    """The constraint depends on nothing that is free there: a quarter of the circle, at one height."""
+    problem = cg.BoundaryProblem(spatial_free, (0, 1), start, end, constraint=on_cylinder)
+    path = cg.solve(problem, METHOD, intervals=4, solver=solver)
+    assert path.action == pytest.approx(np.pi**2 / 8, rel=1e-13)
+    np.testing.assert_allclose(path.x[2], 0.2, rtol=0, atol=HELD)
+    assert cg.solve(problem, tol=1e-8).action == pytest.approx(np.pi**2 / 8, rel=1e-8)
+
+
+def test_a_joint_may_be_given_where_the_bob_beyond_it_is_free():
+    angles, cartesian, place, constraint = MECHANISMS["double pendulum"]
+    duration, first, last = ENDS["double pendulum"]
+    given = [*place(np.array(last))[:2], None, None]
+    path = cg.solve(
+        cg.BoundaryProblem(cartesian, (0, duration), place(np.array(first)), given, constraint=constraint),
+        METHOD,
+        intervals=12,
+        guess=lambda t: place(np.array(first) + (np.array(last) - first) * t / duration),
+    )
+    in_angles = cg.solve(cg.BoundaryProblem(angles, (0, duration), first, [last[0], None]), METHOD, intervals=12)
+    np.testing.assert_allclose(path.x, place(in_angles.x), rtol=0, atol=JOINTS)
 
 
 def test_a_periodic_constrained_path_is_that_in_the_angle():
@@ -402,6 +435,20 @@ def test_a_constraint_that_does_not_fit_is_refused(changes, kind, message):
     stated = {"start": on_circle(0.2), "end": on_circle(1.3), "constraint": unit_length} | changes
     with pytest.raises(kind, match=message):
         cg.BoundaryProblem(planar, (0, 1), **stated)
+
+
+@pytest.mark.parametrize("side", ["start", "end"])
+def test_what_is_given_of_an_end_is_on_what_it_determines_of_the_constraint(side):
+    stated = {"start": [1.0, 0.0, 0.0], "end": [0.0, 1.0, 0.0]} | {side: [0.0, 2.0, None]}
+    with pytest.raises(ValueError, match=rf"zero at the given {side}, x = \[0.0, 2.0, None\]: constraint\[0\] is 3"):
+        cg.BoundaryProblem(spatial, (0, 1), **stated, constraint=on_cylinder)
+
+
+def test_an_end_that_leaves_too_little_free_for_its_constraints_is_refused():
+    _, cartesian, place, constraint = MECHANISMS["double pendulum"]
+    end = [None, *place(np.array([0.3, 0.6]))[1:]]
+    with pytest.raises(ValueError, match="leaves 1 component free, on which 2 values of the constraint depend"):
+        cg.BoundaryProblem(cartesian, (0, 1), place(np.array([1.0, 1.2])), end, constraint=constraint)
 
 
 @pytest.mark.parametrize("unit", [1e-15, 1e15])

@@ -295,6 +295,25 @@ def test_a_pendulum_at_rest_with_a_free_end_is_shot(side, degree):
     assert path.action == pytest.approx(cg.solve(problem, cg.Galerkin(degree), 8).action, rel=1e-14)
 
 
+@pytest.mark.parametrize(
+    ("start", "end", "climbs"),
+    [
+        ([1, 0, 0.2], [0, 1, None], 0.0),
+        ([1, 0, None], [0, 1, 0.2], 0.0),
+        ([1, 0, 0.0], [0, 1, 0.5], 0.5),
+        ([1, 0, 0.0], [None, None, 0.5], 0.5),
+        ([None, None, 0.0], [0, 1, 0.5], 0.5),
+    ],
+)
+def test_any_part_of_an_end_on_a_cylinder_may_be_given_to_shooting(start, end, climbs):
+    problem = cg.BoundaryProblem(
+        lambda t, x, v: ca.sumsqr(v) / 2, (0, 1), start, end, constraint=lambda t, x: x[0] ** 2 + x[1] ** 2 - 1
+    )
+    turns = None not in (*start[:2], *end[:2])
+    path = cg.shoot(problem, cg.Galerkin(8), intervals=4)
+    assert path.action == pytest.approx((turns * np.pi**2 / 4 + climbs**2) / 2, rel=1e-12, abs=1e-12)
+
+
 def chain_of_two(t, x):
     return [ca.sumsqr(x[:3]) - 1, ca.sumsqr(x[3:] - x[:3]) - 1]
 
