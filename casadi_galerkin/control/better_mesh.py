@@ -35,6 +35,8 @@ SWITCH_MARGIN = 3.0  # distance of the joints beside a switch over the uncertain
 SWITCH_RESOLUTION = 0.05
 AT_JOINT = 0.05  # distance from a joint, as part of an interval, up to which a bend is at the joint
 LONGER = 1.5  # ratio of the lengths of two intervals beside a touch up to which their other ends are moved
+# difference of the two estimates of a switching time, over the duration, above which both become joints
+DIFFERING_ESTIMATES = 1e-4
 # distance over the duration below which switches are one, such as those of two controls at a breakpoint
 SAME_SWITCH = 1e-8
 
@@ -145,17 +147,20 @@ def with_switches(found: HigherDegree, mesh: np.ndarray, tol: float) -> np.ndarr
 
     There are two estimates of a switching time.  Where the given ends determine it, the impulse is accurate, but the
     switching function only to the distance of two quadrature points.  Where the ends do not determine it, all controls
-    may stay at their bounds on both sides of a joint, and the switching function is more accurate.  So the time is that
-    of the impulse, and the joints on either side are as far away as that of the switching function, or farther.  A
-    switch whose distance to a breakpoint is below the error of the path is taken to be at the breakpoint, because a
-    joint beside it would be too near.  Where a rate jumps that changes its component in a short part of the duration,
-    the least distance is as much shorter.
+    may stay at their bounds on both sides of a joint, and the switching function is more accurate.  So where the two
+    estimates differ, both become joints.  A switch whose distance to a breakpoint is below the error of the path is
+    taken to be at the breakpoint, because a joint beside it would be too near.  Where a rate jumps that changes its
+    component in a short part of the duration, all distances are as much shorter.
     """
     switched: dict[float, float] = {}  # time of a switch -> distance of the joints on either side
     duration, breakpoints = np.ptp(mesh), found.higher.problem.breakpoints
     closest, known = least_distance(found.higher, tol), max(found.change, TARGET * tol) * duration
-    for s, change in zip(found.switches, found.rate_changes, strict=True):
-        when = next((b for b in breakpoints if abs(b - s.when) < known), s.when)
+    shares = [1 / max(1.0, change * duration) for change in found.rate_changes]
+    estimates = [(s, share, s.when) for s, share in zip(found.switches, shares, strict=True)]
+    differing = DIFFERING_ESTIMATES * duration
+    estimates += [(s, share, s.due) for s, share, when in estimates if abs(s.due - when) > share * differing]
+    for s, share, when in estimates:
+        when = next((b for b in breakpoints if abs(b - when) < known), when)
         if any(abs(when - other) < SAME_SWITCH * duration for other in switched):
             continue
         k = int(np.searchsorted(mesh[1:-1], when))
@@ -164,7 +169,7 @@ def with_switches(found: HigherDegree, mesh: np.ndarray, tol: float) -> np.ndarr
         if not stays and abs(mesh[near] - when) < REMOVAL_DISTANCE * (mesh[k + 1] - mesh[k]):
             mesh = np.delete(mesh, near)
         uncertain = max(abs(s.when - s.joint), abs(s.due - s.joint))
-        switched[when] = max(closest / max(1.0, change * duration), SWITCH_MARGIN * uncertain)
+        switched[when] = max(share * closest, SWITCH_MARGIN * uncertain)
     joints = np.unique(np.concatenate((mesh, list(switched))))
     for when, distance in switched.items():
         k = int(np.searchsorted(joints, when))

@@ -49,8 +49,7 @@ def steep(price):
 
 
 def test_a_steep_passage_from_bound_to_bound_is_no_switch_where_both_its_ends_are_joints():
-    tol = 1e-5
-    path = cg.solve(steep(1e-5), tol=tol)
+    path = cg.solve(steep(1e-5), tol=1e-5)
     narrow, wide = passages_of(bends(path), 0)
     assert np.max(np.min(np.abs(path.t - np.reshape(wide, (2, 1))), axis=1)) < 1e-3
     (switch,) = switches(path, bends(path))
@@ -58,7 +57,7 @@ def test_a_steep_passage_from_bound_to_bound_is_no_switch_where_both_its_ends_ar
     assert len(path.t) <= 30
     finer = cg.solve(steep(1e-5), cg.Galerkin(3), mesh=np.union1d(np.linspace(0, 5, 301), path.t))
     assert path.cost == pytest.approx(finer.cost, rel=1e-7)
-    assert np.max(np.abs(path(finer.t) - finer.x)) <= tol / 10
+    assert np.max(np.abs(path(finer.t) - finer.x)) <= path.error_estimate
 
 
 def test_a_control_of_convex_cost_switches_in_the_middle_of_its_passage():
