@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+LEAST_SPAN = 1e-150  # duration whose square is still a double, and so is that of its inverse
 APART = 1e-12  # least relative difference of two times; between nearer ones velocities would be roundoff
 
 
@@ -163,6 +164,8 @@ def time_span(value: Sequence[float]) -> tuple[float, float]:
     start, end = numbers("t_span", value, 2)
     if end <= start:
         raise ValueError(f"t_span must increase, got ({start}, {end})")
+    if not LEAST_SPAN < end - start < 1 / LEAST_SPAN:
+        raise ValueError(f"t_span must last {LEAST_SPAN:g} to {1 / LEAST_SPAN:g} units of time, got ({start}, {end})")
     return start, end
 
 

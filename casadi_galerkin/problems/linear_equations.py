@@ -19,6 +19,8 @@ def solve_scaled(matrix: ca.MX, rhs: ca.MX, moving: Sequence[int], method: str =
     other unknowns, multipliers and velocities at the ends, have other units: they are scaled by their entries in the
     equations of motion, relative to those of the moving ones.  QR needs no scaling of columns.
     """
+    if matrix.is_empty():
+        return rhs
     sizes, chosen = ca.fabs(matrix), list(moving)
     further = sizes[:, sorted(set(range(matrix.size2())).difference(chosen))]
     rows = ca.sum2(sizes[:, chosen])
