@@ -54,7 +54,6 @@ from casadi_galerkin.control.several_starts import distinct_optima, optima_of
 from casadi_galerkin.control.transcription import SHORTEST, transcribed_control
 from casadi_galerkin.functional.mapping import one_by_one
 from casadi_galerkin.problems.control_problem import ControlProblem
-from casadi_galerkin.problems.dependence import entries_of
 from casadi_galerkin.problems.problem import check_types, map_times, mesh_for, section_times
 from casadi_galerkin.solution.control_trajectory import STEP, ControlTrajectory
 from casadi_galerkin.solution.errors import ConvergenceError, LimitReached
@@ -125,11 +124,6 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         verbose: int,
     ) -> None:
         super().__init__(tol, limits, verbose)
-        if not of_cost and _all_cost_the_same(problem):
-            raise ValueError(
-                "running_cost and terminal_cost are constant, so that no path is better than others and there is none "
-                "to be known to a tol: give a cost that depends on the path, cost_tol, or a method and intervals"
-            )
         self.stated, self.problem = problem, with_joined_phases(problem)
         self.of_cost, self.method, self.solver = of_cost, method, solver
 
@@ -315,12 +309,6 @@ class ControlRefinement(Refinement[ControlTrajectory, HigherDegree | None]):
         path = with_parted_phases(path, self.stated)
         cost, error = self.known.errors
         return replace(path, error_estimate=error, cost_error=cost)
-
-
-def _all_cost_the_same(problem: ControlProblem) -> bool:
-    """Whether the cost depends on nothing but a given duration."""
-    costs = [cost for cost in (problem.running_cost, problem.terminal_cost) if cost is not None]
-    return problem.duration_bounds is None and not any(entries_of(f, k) for f in costs for k in range(1, f.n_in()))
 
 
 def first_control_discretization(

@@ -601,11 +601,3 @@ def test_a_path_along_a_wall_that_hardly_pushes_it_is_as_in_closed_form(wall):
     exact = wall * (1 - (1 - reached) ** 3)
     assert np.max(np.abs(path(times)[0] - exact)) <= path.error_estimate * wall
     assert path.error_estimate <= 1e-6
-
-
-def test_a_tolerance_of_a_path_is_refused_where_all_paths_cost_the_same():
-    free = double_integrator(running_cost=lambda t, x, v, u: 1.0, control_bounds=(-10, 10))
-    with pytest.raises(ValueError, match="running_cost and terminal_cost are constant, so that no path is better"):
-        cg.solve(free, tol=1e-6)
-    assert cg.solve(free, cost_tol=1e-6).cost == pytest.approx(1, rel=1e-9)
-    assert cg.solve(replace(free, duration_bounds=(0.1, 9)), tol=1e-6).cost == pytest.approx(np.sqrt(0.4), rel=1e-6)
