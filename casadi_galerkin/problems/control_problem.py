@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.numbers import components, counted, flag, numbers, time_span, times_inside, whole_number
-from casadi_galerkin.calculus.roundoff import EPS
+from casadi_galerkin.calculus.roundoff import EPS, or_one
 from casadi_galerkin.problems.bounds import (
     FEASIBLE,
     Bounds,
@@ -358,7 +358,8 @@ class ControlProblem:
             arrays.append(np.where(free, np.nan, self.parameters))
         free_rows = np.any([rows_that_depend(g, k, np.isnan(values)) for k, values in enumerate(arrays)], axis=0)
         values = np.array(g(*map(np.nan_to_num, arrays))).ravel()
-        accepted = FEASIBLE * np.fmax(1.0, np.abs(values))
+        sizes = np.abs([low, high])
+        accepted = FEASIBLE * or_one(np.max(np.where(np.isfinite(sizes), sizes, 0.0), axis=0))
         for i in np.flatnonzero(~free_rows & np.isfinite(values)):  # a ratio may be 0/0 at an end
             if not low[i] - accepted[i] <= values[i] <= high[i] + accepted[i]:
                 raise ValueError(f"{words.format(i, values[i])}, outside its bounds [{low[i]}, {high[i]}]")

@@ -97,12 +97,7 @@ def error_indicators(problem: Problem, path: PiecewisePolynomial, momentum: np.n
     momentum : (d, N + 1), at the joints
     """
     joints = [0, *np.searchsorted(path.mesh, problem.breakpoints), len(path.mesh) - 1]
-    before = np.maximum(np.arange(len(path.mesh)) - 1, 0)  # a momentum belongs to the interval before its joint
-    blurred = _blurred_slopes(path)[:, before]
-    parts = [
-        _between_breakpoints(problem, path.between(i, j), momentum[:, i : j + 1], blurred[:, i : j + 1])
-        for i, j in pairwise(joints)
-    ]
+    parts = [_between_breakpoints(problem, path.between(i, j), momentum[:, i : j + 1]) for i, j in pairwise(joints)]
     balance, unresolved, inertias = zip(*parts, strict=True)
     moving = np.max(inertias, axis=0) @ path.sizes / np.ptp(path.mesh)
     return np.concatenate(balance), np.concatenate(unresolved), _jumps_of_force(problem, path, momentum, moving)
@@ -134,8 +129,8 @@ def _jumps_of_force(
     if problem.force is None:
         return np.zeros(len(path.mesh) - 1)
     detector, steps = JumpDetector(path.mesh, gauss(path.degree)), np.diff(path.mesh)
-    blurred = np.repeat(_blurred_slopes(path), len(detector.parts), axis=1)
-    given = *(path(detector.times, nu) for nu in range(3)), blurred
+    blurred = _rounding(tuple(path.nodes.tolist())) * np.max(np.abs(path.local), axis=2) / steps
+    given = *(path(detector.times, nu) for nu in range(3)), np.repeat(blurred, len(detector.parts), axis=1)
     along = _at_places(problem, _force_along(problem.force), detector.times, *given)
     forces, rates, rounded = (a.T for a in along)
     sizes = np.where(np.isfinite(forces), np.abs(forces), 0.0)
@@ -154,11 +149,6 @@ def _rules(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     finer = gauss(degree + 1)
     parts = np.array([0.0, 1.0, *finer.points, *gauss(degree).points])
     return parts, np.array(finer.weights), lagrange_values(np.array(finer.points), parts)
-
-
-def _blurred_slopes(path: PiecewisePolynomial) -> np.ndarray:
-    """Change of the derivative on every interval by the rounding of its largest value, over eps; (d, N)."""
-    return _rounding(tuple(path.nodes.tolist())) * np.max(np.abs(path.local), axis=2) / np.diff(path.mesh)
 
 
 @lru_cache(64)
@@ -256,17 +246,14 @@ class _Sampled:
 
 @np.errstate(invalid="ignore")  # L may be infinite
 def _between_breakpoints(
-    problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray, blurred: np.ndarray
+    problem: Problem, path: PiecewisePolynomial, momentum: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Energy imbalance and misfit of L, see `error_indicators`, of a path without breakpoints, and largest masses.
-
-    `blurred` (d, N + 1) is how rounding changes the velocities of the momenta, over eps.
-    """
+    """Energy imbalance and misfit of L, see `error_indicators`, of a path without breakpoints, and largest masses."""
     sampled = _Sampled(problem, path)
     if depends_on_time(problem.constraint):  # where it moves in another way from a breakpoint on, it pushes there
         place = sampled.times[sampled.joints], sampled.x[:, sampled.joints]
         momentum = tangent_momenta(problem, *place, momentum, sampled.v[:, sampled.joints])
-    conserved, scale, floor = _energies(sampled, momentum, blurred)
+    conserved, scale, floor = _energies(sampled, momentum)
     masses = np.max(np.where(np.isfinite(sampled.masses), np.abs(sampled.masses), 0.0), axis=0)
     gained, size, rounded = np.abs(np.diff(conserved)), np.minimum(scale[1:], scale[:-1]), floor[1:] + floor[:-1]
     unresolved, most = _unresolved(sampled, scale, floor), _most_change(sampled)
@@ -324,7 +311,7 @@ def kinks_in_place(problem: Problem, path: PiecewisePolynomial) -> np.ndarray:
     return found
 
 
-def _energies(at: _Sampled, momentum: np.ndarray, blurred: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _energies(at: _Sampled, momentum: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The arguments of `energy_imbalance`, at all joints."""
     h, v, (lagrangian, work, slope, *_) = at.h[at.joints], at.v[:, at.joints], at.derivatives
     kinetic, speed, sizes, masses = np.sum(momentum * v, axis=0), np.abs(v), at.path.sizes, np.abs(at.masses)
@@ -338,8 +325,12 @@ def _energies(at: _Sampled, momentum: np.ndarray, blurred: np.ndarray) -> tuple[
     mean = float(at.steps @ (local[1:] + local[:-1])) / 2 / duration
     scale = np.maximum(local, max(mean, float(at_rest), TINY))
 
+    places = np.max(np.abs(at.path.local), axis=2)  # largest value on an interval, which determines its roundoff
+    rounding = _rounding(tuple(at.path.nodes.tolist()))
+    before = np.maximum(np.arange(len(at.joints)) - 1, 0)  # a momentum belongs to the interval before its joint
+    blurred = rounding * np.sum(places[:, before] * pushed, axis=0) / at.steps[before]
     pulled = np.sum(np.abs(at.x[:, at.joints] * work[at.joints].T), axis=0) / h
-    floor = ROUNDING_FACTOR * EPS * (np.sum(blurred * pushed, axis=0) + pulled + scale)
+    floor = ROUNDING_FACTOR * EPS * (blurred + pulled + scale)
 
     supplied = at.steps * at.integral(work_of_constraint(at.problem, at.times, at.x, at.v))
     if at.pointwise.supplied is not None:
@@ -347,9 +338,7 @@ def _energies(at: _Sampled, momentum: np.ndarray, blurred: np.ndarray) -> tuple[
         supplied += at.integral(falls)
         shifted = np.abs(at.times[at.joints] - at.path.mesh)  # of the first and of the last joint
         floor += 2 * shifted * np.abs(falls[at.joints, 0] / h)
-        slopes = np.abs(at.v * at.h) + np.repeat(
-            _blurred_slopes(at.path) * at.steps, len(at.h) // len(at.steps), axis=1
-        )
+        slopes = np.abs(at.v * at.h) + rounding * np.repeat(places, len(at.h) // len(at.steps), axis=1)
         rounded = np.abs(by_both) * np.concatenate((np.abs(at.x), slopes)).T  # the terms of a force may cancel
         floor += ROUNDING_FACTOR * EPS * np.append(0.0, np.cumsum(at.integral(np.sum(rounded, axis=1))))
     return energy + np.append(0.0, np.cumsum(supplied)), scale, floor

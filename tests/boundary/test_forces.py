@@ -186,7 +186,7 @@ def test_a_force_that_does_not_fit_is_refused(force, kind, message):
 
 @pytest.mark.parametrize("options", [{"tol": 1e-6}, {"method": cg.Galerkin(8), "intervals": 8}], ids=str)
 @pytest.mark.parametrize("coupling", [1e-6, 1e-14, 1e-17, 1e-20])
-def test_a_component_that_is_driven_alone_is_accurate_however_small_it_is(coupling, options):
+def test_a_component_that_is_driven_is_accurate_down_to_a_small_part_of_the_others(coupling, options):
     """x₀'' = -4x₀ and x₁'' = -x₁ + ε x₀, whose own component is of size ε."""
     driven = cg.BoundaryProblem(
         lambda t, x, v: (v[0] ** 2 - 4 * x[0] ** 2 + v[1] ** 2 - x[1] ** 2) / 2,

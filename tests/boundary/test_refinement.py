@@ -433,17 +433,6 @@ def test_a_singular_matrix_of_the_higher_degree_halves_every_interval():
     assert abs(path(0.0)[0] - value) <= 3 * path.error_estimate  # relative to the largest value
 
 
-@pytest.mark.parametrize("gap", [1e-3, 1e-8, 1e-12])
-@pytest.mark.parametrize("tol", [1e-6, 1e-11])
-def test_breakpoints_that_nearly_coincide_cost_no_further_intervals(gap, tol):
-    """The momentum behind the short interval is blurred by rounding, which is no imbalance of energy."""
-    swing = cg.BoundaryProblem(lambda t, x, v: v[0] ** 2 / 2 + ca.cos(x[0]), (0, 1), [0.0], [1.0])
-    near = cg.BoundaryProblem(swing.lagrangian, (0, 1), [0.0], [1.0], breakpoints=[0.5, 0.5 + gap])
-    path, whole = cg.solve(near, tol=tol), cg.solve(swing, tol=tol)
-    assert len(path.t) <= len(whole.t) + 3
-    np.testing.assert_allclose(path(whole.t), whole.x, rtol=0, atol=tol)
-
-
 @pytest.mark.parametrize(("named", "tol"), [(True, 1e-3), (True, 1e-9), (False, 1e-3), (False, 1e-6)])
 def test_a_pivot_moved_along_a_spline_is_followed_with_and_without_its_knots(named, tol):
     """A pendulum in Cartesian coordinates; the same one by its angle is the reference."""

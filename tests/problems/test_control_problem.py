@@ -334,3 +334,11 @@ def test_an_end_meets_a_path_constraint_as_a_solve_leaves_it():
     with pytest.raises(ValueError, match=r"path constraint 0 is 1\.0 at the end whatever the controls"):
         double_integrator(end=[2.0], path_constraint=in_time)
     assert double_integrator(end=[2.0], path_constraint=in_time, duration_bounds=(0.5, 3)).end == (2.0,)
+
+
+def test_a_given_end_keeps_to_a_path_constraint_in_small_units():
+    with pytest.raises(
+        ValueError, match=r"path constraint 0 is 1e-09 at the end whatever the controls, outside its bo"
+    ):
+        double_integrator(end=[1e-9], path_constraint=(lambda t, x, v, u: x[0], 0, 0.5e-9))
+    assert double_integrator(start=[-1e-10], path_constraint=(lambda t, x, v, u: x[0], 0, 1)).start == (-1e-10,)
