@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import casadi as ca
 
@@ -10,33 +10,27 @@ import casadi as ca
 NO_CUTOFF = {"eps": 0.0}
 
 
-def solve_scaled(matrix: ca.MX, rhs: ca.MX, moving: Sequence[int]) -> ca.MX:
-    """Solution Y of A Y = B by QR; see `scaled_solver`."""
-    return scaled_solver(matrix, moving)(rhs)
+def solve_scaled(matrix: ca.MX, rhs: ca.MX, moving: Sequence[int], method: str = "qr", refined: bool = False) -> ca.MX:
+    """Solution Y of A Y = B.  Rows are first divided by the sums of their sizes, since QR rounds small rows away.
 
+    If it is `refined` by one step, small components of Y are as accurate as large ones: QR mixes the rows of both.
 
-def scaled_solver(matrix: ca.MX, moving: Sequence[int], method: str = "qr") -> Callable[[ca.MX], ca.MX]:
-    """The function B -> Y with A Y = B, which may be called several times with the same factors.
-
-    Rows are first divided by the sums of their sizes, since QR rounds small rows away.  The `moving` unknowns are
-    values of the path, and the rows of the same numbers are their equations of motion.  All other unknowns, multipliers
-    and velocities at the ends, have other units: they are scaled by their entries in the equations of motion, relative
-    to those of the moving ones.  QR needs no scaling of columns.
+    The `moving` unknowns are values of the path, and the rows of the same numbers are their equations of motion.  All
+    other unknowns, multipliers and velocities at the ends, have other units: they are scaled by their entries in the
+    equations of motion, relative to those of the moving ones.  QR needs no scaling of columns.
     """
     if matrix.is_empty():
-        return lambda rhs: rhs
+        return rhs
     sizes, chosen = ca.fabs(matrix), list(moving)
     further = sizes[:, sorted(set(range(matrix.size2())).difference(chosen))]
     rows = ca.sum2(sizes[:, chosen])
     units = ca.mtimes(_inverse(rows[chosen]).T, further[chosen, :])
     scale = _inverse(ca.fmax(rows, ca.mtimes(further, _inverse(units.T))) if further.numel() else rows)
-
-    def scaled(values: ca.MX) -> ca.MX:
-        return ca.MX(values.sparsity(), values.nz[:] * scale[values.sparsity().row()])
-
-    own, options = scaled(matrix), {**NO_CUTOFF, "cache": 1} if method == "qr" else {}  # it keeps the last factors
-    factors = ca.Linsol("scaled", method, own.sparsity(), options)
-    return lambda rhs: factors.solve(own, scaled(rhs))
+    a, b = (ca.MX(a.sparsity(), a.nz[:] * scale[a.sparsity().row()]) for a in (matrix, rhs))
+    options = {**NO_CUTOFF, "cache": 1} if method == "qr" else {}  # the factors are those of the last matrix
+    factors = ca.Linsol("scaled", method, a.sparsity(), options)
+    y = factors.solve(a, b)
+    return y + factors.solve(a, b - ca.mtimes(a, y)) if refined else y
 
 
 def _inverse(sums: ca.MX) -> ca.MX:

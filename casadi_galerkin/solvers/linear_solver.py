@@ -5,7 +5,6 @@ They are kept for all Lagrangians with that sparsity.  Nothing in them is writte
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 
 import casadi as ca
@@ -16,7 +15,7 @@ from casadi_galerkin.calculus.roundoff import EPS, TINY, ZERO
 from casadi_galerkin.functional.embedding import hessian_pattern
 from casadi_galerkin.functional.functional import Functional
 from casadi_galerkin.functional.numbering import CACHE_SIZE, Numbering
-from casadi_galerkin.problems.linear_equations import scaled_solver
+from casadi_galerkin.problems.linear_equations import solve_scaled
 
 SHIFTED = 1e-8  # shift of the diagonal where a pivot is zero, relative to the sum of its row: half of all digits
 DEFECT_TOLERANCE = 1e-3  # accepted defect of a solution, over its right-hand side
@@ -66,32 +65,23 @@ class LinearSolver:
         return ca.Linsol("ldl", "ldl", self._regularized(self.symbols("matrix")["matrix"]).sparsity())
 
     def _solution(self, method: str, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
-        """Solution of ∇²S Y = -B, refined once but where LDLᵀ has nothing to regularize.
+        """Solution of ∇²S Y = -B, refined once but where LDLᵀ has nothing to regularize."""
+        if method != "ldl":
+            solve = self._bordered if self.numbering.stretched else solve_scaled
+            return -solve(matrix, rhs, range(self.numbering.positions), method, refined=True)
+        softened = self._regularized(matrix)
+        y = -self._ldl.solve(softened, rhs)
+        return y - self._ldl.solve(softened, ca.mac(matrix, y, rhs)) if self.numbering.multipliers else y
 
-        Refinement makes the small components of a solution by QR, which mixes rows, as accurate as the large ones.
-        """
-        if method == "ldl":
-            softened = self._regularized(matrix)
-            y = -self._ldl.solve(softened, rhs)
-            return y - self._ldl.solve(softened, ca.mac(matrix, y, rhs)) if self.numbering.multipliers else y
-        moving = range(self.numbering.positions)
-        solve = (self._bordered if self.numbering.stretched else scaled_solver)(matrix, moving, method)
-        y = -solve(rhs)
-        return y - solve(ca.mac(matrix, y, rhs))
-
-    def _bordered(self, matrix: ca.MX, moving: range, method: str) -> Callable[[ca.MX], ca.MX]:
-        """B -> Y with ∇²S Y = B, by elimination of a free duration: its full row would make all factors of QR full."""
+    def _bordered(self, matrix: ca.MX, rhs: ca.MX, moving: range, method: str, refined: bool) -> ca.MX:
+        """Solution of ∇²S Y = B by elimination of a free duration, whose full row would make all factors of QR full."""
         n = self.numbering.free - 1
         column, row = ca.densify(matrix[:n, n]), matrix[n, :n]
-        inner = scaled_solver(matrix[:n, :n], moving, method)
-        response = inner(column)
-
-        def solve(rhs: ca.MX) -> ca.MX:
-            y = inner(ca.densify(rhs[:n, :]))
-            last = (rhs[n, :] - ca.mtimes(row, y)) / (matrix[n, n] - ca.mtimes(row, response))
-            return ca.vertcat(y - ca.mtimes(response, last), last)
-
-        return solve
+        sides = ca.horzcat(ca.densify(rhs[:n, :]), column)
+        solved = solve_scaled(matrix[:n, :n], sides, moving, method, refined)
+        y, response = solved[:, :-1], solved[:, -1]
+        last = (rhs[n, :] - ca.mtimes(row, y)) / (matrix[n, n] - ca.mtimes(row, response))
+        return ca.vertcat(y - ca.mtimes(response, last), last)
 
     def _defect(self, matrix: ca.MX, y: ca.MX, rhs: ca.MX) -> ca.MX:
         """‖∇²S y + b‖₁ - DEFECT_TOLERANCE ‖b‖₁: the linear system is solved where this is at most zero."""
