@@ -352,7 +352,10 @@ class ControlProblem:
 
     def _check_values(self, words: str, limited: Limited, given: Sequence[Any]) -> None:
         """Refuse values of a function outside their bounds where they depend on nothing free, which is NaN or None."""
-        (g, low, high), arrays = limited, [np.array(values, dtype=float).ravel() for values in given]
+        g, low, high = limited
+        if not low:  # its sparsity is not looked up in every repeated solve
+            return
+        arrays = [np.array(values, dtype=float).ravel() for values in given]
         if self.parameters is not None:
             free = self.parameter_bounds is not None and np.less(*self.parameter_bounds)
             arrays.append(np.where(free, np.nan, self.parameters))
