@@ -156,7 +156,10 @@ class Chain:
         self.path_constraints = len(problem.path_constraint[1])
         self.end_conditions = conditions_at_ends(problem)
         self.conditions = len(self.end_conditions[1])
-        self._words_of_ends = "end condition {}" if problem.end_conditions[1] else "limit {} by path constraints"
+        limited = self.conditions > len(problem.end_conditions[1])
+        self._words_of_ends = (
+            "condition {} on the end, stated or by a path constraint" if limited else "end condition {}"
+        )
         bounded = {"durations": problem.duration_bounds, "parameters": problem.parameter_bounds}
         self.free = tuple(name for name, bounds in bounded.items() if bounds is not None)
         self.breaks, crossings = np.searchsorted(mesh, problem.breakpoints), problem.crossings

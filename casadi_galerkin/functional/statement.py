@@ -35,7 +35,7 @@ from casadi_galerkin.functional.mapping import PointMap
 from casadi_galerkin.functional.numbering import Numbering
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem, is_given
 from casadi_galerkin.problems.constrained_motion import check_points
-from casadi_galerkin.problems.dependence import rows_that_depend
+from casadi_galerkin.problems.dependence import POSITIONS, rows_that_depend
 from casadi_galerkin.problems.legendre_transform import momentum_at
 from casadi_galerkin.problems.orbit_phase import has_phase
 from casadi_galerkin.problems.problem import END_MOTIONS
@@ -127,7 +127,7 @@ class _Statement:
         groups = {every: list(range(1, last))}
         for node, fixed in zip((0, last), self.fixed, strict=True):
             free = ~np.isin(np.arange(self.problem.dimension), fixed)
-            depend = np.flatnonzero(rows_that_depend(self.problem.constraint, 1, free))
+            depend = np.flatnonzero(rows_that_depend(self.problem.constraint, POSITIONS, free))
             groups.setdefault(tuple(depend.tolist()), []).append(node)
         return {rows: nodes for rows, nodes in groups.items() if rows and nodes}
 

@@ -24,7 +24,7 @@ from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial, s
 from casadi_galerkin.calculus.roundoff import EPS, TINY, component_sizes, or_one
 from casadi_galerkin.problems.callables import depends_on_time, with_parameters
 from casadi_galerkin.problems.cancellation import sizes_of_terms
-from casadi_galerkin.problems.dependence import rows_that_depend
+from casadi_galerkin.problems.dependence import POSITIONS, rows_that_depend
 from casadi_galerkin.problems.linear_equations import solve_scaled
 from casadi_galerkin.problems.problem import Problem
 
@@ -206,7 +206,7 @@ def check_constraint(problem: Problem, known: Mapping[str, np.ndarray] | None = 
         if where is None:
             continue
         place = np.array(where, dtype=float)  # NaN for None
-        free = rows_that_depend(function, 1, np.isnan(place))
+        free = rows_that_depend(function, POSITIONS, np.isnan(place))
         conditions, unknowns = (int(np.count_nonzero(some)) for some in (free, np.isnan(place)))
         if conditions > unknowns:
             raise ValueError(

@@ -5,7 +5,7 @@ They are kept for all Lagrangians with that sparsity.  Nothing in them is writte
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import casadi as ca
 import numpy as np
@@ -67,18 +67,18 @@ class LinearSolver:
     def _solution(self, method: str, matrix: ca.MX, rhs: ca.MX) -> ca.MX:
         """Solution of ∇²S Y = -B, refined once but where LDLᵀ has nothing to regularize."""
         if method != "ldl":
-            solve = self._bordered if self.numbering.stretched else solve_scaled
-            return -solve(matrix, rhs, range(self.numbering.positions), method, refined=True)
+            solve = self._bordered if self.numbering.stretched else partial(solve_scaled, refined=True)
+            return -solve(matrix, rhs, range(self.numbering.positions), method)
         softened = self._regularized(matrix)
         y = -self._ldl.solve(softened, rhs)
         return y - self._ldl.solve(softened, ca.mac(matrix, y, rhs)) if self.numbering.multipliers else y
 
-    def _bordered(self, matrix: ca.MX, rhs: ca.MX, moving: range, method: str, refined: bool) -> ca.MX:
+    def _bordered(self, matrix: ca.MX, rhs: ca.MX, moving: range, method: str) -> ca.MX:
         """Solution of ∇²S Y = B by elimination of a free duration, whose full row would make all factors of QR full."""
         n = self.numbering.free - 1
         column, row = ca.densify(matrix[:n, n]), matrix[n, :n]
         sides = ca.horzcat(ca.densify(rhs[:n, :]), column)
-        solved = solve_scaled(matrix[:n, :n], sides, moving, method, refined)
+        solved = solve_scaled(matrix[:n, :n], sides, moving, method, refined=True)
         y, response = solved[:, :-1], solved[:, -1]
         last = (rhs[n, :] - ca.mtimes(row, y)) / (matrix[n, n] - ca.mtimes(row, response))
         return ca.vertcat(y - ca.mtimes(response, last), last)

@@ -28,7 +28,7 @@ import numpy as np
 from casadi_galerkin.functional.statement import rows_of_ends
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
-from casadi_galerkin.problems.dependence import rows_that_depend
+from casadi_galerkin.problems.dependence import POSITIONS, rows_that_depend
 
 
 def end_equations(problem: BoundaryProblem, plane: np.ndarray | None) -> ca.Function:
@@ -55,7 +55,7 @@ def end_equations(problem: BoundaryProblem, plane: np.ndarray | None) -> ca.Func
         further = ca.vertcat(further, ca.jtimes(constraint(times[0], x[0]), x[0], p[0]))
     for k, values in enumerate(given):
         free = np.array([value is None for value in values])
-        bound = rows_that_depend(constraint, 1, free)
+        bound = rows_that_depend(constraint, POSITIONS, free)
         pushes = ca.SX(d, 1)
         for chosen, place, pushed in ((bound, x[k], free), (~bound & (k == 1), held, ~free)):
             if constraint is not None and chosen.any():
