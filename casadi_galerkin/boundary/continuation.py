@@ -21,7 +21,7 @@ from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.calculus.numbers import numbers
 from casadi_galerkin.calculus.piecewise_polynomial import PiecewisePolynomial
 from casadi_galerkin.functional.buffers import interrupts_raised
-from casadi_galerkin.functional.mass import check_mass
+from casadi_galerkin.functional.mass_check import check_mass
 from casadi_galerkin.functional.numbering import Data
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.orbit_phase import refuse_free_phase

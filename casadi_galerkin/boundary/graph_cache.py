@@ -10,7 +10,7 @@ from casadi_galerkin.boundary.graph import CriticalPoint
 from casadi_galerkin.boundary.transcription import Transcription
 from casadi_galerkin.calculus.galerkin import Galerkin
 from casadi_galerkin.functional.mapping import PointMap, one_by_one
-from casadi_galerkin.functional.mass import check_mass
+from casadi_galerkin.functional.mass_check import check_mass
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.solution.errors import ConvergenceError
 from casadi_galerkin.solution.guess import Guess

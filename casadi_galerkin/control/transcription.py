@@ -36,7 +36,7 @@ from casadi_galerkin.control.retries import retry_from_other_guesses, with_fallb
 from casadi_galerkin.control.second_variation import CostVariation
 from casadi_galerkin.functional.buffers import Evaluator, ObjectPool, interrupts_raised
 from casadi_galerkin.functional.mapping import PointMap, by_rows, one_by_one
-from casadi_galerkin.functional.mass import check_mass
+from casadi_galerkin.functional.mass_check import check_mass
 from casadi_galerkin.functional.threads import fork_waits
 from casadi_galerkin.problems.bounds import FEASIBLE
 from casadi_galerkin.problems.constrained_motion import check_points, off_constraint, tangent_at_joints

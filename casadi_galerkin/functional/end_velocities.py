@@ -1,8 +1,9 @@
 """Unknown velocities at an end, from the momentum of the path there.
 
 Where the momentum of a given velocity depends on another velocity that is not given, the latter is an unknown beside
-the path (`functional.statement`).  Unlike a multiplier it need not enter linearly, and L may not be defined where it is
-zero.  But its momentum is that of the path, -∂S/∂x_0 or ∂S/∂x_N, so that the Legendre transform gives a first guess.
+the path (`functional.boundary_terms`).  Unlike a multiplier it need not enter linearly, and L may not be defined where
+it is zero.  But its momentum is that of the path, -∂S/∂x_0 or ∂S/∂x_N, so that the Legendre transform gives a first
+guess.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The conditions of a boundary problem on the ends of a path, as equations between its first and its last state.
 
 In the global solve all of them are one term of the functional, whose rows are the momenta at positions that are not
-given (`functional.statement`).  In shooting the same rows are equations; η are the term's own multipliers and
+given (`functional.boundary_terms`).  In shooting the same rows are equations; η are the term's own multipliers and
 velocities:
 
     start      x_0 = given   or   p_0 = rows of x_0         of a periodic path p_0 = p_N
@@ -25,7 +25,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from casadi_galerkin.functional.statement import rows_of_ends
+from casadi_galerkin.functional.boundary_terms import rows_of_ends
 from casadi_galerkin.problems.boundary_problem import BoundaryProblem
 from casadi_galerkin.problems.callables import with_parameters
 from casadi_galerkin.problems.dependence import POSITIONS, rows_that_depend
