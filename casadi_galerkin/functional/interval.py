@@ -201,6 +201,7 @@ def interval(
         largest = ca.mmax(ca.fabs(ca.horzcat(x, unknowns[:d, :])))
         noise = LARGEST_LAST_STEP * largest * ca.sum2(ca.fabs(by_s)[:, _path_unknowns(unknowns.shape, d)])
         terms = selection.T @ terms + added_terms + noise
+    terms = _shared(terms, by_s, unknowns.shape, d)
     return _interval_of(
         [unknowns, x, p, t, h],
         system=(residual, by_s),
@@ -271,6 +272,20 @@ def _constrained_equations(
         momentum_terms,
         ca.vertcat(unknowns[:d, :] * significant, unknowns[d:, :]),
     )
+
+
+def _shared(terms: ca.SX, by_s: ca.SX, shape: tuple[int, int], d: int) -> ca.SX:
+    """Sizes of the terms of all equations, those of motion at least as large as the other components' in the column.
+
+    Terms that cancel within the derivatives of L do not tell their sizes.  By Cauchy and Schwarz, those of two
+    components compare like the square roots of their stiffnesses, the entries on the diagonal of ∂R/∂s.
+    """
+    sizes, stiffness = ca.reshape(terms, *shape), ca.reshape(ca.fabs(ca.diag(by_s)), *shape)
+    roots = ca.sqrt(ca.vertcat(*(ca.mmax(stiffness[i, :]) for i in range(d))))
+    for j in range(shape[1]):
+        largest = ca.mmax(ca.if_else(roots > 0, sizes[:d, j] / roots, 0))
+        sizes[:d, j] = ca.fmax(sizes[:d, j], roots * largest)
+    return ca.vec(sizes)
 
 
 def _spread(by_x: np.ndarray, by_slope: np.ndarray, d: int) -> ca.DM:

@@ -14,7 +14,6 @@ import casadi as ca
 import numpy as np
 
 from casadi_galerkin.calculus.galerkin import Galerkin
-from casadi_galerkin.calculus.roundoff import EPS, TINY
 from casadi_galerkin.functional.buffers import Evaluator
 from casadi_galerkin.functional.interval import TAYLOR, SlopeBasis, interval, newton_iteration
 from casadi_galerkin.problems.callables import with_parameters
@@ -23,7 +22,6 @@ from casadi_galerkin.problems.problem import Problem
 from casadi_galerkin.solvers.stationarity import ACCEPTED
 
 PIECE = 64  # most intervals that are stepped without Python; longer pieces were not faster, but took longer to build
-SAMPLES, ROUNDED = 8, 4 * EPS  # samples of the rounding of residuals, and the largest change of a value in one
 
 
 @dataclass(frozen=True)
@@ -138,7 +136,7 @@ class Stepper:
             found.append((rolled_x, rolled_p, terms, *outputs[3:], action))
         xs, ps, terms, s, iterations, ratio, action = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
         rows, columns = self._shape
-        roll = Roll(
+        return Roll(
             mesh,
             np.column_stack((x, xs.reshape(-1, d).T[:, :n])),
             np.column_stack((p, ps.reshape(-1, d).T[:, :n])),
@@ -148,25 +146,6 @@ class Stepper:
             np.where(np.isnan(action), np.nan, ratio.reshape(len(action), -1).max(axis=1))[:n],
             action[:n],
         )
-        for i in np.flatnonzero(roll.residual > ACCEPTED).tolist():
-            roll.residual[i] = min(roll.residual[i], self._measured_residual(roll, i))
-        return roll
-
-    def _measured_residual(self, roll: Roll, i: int) -> float:
-        """Largest residual of a step over measured roundoff floors, of which each component has the largest.
-
-        The sizes of terms that cancel within the derivatives of L are not known.  They show in how much the residuals
-        change where the slopes and the start are rounded in other ways.
-        """
-        random, step = np.random.default_rng(i), (roll.mesh[i], roll.mesh[i + 1] - roll.mesh[i])
-
-        def residuals(size: float) -> np.ndarray:
-            given = (a * (1 + random.uniform(-size, size, a.shape)) for a in (roll.unknowns[i], roll.x[:, i]))
-            return np.array(self.interval.system(*given, roll.p[:, i], *step)[0]).reshape(self._shape, order="F")
-
-        found = residuals(0.0)
-        noise = np.max([np.abs(residuals(ROUNDED) - found) for _ in range(SAMPLES)], axis=(0, 2))
-        return float(np.max(np.abs(found) / (noise[:, None] + TINY)))
 
     def unstretched(self, roll: Roll) -> Roll:
         """The steps at their true times: the stretch is applied to the mesh, and is no component any more."""
